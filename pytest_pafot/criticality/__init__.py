@@ -15,7 +15,6 @@ For several measures of one run use :class:`Encounters`, which computes shared v
 from pytest_pafot.criticality.measures import (
     Encounters,
     centre_distance,
-    ego_follows,
     ettc,
     execution_time,
     gap,
@@ -28,26 +27,16 @@ from pytest_pafot.criticality.measures import (
     min_ttc,
     planned_duration,
     post_encroachment_time,
-    required_deceleration,
     safety_distance,
-    safety_shortfall,
     ttc,
 )
 from pytest_pafot.criticality.relative import RelativePositions
-from pytest_pafot.criticality.rss import (
-    RoadFrame,
-    RssRules,
-    lateral_gap,
-    longitudinal_gap,
-    rss_lateral,
-    rss_longitudinal,
-)
+from pytest_pafot.criticality.rss import RoadFrame, RssRules, longitudinal_gap
 from pytest_pafot.criticality.zones import Passage, passages, still_to_pass, time_advantage
 
 __all__ = [
-    "Encounters", "Passage", "RelativePositions", "RoadFrame", "RssRules", "centre_distance", "ego_follows", "ettc",
-    "execution_time", "gap", "hardest_brake", "lateral_gap", "longitudinal_gap", "max_safety_shortfall", "mettc",
-    "min_centre_distance", "min_gap", "min_safety_distance", "min_ttc", "passages", "planned_duration",
-    "post_encroachment_time", "required_deceleration", "rss_lateral", "rss_longitudinal", "safety_distance",
-    "safety_shortfall", "still_to_pass", "time_advantage", "ttc",
+    "Encounters", "Passage", "RelativePositions", "RoadFrame", "RssRules", "centre_distance", "ettc", "execution_time",
+    "gap", "hardest_brake", "longitudinal_gap", "max_safety_shortfall", "mettc", "min_centre_distance", "min_gap",
+    "min_safety_distance", "min_ttc", "passages", "planned_duration", "post_encroachment_time", "safety_distance",
+    "still_to_pass", "time_advantage", "ttc",
 ]  # fmt: skip

@@ -83,22 +83,12 @@ def min_gap(trace: Trace) -> float:
     return Encounters(trace).min_gap
 
 
-def ego_follows(trace: Trace) -> npt.NDArray[np.bool_]:
-    """Return, for each tick and NPC, whether the NPC's centre is level with the ego's or ahead of it, in any lane.
-
-    The road's direction is the direction of the ego's lane (of the last lane if the ego is off the road). On roads that
-    are not straight, *ahead* means later on the ego's way (:attr:`pytest_pafot.Trace.track`). False if the NPC is not
-    on the ego's way, because neither vehicle then follows the other.
-    """
-    return Encounters(trace).ego_follows.T
-
-
 def safety_distance(trace: Trace) -> FloatArray:
     """Return the paper's SD (equation 5 with t = 3 s), the distance that the follower gains on the leader within t [m].
 
-    (v1 - v2) t + (a1 - a2) t^2 / 2 with vehicle 1 the follower (:func:`ego_follows`) and 2 the leader. The follower
-    must leave at least this distance. It is negative if the leader pulls away, and NaN if the NPC is not on the ego's
-    way.
+    (v1 - v2) t + (a1 - a2) t^2 / 2 with vehicle 1 the follower (:attr:`Encounters.ego_follows`) and 2 the leader. The
+    follower must leave at least this distance. It is negative if the leader pulls away, and NaN if the NPC is not on
+    the ego's way.
     """
     return Encounters(trace).safety_distance.T
 
@@ -106,34 +96,19 @@ def safety_distance(trace: Trace) -> FloatArray:
 def min_safety_distance(trace: Trace) -> float:
     """Return the smallest :func:`safety_distance` of the run [m], which the paper's fitness minimises.
 
-    A minimum of this distance rewards leaders that pull away; :func:`safety_shortfall` does not. Only NPCs on the ego's
-    way are included; the result is infinite if there never is one.
+    A minimum of this distance rewards leaders that pull away; :func:`max_safety_shortfall` does not. Only NPCs on the
+    ego's way are included; the result is infinite if there never is one.
     """
     return Encounters(trace).min_safety_distance
 
 
-def safety_shortfall(trace: Trace) -> FloatArray:
-    """Return the missing share of the safety distance SD, clip((SD - gap) / SD, 0, 1); higher is worse.
-
-    It is 1 at contact. It is 0 if SD <= 0, or if the centres of ego and NPC are not in the same lane, for example while
-    an NPC crosses.
-    """
-    return Encounters(trace).safety_shortfall.T
-
-
 def max_safety_shortfall(trace: Trace) -> float:
-    """Return the largest :func:`safety_shortfall` of the run, 0 to 1; higher is worse."""
-    return Encounters(trace).max_safety_shortfall
+    """Return the largest missing share of the safety distance SD in the run, 0 to 1; higher is worse.
 
-
-def required_deceleration(trace: Trace) -> FloatArray:
-    """Return the follower's constant deceleration that just avoids a leader with constant speed [m/s^2].
-
-    Higher is worse. The deceleration is (v1 - v2)^2 / (2 gap) while the follower closes in on the leader in the same
-    lane, and infinite at contact. Otherwise it is 0, also for an NPC that crosses. Source: deceleration rate to avoid a
-    crash, DRAC (Cooper and Ferguson 1976; in the review of Westhofen et al. 2022).
+    The share is clip((SD - gap) / SD, 0, 1), which is 1 at contact. It is 0 if SD <= 0, or if the centres of ego and
+    NPC are not in the same lane, for example while an NPC crosses.
     """
-    return Encounters(trace).required_deceleration.T
+    return Encounters(trace).max_safety_shortfall
 
 
 def hardest_brake(trace: Trace) -> float:
@@ -189,7 +164,11 @@ class Encounters(RelativePositions):
 
     @cached_property
     def ego_follows(self) -> npt.NDArray[np.bool_]:
-        """True if the NPC's centre is level with the ego's or ahead of it, along the road; False off the ego's way."""
+        """True if the NPC's centre is level with the ego's or ahead of it, in any lane; False off the ego's way.
+
+        The road's direction is the direction of the ego's lane (of the last lane if the ego is off the road). On roads
+        that are not straight, *ahead* means later on the ego's way (:attr:`pytest_pafot.Trace.track`).
+        """
         return self.ahead >= 0
 
     @cached_property
@@ -244,15 +223,6 @@ class Encounters(RelativePositions):
         with np.errstate(over="ignore"):  # at the smallest distances nothing is missing
             ratio = np.divide(self.gap, keep, out=np.ones_like(keep), where=demanded)
         return np.maximum(1.0 - ratio, 0.0)
-
-    @cached_property
-    def required_deceleration(self) -> FloatArray:
-        """The follower's deceleration that just avoids a leader in the same lane [m/s^2]; higher is worse."""
-        closing = np.maximum(self.gain, 0.0)
-        threatened = self.same_lane & ~(closing <= 0)
-        with np.errstate(divide="ignore"):
-            needed: FloatArray = np.divide(closing**2, 2 * self.gap, out=np.zeros_like(closing), where=threatened)
-        return needed
 
     @property
     def mettc(self) -> float:

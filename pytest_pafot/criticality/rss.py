@@ -57,38 +57,18 @@ class RssRules:
     def safe_along(self, follower: FloatArray, leader: FloatArray, response: float | FloatArray) -> FloatArray:
         """Return the gap [m] that a follower must leave, for the two speeds [m/s] and the follower's response time [s].
 
-        See :func:`rss_longitudinal`.
+        The leader may brake as hard as possible at once. The follower may speed up for its response time rho and then
+        brakes with at least a_min,brake:
+
+            v rho + a rho^2 / 2 + (v + rho a)^2 / (2 a_min,brake) - v_leader^2 / (2 a_max,brake)
+
+        Speeds are along the road. A leader that drives against the direction of the road comes closer while it brakes,
+        so the square of its speed has the sign of the speed. The paper's second formula, for oncoming traffic, is not
+        used.
         """
         fastest = follower + response * self.acceleration
         travelled = (follower + fastest) / 2 * response + _stopping(fastest, self.least_braking)
         return np.asarray(np.maximum(travelled - _stopping(leader, self.hardest_braking), 0.0))
-
-
-def rss_longitudinal(trace: Trace, rules: RssRules | None = None) -> FloatArray:
-    """Return the longitudinal distance that RSS requires of the follower [m], shape [ticks + 1, NPCs]; at least 0.
-
-    A :func:`longitudinal_gap` below this distance is not safe. The leader may brake as hard as possible at once. The
-    follower may speed up for its response time rho and then brakes with at least a_min,brake:
-
-        v rho + a rho^2 / 2 + (v + rho a)^2 / (2 a_min,brake) - v_leader^2 / (2 a_max,brake)
-
-    Speeds are along the road. A leader that drives against the direction of the road comes closer while it brakes, so
-    the square of its speed has the sign of the speed. The paper's second formula, for oncoming traffic, is not used.
-    """
-    return RoadFrame(trace).safe_along(rules or RssRules())
-
-
-def rss_lateral(trace: Trace, rules: RssRules | None = None) -> FloatArray:
-    """Return the lateral distance that RSS requires between ego and NPC [m], shape [ticks + 1, NPCs].
-
-    A :func:`lateral_gap` below this distance is not safe. RSS assumes that both vehicles accelerate towards each other
-    for their response times, and then brake with ``rules.lateral_braking`` until they no longer move sideways. The
-    distance is ``rules.fluctuation`` plus the metres by which the vehicles come closer until then, if they do. A
-    vehicle that still moves away from the other vehicle after its response time increases the gap while it brakes, so
-    its stopping distance is subtracted. In the published formula, which assumes vehicles that come closer, every
-    stopping distance is added.
-    """
-    return RoadFrame(trace).safe_across(rules or RssRules())
 
 
 def longitudinal_gap(trace: Trace) -> FloatArray:
@@ -97,14 +77,6 @@ def longitudinal_gap(trace: Trace) -> FloatArray:
     Lower is worse; 0 if the boxes are side by side.
     """
     return RoadFrame(trace).gap_along
-
-
-def lateral_gap(trace: Trace) -> FloatArray:
-    """Return the gap between the boxes of ego and NPC across the road [m], shape [ticks + 1, NPCs].
-
-    Lower is worse; 0 in one track, which means that the box behind would touch the box ahead if it drove straight on.
-    """
-    return RoadFrame(trace).gap_across
 
 
 class RoadFrame:
@@ -159,11 +131,17 @@ class RoadFrame:
 
     @property
     def gap_across(self) -> FloatArray:
-        """The gap between the boxes of ego and NPC across the road [m]; lower is worse, 0 in one track."""
+        """The gap between the boxes of ego and NPC across the road [m]; lower is worse.
+
+        It is 0 in one track, which means that the box behind would touch the box ahead if it drove straight on.
+        """
         return np.maximum(np.abs(self.right) - self.half_across[:1] - self.half_across[1:], 0.0).T
 
     def safe_along(self, rules: RssRules) -> FloatArray:
-        """Return the longitudinal distance that the follower must leave [m]; equation in :func:`rss_longitudinal`."""
+        """Return the longitudinal distance that RSS requires of the follower [m]; see :meth:`RssRules.safe_along`.
+
+        A smaller :attr:`gap_along` is not safe.
+        """
         ego_follows = self.ahead >= 0
         follower = np.where(ego_follows, self.speed[:1], self.speed[1:])
         leader = np.where(ego_follows, self.speed[1:], self.speed[:1])
@@ -171,7 +149,14 @@ class RoadFrame:
         return rules.safe_along(follower, leader, response).T
 
     def safe_across(self, rules: RssRules) -> FloatArray:
-        """Return the lateral distance that ego and NPC have to keep [m]; explained in :func:`rss_lateral`."""
+        """Return the lateral distance that RSS requires between ego and NPC [m]; a smaller gap is not safe.
+
+        RSS assumes that both vehicles accelerate towards each other for their response times, and then brake with
+        ``rules.lateral_braking`` until they no longer move sideways. The distance is ``rules.fluctuation`` plus the
+        metres by which the vehicles come closer until then, if they do. A vehicle that still moves away from the other
+        vehicle after its response time increases the gap while it brakes, so its stopping distance is subtracted. In
+        the published formula, which assumes vehicles that come closer, every stopping distance is added.
+        """
         towards_npc = np.where(self.right >= 0, 1.0, -1.0)
         ego_way = _sideways(towards_npc * self.drift[:1], rules.ego_response, rules)
         npc_way = _sideways(-towards_npc * self.drift[1:], rules.npc_response, rules)

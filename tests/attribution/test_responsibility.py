@@ -21,7 +21,7 @@ from pytest_pafot.attribution.sentences import (
     responsible_sentence,
     sentences,
 )
-from pytest_pafot.criticality import rss_longitudinal
+from pytest_pafot.criticality import RoadFrame
 from pytest_pafot.model.crossings import Zone
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.trace import HEADING, SPEED, STEERING, Outcome, X, Y
@@ -138,7 +138,7 @@ class TestInOneLane:
     @table("speed", [1.0, 10.0, 22.0, 26.8, 36.0])
     def test_two_seconds_behind_equally_fast_leader_are_safe(self, speed):
         trace = trace_of(vehicle(0.0, speed=speed, ticks=2), vehicle(2 * speed + 5.0, speed=speed, ticks=2))
-        assert (rss_longitudinal(trace, DISTANCES) < 2 * speed).all()
+        assert (RoadFrame(trace).safe_along(DISTANCES) < 2 * speed).all()
 
 
 class TestStanding:

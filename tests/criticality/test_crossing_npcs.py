@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from pytest_pafot import criticality
-from pytest_pafot.criticality import Encounters, RoadFrame, passages, still_to_pass, time_advantage
+from pytest_pafot.criticality import Encounters, RoadFrame, RssRules, passages, still_to_pass, time_advantage
 from pytest_pafot.criticality.signals import MEASURES, Signals, ego_lane_changes, leader
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.trace import LANE, SPEED, Y
@@ -21,8 +21,17 @@ from tests.helpers.traces import trace_of
 
 IN_THE_PLANE = ("centre_distance", "ettc", "gap", "post_encroachment_time", "ttc")
 EXTREMES_IN_THE_PLANE = ("mettc", "min_centre_distance", "min_gap", "min_ttc")
-ALONG_THE_WAY = ("lateral_gap", "longitudinal_gap", "rss_lateral", "rss_longitudinal", "safety_distance")
-IN_ONE_LANE = ("ego_follows", "required_deceleration", "safety_shortfall")
+ALONG_THE_WAY = {
+    "gap_across": lambda trace: RoadFrame(trace).gap_across,
+    "longitudinal_gap": criticality.longitudinal_gap,
+    "safe_across": lambda trace: RoadFrame(trace).safe_across(RssRules()),
+    "safe_along": lambda trace: RoadFrame(trace).safe_along(RssRules()),
+    "safety_distance": criticality.safety_distance,
+}
+IN_ONE_LANE = {
+    "ego_follows": lambda trace: Encounters(trace).ego_follows.T,
+    "safety_shortfall": lambda trace: Encounters(trace).safety_shortfall.T,
+}
 """Measures that are False or 0 for a vehicle outside the ego's lane."""
 OTHERS = {
     "Encounters", "Passage", "RelativePositions", "RoadFrame", "RssRules", "execution_time", "hardest_brake",
@@ -44,7 +53,8 @@ def off_way(trace):
 
 
 def test_every_public_measure_is_in_one_list():
-    listed = {*IN_THE_PLANE, *EXTREMES_IN_THE_PLANE, *ALONG_THE_WAY, *IN_ONE_LANE}
+    of_classes = {"gap_across", "safe_across", "safe_along", *IN_ONE_LANE}
+    listed = {*IN_THE_PLANE, *EXTREMES_IN_THE_PLANE, *ALONG_THE_WAY} - of_classes
     assert listed | OTHERS == set(criticality.__all__)
     assert not listed & OTHERS
 
@@ -63,7 +73,7 @@ def test_measures_along_way_are_nan_off_the_way(name):
     trace = mixed()
     assert off_way(trace)[:, 0].all()
     assert off_way(trace)[:, 1].sum() == MERGED
-    np.testing.assert_array_equal(np.isnan(getattr(criticality, name)(trace)), off_way(trace))
+    np.testing.assert_array_equal(np.isnan(ALONG_THE_WAY[name](trace)), off_way(trace))
 
 
 @table("name", IN_ONE_LANE)
@@ -71,14 +81,14 @@ def test_npc_off_the_way_is_in_no_lane(name):
     trace = mixed()
     states = trace.states.copy()
     states[:, :, LANE] = 0
-    values = getattr(criticality, name)(replace(trace, states=states))
+    values = IN_ONE_LANE[name](replace(trace, states=states))
     assert not values[off_way(trace)].any()
     assert name != "ego_follows" or values[MERGED:, 1].all()
 
 
 @table("name", [*ALONG_THE_WAY, *IN_ONE_LANE])
 def test_merged_npc_is_measured_like_any_other(name):
-    trace, measure = mixed(), getattr(criticality, name)
+    trace, measure = mixed(), (ALONG_THE_WAY | IN_ONE_LANE)[name]
     after = replace(trace, states=trace.states[MERGED:], track=trace.track[MERGED:], on_way=None, zones=(), arrivals=())
     np.testing.assert_array_equal(measure(trace)[MERGED:, 1:], measure(after)[:, 1:])
 

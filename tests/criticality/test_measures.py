@@ -8,11 +8,32 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from pytest_pafot import criticality
-from pytest_pafot.criticality import RssRules
+from pytest_pafot.criticality import Encounters, RoadFrame, RssRules
 from pytest_pafot.model.trace import ACCELERATION, HEADING, LANE, SPEED, X, Y
 from tests.helpers.polygons import corners, distance_after, polygon_distance
 from tests.helpers.tables import table
 from tests.helpers.traces import random_states, straight_lanes, trace_of, vehicle
+
+
+def safety_shortfall(trace):
+    return Encounters(trace).safety_shortfall.T
+
+
+def ego_follows(trace):
+    return Encounters(trace).ego_follows.T
+
+
+def gap_across(trace):
+    return RoadFrame(trace).gap_across
+
+
+def safe_along(trace, rules=RssRules()):  # noqa: B008  (a frozen value)
+    return RoadFrame(trace).safe_along(rules)
+
+
+def safe_across(trace):
+    return RoadFrame(trace).safe_across(RssRules())
+
 
 ARRAYS = [
     criticality.ettc,
@@ -20,14 +41,13 @@ ARRAYS = [
     criticality.centre_distance,
     criticality.gap,
     criticality.safety_distance,
-    criticality.safety_shortfall,
-    criticality.required_deceleration,
+    safety_shortfall,
     criticality.longitudinal_gap,
-    criticality.lateral_gap,
-    criticality.rss_longitudinal,
-    criticality.rss_lateral,
+    gap_across,
+    safe_along,
+    safe_across,
 ]
-ONE_SIDED = (criticality.ettc, criticality.rss_longitudinal, criticality.rss_lateral)
+ONE_SIDED = (criticality.ettc, safe_along, safe_across)
 SYMMETRIC = [measure for measure in ARRAYS if measure not in ONE_SIDED]
 
 seeds = st.integers(0, 2**32 - 1)
@@ -218,13 +238,13 @@ class TestSafetyDistance:
 
     def test_follower_is_decided_along_road_and_not_heading(self):
         ego, npc = vehicle(0, 0, heading=0.3, speed=20), vehicle(1, -4, speed=20)
-        assert criticality.ego_follows(trace_of(ego, npc))[0, 0]
+        assert ego_follows(trace_of(ego, npc))[0, 0]
 
     def test_road_in_bend_follows_lane_of_the_ego(self):
         lanes = (*straight_lanes(1), *straight_lanes(1, heading=math.pi))
         npc = vehicle(10, speed=20)
-        assert criticality.ego_follows(trace_of(vehicle(0, lane=0), npc, lanes=lanes))[0, 0]
-        assert not criticality.ego_follows(trace_of(vehicle(0, lane=1), npc, lanes=lanes))[0, 0]
+        assert ego_follows(trace_of(vehicle(0, lane=0), npc, lanes=lanes))[0, 0]
+        assert not ego_follows(trace_of(vehicle(0, lane=1), npc, lanes=lanes))[0, 0]
 
     def test_minimum_is_the_signed_one(self):
         trace = trace_of(vehicle([0, 0], speed=20), vehicle([50, 50], speed=[15, 25]))
@@ -234,26 +254,24 @@ class TestSafetyDistance:
 class TestSafetyShortfall:
     def test_is_the_missing_share_of_the_safety_distance(self):
         # SD = 30 m, gap = 20 m.
-        assert of_one_npc(criticality.safety_shortfall, vehicle(0, speed=20), vehicle(25, speed=10)) == pytest.approx(
-            1 / 3
-        )
+        assert of_one_npc(safety_shortfall, vehicle(0, speed=20), vehicle(25, speed=10)) == pytest.approx(1 / 3)
 
     def test_is_zero_when_the_distance_is_kept(self):
-        assert of_one_npc(criticality.safety_shortfall, vehicle(0, speed=20), vehicle(36, speed=10)) == 0
-        assert of_one_npc(criticality.safety_shortfall, vehicle(0, speed=1e-308), vehicle(36)) == 0
+        assert of_one_npc(safety_shortfall, vehicle(0, speed=20), vehicle(36, speed=10)) == 0
+        assert of_one_npc(safety_shortfall, vehicle(0, speed=1e-308), vehicle(36)) == 0
 
     def test_is_zero_when_none_is_needed(self):
-        assert of_one_npc(criticality.safety_shortfall, vehicle(0, speed=20), vehicle(6, speed=25)) == 0
+        assert of_one_npc(safety_shortfall, vehicle(0, speed=20), vehicle(6, speed=25)) == 0
 
     def test_is_zero_in_another_lane(self):
-        assert of_one_npc(criticality.safety_shortfall, vehicle(0, speed=20), vehicle(7, 4, speed=10)) == 0
+        assert of_one_npc(safety_shortfall, vehicle(0, speed=20), vehicle(7, 4, speed=10)) == 0
 
     def test_is_zero_when_both_are_off_the_road(self):
         ego, npc = vehicle(0, speed=20, lane=-1), vehicle(7, speed=10, lane=-1)
-        assert of_one_npc(criticality.safety_shortfall, ego, npc) == 0
+        assert of_one_npc(safety_shortfall, ego, npc) == 0
 
     def test_is_one_at_contact(self):
-        assert of_one_npc(criticality.safety_shortfall, vehicle(0, speed=20), vehicle(4, speed=10)) == 1
+        assert of_one_npc(safety_shortfall, vehicle(0, speed=20), vehicle(4, speed=10)) == 1
 
     def test_maximum_is_over_all_ticks_and_npcs(self):
         trace = trace_of(vehicle([0, 0], speed=20), vehicle([25, 35], speed=10), vehicle([90, 90]))
@@ -261,30 +279,9 @@ class TestSafetyShortfall:
 
     @given(seeds)
     def test_lies_between_zero_and_one(self, seed):
-        shortfall = criticality.safety_shortfall(random_trace(seed))
+        shortfall = safety_shortfall(random_trace(seed))
         assert (shortfall >= 0).all()
         assert (shortfall <= 1).all()
-
-
-class TestRequiredDeceleration:
-    def test_just_avoids_the_contact_when_it_is_driven(self):
-        ego, leader = vehicle(0, speed=20), vehicle(25, speed=10)
-        needed = of_one_npc(criticality.required_deceleration, ego, leader)
-        times = np.linspace(0, 10 / needed, 1001)
-        gaps = 20 + 10 * times - (20 * times - needed * times**2 / 2)
-        assert gaps.min() == pytest.approx(0, abs=1e-9)
-
-    def test_is_the_follower_s_whoever_that_is(self):
-        assert of_one_npc(
-            criticality.required_deceleration, vehicle(25, speed=10), vehicle(0, speed=20)
-        ) == pytest.approx(2.5)
-
-    @table("npc", [vehicle(25, speed=20), vehicle(25, speed=30), vehicle(25, 4, speed=10)])
-    def test_required_deceleration_is_zero_when_nothing_closes(self, npc):
-        assert of_one_npc(criticality.required_deceleration, vehicle(0, speed=20), npc) == 0
-
-    def test_is_infinite_at_contact_while_closing(self):
-        assert of_one_npc(criticality.required_deceleration, vehicle(0, speed=20), vehicle(4, speed=10)) == math.inf
 
 
 class TestHardestBrake:
@@ -314,53 +311,52 @@ class TestRss:
     def test_longitudinal_distance_by_hand(self):
         # 20 * 1 + 3.5 / 2 + 23.5^2 / 8 - 15^2 / 16
         ego, leader = vehicle(0, speed=20), vehicle(80, speed=15)
-        assert of_one_npc(criticality.rss_longitudinal, ego, leader) == pytest.approx(76.71875)
+        assert of_one_npc(safe_along, ego, leader) == pytest.approx(76.71875)
 
     @table(("follower", "leader"), [(20, 15), (26.8, 0), (5, 8), (0, 0)])
     def test_rss_longitudinal_distance_suffices_exactly_in_worst_case(self, follower, leader):
         expected = stopping_way(follower, 0.5, 3, 4) - stopping_way(leader, 0, 0, 9)
         trace = trace_of(vehicle(0, speed=follower), vehicle(99, speed=leader))
-        assert criticality.rss_longitudinal(trace, self.rules)[0, 0] == pytest.approx(max(expected, 0), abs=0.05)
+        assert safe_along(trace, self.rules)[0, 0] == pytest.approx(max(expected, 0), abs=0.05)
 
     def test_a_following_npc_has_its_own_response_time(self):
         trace = trace_of(vehicle(99, speed=15), vehicle(0, speed=20))
         expected = stopping_way(20, 1.5, 3, 4) - stopping_way(15, 0, 0, 9)
-        assert criticality.rss_longitudinal(trace, self.rules)[0, 0] == pytest.approx(expected, abs=0.05)
+        assert safe_along(trace, self.rules)[0, 0] == pytest.approx(expected, abs=0.05)
 
     def test_longitudinal_distance_is_never_negative(self):
-        assert of_one_npc(criticality.rss_longitudinal, vehicle(0, speed=5), vehicle(50, speed=30)) == 0
+        assert of_one_npc(safe_along, vehicle(0, speed=5), vehicle(50, speed=30)) == 0
 
     def test_oncoming_leader_needs_more_distance_than_standing_leader(self):
         standing, oncoming = (
-            of_one_npc(criticality.rss_longitudinal, vehicle(0, speed=20), vehicle(80, heading=math.pi, speed=speed))
-            for speed in (0, 10)
+            of_one_npc(safe_along, vehicle(0, speed=20), vehicle(80, heading=math.pi, speed=speed)) for speed in (0, 10)
         )
         assert oncoming == pytest.approx(standing + 100 / 16)
 
     def test_rss_lateral_distance_matches_calculation_by_hand(self):
         # Ego: 0.2 / 2 + 0.2^2 / 1.6; NPC: 0.2 * 4 / 2 + 0.4^2 / 1.6; and the margin of 0.1.
         ego, npc = vehicle(0, speed=20), vehicle(0, 4, speed=20)
-        assert of_one_npc(criticality.rss_lateral, ego, npc) == pytest.approx(0.125 + 0.5 + 0.1)
+        assert of_one_npc(safe_across, ego, npc) == pytest.approx(0.125 + 0.5 + 0.1)
 
     @pytest.mark.parametrize("side", [-1, 1])
     def test_rss_lateral_distance_suffices_exactly_in_worst_case(self, side):
         heading = -side * 0.05  # towards the ego
         ego, npc = vehicle(0, speed=20), vehicle(0, side * 4, heading=heading, speed=20)
         expected = 0.1 + stopping_way(0, 1, 0.2, 0.8) + stopping_way(20 * math.sin(0.05), 2, 0.2, 0.8)
-        assert of_one_npc(criticality.rss_lateral, ego, npc) == pytest.approx(expected, abs=0.01)
+        assert of_one_npc(safe_across, ego, npc) == pytest.approx(expected, abs=0.01)
 
     def test_rss_lateral_distance_is_margin_when_npc_leaves(self):
         ego, npc = vehicle(0, speed=20), vehicle(0, 4, heading=0.1, speed=20)
-        assert of_one_npc(criticality.rss_lateral, ego, npc) == pytest.approx(0.1)
+        assert of_one_npc(safe_across, ego, npc) == pytest.approx(0.1)
 
     def test_gaps_are_measured_along_and_across_the_road(self):
         ego, npc = vehicle(0), vehicle(20, 6, heading=math.pi / 2)
         assert of_one_npc(criticality.longitudinal_gap, ego, npc) == pytest.approx(20 - 2.5 - 1)
-        assert of_one_npc(criticality.lateral_gap, ego, npc) == pytest.approx(6 - 1 - 2.5)
+        assert of_one_npc(gap_across, ego, npc) == pytest.approx(6 - 1 - 2.5)
 
     def test_gaps_are_zero_where_the_projections_overlap(self):
         assert of_one_npc(criticality.longitudinal_gap, vehicle(0), vehicle(3, 4)) == 0
-        assert of_one_npc(criticality.lateral_gap, vehicle(0), vehicle(30, 1)) == 0
+        assert of_one_npc(gap_across, vehicle(0), vehicle(30, 1)) == 0
 
     @table("field", ["least_braking", "hardest_braking", "lateral_braking"])
     def test_rules_refuse_brakes_that_never_stop_a_car(self, field):
@@ -473,7 +469,7 @@ def test_swapping_ego_and_npc_changes_nothing(seed):
 def test_one_encounter_answers_as_the_functions_do():
     trace = random_trace(3)
     encounters = criticality.Encounters(trace)
-    for name in ("ettc", "ttc", "gap", "centre_distance", "safety_distance", "safety_shortfall"):
+    for name in ("ettc", "ttc", "gap", "centre_distance", "safety_distance"):
         np.testing.assert_array_equal(getattr(encounters, name).T, getattr(criticality, name)(trace))
     for name in ("mettc", "min_ttc", "min_gap", "min_centre_distance", "min_safety_distance", "max_safety_shortfall"):
         assert getattr(encounters, name) == getattr(criticality, name)(trace)
