@@ -136,7 +136,6 @@ RUN_BY = {
     "campaign/saved_scenario.py": "test_deadly_scenario_is_replayed_by_the_command_that_is_named",
     "campaign/explore.py": "test_deadly_scenario_is_replayed_by_the_command_that_is_named",
     "commands/bisect_command.py": "test_deadly_scenario_is_replayed_by_the_command_that_is_named",
-    "plugin/orphans.py": "test_doubles_are_joined_by_the_command_that_is_named",
     "episodes/progress_command.py": "test_progress_names_a_search_that_saves_what_only_the_new_policy_fails",
     "episodes/rate_command.py": "test_rate_names_the_command_that_draws_a_crash",
 }
@@ -236,19 +235,6 @@ import pytest_pafot as pafot
 def test_safe(run):
     assert not run.collision
 """
-
-
-@pytest.mark.processes
-def test_doubles_are_joined_by_the_command_that_is_named(here):
-    (here / "test_it.py").write_text(TEST)
-    (here / "pytest.ini").write_text("[pytest]\npafot_corpus = c d\npythonpath = .\n")
-    ran("python -m pytest")
-    file = min(here.rglob("*.pafot.yaml"))
-    text = file.read_text()
-    file.with_name("front-2-abcdef.pafot.yaml").write_text(text)
-    told = ran(f"python -m pytest {flag('generations', 0)}")[1]
-    code, told = ran(named_in(told, "join them into one: "))
-    assert (code, "front-2-abcdef" in told) == (0, True), told
 
 
 @pytest.mark.processes

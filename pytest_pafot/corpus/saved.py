@@ -98,11 +98,6 @@ def saved_in(folder: Path) -> list[Saved]:
     return [read_saved_file(path) for path in files_in(folder)]
 
 
-def kinds_in(files: Iterable[Saved]) -> set[Signature]:
-    """Return the signatures of the failures in all files that can be read."""
-    return {saved.finding.signature for saved in files if saved.finding is not None}
-
-
 def of_one_kind(files: Iterable[Saved]) -> list[list[Saved]]:
     """Return groups of files that name the same test and have the same kind of failure, if there are two or more.
 

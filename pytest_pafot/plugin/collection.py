@@ -18,7 +18,7 @@ from pytest_pafot.corpus.saved import Saved, refusal, refused_in, saved_in
 from pytest_pafot.plugin.marks import DEFAULT_ARG, SAVED_MARK, SEARCH_MARK, arguments_of
 from pytest_pafot.plugin.node_ids import SEARCH_PART, base_id, qualified_name, saved_part
 from pytest_pafot.plugin.option_sources import corpus_name
-from pytest_pafot.plugin.orphans import UNRUN, Collected, Unrun, find_doubles, find_orphans, find_strays
+from pytest_pafot.plugin.orphans import UNRUN, Collected, Unrun, find_orphans, find_strays
 from pytest_pafot.plugin.session import SHARED, SUMMARY_LINES, base_line
 from pytest_pafot.support.text import visible
 
@@ -55,7 +55,7 @@ class Collection:
         self._collected = Collected(rootpath=config.rootpath)
         self._corpora: set[Path] = set()  # the corpora found while pytest looked for test files
         self._saved = config.stash.setdefault(COLLECTED, {})
-        config.stash[UNRUN] = Unrun({}, {}, {}, {})
+        config.stash[UNRUN] = Unrun({}, {}, {})
 
     def pytest_ignore_collect(self, collection_path: Path) -> bool | None:
         """Ignore everything in a corpus folder, also files that are named like tests: they are data."""
@@ -192,18 +192,15 @@ class Collection:
         roots = {root: directory for root, directory in roots.items() if links[root] is None}
         if not self._collected.roots and not any(map(layout.is_folder, roots)):
             return
-        saved = {folder: self._saved.get(folder, {}).values() for folder in self._collected.folders}
         collected = replace(
             self._collected,
             roots=roots,
             files={item.path for item in items},
-            saved=saved,
             asked_for=self._folders_given,
         )
-        unrun = self._config.stash[UNRUN]
-        unrun.doubles.update(find_doubles(collected, items))
         if OF_COMMAND in os.environ:
             return  # The command asks for one test, which has no file. All others of the project are not collected.
+        unrun = self._config.stash[UNRUN]
         unrun.orphans.update(find_orphans(collected))
         unrun.strays.update(find_strays(collected, unrun.orphans))
 

@@ -6,22 +6,19 @@ session fails if a test is gone: its findings would never be replayed again, and
 
 from __future__ import annotations
 
-import difflib
 import os
 import re
-from collections.abc import Collection, Generator, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Generator, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
-from itertools import groupby
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import pytest
 
 from pytest_pafot.campaign.options import BY_NAME, is_ci
 from pytest_pafot.corpus.layout import (
-    counterparts,
     entries_of,
     files_in,
     is_folder,
@@ -32,19 +29,24 @@ from pytest_pafot.corpus.layout import (
     relative,
     safe_name,
 )
-from pytest_pafot.corpus.saved import Saved, kinds_in, of_one_kind, saved_in
-from pytest_pafot.plugin.marks import SAVED_MARK
+from pytest_pafot.corpus.saved import Saved, saved_in
 from pytest_pafot.plugin.option_sources import option_value
 from pytest_pafot.support.text import plural, visible
-from pytest_pafot.support.ways_out import command, flag
-
-if TYPE_CHECKING:
-    from pytest_pafot.findings.signature import Signature
+from pytest_pafot.support.ways_out import flag
 
 # Only a node id matches: the name is also printed for broken files, and a broken file may contain anything.
 _TEST_LINE = re.compile(rb"^test:[ \t]*([^\n:]*\.py::[^\n]+?)\s*$", re.MULTILINE)
 
 
+WAY_OUT = (
+    "if the test has another name or place now, move the files to its folder MODULE/TEST in the corpus, and name it in "
+    f"their line `test:`; else remove them with {flag('prune')}"
+)
+LEFT_ALONE = (
+    f"not removed: {flag('prune')} removes only files whose line `test:` names a test of this rootdir and of that "
+    "folder, and it follows no link; delete the others by hand"
+)
+"""The way out in a session that already removed what it may remove."""
 MAX_NAME = 120  # length of the test's name in an error; the name is from a file, which may contain anything
 ERROR_ID = "pafot::saved_scenarios_without_a_test"
 """The node id of the error with which a session fails if the test of saved scenarios no longer exists."""
@@ -55,18 +57,15 @@ class Orphan(NamedTuple):
 
     removable: list[str]  # paths of the files that may be removed
     expected: str  # a sentence on which test was expected and what was found instead
-    way_out: str
     is_gone: bool  # True if the module or the function no longer exists, although the session collected its folder
 
 
 class Unrun(NamedTuple):
-    """The saved scenarios of a session that no item runs, or whose failure several files describe."""
+    """The saved scenarios of a session that no item runs."""
 
     orphans: dict[Path, Orphan]  # by folder
-    strays: dict[str, str]  # saved scenarios outside of all folders of tests, each with the place where it should be
+    strays: dict[str, str]  # saved scenarios outside of all folders of tests, each with the test that it names
     unmerged: dict[str, str]  # folders of other corpora that match no single test, each with the reason
-    # warnings about files of one kind in one folder, each with the node ids of the items that replay them
-    doubles: dict[str, list[str]]
 
 
 UNRUN = pytest.StashKey[Unrun]()
@@ -79,7 +78,6 @@ class Collected:
     rootpath: Path  # the rootdir of the session
     asked_for: list[Path] = field(default_factory=list)  # the folders given on the command line
     folders: dict[Path, str] = field(default_factory=dict)  # corpus folders of the items, with the ids of their tests
-    saved: Mapping[Path, Collection[Saved]] = field(default_factory=dict)  # the saved scenarios in these folders
     roots: dict[Path, Path] = field(default_factory=dict)  # corpora, each with the folder of its test files
     # node ids of the classes that exist in collected modules and classes
     classes: set[str] = field(default_factory=set)
@@ -94,9 +92,8 @@ def find_orphans(collected: Collected) -> dict[Path, Orphan]:
     Selections by ``-k``, ``-m`` or node ids make no orphans: pytest collects all members of a module or class before it
     selects. A module that failed or was skipped at import makes no orphans either.
     """
-    kinds = {folder: kinds_in(saved) for folder, saved in collected.saved.items()}
     return {
-        folder: _orphan(folder, root, directory, collected, kinds)
+        folder: _orphan(folder, root, directory, collected)
         for root, directory in sorted(collected.roots.items())
         for module in modules_in(root)
         for folder in entries_of(module)
@@ -107,7 +104,7 @@ def find_orphans(collected: Collected) -> dict[Path, Orphan]:
 
 
 def find_strays(collected: Collected, orphans: Iterable[Path]) -> dict[str, str]:
-    """Return the saved scenarios that are in no test's folder, each with a description of the folder for it.
+    """Return the saved scenarios that are in no test's folder, each with the test that it names, if any.
 
     Only the folders between the rootdir and the folders of tests are searched.
     """
@@ -118,25 +115,12 @@ def find_strays(collected: Collected, orphans: Iterable[Path]) -> dict[str, str]
         for folder in (*_up(root, top), *_up(directory, top), *modules_in(root))
     }
     files = (file for folder in sorted(on_the_way.difference(collected.folders, orphans)) for file in files_in(folder))
-    return {relative(file, top): _home(file, collected) for file in files}
+    return {relative(file, top): _named_test(file) for file in files}
 
 
-def find_doubles(collected: Collected, items: Iterable[pytest.Item]) -> Iterator[tuple[str, list[str]]]:
-    """Yield warnings about files in a test's folder that fail in the same way, with the node ids that replay them.
-
-    Such files appear if two branches find the same failure independently and are then merged.
-    """
-    marks = ((item.nodeid, mark) for item in items for mark in item.iter_markers(SAVED_MARK) if mark.args)
-    ids = {mark.args[0].path: node_id for node_id, mark in marks if isinstance(mark.args[0], Saved)}
-    for folder, saved in collected.saved.items():
-        place = relative(folder, collected.rootpath)
-        for group in of_one_kind(saved):
-            names = " and ".join(each.path.name for each in group)
-            again = command("pytest_pafot", "corpus", "join", place)
-            yield (
-                f"{names} in {place} fail in the same way; join them into one: {again}",
-                [ids[each.path] for each in group if each.path in ids],
-            )
+def advice(config: pytest.Config) -> str:
+    """Return what the user can do about the orphans of a session."""
+    return LEFT_ALONE if config.getoption(BY_NAME["prune"].key) else WAY_OUT
 
 
 def prune(files: Iterable[Path]) -> tuple[list[Path], list[str]]:
@@ -175,7 +159,7 @@ class Guard:
 def _error(config: pytest.Config) -> list[str]:
     """Return the lines that say why the session fails; no lines if it does not fail.
 
-    After the reason, each affected folder is named, and then what the user can do about it.
+    After the reason, each affected file and its test is named, and then what the user can do about it.
     """
     strict, allow, prune = (BY_NAME[name] for name in ("strict_health", "allow_orphans", "prune"))
     cause = "CI is set" if is_ci(os.environ) else strict.flag if option_value(config, strict, {}) else ""
@@ -188,11 +172,9 @@ def _error(config: pytest.Config) -> list[str]:
         return []
     counts = plural(sum(len(files_in(folder)) for folder in gone), "saved scenario")
     lines = [f"the test of {counts} is gone ({cause}; {allow.flag} lets it pass):"]
-    for way_out, folders in groupby(gone, key=lambda folder: gone[folder].way_out):
-        for folder in folders:
-            lines += [relative(folder, config.rootpath), f"  {gone[folder].expected}"]
-        lines.append(f"  {way_out}")
-    return [visible(line) for line in lines]
+    for folder, orphan in gone.items():
+        lines += [*(relative(file, config.rootpath) for file in files_in(folder)), f"  {orphan.expected}"]
+    return [visible(line) for line in (*lines, f"  {advice(config)}")]
 
 
 def _report(session: pytest.Session, lines: Sequence[str]) -> None:
@@ -202,7 +184,7 @@ def _report(session: pytest.Session, lines: Sequence[str]) -> None:
     except pytest.fail.Exception as error:
         longrepr = pytest.ExceptionInfo.from_exception(error).getrepr(style="value")
         crash = getattr(longrepr, "reprcrash", None)
-        if crash is not None:  # This line is also the one in the short summary, so it names the first folder.
+        if crash is not None:  # This line is also the one in the short summary, so it names the first file.
             crash.message = " ".join(lines[:2])
     manager = session.config.pluginmanager
     # Do not inform --lf and --sw: they would wait for an item of this name, which the next session does not collect.
@@ -234,13 +216,8 @@ def _is_orphan(folder: Path, directory: Path, collected: Collected) -> bool:
     return True
 
 
-def _orphan(
-    folder: Path, root: Path, directory: Path, collected: Collected, kinds: Mapping[Path, set[Signature]]
-) -> Orphan:
-    """Describe an orphaned folder: which test is gone, and where the test may be now.
-
-    ``kinds`` are the failures in the folders of the existing tests.
-    """
+def _orphan(folder: Path, root: Path, directory: Path, collected: Collected) -> Orphan:
+    """Describe an orphaned folder: which test is gone."""
     module = module_named(directory, folder.parent.name)
     file = relative(module, collected.rootpath)
     saved = saved_in(folder) if link_below(root, folder) is None else []
@@ -255,40 +232,12 @@ def _orphan(
         ]
         is_gone = not any(may_be_of(folder.name, test) for test in tests)
         there = f"{file} without {'this search' if is_gone else 'these parameters'}"
-    own = kinds_in(saved)
-    alike = [each for each, others in kinds.items() if own and own <= others]
     is_asked_for = any(module.is_relative_to(each) for each in collected.asked_for)
     return Orphan(
         removable=[str(path) for path in _own_files(folder, saved, directory, collected.rootpath)],
         expected=f"expected the test {file}::{name:.{MAX_NAME}}, received {there}: it was renamed, moved or deleted",
-        way_out=_way_out(folder, root, alike, collected),
         is_gone=is_gone and is_asked_for,
     )
-
-
-def _way_out(folder: Path, root: Path, alike: list[Path], collected: Collected) -> str:
-    """Return where the files of an orphaned folder may belong now, or how to remove them.
-
-    An existing test may be the renamed test if it has no saved scenarios, or if its saved scenarios fail in the same
-    ways as the files, which are ``alike``. Names are compared first, since most policies fail in the same few ways.
-    """
-    new = [each for each, saved in collected.saved.items() if not saved]
-    beside = [each for each in new if each.parent == folder.parent]
-    near = difflib.get_close_matches(folder.name, [each.name for each in beside], n=1)
-    guesses = (
-        ("has the same name", counterparts(folder.relative_to(root), collected.folders)),
-        ("has the same name", [each for each in new if each.name == folder.name]),
-        ("has a similar name", [each for each in beside if each.name in near]),
-        ("has no saved scenarios", beside),
-        ("has saved scenarios of the same kinds", alike),
-    )
-    prune = f"remove the files with {flag('prune')}"
-    for why, found in guesses:
-        if len(found) == 1:
-            test, place = collected.folders[found[0]], relative(found[0], collected.rootpath)
-            what = "files" if collected.saved[found[0]] else "folder"
-            return f"{test:.{MAX_NAME}} {why}. If it is the same test, move the {what} to {place}; else {prune}"
-    return f"rename the folder to the test's new name, or {prune}"
 
 
 def _is_folder_of(folder: Path, name: str) -> bool:
@@ -334,19 +283,6 @@ def _own_files(folder: Path, saved: Iterable[Saved], directory: Path, rootpath: 
 
     files = {each.path: _test_of(each) for each in saved if not each.path.is_symlink() and each.path.is_file()}
     return [file for file, name in files.items() if is_own(file, name)]
-
-
-def _home(file: Path, collected: Collected) -> str:
-    """Return the folder where a file should be, by the test that the file names, or a description of that folder."""
-    name = _named_test(file)
-    module, _, test = name.partition("::")
-    test_file = collected.rootpath / module
-    if test_file not in collected.files:
-        return f"the folder of {name or 'its test'}"
-    tail = (safe_name(test_file.stem), safe_name(test))
-    of_test = [folder for folder in collected.folders if folder.parts[-2:] == tail]
-    known = [folder for folder in of_test if collected.roots[folder.parents[1]] == test_file.parent]
-    return relative(known[0], collected.rootpath) if known else f"the folder of {name}"
 
 
 def _up(folder: Path, top: Path) -> Iterator[Path]:

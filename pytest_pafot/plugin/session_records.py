@@ -24,7 +24,7 @@ from pytest_pafot.corpus.layout import files_in, relative
 from pytest_pafot.plugin import messages
 from pytest_pafot.plugin.marks import SAVED_MARK, SEARCH_MARK
 from pytest_pafot.plugin.messages import AS_SAVED
-from pytest_pafot.plugin.orphans import UNRUN
+from pytest_pafot.plugin.orphans import UNRUN, advice
 from pytest_pafot.plugin.session import HERE, SUMMARY_LINES, exit_code, not_written
 from pytest_pafot.support.ways_out import flag, rerun
 
@@ -216,7 +216,7 @@ class Records:
                 folder=relative(folder, self._config.rootpath),
                 files=count,
                 expected=orphan.expected,
-                way_out=orphan.way_out,
+                way_out=advice(self._config),
                 is_gone=orphan.is_gone,
             )
             for folder, orphan, count in sorted(left)

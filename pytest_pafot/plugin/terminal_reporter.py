@@ -32,7 +32,6 @@ if TYPE_CHECKING:
     from pytest_pafot.campaign.events import SearchSummary
     from pytest_pafot.report import terminal
 
-FAILING = ("still failing", "introduced", "common")
 """The labels of replays that show the failure that their file describes."""
 
 TERMINAL_SECONDS = 0.25  # the interval between reports of a search's progress on a terminal [s]
@@ -164,14 +163,11 @@ class Reporter:
         with self._lines.faults("records of processes that died"):
             if self._searches or self._replays or self._running:
                 self._lines.problems.extend([*misspelt(os.environ), *unclaimed(self._config)])
-        # Warn of files of one kind only if all of them fail: a file that passes now does not show the failure of the
-        # other one, which a search may have found since.
-        failing = {replay.node_id for replay in self._replays if replay.label in FAILING}
-        unrun = self._config.stash[UNRUN]
-        self._lines.warnings.extend(told for told, ids in unrun.doubles.items() if failing.issuperset(ids))
         if self._config.getoption(BY_NAME["prune"].key) and not self._config.getoption("collectonly"):
             with self._lines.faults(flag("prune")):
-                files = [Path(file) for orphan in unrun.orphans.values() for file in orphan.removable]
+                files = [
+                    Path(file) for orphan in self._config.stash[UNRUN].orphans.values() for file in orphan.removable
+                ]
                 if files:
                     names = (f"  {self._relative(file)}" for file in files)
                     self._live.write(["", f"pafot: {flag('prune')} removes", *names])
@@ -198,15 +194,17 @@ class Reporter:
             return []
         from pytest_pafot.report import terminal  # noqa: PLC0415
 
-        left = [(folder, orphan, len(files_in(folder))) for folder, orphan in unrun.orphans.items()]
+        left = [(folder, orphan.expected, files_in(folder)) for folder, orphan in unrun.orphans.items()]
         session = terminal.SessionSummary(
             searches=self._searches,
             replays=self._replays,
-            orphans=[(self._relative(folder), count, orphan.way_out) for folder, orphan, count in left if count],
+            orphans=[
+                (self._relative(folder), [each.name for each in files], why) for folder, why, files in left if files
+            ],
             removed=list(Counter(self._relative(file.parent) for file in self._removed).items()),
             strays=sorted(unrun.strays.items()),
             unmerged=sorted(unrun.unmerged.items()),
-            pruned=bool(self._config.getoption(BY_NAME["prune"].key)),
+            way_out=orphans.advice(self._config),
             problems=self._lines.problems,
             written=self._lines.reports,
             interrupted=list(self._running),

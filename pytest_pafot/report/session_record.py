@@ -268,7 +268,7 @@ class OrphanRecord:
         folder: path relative to the rootdir.
         files: number of saved scenarios in it.
         expected: the test that the folder belongs to, and what was found instead of the test.
-        way_out: where the files may belong now, and how to remove them.
+        way_out: what to do with the files: move or remove them.
         is_gone: true if the module or the function no longer exists, which makes a session under CI fail.
     """
 
@@ -293,7 +293,7 @@ class SessionRecord:
         compared: a line for each side of a comparison with a reference, with its commit and its files, a line for files
             that were copied into a revision, and one for each reference with which there was nothing to compare.
         orphans: folders of saved scenarios that no test runs any more, in the order of their paths.
-        warnings: warnings about saved scenarios that are no longer accepted, or that fail in the same way.
+        warnings: warnings about saved scenarios that are no longer accepted.
         problems: anything that went wrong outside the tests.
     """
 

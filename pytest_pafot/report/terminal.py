@@ -11,7 +11,6 @@ import re
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import groupby
 from typing import Any
 
 from pytest_pafot.campaign.events import Find, Progress, SearchSummary
@@ -45,11 +44,6 @@ _BESIDE: Mapping[ReferenceOutcome, str] = {
 }
 """The remark behind the name of a reference driver, by how its run ended."""
 
-LEFT_ALONE = (
-    f"not removed: {flag('prune')} removes only files whose line `test:` names a test of this rootdir and of that "
-    "folder, and it follows no link; delete the others by hand"
-)
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReplaySummary:
@@ -81,22 +75,22 @@ class SessionSummary:
 
     Attributes:
         searches, replays: in the order in which they ended.
-        orphans: folders of saved scenarios whose test is gone, with their number of files and the way out.
+        orphans: folders of saved scenarios whose test is gone, with the names of its files and what was expected.
         removed: folders from which files of orphans were removed, with the number of files.
-        pruned: True if the user requested to remove them.
-        strays: saved scenarios that are in no test's folder, each with the path where it should be.
+        way_out: what the user can do about all orphans.
+        strays: saved scenarios that are in no test's folder, each with the test that it names.
         unmerged: folders of other corpora that were not merged, each with the reason.
         interrupted: node ids of searches that began and did not end.
-        warnings: warnings about saved scenarios that are no longer accepted, or that fail in the same way.
+        warnings: warnings about saved scenarios that are no longer accepted.
         again: the command that runs a single saved scenario.
         incomparable: node ids of tests whose policy could not be compared with its reference.
     """
 
     searches: Sequence[SearchSummary] = ()
     replays: Sequence[ReplaySummary] = ()
-    orphans: Sequence[tuple[str, int, str]] = ()
+    orphans: Sequence[tuple[str, Sequence[str], str]] = ()
     removed: Sequence[tuple[str, int]] = ()
-    pruned: bool = False
+    way_out: str = ""
     strays: Sequence[tuple[str, str]] = ()
     unmerged: Sequence[tuple[str, str]] = ()
     problems: Sequence[str] = ()
@@ -358,12 +352,13 @@ def session_lines(session: SessionSummary, *, verbose: bool = False, width: int 
     lines += [*replay_lines(session.replays, width), *against_lines(session, width), *worst_lines(session, width)]
     for folder, count in session.removed:
         lines.append(f"removed: {plural(count, 'saved scenario')} without a test in {folder}")
-    for way_out, orphans in groupby(session.orphans, key=lambda orphan: LEFT_ALONE if session.pruned else orphan[2]):
-        for folder, count, _ in orphans:
-            lines.append(f"orphaned: {plural(count, 'saved scenario')} without a test in {folder}")
-        lines += _wrapped(way_out, width)
-    for file, place in session.strays:
-        lines.append(f"not run: {file} is in no test's folder; move it to {place}")
+    for folder, names, expected in session.orphans:
+        lines.append(f"orphaned: {plural(len(names), 'saved scenario')} without a test in {folder}")
+        lines += _wrapped(f"{', '.join(names)}: {expected}", width)
+    lines += _wrapped(session.way_out, width) if session.orphans else []
+    for file, test in session.strays:
+        place = f"the folder of {test or 'its test'}"
+        lines.append(f"not run: {file} is in no test's folder; move it to {place}, or delete it")
     lines += [f"not merged: {folder}: {why}" for folder, why in session.unmerged]
     if any(find.path for search in session.searches for find in search.finds):
         lines.append(f"run a single saved scenario with: {session.again}")

@@ -30,31 +30,26 @@ def is_red(result):
     return result.ret == 1 and len(errors) == 1
 
 
-def way_out(project):
-    """Return a failed session's advice for its only folder."""
-    result = replay(project)
-    assert is_red(result)
-    lines = result.stdout.lines
-    return lines[
-        next(number for number, line in enumerate(lines) if line.startswith("  expected the test ")) + 1
-    ].strip()
+ADVICE = (
+    "if the test has another name or place now, move the files to its folder MODULE/TEST in the corpus, and name it in "
+    "their line `test:`; else remove them with --pafot-prune"
+)
 
 
 def test_a_renamed_test_fails_only_a_strict_session(saved, monkeypatch, tmp_path_factory):
+    name = saved.only_file.name
     saved.write(RENAMED)
     result = replay(saved)
     assert result.ret == 0
-    result.stdout.fnmatch_lines([f"orphaned: 1 saved scenario without a test in {FOLDER}", "*--pafot-prune"])
+    result.stdout.fnmatch_lines(
+        [f"orphaned: 1 saved scenario without a test in {FOLDER}", f"  {name}: expected the test *", "*--pafot-prune"]
+    )
     assert is_red(replay(saved, "--pafot-strict-health"))
     summary = tmp_path_factory.mktemp("job") / "summary.md"
     monkeypatch.setenv("GITHUB_STEP_SUMMARY", str(summary))
     monkeypatch.setenv("CI", "true")
     result = replay(saved, "--pafot-json=p.json", "--junitxml=j.xml", "-p", "junitxml")
     assert is_red(result)
-    advice = (
-        "test_it.py::test_fails_fast has a similar name. If it is the same test, move the folder to "
-        "pafot_corpus/test_it/test_fails_fast; else remove the files with --pafot-prune"
-    )
     expected = (
         "expected the test test_it.py::test_fails, received test_it.py without this search: it was renamed, moved or "
         "deleted"
@@ -63,13 +58,13 @@ def test_a_renamed_test_fails_only_a_strict_session(saved, monkeypatch, tmp_path
         [
             f"*ERROR at setup of {ERROR.partition('::')[2]} *",
             "the test of 1 saved scenario is gone (CI is set; --pafot-allow-orphans lets it pass):",
-            FOLDER,
+            f"{FOLDER}/{name}",
             f"  {expected}",
-            f"  {advice}",
+            f"  {ADVICE}",
         ]
     )
     told = json.loads((saved.path / "p.json").read_text())
-    orphan = {"folder": FOLDER, "files": 1, "expected": expected, "way_out": advice, "is_gone": True}
+    orphan = {"folder": FOLDER, "files": 1, "expected": expected, "way_out": ADVICE, "is_gone": True}
     assert (told["exit"], told["orphans"]) == (1, [orphan])
     assert "**Saved scenarios whose test is gone**" in summary.read_text()
     assert '<error message="failed on setup with &quot;the test of 1 saved' in (saved.path / "j.xml").read_text()
@@ -120,30 +115,46 @@ def test_missing_module_fails_the_session_without_any_test(saved, ci):
     assert is_red(replay(saved, "--pafot-corpus", saved.path / "all"))
 
 
-def test_advice_names_the_new_place_of_a_test(saved, ci):
-    source = (saved.path / "test_it.py").read_text()
-    (saved.path / "test_it.py").rename(saved.path / "test_new.py")
-    place = "pafot_corpus/test_new/test_fails"
-    assert way_out(saved).startswith(
-        f"test_new.py::test_fails has the same name. If it is the same test, move the folder to {place}; "
-    )
-    (saved.path / "low").mkdir()
-    (saved.path / "test_new.py").rename(saved.path / "low" / "test_it.py")
-    assert f"move the folder to low/{FOLDER}; else " in way_out(saved)
-    (saved.path / "low" / "test_it.py").unlink()
-    (saved.path / "test_it.py").write_text(source.replace("test_fails", "test_never_so_short"))
-    assert way_out(saved).startswith("test_it.py::test_never_so_short has no saved scenarios. ")
-    saved.write(FAILING.replace("test_fails", "test_never_so_short"), name="test_else")
-    file = saved.only_file
-    for name in ("test_else/test_never_so_short", "test_it/test_never_so_short"):
-        assert way_out(saved).startswith("test_it.py::test_never_so_short has no saved scenarios. "), name
-        (saved.path / "pafot_corpus" / name).mkdir(parents=True)
-        shutil.copy(file, saved.path / "pafot_corpus" / name)
-    assert way_out(saved) == "rename the folder to the test's new name, or remove the files with --pafot-prune"
-    shutil.rmtree(saved.path / "pafot_corpus" / "test_it" / "test_never_so_short")
+def test_moved_and_renamed_file_replays_as_its_new_test(saved, ci):
+    new = FAILING.replace("test_fails", "test_new_name")
     (saved.path / "test_it.py").unlink()
-    told = "test_else.py::test_never_so_short has saved scenarios of the same kinds. If it is the same test, move the "
-    assert way_out(saved).startswith(f"{told}files to ")
+    saved.write(new, name="low/test_new")
+    file = saved.only_file
+    assert is_red(replay(saved))
+    home = saved.path / "low" / "pafot_corpus" / "test_new" / "test_new_name"
+    home.mkdir(parents=True)
+    text = file.read_text().replace("test: test_it.py::test_fails", "test: low/test_new.py::test_new_name")
+    (home / file.name).write_text(text)
+    file.unlink()
+    result = replay(saved)
+    result.assert_outcomes(failed=1, skipped=1)
+    assert not is_red(result)
+    result.stdout.no_fnmatch_line("orphaned: *")
+
+
+def test_every_orphan_is_named_and_the_advice_once(saved, ci):
+    name = saved.only_file.name
+    other = saved.only_file.parents[1] / "test_old"
+    other.mkdir()
+    text = saved.only_file.read_text().replace("test_it.py::test_fails", "test_it.py::test_old")
+    for each in ("a", "b"):
+        (other / f"{each}.pafot.yaml").write_text(text)
+    saved.write(RENAMED)
+    result = replay(saved)
+    assert is_red(result)
+    gone = "received test_it.py without this search: it was renamed, moved or deleted"
+    lines = [
+        f"{FOLDER}/{name}",
+        f"  expected the test test_it.py::test_fails, {gone}",
+        "pafot_corpus/test_it/test_old/a.pafot.yaml",
+        "pafot_corpus/test_it/test_old/b.pafot.yaml",
+        f"  expected the test test_it.py::test_old, {gone}",
+        f"  {ADVICE}",
+    ]
+    result.stdout.fnmatch_lines(lines, consecutive=True)
+    (number,) = [n for n, line in enumerate(result.stdout.lines) if line.endswith("in pafot_corpus/test_it/test_old")]
+    told = " ".join(line.strip() for line in result.stdout.lines[number + 1 :])
+    assert told.startswith(f"a.pafot.yaml, b.pafot.yaml: expected the test test_it.py::test_old, {gone} {ADVICE} ")
 
 
 def test_modules_not_imported_and_lost_parameters_are_excused(project, ci):
@@ -213,18 +224,9 @@ def test_workers_fail_the_session_by_one_error(saved, ci):
     assert is_red(replay(saved, "-n2"))
 
 
-def test_two_failing_duplicates_suggest_the_join_command(saved):
+def test_two_files_of_one_failure_both_replay(saved):
     first = saved.only_file
-    second = first.with_name("a-000000.pafot.yaml")
-    shutil.copy(first, second)
-    told = (
-        f"  warning: {second.name} and {first.name} in {FOLDER} fail in the same way; join them into one: "
-        f"python -m pytest_pafot corpus join {FOLDER}"
-    )
-    result = replay(saved, "--pafot-json=p.json")
-    result.assert_outcomes(failed=2, skipped=1)
-    assert told in result.stdout.lines
-    assert json.loads((saved.path / "p.json").read_text())["warnings"] == [told.removeprefix("  warning: ")]
-    assert "join them into one" not in replay(saved, "-k", first.name[:8]).stdout.str()
-    saved.write(FAILING.replace("< 1", "> 1") + "\n@pytest.mark.pafot_saved('by hand')\ndef test_odd():\n    pass\n")
-    assert "join them into one" not in replay(saved).stdout.str()
+    shutil.copy(first, first.with_name("a-000000.pafot.yaml"))
+    replay(saved).assert_outcomes(failed=2, skipped=1)
+    saved.write(FAILING.replace("< 1", "> 1"))
+    replay(saved).assert_outcomes(passed=2, skipped=1)

@@ -125,9 +125,12 @@ def test_the_summary_of_a_session_reads_so(snapshot):
             ReplaySummary(node_id="t[saved-b]", label="still failing"),
             ReplaySummary(node_id="t[saved-c]", label="drifted", detail="numpy 1 then, 2 now"),
         ],
-        orphans=[("corpus/test_a", 2, "rename the folder to the test's new name")],
+        orphans=[
+            ("corpus/test_a", ["a.pafot.yaml", "b.pafot.yaml"], "expected the test t.py::test_a, received no file t.py")
+        ],
+        way_out="rename the folder to the test's new name",
         removed=[("corpus/test_b", 1)],
-        strays=[("corpus/x.pafot.yaml", "corpus/test_safety/test_it/x.pafot.yaml")],
+        strays=[("corpus/x.pafot.yaml", "test_safety.py::test_it")],
         problems=["a fault in the page"],
         written=["report: report.html (1 finding)"],
         interrupted=["tests/test_safety.py::test_third[search]"],
@@ -255,15 +258,16 @@ def test_replays_are_counted_by_label_and_partly_listed():
 
 
 def test_orphans_are_reported_with_what_happens_to_them():
-    orphan = ("corpus/test_a", 2, "or remove them with --pafot-prune")
-    kept = terminal.session_lines(SessionSummary(orphans=[orphan]))
-    assert kept[0] == "orphaned: 2 saved scenarios without a test in corpus/test_a"
-    assert "--pafot-prune" in kept[1]
-    gone = terminal.session_lines(SessionSummary(removed=[("corpus/test_a", 2)], pruned=True))
+    orphans = [("corpus/test_a", ["a", "b"], "expected c"), ("corpus/test_d", ["e"], "expected f")]
+    assert terminal.session_lines(SessionSummary(orphans=orphans, way_out="remove them")) == [
+        "orphaned: 2 saved scenarios without a test in corpus/test_a",
+        "  a, b: expected c",
+        "orphaned: 1 saved scenario without a test in corpus/test_d",
+        "  e: expected f",
+        "  remove them",
+    ]
+    gone = terminal.session_lines(SessionSummary(removed=[("corpus/test_a", 2)], way_out="remove them"))
     assert gone == ["removed: 2 saved scenarios without a test in corpus/test_a"]
-    left = terminal.session_lines(SessionSummary(orphans=[orphan], pruned=True))
-    assert left[0] == kept[0]
-    assert left[1].startswith("  not removed: --pafot-prune removes only files whose line `test:` names a test")
 
 
 def test_what_is_no_ascii_is_escaped():
