@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     from pytest_pafot.criticality.temporal import below as below
     from pytest_pafot.criticality.temporal import eventually as eventually
     from pytest_pafot.criticality.temporal import until as until
-    from pytest_pafot.episodes.rate import Rate as Rate
     from pytest_pafot.model.crossings import CrossingVehicle as CrossingVehicle
     from pytest_pafot.model.crossings import Zone as Zone
     from pytest_pafot.model.driving_style import Traffic as Traffic
@@ -44,7 +43,6 @@ if TYPE_CHECKING:
     from pytest_pafot.oracle.checks import reject as reject
     from pytest_pafot.oracle.checks import target as target
     from pytest_pafot.oracle.run import Run as Run
-    from pytest_pafot.plugin.marks import rate as rate
     from pytest_pafot.plugin.marks import search as search
     from pytest_pafot.searching.fitness import Weights as Weights
     from pytest_pafot.training import training_env as training_env
@@ -77,7 +75,6 @@ _HOMES = {
     "Outcome": "model.trace",
     "Perception": "world",
     "PositionInstruction": "model.scenario",
-    "Rate": "episodes.rate",
     "Run": "oracle.run",
     "SavedScenario": "campaign.saved_scenario",
     "Scenario": "model.scenario",
@@ -98,7 +95,6 @@ _HOMES = {
     "explore": "campaign.explore",
     "load": "campaign.saved_scenario",
     "reject": "oracle.checks",
-    "rate": "plugin.marks",
     "search": "plugin.marks",
     "target": "oracle.checks",
     "training_env": "training",

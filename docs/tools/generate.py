@@ -28,7 +28,7 @@ from pytest_pafot.criticality import Passage, RssRules
 from pytest_pafot.criticality.signals import MEASURES, EgoLaneChange, Measure
 from pytest_pafot.criticality.temporal import above, always, below, eventually, until
 from pytest_pafot.episodes.progress_command import add_arguments as add_progress_arguments
-from pytest_pafot.episodes.rate import EpisodeRow, Rate
+from pytest_pafot.episodes.rate import EpisodeRow
 from pytest_pafot.episodes.rate_command import add_arguments as add_rate_arguments
 from pytest_pafot.export.export_command import add_arguments as add_export_arguments
 from pytest_pafot.findings.finding import Expect, Finding, Found
@@ -41,7 +41,6 @@ from pytest_pafot.model.trace import AdsError, Collision, Outcome, Trace
 from pytest_pafot.oracle.checks import check
 from pytest_pafot.oracle.run import Moment, Run
 from pytest_pafot.plugin import fixtures
-from pytest_pafot.plugin.marks import rate
 from pytest_pafot.report.session_record import FindingRecord, OrphanRecord, SearchRecord, SessionRecord
 from pytest_pafot.searching.fitness import Weights
 from pytest_pafot.searching.space import SearchSpace
@@ -228,8 +227,6 @@ def sections() -> dict[str, str]:
         "progress": _command_table(add_progress_arguments),
         "export": _command_table(add_export_arguments),
         "rate": _command_table(add_rate_arguments),
-        "rate-marker": _table(["Argument", "Meaning"], _arguments(rate)),
-        "rate-value": _properties_table(Rate),
         "rate-rows": _table(["Name", "Meaning"], ([_code(name), text] for name, text in _field_comments(EpisodeRow))),
     }
 

@@ -26,7 +26,7 @@ import numpy as np
 
 import pytest_pafot as pafot
 from pytest_pafot.attribution.responsibility import Fault, is_ego_responsible, rss_rule
-from pytest_pafot.episodes.rate import Pair
+from pytest_pafot.episodes.rate import Pair, Rate
 from pytest_pafot.episodes.rate_plan import driven
 from pytest_pafot.support.proportions import interval_text
 from pytest_pafot.training import random_scenarios
@@ -53,7 +53,7 @@ class Measured:
     """
 
     faults: tuple[Fault | None, ...]
-    rate: pafot.Rate
+    rate: Rate
 
 
 def scenarios(seed: int, count: int) -> list[pafot.Scenario]:
@@ -71,7 +71,7 @@ def faults(policy: PpoPolicy, given: Sequence[pafot.Scenario]) -> tuple[Fault | 
 def measured(name: str, policy: PpoPolicy, given: Sequence[pafot.Scenario], episodes: int) -> Measured:
     """Drive a policy in scenarios, and in ordinary traffic with the seeds 0, 1, 2 ..."""
     rows = tuple(driven(WORLD, name, lambda: policy, seed, is_planner=False) for seed in range(episodes))
-    return Measured(faults=faults(policy, given), rate=pafot.Rate(ads=name, rows=rows))
+    return Measured(faults=faults(policy, given), rate=Rate(ads=name, rows=rows))
 
 
 def trained(failures: Sequence[pafot.Scenario], share: float, steps: int, seed: int) -> PpoPolicy:

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import astuple, dataclass, fields
 
 from pytest_pafot.model.trace import Outcome
-from pytest_pafot.support.proportions import CONFIDENCE, interval, interval_text, mcnemar, upper_bound
+from pytest_pafot.support.proportions import CONFIDENCE, interval, interval_text, mcnemar
 from pytest_pafot.support.text import csv_text, plural
 
 SECONDS_PER_HOUR = 3600.0
@@ -81,10 +81,6 @@ class Rate:
     def interval(self, confidence: float = CONFIDENCE) -> tuple[float, float]:
         """Return the Clopper-Pearson interval of the crashes per episode, as (low, high)."""
         return interval(len(self.crashed), self.episodes, confidence)
-
-    def upper_bound(self, confidence: float = CONFIDENCE) -> float:
-        """Return the upper limit of the true crashes per episode at a level of confidence, by default 0.95."""
-        return upper_bound(len(self.crashed), self.episodes, confidence)
 
     @property
     def sentence(self) -> str:

@@ -87,10 +87,17 @@ def pool_for(job: Job, size: int) -> ScenarioPool:
     """Return a pool of up to ``size`` processes that run the scenarios of a job.
 
     Raises:
-        ExecutionError: if world and ADS cannot be passed to the processes.
+        ExecutionError: if processes cannot be forked, and world and ADS cannot be pickled.
     """
     work = partial(_run_recorded, job, job.crash_record())
-    check_can_be_given(work)
+    if METHOD != "fork":
+        try:
+            pickle.dumps(work)
+        except Exception as error:  # noqa: BLE001  (pickling the user's objects may raise anything)
+            raise ExecutionError(
+                "expected an ADS factory that can be pickled, such as a class in a module that can be imported, since "
+                f"processes cannot be forked here, received one that raises {type(error).__name__}: {error}"
+            ) from None
     patience, grace = protocol.hang_limit(job.world) + GRACE, min(IGNORED, GRACE)
     return WorkerPool(
         work,
@@ -101,23 +108,6 @@ def pool_for(job: Job, size: int) -> ScenarioPool:
         memory=_memory(job, size),
         ended=partial(_forget, job),
     )
-
-
-def check_can_be_given(work: Callable[..., Any]) -> None:
-    """Check that a function can be passed to other processes.
-
-    Raises:
-        ExecutionError: if processes cannot be forked, and the function cannot be pickled.
-    """
-    if METHOD == "fork":
-        return
-    try:
-        pickle.dumps(work)
-    except Exception as error:  # noqa: BLE001  (pickling the user's objects may raise anything)
-        raise ExecutionError(
-            "expected an ADS factory that can be pickled, such as a class in a module that can be imported, since "
-            f"processes cannot be forked here, received one that raises {type(error).__name__}: {error}"
-        ) from None
 
 
 def _memory(job: Job, size: int) -> int | None:

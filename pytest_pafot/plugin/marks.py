@@ -1,4 +1,4 @@
-"""The decorators ``@pafot.search`` and ``@pafot.rate``, and the marks that they set on test functions.
+"""The decorator ``@pafot.search``, and the marks that it sets on test functions.
 
 Every test file that uses the plugin imports this module, so it imports only pytest.
 """
@@ -14,17 +14,14 @@ import pytest
 
 if TYPE_CHECKING:
     from pytest_pafot.campaign.request import SearchArguments
-    from pytest_pafot.episodes.rate_request import RateArguments
 
 SEARCH_MARK = "pafot_search"
 SAVED_MARK = "pafot_saved"
-RATE_MARK = "pafot_rate"
 ANY_MARK = "pafot"
 WORLD_FIXTURE = "pafot_world"
 EXECUTOR_FIXTURE = "pafot_executor"
 DEFAULT_ADS = "ads"
 DEFAULT_ARG = "run"
-RATE_ARG = "rate"
 POSITIONAL = "<positional>"  # stores positional arguments, which a search does not take, for the item's error message
 
 Target = TypeVar("Target", bound=Callable[..., Any] | type)
@@ -67,41 +64,6 @@ def _decorated(target: Any, positional: tuple[object, ...], arguments: Mapping[s
     target = pytest.mark.usefixtures(*fixtures)(target)
     target = getattr(pytest.mark, SEARCH_MARK).with_args(*positional, **arguments)(target)
     return getattr(pytest.mark, ANY_MARK)(target)
-
-
-@overload
-def rate(target: Target, /) -> Target: ...
-@overload
-def rate(**arguments: Unpack[RateArguments]) -> Callable[[Target], Target]: ...
-def rate(*target: Any, **arguments: Any) -> Any:
-    """Fail the decorated test function if an ADS crashes too often in an environment's own traffic.
-
-    The function may have a parameter ``rate``, which receives a :class:`pytest_pafot.Rate`. The arguments of the
-    decorator are checked when the test runs.
-
-    Args:
-        at_most: the crash rate [crashes per episode] above which the test fails; 0.02 allows two crashes in a hundred
-            episodes.
-        world: the environment, such as ``"highway-fast-v0"`` or ``pafot.World("highway-v0", config={...})``.
-        ads: the factory, its ``module:factory[:argument]``, or the name of the fixture that returns it; by default
-            ``"ads"``.
-        episodes: the number of episodes, by default 300.
-        seed: the seed of the first episode, by default 0; each later episode has the next number as its seed.
-        confidence: a level such as 0.95, for a stricter test. The test then fails unless the episodes show, with this
-            confidence, that the true crash rate is at most ``at_most``.
-        planner: True if the ADS receives :class:`pytest_pafot.Observation` values and answers in SI units.
-    """
-
-    def decorated(function: Any, *positional: Any) -> Any:
-        given: dict[str, Any] = {"ads": DEFAULT_ADS, **arguments}
-        if isinstance(given["ads"], str) and ":" not in given["ads"]:
-            function = pytest.mark.usefixtures(given["ads"])(function)
-        function = getattr(pytest.mark, RATE_MARK).with_args(*positional, **given)(function)
-        return getattr(pytest.mark, ANY_MARK)(function)
-
-    if len(target) == 1 and not arguments and _may_be_decorated(target[0]):
-        return decorated(target[0])  # without arguments: the test reports what is missing when it runs
-    return lambda function: decorated(function, *target)
 
 
 def arguments_of(item: pytest.Item | pytest.Collector) -> dict[str, Any] | None:

@@ -83,7 +83,7 @@ class Records:
         self._runs: dict[str, int] = {}
         self._results: dict[str, list[str]] = {}
         self._reasons: dict[str, str] = {}
-        self._texts: dict[str, list[str]] = {"rate": [], "merge": [], "warning": [], "compared": []}
+        self._texts: dict[str, list[str]] = {"merge": [], "warning": [], "compared": []}
 
     @pytest.hookimpl(trylast=True)
     def pytest_sessionstart(self) -> None:
@@ -198,7 +198,6 @@ class Records:
                 )
                 for node_id, finding in sorted(self._findings.items())
             ],
-            rates=sorted(self._texts["rate"]),
             merged=sorted(self._texts["merge"]),
             compared=list(dict.fromkeys(self._texts["compared"])),
             orphans=self._orphans() if code is not None else [],

@@ -235,7 +235,7 @@ class Reporter:
                 self._searches.append(from_plain(SearchSummary, data["summary"]))
             case "replay":
                 self._replays.append(from_plain(terminal.ReplaySummary, data["summary"]))
-            case "rate" | "merge":
+            case "merge":
                 self._lines.reports.append(data["text"])
             case "note" | "compared":
                 self._notes[data["text"]] = None

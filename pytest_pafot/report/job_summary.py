@@ -69,7 +69,6 @@ def _lines(record: SessionRecord) -> Iterator[str]:
     failed = [each for each in record.searches if each.result in ("failed", "error")]
     faulty = [each for each in failed if not (each.finds or each.unsaved)]  # their new findings did not make them fail
     yield from _listed("Searches that failed", [f"{code(each.node_id)}: {plain(each.message)}" for each in faulty])
-    yield from _listed("Crashes in ordinary traffic", [plain(" ".join(each.splitlines())) for each in record.rates])
     yield from _listed("Merged", [plain(" ".join(each.splitlines())) for each in record.merged])
     yield from _listed("Compared", [plain(each) for each in record.compared])
     lost = [f"{code(each.folder)}: {plain(each.expected)}; {plain(each.way_out)}" for each in record.orphans]

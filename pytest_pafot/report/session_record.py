@@ -288,7 +288,6 @@ class SessionRecord:
         versions: versions of the packages on which the result of a run depends.
         searches: in the order of node ids.
         findings: saved scenarios that were replayed, and new findings, in the order of node ids.
-        rates: a sentence for each test that counted crashes in ordinary traffic.
         merged: result of `--pafot-merge` for each test, and the reason if it failed.
         compared: a line for each side of a comparison with a reference, with its commit and its files, a line for files
             that were copied into a revision, and one for each reference with which there was nothing to compare.
@@ -301,7 +300,6 @@ class SessionRecord:
     versions: Mapping[str, str] = field(default_factory=dict)
     searches: list[SearchRecord] = field(default_factory=list)
     findings: list[FindingRecord] = field(default_factory=list)
-    rates: list[str] = field(default_factory=list)
     merged: list[str] = field(default_factory=list)
     compared: list[str] = field(default_factory=list)
     orphans: list[OrphanRecord] = field(default_factory=list)
@@ -311,9 +309,7 @@ class SessionRecord:
     @property
     def is_empty(self) -> bool:
         """True if nothing in the session concerned this plugin."""
-        return not any(
-            (self.searches, self.findings, self.rates, self.merged, self.compared, self.orphans, self.problems)
-        )
+        return not any((self.searches, self.findings, self.merged, self.compared, self.orphans, self.problems))
 
 
 def to_text(record: SessionRecord) -> str:

@@ -290,7 +290,7 @@ def test_rate_counts_driven_episodes_and_their_hours():
     assert (rate.episodes, rate.crashed, rate.hours, rate.per_hour) == (9, (1, 4), 0.09, pytest.approx(22.2, abs=0.1))
     assert rate.sentence.startswith("2 of 9 episodes crashed, 22.2 % (95 %: 2.8 to 60.0 %); 22 an hour in 0.09 h")
     assert repr(rate) == f"<Rate of a: {rate.sentence}>"
-    assert rate.interval()[1] > rate.upper_bound() > rate.share
+    assert rate.interval()[0] < rate.share < rate.interval()[1]
 
 
 def test_of_many_seeds_the_first_ten_are_told():

@@ -16,6 +16,16 @@ def test_function_that_returns_a_value_is_refused(project):
     assert project.files == []
 
 
+def test_mark_takes_the_name_of_a_policy_with_its_argument(project):
+    project.pytester.makepyfile(named="class Planner:\n    def __init__(self, text):\n        assert text == 'a:b'\n"
+                                "    def __call__(self, observation):\n        return 0.0, 0.0\n")  # fmt: skip
+    search = "@pafot.search(SHORT, ads='named:Planner:a:b')\ndef test_search(run):\n    assert run.duration > 1\n"
+    project.write(search + search.replace("Planner", "Planer").replace("test_search", "test_wrong"))
+    result = project.run("-ppytester", "-opythonpath=.", "--pafot-runs=2")
+    result.assert_outcomes(passed=1, errors=1)
+    result.stdout.fnmatch_lines(["@pafot.search(ads=...): expected a factory in the module named, *'named:Planner'?"])
+
+
 def test_subtests_fixture_is_refused_in_a_search(project):
     source = """
 @pafot.search(SHORT)

@@ -110,10 +110,9 @@ def test_long_lists_are_cut():
     assert lines[0] == f"### pafot: {MAX_LISTED + 5} new"
 
 
-def test_job_summary_reports_search_failures_problems_and_rates():
+def test_job_summary_reports_search_failures_and_problems():
     record = SessionRecord(
         searches=[search(result="failed", message="the search tested nothing: 40 runs, rejected")],
-        rates=["0 of 100 episodes"],
         merged=["merged: test_it.py::x\n  2 saved scenarios"],
         warnings=["a: over"],
         problems=["no space"],
@@ -122,10 +121,6 @@ def test_job_summary_reports_search_failures_problems_and_rates():
         "**Searches that failed**",
         "",
         "- `test_it.py::x[search]`: the search tested nothing: 40 runs, rejected",
-        "",
-        "**Crashes in ordinary traffic**",
-        "",
-        "- 0 of 100 episodes",
         "",
         "**Merged**",
         "",

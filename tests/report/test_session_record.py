@@ -49,7 +49,6 @@ RECORDS = st.builds(
         findings().map(lambda each: FindingRecord.of(each, node_id="test_it.py::x", status="new", file=None)),
         max_size=1,
     ),
-    rates=st.lists(TEXTS, max_size=1),
     merged=st.lists(TEXTS, max_size=1),
     warnings=st.lists(TEXTS, max_size=1),
     problems=st.lists(TEXTS, max_size=1),

@@ -94,9 +94,7 @@ def test_job_summary_and_tables_contain_no_foreign_markup(text, other):
         flaky=text, xfail={"reason": other, "until": None}, result="xfailed",
     )  # fmt: skip
     faulty = SearchRecord(node_id=text, message=other, result="failed", against=text)
-    record = SessionRecord(
-        findings=[found], searches=[faulty], rates=[text], merged=[other], warnings=[text], problems=[text]
-    )
+    record = SessionRecord(findings=[found], searches=[faulty], merged=[other], warnings=[text], problems=[text])
     shown = job_summary.markdown(record)
     assert obeyed(shown.replace("\u200b", "")) == []
     outside = re.sub(r"(`+).*?(?<!`)\1(?!`)", "", shown)
