@@ -25,9 +25,8 @@ from pytest_pafot.attribution.responsibility import is_ego_responsible  # noqa: 
 from pytest_pafot.findings.finding import Finding, Found  # noqa: E402
 from pytest_pafot.findings.signature import Failure  # noqa: E402
 from pytest_pafot.model.trace import Trace  # noqa: E402
-from pytest_pafot.report.drawing import FOOT, HEAD, PAPER, WIDTH, Sheet  # noqa: E402
+from pytest_pafot.report.animation import BAR, PAPER, WIDTH, frame  # noqa: E402
 from pytest_pafot.report.finding_view import finding_view  # noqa: E402
-from pytest_pafot.report.picture import picture_at  # noqa: E402
 from pytest_pafot.searching import sample  # noqa: E402
 from tests.helpers.road_cases import space_of  # noqa: E402
 
@@ -74,7 +73,8 @@ def picture(env_id: str) -> Image.Image:
     finding = Finding.of(Run(trace), failure, test="test", world=world.to_dict(), found=origin)
     view = finding_view(trace, finding, node_id="")
     print(f"{env_id}: {view.headline}, responsible: {view.responsibility}")
-    return Sheet(view, picture_at(view, trace.duration - BEFORE_IMPACT)).draw()
+    moment = trace.duration - BEFORE_IMPACT
+    return frame(view, min(range(len(view.times)), key=lambda index: abs(view.times[index] - moment)))
 
 
 def row(names: Sequence[str]) -> Image.Image:
@@ -83,10 +83,10 @@ def row(names: Sequence[str]) -> Image.Image:
     wide = Image.new("RGB", (COLUMNS * WIDTH, pictures[0].height), PAPER)
     for number, each in enumerate(pictures):
         wide.paste(each, (number * WIDTH, 0))
-    lanes = np.asarray(wide)[HEAD:-FOOT]
+    lanes = np.asarray(wide)[BAR:]
     drawn = np.flatnonzero((lanes != np.array(ImageColor.getrgb(PAPER))).any(axis=(1, 2)))
     first, last = max(drawn[0] - MARGIN, 0), min(drawn[-1] + MARGIN, len(lanes))
-    parts = (0, HEAD), (HEAD + first, HEAD + last), (wide.height - FOOT, wide.height)
+    parts = (0, BAR), (BAR + first, BAR + last)
     framed = Image.new("RGB", (wide.width, TITLE + sum(end - begin for begin, end in parts)), PAPER)
     y = TITLE
     for begin, end in parts:

@@ -25,7 +25,6 @@ if TYPE_CHECKING:  # it imports highway-env
 
 NEAREST = 7
 """The number of other vehicles in a picture, which are the nearest to the ego at the end of the episode."""
-CELLS = 8
 
 
 def picture(episode: Episode, headline: str) -> bytes:
@@ -63,7 +62,6 @@ def picture(episode: Episode, headline: str) -> bytes:
         event=EventView(kind=str(episode.outcome), time=episode.seconds, npc=0 if len(shown) > 1 else None),
         yaml="",
         command="",
-        grid=((None,) * CELLS,) * len(ticks) if is_bent else (),
     )
     return animate(view)
 

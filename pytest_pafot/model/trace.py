@@ -13,7 +13,7 @@ import numpy.typing as npt
 from pytest_pafot.model.crossings import Zone
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.scenario import Chromosome, Scenario, with_targets
-from pytest_pafot.support.shown import Drawn
+from pytest_pafot.support.shown import Shown
 
 ReadT = TypeVar("ReadT")
 
@@ -121,7 +121,7 @@ class AdsError:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Trace(Drawn):
+class Trace(Shown):
     """One run, tick by tick. Vehicle 0 is the ego, vehicle ``i + 1`` the NPC ``i`` of the scenario.
 
     Attributes:

@@ -46,7 +46,7 @@ from pytest_pafot.model.trace import (
     Trace,
 )
 from pytest_pafot.support.errors import driven_by
-from pytest_pafot.support.shown import Drawn
+from pytest_pafot.support.shown import Shown
 from pytest_pafot.support.text import ascii_text
 from pytest_pafot.support.ways_out import install
 
@@ -126,7 +126,7 @@ def reference_outcome(run: Run, *, fails: bool) -> ReferenceOutcome:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Run(Drawn):
+class Run(Shown):
     """One simulated run with its outcome, measures and verdict. Measures are computed at their first use.
 
     Attributes:

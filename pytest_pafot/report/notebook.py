@@ -7,7 +7,6 @@ needs nothing from the network.
 from __future__ import annotations
 
 import shlex
-from collections.abc import Sequence
 from dataclasses import replace
 
 from pytest_pafot.campaign.events import FindTold, SearchStarted
@@ -17,7 +16,6 @@ from pytest_pafot.findings.finding import Finding
 from pytest_pafot.model.trace import Trace
 from pytest_pafot.oracle.checks import CheckFailed
 from pytest_pafot.oracle.run import Run
-from pytest_pafot.report import animation
 from pytest_pafot.report.campaign_view import campaign_view
 from pytest_pafot.report.finding_view import finding_view, run_view
 from pytest_pafot.report.page import render_frame
@@ -26,31 +24,10 @@ from pytest_pafot.searching.events import Event
 from pytest_pafot.support.text import plural
 from pytest_pafot.world.limits import CLEARANCE
 
-BEFORE = (4.0, 3.0, 2.0, 1.0, 0.0)
-"""The default moments of a plot, as times before the run's collision or other event [s]."""
-
 
 def html(value: object) -> str:
     """Return an HTML frame that shows a run, a finding or a search as a report page."""
     return render_frame(report_of(value))
-
-
-def plot(value: object, times: Sequence[float] | None) -> bytes:
-    """Draw a run at some times [s], as the content of a PNG file; None for the last four seconds before its event."""
-    view = _run_view(value)
-    if times is None:
-        times = sorted({max(0.0, view.moment - before) for before in BEFORE})
-    for time in times:
-        if not 0 <= time <= view.duration + 1e-3:  # the view's times are rounded to milliseconds
-            raise ValueError(f"times: expected seconds from 0 to {view.duration:g}, received {time!r}")
-    if len(times) == 0:  # `not times` would fail for an array
-        raise ValueError("times: expected at least one time [s], received none; the default is the last 4 s")
-    return animation.strip(view, times)
-
-
-def animate(value: object) -> bytes:
-    """Draw the end of a run, as the content of an APNG file."""
-    return animation.animate(_run_view(value))
 
 
 def report_of(value: object) -> Report:

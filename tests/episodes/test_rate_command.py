@@ -13,7 +13,6 @@ from scipy.stats import binomtest
 from pytest_pafot.__main__ import main
 from pytest_pafot.episodes import rate_command, rate_plan
 from pytest_pafot.episodes.rate import EpisodeRow, Pair, Rate, shown
-from pytest_pafot.report import animation
 
 SHORT = ["--world", "highway-fast-v0", "--config", '{"vehicles_count": 8, "duration": 12}', "--workers", "1"]
 ONE_CRASH = ["--ads", "constant_speed@planner", "--episodes", "1", "--seed", "2"]
@@ -121,15 +120,13 @@ def test_policy_without_weights_hash_continues_with_note(tmp_path, capsys, monke
 
 
 def test_missing_pillow_leaves_report_without_picture(tmp_path, capsys, monkeypatch):
-    monkeypatch.delitem(sys.modules, "pytest_pafot.report.drawing", raising=False)
     monkeypatch.setitem(sys.modules, "PIL", None)
     assert rate(*ONE_CRASH, "--out", str(tmp_path)) == 0
     assert "rate: the report has no picture: " in capsys.readouterr().err
     assert "seeds of the crashes: 2" in (tmp_path / "report.md").read_text()
 
 
-def test_one_episode_is_driven_again_with_a_picture(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(animation, "RATES", animation.RATES[-1:])
+def test_one_episode_is_driven_again_with_a_picture(tmp_path, capsys):
     assert rate("--ads", "constant_speed@planner", "--episode", "2", "--out", str(tmp_path)) == 0
     assert "constant_speed@planner in highway-fast-v0, seed 2: crashed after " in capsys.readouterr().out
     assert (tmp_path / "constant_speed-planner-2.png").read_bytes().startswith(b"\x89PNG")

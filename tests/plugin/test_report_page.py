@@ -129,7 +129,6 @@ def test_report_folder_contains_page_and_animated_pictures(failing):
 
 
 def test_page_without_pillow_reports_the_missing_package(failing, monkeypatch):
-    monkeypatch.delitem(sys.modules, "pytest_pafot.report.drawing", raising=False)
     monkeypatch.setitem(sys.modules, "PIL", None)
     result = failing.run("--pafot-report=report/")
     assert (failing.path / "report" / "index.html").is_file()

@@ -7,15 +7,14 @@ import pytest
 
 from pytest_pafot.findings.shrink import Shrunk, SpeedInterval
 from pytest_pafot.model.scenario import LaneInstruction, PositionInstruction, Scenario
-from pytest_pafot.report.drawing import speed_texts
 from pytest_pafot.report.finding_view import shrink_view
 from pytest_pafot.report.markup import instruction_table
 from pytest_pafot.report.page import render_page
 from pytest_pafot.report.page_data import Report
-from pytest_pafot.report.picture import DrawnCell, instruction_at, picture_at
 from pytest_pafot.report.terminal import speed_sentences
 from tests.findings.builders import plain_finding
 from tests.helpers.browser import Browser, find_chromium
+from tests.helpers.picture import DrawnCell, instruction_at, picture_at
 from tests.helpers.traces import trace_of, vehicle
 from tests.report.builders import view_of
 
@@ -50,13 +49,6 @@ def test_line_leads_to_the_target_lane_beside_the_npc(view):
     assert picture_at(view, 1.0).targets == (lane_1, None)
     assert picture_at(view, 3.0).targets == (None, None)
     assert picture_at(view, 13.0).targets[0].across == 0.0
-
-
-def test_picture_tells_the_side_of_a_lane_change(view):
-    told = {time: speed_texts(view, picture_at(view, time))[1:] for time in (1.0, 7.0, 13.0)}
-    assert told[1.0] == ["NPC 0 20.0 m/s to the right", "NPC 1 20.0 m/s"]
-    assert told[7.0] == ["NPC 0 20.0 m/s", "NPC 1 20.0 m/s to cell 3"]
-    assert told[13.0][0] == "NPC 0 20.0 m/s to the left"
 
 
 def test_target_outside_of_the_road_is_not_drawn():

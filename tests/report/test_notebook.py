@@ -1,18 +1,13 @@
-"""Runs, findings and searches in a notebook, and as pictures."""
+"""Runs, findings and searches in a notebook."""
 
 import html
-import io
 import re
-import sys
 from dataclasses import replace
 
-import numpy as np
 import pytest
 
 import pytest_pafot as pafot
 from pytest_pafot.corpus.writer import write
-from pytest_pafot.report.animation import AnimationError
-from tests.helpers.tables import table
 from tests.report.builders import HOSTILE, cut_in_trace, finding_of, rear_trace
 
 
@@ -82,46 +77,3 @@ def test_an_exploration_lists_its_findings_with_their_runs():
     assert [each.finding.id for each in found.told] == re.findall(r'data-key="([^"]*)"', shown)
     assert "There is no run to draw." not in shown
     assert page(found.findings[0]).startswith("<!doctype html>")
-
-
-def test_run_pictures_can_be_displayed_and_saved(tmp_path):
-    images = pytest.importorskip("PIL.Image", reason="Pillow draws them")
-    run = pafot.Run(rear_trace())
-    plotted = run.plot(times=[0.0, 1.0, run.duration])
-    plotted.save(tmp_path / "run.png")
-    assert (tmp_path / "run.png").read_bytes() == plotted.content
-    assert re.fullmatch(r"<PngPicture of \d+ kB>", repr(plotted))
-    picture = images.open(io.BytesIO(plotted.content))
-    frame = images.open(io.BytesIO(run.trace.plot(times=np.array([0.0]))._repr_png_()))
-    assert picture.size == (frame.width, 3 * frame.height - 2 * 26)
-    assert images.open(io.BytesIO(run.plot()._repr_png_())).height == 5 * frame.height - 4 * 26
-
-
-def test_a_moving_picture_is_that_of_a_report(tmp_path):
-    images = pytest.importorskip("PIL.Image", reason="Pillow draws them")
-    trace = pafot.Highway(duration=1.0).rollout(cut_in_trace().scenario, lambda: lambda observation: (0.0, 0.0))
-    moving = images.open(io.BytesIO(trace.animate()._repr_png_()))
-    assert moving.is_animated
-    assert moving.n_frames == 9
-
-
-@table(
-    ("draw", "said"),
-    [
-        (lambda run: run.plot(times=[99.0]), r"times: expected seconds from 0 to [\d.]+, received 99.0"),
-        (lambda run: run.plot(times=[float("nan")]), "received nan"),
-        (lambda run: run.plot(times=[]), "expected at least one time"),
-        (lambda run: run.plot(times=[0.0]).save("run.gif"), "expected a name that ends in .png, received 'run.gif'"),
-    ],
-)
-def test_a_picture_that_cannot_be_drawn_says_why(draw, said):
-    pytest.importorskip("PIL", reason="Pillow draws them")
-    with pytest.raises(ValueError, match=said):
-        draw(pafot.Run(rear_trace()))
-
-
-def test_without_pillow_a_plot_says_what_to_install(monkeypatch):
-    monkeypatch.delitem(sys.modules, "pytest_pafot.report.drawing", raising=False)
-    monkeypatch.setitem(sys.modules, "PIL", None)
-    with pytest.raises(AnimationError, match=r"pytest-pafot\[report\]"):
-        rear_trace().plot()

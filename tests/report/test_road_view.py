@@ -8,9 +8,7 @@ import pytest
 
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.trace import HEADING, LANE, X, Y
-from pytest_pafot.report import animation
-from pytest_pafot.report.animation import animate
-from pytest_pafot.report.picture import picture_at
+from tests.helpers.picture import picture_at
 from tests.report.builders import bend_trace, view_of
 
 
@@ -56,8 +54,3 @@ def test_an_ego_off_all_lanes_has_no_cells(view):
     states = trace.states.copy()
     states[:, 0, LANE] = -1
     assert {place for row in view_of(replace(trace, states=states)).grid for place in row} == {None}
-
-
-def test_the_run_is_animated_too(view, monkeypatch):
-    monkeypatch.setattr(animation, "RATES", animation.RATES[-1:])  # the file is small at any rate
-    assert animate(replace(view, times=view.times[:16])).startswith(b"\x89PNG")

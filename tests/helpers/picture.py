@@ -1,6 +1,6 @@
-"""The geometry of a finding's picture at a moment: where everything is, without drawing it.
+"""A second program for the page's picture at a moment: where everything is, without drawing it.
 
-The page's script computes the same in the browser. A test compares the results of both.
+The page's script computes the same in the browser. Tests compare the results of both.
 """
 
 from __future__ import annotations
