@@ -147,6 +147,7 @@ def test_policy_is_not_compared_with_itself(here, capsys):
     assert "OLD: expected a policy that differs from the tested one" in capsys.readouterr().err
 
 
+@pytest.mark.processes
 def test_progress_reports_better_version_and_exits_by_option(here, capsys):
     assert progress("Careful", "Blind", "--fail-on", "worse", "--json", "p.json", "--report", "p.md") == 1
     out = capsys.readouterr().out
@@ -178,6 +179,7 @@ def test_printed_command_saves_the_new_failures(here, capsys):
     assert re.fullmatch(r"(\d+ (fixed \(only the old fails\)|drifted)(, )?)+", labels[2])
 
 
+@pytest.mark.processes
 def test_same_policy_under_other_name_claims_no_difference(here, capsys):
     assert progress("Careful", "SameCareful", "--fail-on", "worse") == 0
     assert "versions:SameCareful is not told apart from versions:Careful: failures of" in capsys.readouterr().out

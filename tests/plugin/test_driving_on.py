@@ -162,6 +162,7 @@ def test_reference_that_dies_after_the_end_does_so_once(saved):
         replay(saved, "braking", against).stdout.fnmatch_lines(["replayed 1 saved scenario: 1 fixed before"])
 
 
+@pytest.mark.processes
 def test_file_is_not_driven_on_after_death_without_fork(saved, monkeypatch):
     assert replay(saved, "dying", apart=True).ret == 9
     monkeypatch.setattr("pytest_pafot.execution.scenario_pool.METHOD", "spawn")  # here, and in sessions of its own

@@ -92,6 +92,7 @@ def test_search_command_counts_what_a_revision_passes(here):
     assert (code, "expected a commit, a branch or a tag" in " ".join(told.split())) == (2, True)
 
 
+@pytest.mark.processes
 def test_search_command_uses_the_requested_world_and_check(here):
     arguments = ["search", "a_planner:idle", "--blame", "any", "--check", "a_planner:keeps_moving"]
     assert main([*arguments, "--world", "highway-v0", "--traffic", "everyday", "--write-test"]) == 0
@@ -135,6 +136,7 @@ pafot = TestCheck = test_ = test_no_crash
 """
 
 
+@pytest.mark.processes
 @pytest.mark.parametrize(
     ("policy", "check"),
     [
@@ -159,6 +161,7 @@ def test_search_refuses_a_policy_in_a_file_of_its_own_name(here, capsys):
     assert "ADS: expected a module other than conftest.py and test_safety.py, received" in capsys.readouterr().err
 
 
+@pytest.mark.processes
 def test_search_in_a_project_reports_no_file_of_its_tests(here, monkeypatch):
     marked = "@pafot.search(ads='a_planner:make:fast')\ndef test_it(run):\n    assert False\n"
     (here / "test_mine.py").write_text(f"import pytest_pafot as pafot\n\n{marked}")
@@ -225,6 +228,7 @@ def test_a_folder_that_is_full_is_told_in_one_line(here, capsys, monkeypatch):
     assert not {"conftest.py", "test_safety.py"} & {each.name for each in here.iterdir()}
 
 
+@pytest.mark.processes
 def test_an_error_is_no_test_to_keep(here):
     code, told = python("pytest_pafot", "search", "a_planner:keeps_moving", "--runs", "1")
     assert code == 1
