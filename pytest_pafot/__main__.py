@@ -79,8 +79,8 @@ def main(arguments: list[str] | None = None) -> int:
     export.set_defaults(run=exporting.run)
     of_corpus = commands.add_parser(
         "corpus",
-        help="list, count, join and accept saved scenarios",
-        description="List, count, join and accept the saved scenarios of folders, without running them.",
+        help="list, count, join, prune and accept saved scenarios",
+        description="List, count, join, prune and accept the saved scenarios of folders, without running them.",
     )
     corpus.add_arguments(of_corpus)
     of_corpus.set_defaults(run=corpus.run)

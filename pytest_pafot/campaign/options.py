@@ -250,14 +250,6 @@ OPTIONS: tuple[Option, ...] = (
         is_argument=False,
     ),
     Option(
-        "prune",
-        "switch",
-        "Remove saved scenarios whose test no longer exists in the collected files. Without it, they are named, and "
-        "fail the session under CI.",
-        default=False,
-        everywhere=False,
-    ),
-    Option(
         "merge",
         "folders",
         "Merge the saved scenarios of another machine's corpus DIR into this corpus, instead of searches and replays: "

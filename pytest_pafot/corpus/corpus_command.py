@@ -1,7 +1,7 @@
 """``python -m pytest_pafot corpus``: list the saved scenarios in folders, for people or programs.
 
-It changes files only with ``join --write``, which leaves one file of each kind of failure in a folder, and with
-``accept``, which writes one line of each file.
+It changes files only with ``join --write``, which leaves one file of each kind of failure in a folder, with
+``prune --write``, which removes the files of tests that are gone, and with ``accept``, which writes one line of each.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import json
 import re
+import subprocess
 import sys
 from collections import Counter
 from collections.abc import Iterator, Sequence
@@ -46,6 +47,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     joining = kinds.add_parser("join", help=about, description=about.capitalize())
     joining.add_argument("--write", action="store_true", help="remove the other files; without it, only list them")
     joining.add_argument("folders", nargs="*", type=Path, default=[Path()], metavar="FOLDER", help=of_folders)
+    about = "remove saved scenarios whose test is gone; pytest collects the tests for that, and runs none"
+    pruning = kinds.add_parser("prune", help=about, description=about.capitalize())
+    pruning.add_argument("--write", action="store_true", help="remove the files; without it, only list them")
+    pruning.add_argument("arguments", nargs="*", metavar="ARG", help="an argument of pytest; options come after --")
+    pruning.set_defaults(folders=[Path()])
     about = "accept the failures of saved scenarios, so that they are expected to fail, for good or up to a day"
     accepting = kinds.add_parser("accept", help=about, description=about.capitalize())
     accepting.add_argument("ids", nargs="+", metavar="ID", help="saved scenarios: their files, or their ids")
@@ -57,10 +63,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
-    """List the saved scenarios in folders, join them, or accept a failure; return the exit code.
+    """List the saved scenarios in folders, join them, remove orphans, or accept a failure; return the exit code.
 
     The exit code is 1 if a file cannot be read or written, or if files cannot be joined.
     """
+    if arguments.what == "prune":
+        return subprocess.run(session_to_prune(arguments), check=False).returncode  # noqa: S603
     for folder in arguments.folders:
         if not folder.is_dir():
             sys.stderr.write(f"corpus: expected a folder, received {visible(str(folder))}; give a folder that exists\n")
@@ -83,6 +91,13 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
     lines = [quiet_json(json.dumps(shown, indent=2))] if arguments.json else _lines(shown)
     sys.stdout.write("".join(f"{line}\n" for line in lines))
     return int(any("error" in row for row in rows))
+
+
+def session_to_prune(arguments: argparse.Namespace) -> list[str]:
+    """Return the session of pytest that lists or removes files without a test, which only a collection can tell."""
+    how = ["--remove-orphans"] if arguments.write else []
+    plugin = ["-p", "pafot", "-p", "pytest_pafot.plugin.pruning"]
+    return [sys.executable, "-m", "pytest", *plugin, "--collect-only", "-qq", *how, *arguments.arguments]
 
 
 def _join(folder: Path, *, write: bool) -> tuple[list[str], bool]:

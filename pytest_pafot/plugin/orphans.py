@@ -1,7 +1,7 @@
 """Saved scenarios that no test runs: orphans, whose test is gone, and strays, which are outside the folders of tests.
 
-The files of a test that was only deselected are no orphans. Only orphans are removed, and only on request. On CI, a
-session fails if a test is gone: its findings would never be replayed again, and no one would notice.
+The files of a test that was only deselected are no orphans. On CI, a session fails if a test is gone: its findings
+would never be replayed again, and no one would notice.
 """
 
 from __future__ import annotations
@@ -9,7 +9,6 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Generator, Iterable, Iterator, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -32,21 +31,12 @@ from pytest_pafot.corpus.layout import (
 from pytest_pafot.corpus.saved import Saved, saved_in
 from pytest_pafot.plugin.option_sources import option_value
 from pytest_pafot.support.text import plural, visible
-from pytest_pafot.support.ways_out import flag
+from pytest_pafot.support.ways_out import command, flag
 
 # Only a node id matches: the name is also printed for broken files, and a broken file may contain anything.
 _TEST_LINE = re.compile(rb"^test:[ \t]*([^\n:]*\.py::[^\n]+?)\s*$", re.MULTILINE)
 
 
-WAY_OUT = (
-    "if the test has another name or place now, move the files to its folder MODULE/TEST in the corpus, and name it in "
-    f"their line `test:`; else remove them with {flag('prune')}"
-)
-LEFT_ALONE = (
-    f"not removed: {flag('prune')} removes only files whose line `test:` names a test of this rootdir and of that "
-    "folder, and it follows no link; delete the others by hand"
-)
-"""The way out in a session that already removed what it may remove."""
 MAX_NAME = 120  # length of the test's name in an error; the name is from a file, which may contain anything
 ERROR_ID = "pafot::saved_scenarios_without_a_test"
 """The node id of the error with which a session fails if the test of saved scenarios no longer exists."""
@@ -120,27 +110,18 @@ def find_strays(collected: Collected, orphans: Iterable[Path]) -> dict[str, str]
 
 def advice(config: pytest.Config) -> str:
     """Return what the user can do about the orphans of a session."""
-    return LEFT_ALONE if config.getoption(BY_NAME["prune"].key) else WAY_OUT
-
-
-def prune(files: Iterable[Path]) -> tuple[list[Path], list[str]]:
-    """Remove files, and the folders that are empty then; return the removed files, and error messages."""
-    removed: list[Path] = []
-    failures: list[str] = []
-    for file in files:
-        try:
-            file.unlink(missing_ok=True)  # Another session may have removed it already.
-            removed.append(file)
-        except OSError as error:
-            from pytest_pafot.support.files import way_out  # noqa: PLC0415  a session that prunes nothing does not load it
-
-            fix = way_out(error, "then prune again")
-            failures.append(f"{flag('prune')}: {file}: not removed: {error.strerror or error}; {fix}")
-    for folder in dict.fromkeys(file.parent for file in removed):
-        with suppress(OSError):  # A folder with other content stays.
-            folder.rmdir()
-            folder.parent.rmdir()
-    return removed, failures
+    if config.getoption("remove_orphans", False):  # in the session of the command below
+        return (
+            "only files whose line `test:` names a test of this rootdir and of that folder are removed, and nothing "
+            "behind a link; delete the others by hand"
+        )
+    corpus = BY_NAME["corpus"]
+    given = config.getoption(corpus.key)
+    return (
+        "if the test has another name or place now, move the files to its folder MODULE/TEST in the corpus, and name "
+        "it in their line `test:`; else remove them with "
+        + command("pytest_pafot", "corpus", "prune", "--write", *(("--", flag("corpus", given)) if given else ()))
+    )
 
 
 class Guard:
@@ -161,13 +142,11 @@ def _error(config: pytest.Config) -> list[str]:
 
     After the reason, each affected file and its test is named, and then what the user can do about it.
     """
-    strict, allow, prune = (BY_NAME[name] for name in ("strict_health", "allow_orphans", "prune"))
+    strict, allow = BY_NAME["strict_health"], BY_NAME["allow_orphans"]
     cause = "CI is set" if is_ci(os.environ) else strict.flag if option_value(config, strict, {}) else ""
     if not cause or config.getoption("collectonly") or option_value(config, allow, {}):
         return []
     gone = {folder: orphan for folder, orphan in config.stash[UNRUN].orphans.items() if orphan.is_gone}
-    if config.getoption(prune.key):  # Folders with files that cannot be removed still fail.
-        gone = {folder: orphan for folder, orphan in gone.items() if len(orphan.removable) < len(files_in(folder))}
     if not gone:
         return []
     counts = plural(sum(len(files_in(folder)) for folder in gone), "saved scenario")

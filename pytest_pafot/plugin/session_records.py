@@ -206,7 +206,7 @@ class Records:
         )
 
     def _orphans(self) -> list[OrphanRecord]:
-        """Return records of the folders whose test is gone, except folders that were removed with ``--pafot-prune``."""
+        """Return records of the folders whose test is gone, except folders that another process has emptied."""
         from pytest_pafot.report.session_record import OrphanRecord  # noqa: PLC0415
 
         left = ((folder, each, len(files_in(folder))) for folder, each in self._config.stash[UNRUN].orphans.items())

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from collections import Counter
 from collections.abc import Callable, Generator, Iterable
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
@@ -11,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from pytest_pafot.campaign.options import BY_NAME
 from pytest_pafot.corpus.layout import files_in, relative
 from pytest_pafot.plugin import orphans
 from pytest_pafot.plugin.messages import Message, received
@@ -26,7 +24,7 @@ from pytest_pafot.plugin.session import (
     unclaimed,
 )
 from pytest_pafot.support.text import ascii_text
-from pytest_pafot.support.ways_out import flag, rerun
+from pytest_pafot.support.ways_out import rerun
 
 if TYPE_CHECKING:
     from pytest_pafot.campaign.events import SearchSummary
@@ -106,7 +104,6 @@ class Reporter:
         self._running: dict[str, None] = {}
         self._searches: list[SearchSummary] = []
         self._replays: list[terminal.ReplaySummary] = []
-        self._removed: list[Path] = []
         self._lines = config.stash[SUMMARY_LINES]
         self._notes: dict[str, None] = {}
         self._warnings: dict[str, None] = {}
@@ -154,7 +151,7 @@ class Reporter:
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_sessionfinish(self) -> None:
-        """Report findings that are not reported yet, and remove orphans if ``--pafot-prune`` requests it."""
+        """Report findings that are not reported yet."""
         self._live.erase_progress()
         # After an interrupt or the death of a worker, a search with new findings has had no teardown.
         for node_id in list(self._pending):
@@ -163,16 +160,6 @@ class Reporter:
         with self._lines.faults("records of processes that died"):
             if self._searches or self._replays or self._running:
                 self._lines.problems.extend([*misspelt(os.environ), *unclaimed(self._config)])
-        if self._config.getoption(BY_NAME["prune"].key) and not self._config.getoption("collectonly"):
-            with self._lines.faults(flag("prune")):
-                files = [
-                    Path(file) for orphan in self._config.stash[UNRUN].orphans.values() for file in orphan.removable
-                ]
-                if files:
-                    names = (f"  {self._relative(file)}" for file in files)
-                    self._live.write(["", f"pafot: {flag('prune')} removes", *names])
-                self._removed, failures = orphans.prune(files)
-                self._lines.problems.extend(failures)
 
     def pytest_terminal_summary(self, terminalreporter: Any) -> None:
         """Write the plugin's section of the summary: searches, replays, orphans and problems."""
@@ -201,7 +188,6 @@ class Reporter:
             orphans=[
                 (self._relative(folder), [each.name for each in files], why) for folder, why, files in left if files
             ],
-            removed=list(Counter(self._relative(file.parent) for file in self._removed).items()),
             strays=sorted(unrun.strays.items()),
             unmerged=sorted(unrun.unmerged.items()),
             way_out=orphans.advice(self._config),

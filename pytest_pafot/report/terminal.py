@@ -76,7 +76,6 @@ class SessionSummary:
     Attributes:
         searches, replays: in the order in which they ended.
         orphans: folders of saved scenarios whose test is gone, with the names of its files and what was expected.
-        removed: folders from which files of orphans were removed, with the number of files.
         way_out: what the user can do about all orphans.
         strays: saved scenarios that are in no test's folder, each with the test that it names.
         unmerged: folders of other corpora that were not merged, each with the reason.
@@ -89,7 +88,6 @@ class SessionSummary:
     searches: Sequence[SearchSummary] = ()
     replays: Sequence[ReplaySummary] = ()
     orphans: Sequence[tuple[str, Sequence[str], str]] = ()
-    removed: Sequence[tuple[str, int]] = ()
     way_out: str = ""
     strays: Sequence[tuple[str, str]] = ()
     unmerged: Sequence[tuple[str, str]] = ()
@@ -350,8 +348,6 @@ def session_lines(session: SessionSummary, *, verbose: bool = False, width: int 
     for node_id in session.interrupted:
         lines += [node_id, *_wrapped("ended early; its findings are reported", width)]
     lines += [*replay_lines(session.replays, width), *against_lines(session, width), *worst_lines(session, width)]
-    for folder, count in session.removed:
-        lines.append(f"removed: {plural(count, 'saved scenario')} without a test in {folder}")
     for folder, names, expected in session.orphans:
         lines.append(f"orphaned: {plural(len(names), 'saved scenario')} without a test in {folder}")
         lines += _wrapped(f"{', '.join(names)}: {expected}", width)

@@ -32,7 +32,7 @@ def is_red(result):
 
 ADVICE = (
     "if the test has another name or place now, move the files to its folder MODULE/TEST in the corpus, and name it in "
-    "their line `test:`; else remove them with --pafot-prune"
+    "their line `test:`; else remove them with python -m pytest_pafot corpus prune --write"
 )
 
 
@@ -42,7 +42,11 @@ def test_a_renamed_test_fails_only_a_strict_session(saved, monkeypatch, tmp_path
     result = replay(saved)
     assert result.ret == 0
     result.stdout.fnmatch_lines(
-        [f"orphaned: 1 saved scenario without a test in {FOLDER}", f"  {name}: expected the test *", "*--pafot-prune"]
+        [
+            f"orphaned: 1 saved scenario without a test in {FOLDER}",
+            f"  {name}: expected the test *",
+            "*corpus prune --write",
+        ]
     )
     assert is_red(replay(saved, "--pafot-strict-health"))
     summary = tmp_path_factory.mktemp("job") / "summary.md"
@@ -74,18 +78,12 @@ def test_a_renamed_test_fails_only_a_strict_session(saved, monkeypatch, tmp_path
 
 def test_what_lets_a_session_pass_all_the_same(saved, ci, monkeypatch):
     saved.write(RENAMED)
-    for args in (["--pafot-allow-orphans"], ["-o", "pafot_allow_orphans=true"], ["--collect-only"], ["--pafot-prune"]):
-        kept = saved.contents
+    for args in (["--pafot-allow-orphans"], ["-o", "pafot_allow_orphans=true"], ["--collect-only"]):
         assert replay(saved, *args).ret == 0, args
-        for name, text in kept.items():
-            (saved.path / name).parent.mkdir(parents=True, exist_ok=True)
-            (saved.path / name).write_text(text)
     for name, value in (("PAFOT_ALLOW_ORPHANS", "1"), ("CI", "false"), ("CI", "")):
         with monkeypatch.context() as patch:
             patch.setenv(name, value)
             assert replay(saved).ret == 0, name
-    saved.only_file.write_text("test: test_it.py::test_of_another_folder\n")
-    assert is_red(replay(saved, "--pafot-prune"))  # `prune` changes nothing here
 
 
 def test_deselected_tests_do_not_count_as_gone(saved, ci):
@@ -189,7 +187,7 @@ def test_links_and_broken_files_are_reported_and_preserved(saved, ci, tmp_path_f
     folder = saved.only_file.parent
     shutil.move(folder, elsewhere)
     (folder.parent / "test_gone").symlink_to(elsewhere, target_is_directory=True)
-    result = replay(saved, "--pafot-prune")
+    result = replay(saved)
     assert is_red(result)
     assert list(elsewhere.iterdir())
     (folder.parent / "test_gone").unlink()

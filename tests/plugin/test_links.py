@@ -42,7 +42,7 @@ def test_links_out_of_corpus_fail_and_show_nothing(failing, elsewhere):
     (folder.parent / "test_gone").symlink_to(elsewhere)
     (folder.parent / "test_gone~0").symlink_to("/root")
     before = all_in(elsewhere)
-    result = failing.run("-rA", "--junitxml=junit.xml", "--pafot-json=out.json", "--pafot-prune", "--showlocals")
+    result = failing.run("-rA", "--junitxml=junit.xml", "--pafot-json=out.json", "--showlocals")
     result.assert_outcomes(failed=8, passed=1)
     shown = result.stdout.str() + (failing.path / "junit.xml").read_text() + (failing.path / "out.json").read_text()
     assert "HUSH" not in shown
@@ -64,7 +64,7 @@ def test_overlong_links_and_names_do_not_end_session(failing):
         shutil.copy(file, gone)
     for link in (folder / "a.pafot.yaml", module / "test_gone" / "folder", module / "test_linked", corpus / "linked"):
         link.symlink_to("x" * 300)
-    result = failing.run("--pafot-prune", generations=0)
+    result = failing.run(generations=0)
     result.assert_outcomes(failed=2, skipped=1)
     result.stdout.fnmatch_lines([f"{folder / 'a.pafot.yaml'}: expected a file of its corpus, received a link *"])
 
@@ -79,7 +79,7 @@ def test_search_changes_nothing_behind_a_linked_folder(failing, elsewhere, level
     shutil.copy(elsewhere / ".pafot-1-00.tmp", elsewhere / file.parent.relative_to(folder.parent))
     folder.symlink_to(elsewhere / folder.name)
     before = all_in(elsewhere)
-    result = failing.run("--pafot-prune", *cache, seed=2)
+    result = failing.run(*cache, seed=2)
     result.assert_outcomes(failed=2)
     result.stdout.fnmatch_lines([f"*expected a folder, received the link {folder}, which may lead to*"])
     failing.run("--pafot-save=none", *cache, seed=2)

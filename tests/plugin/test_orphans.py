@@ -1,12 +1,14 @@
 """Saved scenarios that no test runs are reported and retained; pruning removes only those without a test."""
 
+from tests.plugin.test_prune import prune
+
 
 def test_renamed_test_leaves_a_reported_orphan(saved):
     saved.write("@pafot.search(SHORT)\ndef test_renamed(run):\n    pass\n")
     result = saved.run()
     result.assert_outcomes(passed=1)
     result.stdout.fnmatch_lines(
-        ["orphaned: 1 saved scenario without a test in pafot_corpus/test_it/test_fails", "*--pafot-prune"]
+        ["orphaned: 1 saved scenario without a test in pafot_corpus/test_it/test_fails", "*corpus prune --write"]
     )
     assert saved.files
 
@@ -150,18 +152,8 @@ def test_a_skipped_test_is_no_orphan(saved):
 
 def test_module_with_import_error_makes_no_orphans(saved):
     saved.write("import nothing_of_this_name\n")
-    assert "orphaned:" not in saved.run("--pafot-prune").stdout.str()
+    assert "orphaned:" not in saved.run().stdout.str()
     assert saved.files
-
-
-def test_prune_removes_orphans_and_nothing_else(project):
-    source = "@pafot.search(SHORT, stop_after=1)\ndef test_a(run):\n    assert not run\n"
-    project.write(source + source.replace("test_a", "test_b"))
-    project.run_once()
-    project.write(source)
-    result = project.run("--pafot-prune", generations=0)
-    result.stdout.fnmatch_lines(["removed: 1 saved scenario without a test in pafot_corpus/test_it/test_b"])
-    assert [name.split("/")[2] for name in project.files] == ["test_a"]
 
 
 def test_prune_spares_files_below_a_misplaced_one(project):
@@ -173,7 +165,7 @@ def test_prune_spares_files_below_a_misplaced_one(project):
     files = project.files
     assert {name.split("/")[1] for name in files} == {"test_top", "tests"}
     (corpus / "tests" / "test_low" / "a.pafot.yaml").write_text("test: tests/test_low.py::test_fails")
-    result = project.run("--pafot-corpus", corpus, "--pafot-prune", generations=0)
+    result = prune(project, f"--pafot-corpus={corpus}")
     assert set(files) < set(project.files)
     assert told(result) == [
         "all/tests/test_low/a.pafot.yaml is in no test's folder; "

@@ -1,12 +1,17 @@
-"""The option ``--pafot-prune``: what it removes, what it must never touch; nothing in a corpus is collected."""
+"""``corpus prune``: what it removes, what it must never touch; nothing in a corpus is collected."""
 
 import errno
 import os
+import shlex
 import shutil
+import subprocess
+import sys
+from argparse import Namespace
 from pathlib import Path
 
 import pytest
 
+from pytest_pafot.corpus.corpus_command import session_to_prune
 from tests.plugin.conftest import FAILING
 
 links = pytest.mark.skipif(os.name == "nt", reason="links need a privilege on Windows")
@@ -29,29 +34,64 @@ def gone(project):
     return file
 
 
-def prune(project, *args):
-    return project.run("--pafot-prune", *args, generations=0)
-
-
-def test_a_session_that_only_collects_removes_nothing(orphaned):
-    prune(orphaned, "--collect-only")
-    assert gone(orphaned).exists()
+def prune(project, *args, write=True):
+    """Run the session of the command in this process."""
+    command = session_to_prune(Namespace(write=write, arguments=[str(each) for each in args]))
+    return project.run(*command[3:], generations=None)
 
 
 def left_alone(result):
-    result.stdout.fnmatch_lines(["orphaned: 1 saved scenario without a test in *", "  not removed: *"])
+    result.stdout.fnmatch_lines(
+        ["orphaned: 1 saved scenario without a test in *", "  only files whose line `test:` *", "left as it is: *"]
+    )
     result.stdout.no_fnmatch_line("removed: *")
+
+
+def test_without_write_the_files_are_only_listed(orphaned):
+    name = gone(orphaned).relative_to(orphaned.path).as_posix()
+    result = prune(orphaned, write=False)
+    result.stdout.fnmatch_lines(
+        ["orphaned: 1 saved scenario without a test in *", "*corpus prune --write", f"would remove: {name}"]
+    )
+    assert result.ret == 0
+    assert len(orphaned.files) == 2
 
 
 def test_removed_files_are_listed_and_empty_folders_deleted(orphaned):
     file = gone(orphaned)
     result = prune(orphaned)
-    name = file.relative_to(orphaned.path).as_posix()
-    result.stdout.fnmatch_lines(
-        ["pafot: --pafot-prune removes", f"  {name}", "removed: 1 saved scenario without a test in *test_gone"]
-    )
+    result.stdout.fnmatch_lines([f"removed: {file.relative_to(orphaned.path).as_posix()}"])
+    result.stdout.no_fnmatch_line("orphaned: *")
+    assert result.ret == 0
     assert not file.parent.exists()
     assert len(orphaned.files) == 1
+    prune(orphaned).stdout.fnmatch_lines(["nothing to remove"])
+
+
+def test_nothing_is_removed_if_the_collection_failed(orphaned):
+    orphaned.write("import nothing_of_this_name\n", name="test_broken")
+    result = prune(orphaned)
+    assert result.ret == pytest.ExitCode.INTERRUPTED
+    result.stdout.no_fnmatch_line("removed: *")
+    assert gone(orphaned).exists()
+
+
+@pytest.mark.processes
+@pytest.mark.parametrize("corpus", ["", "finds of [all]"])
+def test_the_command_that_a_summary_names_removes_the_files(project, corpus):
+    given = [f"--pafot-corpus={corpus}"] if corpus else []
+    project.write(BOTH)
+    project.run_once(*given)
+    project.write(FAILING)
+    told = project.run(*given, generations=0).stdout.str()
+    text = " ".join(line.strip() for line in told.partition("else remove")[2].partition("with ")[2].split("\n"))
+    words = shlex.split(text.split(" === ")[0].split(" = ")[0].split(" ==")[0])
+    assert words[:6] == ["python", "-m", "pytest_pafot", "corpus", "prune", "--write"]
+    words = words[: 6 + 2 * len(given)]
+    done = subprocess.run([sys.executable, *words[1:]], cwd=project.path, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "removed: " in done.stdout
+    assert [name.split("/")[-2] for name in project.files] == ["test_fails"]
 
 
 def test_undeletable_file_is_a_problem_with_advice(orphaned, monkeypatch):
@@ -64,16 +104,15 @@ def test_undeletable_file_is_a_problem_with_advice(orphaned, monkeypatch):
 
     monkeypatch.setattr(Path, "unlink", refuse)
     told = "not removed: *; the file system is read-only: mount it so that it can be written, then prune again"
-    prune(orphaned).stdout.fnmatch_lines([f"  problem: --pafot-prune: {gone(orphaned)}: {told}"])
+    result = prune(orphaned)
+    result.stdout.fnmatch_lines([f"  problem: {gone(orphaned).relative_to(orphaned.path).as_posix()}: {told}"])
+    assert result.ret == pytest.ExitCode.TESTS_FAILED
 
 
 @pytest.mark.processes
-def test_the_workers_of_pytest_xdist_remove_the_same(orphaned):
+def test_a_session_that_asks_for_workers_removes_the_same(orphaned):
     file = gone(orphaned)
-    result = orphaned.run("--pafot-prune", "-n2", generations=0)
-    result.stdout.fnmatch_lines(
-        ["pafot: --pafot-prune removes", "removed: 1 saved scenario without a test in *test_gone"]
-    )
+    prune(orphaned, "-n2").stdout.fnmatch_lines(["removed: *test_gone*"])
     assert not file.parent.exists()
 
 
@@ -81,7 +120,7 @@ def test_notes_beside_orphans_stay(orphaned):
     file = gone(orphaned)
     notes = file.with_name("NOTES.md")
     notes.write_text("why this happens")
-    prune(orphaned).stdout.fnmatch_lines(["removed: 1 saved scenario without a test in *"])
+    prune(orphaned).stdout.fnmatch_lines(["removed: *test_gone*"])
     assert list(file.parent.iterdir()) == [notes]
     again = prune(orphaned)
     assert "orphaned" not in again.stdout.str()
@@ -97,7 +136,9 @@ def test_files_naming_a_test_elsewhere_stay(orphaned):
     file.unlink()
     before = orphaned.contents
     result = prune(orphaned)
-    result.stdout.fnmatch_lines(["orphaned: 4 saved scenarios without a test in *", "  not removed: *"])
+    result.stdout.fnmatch_lines(
+        ["orphaned: 4 saved scenarios without a test in *", "  only files whose line `test:` *", "left as it is: *"]
+    )
     result.stdout.no_fnmatch_line("removed: *")
     assert orphaned.contents == before
 
@@ -152,7 +193,7 @@ def test_files_of_another_project_in_shared_corpus_stay(orphaned, tmp_path_facto
     orphaned.write("def test_other():\n    pass\n", name="tests/test_other")
     result = prune(orphaned, f"--pafot-corpus={shared}")
     result.stdout.fnmatch_lines(
-        ["removed: 1 saved scenario without a test in *test_it/test_gone", "orphaned: *", "  not removed: *"]
+        ["orphaned: *", "  only files whose line `test:` *", "left as it is: *", "removed: *test_it/test_gone/*"]
     )
     assert all(any(folder.iterdir()) for folder in others)
     assert not (shared / "test_it" / "test_gone").exists()

@@ -42,11 +42,10 @@ def is_whole(result):
     ("function", "expected"),
     [
         ("plugin.terminal_reporter.unclaimed", "problem: records of processes that died: ValueError: a fault"),
-        ("plugin.orphans.prune", "problem: --pafot-prune: ValueError: a fault"),
         ("report.session_report.write_report", "problem: --pafot-report=x.html: not written: ValueError: a fault"),
         ("report.terminal.session_lines", "summary of pytest-pafot: ValueError: a fault"),
     ],
-    ids=["records", "prune", "report", "summary"],
+    ids=["records", "report", "summary"],
 )
 def test_error_at_session_end_is_one_summary_line(project, monkeypatch, function, expected):
     def fail(*arguments, **named):
@@ -56,7 +55,7 @@ def test_error_at_session_end_is_one_summary_line(project, monkeypatch, function
     project.run_once()
     project.write(FAILS)
     monkeypatch.setattr(f"pytest_pafot.{function}", fail)
-    result = project.run("--pafot-prune", "--pafot-report=x.html")
+    result = project.run("--pafot-report=x.html")
     assert is_whole(result)
     assert [line.strip() for line in result.stdout.lines if "a fault" in line] == [expected]
 

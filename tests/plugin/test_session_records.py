@@ -128,7 +128,8 @@ def test_interrupted_session_records_what_it_found(project):
     assert len(record.findings) == 2
 
 
-def test_findings_are_recorded_during_the_session(project):
+def test_findings_are_recorded_during_the_session(project, monkeypatch):
+    monkeypatch.setattr(session_records, "QUICK", 1e12)  # no writing takes long, however busy the machine is
     then = "import shutil; shutil.copy('pafot.json', 'then.json')"
     project.write(IS_CUT.replace("raise KeyboardInterrupt", f"{then}; raise KeyboardInterrupt"))
     recorded(project, no_reraise_ctrlc=True)

@@ -62,13 +62,12 @@ def test_workers_use_one_fresh_base_seed(project):
     assert output.count("pafot: profile local, base seed ") == 1
 
 
-def test_workers_report_orphans_once_and_prune_them(project):
+def test_workers_report_orphans_once(project):
     project.write(TWO)
     project.run_once("-x")
     project.write("@pafot.search(SHORT)\ndef test_other(run):\n    pass\n")
-    result = project.run("-n2", "--pafot-prune", generations=0)
+    result = project.run("-n2", generations=0)
     assert result.stdout.str().count("without a test in pafot_corpus/test_it/test_first") == 1
-    assert project.files == []
 
 
 def test_workers_report_a_misplaced_file_once(project):

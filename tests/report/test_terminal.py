@@ -129,7 +129,6 @@ def test_the_summary_of_a_session_reads_so(snapshot):
             ("corpus/test_a", ["a.pafot.yaml", "b.pafot.yaml"], "expected the test t.py::test_a, received no file t.py")
         ],
         way_out="rename the folder to the test's new name",
-        removed=[("corpus/test_b", 1)],
         strays=[("corpus/x.pafot.yaml", "test_safety.py::test_it")],
         problems=["a fault in the page"],
         written=["report: report.html (1 finding)"],
@@ -257,7 +256,7 @@ def test_replays_are_counted_by_label_and_partly_listed():
     assert max(map(len, terminal.replay_lines(replays, 40))) <= 40
 
 
-def test_orphans_are_reported_with_what_happens_to_them():
+def test_orphans_are_reported_with_the_way_out():
     orphans = [("corpus/test_a", ["a", "b"], "expected c"), ("corpus/test_d", ["e"], "expected f")]
     assert terminal.session_lines(SessionSummary(orphans=orphans, way_out="remove them")) == [
         "orphaned: 2 saved scenarios without a test in corpus/test_a",
@@ -266,8 +265,6 @@ def test_orphans_are_reported_with_what_happens_to_them():
         "  e: expected f",
         "  remove them",
     ]
-    gone = terminal.session_lines(SessionSummary(removed=[("corpus/test_a", 2)], way_out="remove them"))
-    assert gone == ["removed: 2 saved scenarios without a test in corpus/test_a"]
 
 
 def test_what_is_no_ascii_is_escaped():
