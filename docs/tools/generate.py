@@ -16,6 +16,7 @@ from typing import Any
 
 from pytest_pafot import criticality, policies, properties, strategies
 from pytest_pafot.attribution.last_chance import LastChance
+from pytest_pafot.campaign.events import SearchSummary
 from pytest_pafot.campaign.options import BY_NAME, OPTIONS, PROFILES, Option
 from pytest_pafot.campaign.request import Request, SearchArguments
 from pytest_pafot.campaign.run_table import COLUMNS
@@ -41,7 +42,7 @@ from pytest_pafot.model.trace import AdsError, Collision, Outcome, Trace
 from pytest_pafot.oracle.checks import check
 from pytest_pafot.oracle.run import Moment, Run
 from pytest_pafot.plugin import fixtures
-from pytest_pafot.report.session_record import FindingRecord, OrphanRecord, SearchRecord, SessionRecord
+from pytest_pafot.report.session_record import FindingRecord, OrphanRecord, SessionRecord
 from pytest_pafot.searching.fitness import Weights
 from pytest_pafot.searching.space import SearchSpace
 from pytest_pafot.training import training_env
@@ -176,7 +177,7 @@ def sections() -> dict[str, str]:
         "options": _options_table(),
         "session-record": _record_table(SessionRecord),
         "orphan-record": _record_table(OrphanRecord),
-        "search-record": _record_table(SearchRecord),
+        "search-record": _record_table(SearchSummary),
         "finding-record": _record_table(FindingRecord),
         "marker": _marker_table(),
         "fixtures": _fixtures_table(),

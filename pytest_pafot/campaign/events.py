@@ -12,6 +12,7 @@ from pytest_pafot.findings.severity import Severity
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.searching.events import Event
 from pytest_pafot.support.text import ascii_text
+from pytest_pafot.support.ways_out import flag
 
 # Reports of a search: its progress, each new finding, and its summary.
 #
@@ -69,46 +70,95 @@ class Find:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SearchSummary:
-    """The figures, findings and warnings of a search at its end."""
+    """A search at its end, or one that could not begin because its item failed; programs read all of it but the last.
+
+    Attributes:
+        node_id: node id of its item.
+        result: result of its item, with the same values as for a finding.
+        message: why the item failed, in one line; empty if it did not.
+        reason: why the search ended; empty if it did not begin, or its process died.
+        algorithm: name of the algorithm.
+        profile: profile that the defaults came from.
+        base_seed: seed that repeats the search, with `--pafot-seed`.
+        seed: seed of this search, derived from the base seed.
+        generations: number of finished generations.
+        asked: number of requested generations; null if the number of runs is the limit.
+        budget: number of requested runs; null if the number of generations is the limit.
+        runs: number of simulated scenarios.
+        shrink_runs: number of runs that simplified the findings, in addition to `runs`.
+        known_runs: scenarios that were not run, because an earlier run showed what they do.
+        failing: runs in which the test failed.
+        invalid: runs in which two NPCs touched.
+        npc: runs that are not failures because the NPC is at fault.
+        unpreventable: runs that are not failures because no reference driver avoids them.
+        common: runs that are not failures because the reference fails as well.
+        rejected: runs that the test function declined with `pafot.reject()`.
+        skipped: runs in which the test function skipped.
+        no_interaction: runs in which no NPC came near the ego.
+        reached: share of instructions whose cell, lane or zone was reached; null if no run shows it.
+        finds: ids of its new findings.
+        unsaved: number of runs by id of further findings, which were not saved because of the limit.
+        known: number of failing runs by id of the saved scenario that shows the same failure.
+        random_failing: number of the random scenarios at the beginning that failed by the ego's fault, which is a
+            collision for which the ego is responsible, alone or together with the NPC.
+        random_otherwise: number of the random scenarios that failed in any other way, such as by a check or an error of
+            the ADS.
+        random_runs: number of all random scenarios whose run says something about the ego.
+        drawn: the range of scenarios from which the search sampled, in one line.
+        coverage: one line on the share of instructions that the runs reached.
+        against: the reference that failures were compared with; empty without a reference.
+        warnings: warnings about its health.
+        notes: any other remarks, except those on processes, which only the terminal shows.
+    """
 
     node_id: str
-    algorithm: str = "pafot"
-    profile: str = ""  # the profile of the defaults
-    base_seed: int = 0  # the base seed that was given, or a random one
-    seed: int = 0  # the seed of this search, derived from the base seed and the node id
-    generations: int = 0  # finished generations, of ``asked``
-    asked: int | None = None  # requested generations
-    budget: int | None = None  # requested runs
-    reason: str = ""  # why the search ended
-    seconds: float = 0.0
-    runs: int = 0  # simulated scenarios
-    known_runs: int = 0  # scenarios that were not simulated, because the result of an earlier run was reused
-    # number of runs that are no failures: because NPCs touched; because an NPC is at fault; because no reference driver
-    # avoids the failure; because the reference fails as well; because the test function rejected or skipped them
+    result: str = ""  # like ``message``, known only to the controller
+    message: str = ""
+    reason: str = ""
+    algorithm: str = ""
+    profile: str = ""
+    base_seed: int | None = None
+    seed: int | None = None
+    generations: int = 0
+    asked: int | None = None
+    budget: int | None = None
+    runs: int = 0
+    shrink_runs: int = 0
+    known_runs: int = 0
+    failing: int = 0
     invalid: int = 0
     npc: int = 0
     unpreventable: int = 0
     common: int = 0
     rejected: int = 0
     skipped: int = 0
-    reached: float | None = None  # share of instructions whose cell, lane or zone was reached; None if it is unknown
-    no_interaction: int = 0  # runs in which no NPC came near the ego
-    failing: int = 0  # runs in which the test failed
-    finds: tuple[Find, ...] = ()  # distinct new findings
-    unsaved: Mapping[str, int] = field(default_factory=dict)  # runs of each finding above the limit of saved scenarios
-    shrink_runs: int = 0  # runs used to shrink the findings, in addition to ``runs``
-    known: Mapping[str, int] = field(default_factory=dict)  # failing runs by the id of the file that covers them
-    warnings: tuple[str, ...] = ()
-    notes: tuple[str, ...] = ()  # anything else to report once
-    # notes on processes: how many were used and which died, which differs between machines and numbers of workers
-    process_notes: tuple[str, ...] = ()
-    against: str = ""  # the reference with which failures were compared, or empty
-    # counts for the random scenarios at the beginning: runs with a collision for which the ego is responsible, alone or
-    # with the NPC, and all runs that say something about the ego; then runs that failed in any other way
-    random: tuple[int, int] = (0, 0)
+    no_interaction: int = 0
+    reached: float | None = None
+    finds: tuple[Find, ...] = ()
+    unsaved: Mapping[str, int] = field(default_factory=dict)
+    known: Mapping[str, int] = field(default_factory=dict)
+    random_failing: int = 0
     random_otherwise: int = 0
-    drawn: str = ""  # one line on the space from which the scenarios were sampled
-    coverage: str = ""  # one line on the instructions that the runs covered
+    random_runs: int = 0
+    drawn: str = ""
+    coverage: str = ""
+    against: str = ""
+    warnings: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+    # for the terminal alone, because they differ between machines and numbers of workers
+    seconds: float = 0.0
+    process_notes: tuple[str, ...] = ()  # how many processes were used, and which died
+
+    @property
+    def options(self) -> str:
+        """The command-line options that request the same search."""
+        given = (("generations", self.asked), ("runs", self.budget), ("seed", self.base_seed))
+        return " ".join(flag(name, value) for name, value in given if value is not None)
+
+    @property
+    def began(self) -> bool:
+        """True if the search ran and reported its end."""
+        return bool(self.reason)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

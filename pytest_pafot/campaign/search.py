@@ -412,10 +412,12 @@ class Search:
             seconds=self.sessions.seconds,
             runs=loop.runs,
             known_runs=health.reused,
-            **{
-                kind: loop.verdicts[kind]
-                for kind in ("invalid", "npc", "unpreventable", "common", "rejected", "skipped")
-            },
+            invalid=loop.verdicts["invalid"],
+            npc=loop.verdicts["npc"],
+            unpreventable=loop.verdicts["unpreventable"],
+            common=loop.verdicts["common"],
+            rejected=loop.verdicts["rejected"],
+            skipped=loop.verdicts["skipped"],
             reached=health.reached_share if health.genes_started else None,
             no_interaction=health.no_interaction,
             failing=loop.verdicts["failed"],
@@ -427,7 +429,8 @@ class Search:
             notes=(*self.sessions.notes, *self.driver_notes, *filter(None, notes), *cut, *self._left_undone(reason)),
             process_notes=tuple(self.process_notes),
             against=self.harness.against_name,
-            random=(0, 0) if is_cut_short else (beginning.at_fault, beginning.runs),
+            random_failing=0 if is_cut_short else beginning.at_fault,
+            random_runs=0 if is_cut_short else beginning.runs,
             random_otherwise=0 if is_cut_short else beginning.otherwise,
             drawn="" if self.loop.space is None else self.loop.space.described,
             coverage=health.coverage.describe(float(self.harness.world.speed_limit), ways) if loop.runs else "",

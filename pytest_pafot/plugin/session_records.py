@@ -29,8 +29,9 @@ from pytest_pafot.plugin.session import HERE, SUMMARY_LINES, exit_code, not_writ
 from pytest_pafot.support.ways_out import flag, rerun
 
 if TYPE_CHECKING:
+    from pytest_pafot.campaign.events import SearchSummary
     from pytest_pafot.findings.finding import Finding
-    from pytest_pafot.report.session_record import FindingRecord, OrphanRecord, SearchRecord, SessionRecord
+    from pytest_pafot.report.session_record import FindingRecord, OrphanRecord, SessionRecord
 
 JSON = BY_NAME["json"]
 SUMMARY = "GITHUB_STEP_SUMMARY"
@@ -78,7 +79,7 @@ class Records:
         self._next = -math.inf  # when the JSON file may be written again [s]
         self._file: str | None = config.getoption(JSON.key)
         self._lines = config.stash[SUMMARY_LINES]
-        self._searches: dict[str, SearchRecord] = {}  # by node id, like the findings
+        self._searches: dict[str, SearchSummary] = {}  # by node id, like the findings
         self._findings: dict[str, FindingRecord] = {}
         self._runs: dict[str, int] = {}
         self._results: dict[str, list[str]] = {}
@@ -120,13 +121,13 @@ class Records:
 
     def _take(self, node_id: str, message: messages.Message) -> None:
         from pytest_pafot.campaign.events import SearchSummary  # noqa: PLC0415
-        from pytest_pafot.report.session_record import FindingRecord, SearchRecord  # noqa: PLC0415
+        from pytest_pafot.report.session_record import FindingRecord  # noqa: PLC0415
         from pytest_pafot.searching.plain import from_plain  # noqa: PLC0415
 
         data = message.data
         match message.kind:
             case "start":
-                self._searches[node_id] = SearchRecord(node_id=node_id, **data)
+                self._searches[node_id] = SearchSummary(node_id=node_id, **data)
             case "record":
                 finding = FindingRecord(**data)
                 told = self._findings.get(finding.node_id)
@@ -136,8 +137,7 @@ class Records:
                 if finding.is_new:
                     self._write_json(None)
             case "search":
-                summary = from_plain(SearchSummary, data["summary"])
-                self._searches[node_id] = SearchRecord.of(summary)
+                summary = self._searches[node_id] = from_plain(SearchSummary, data["summary"])
                 self._runs.update((find.node_id, 1 + find.repeats) for find in summary.finds)
                 self._write_json(None)
             case kind:
@@ -171,9 +171,9 @@ class Records:
         elif report.failed and self._config.getoption(BY_NAME["merge"].key):
             self._texts["merge"].append(f"failed: {report.nodeid}: {self._reasons[report.nodeid]}")
         elif report.failed:
-            from pytest_pafot.report.session_record import SearchRecord  # noqa: PLC0415
+            from pytest_pafot.campaign.events import SearchSummary  # noqa: PLC0415
 
-            self._searches.setdefault(report.nodeid, SearchRecord(node_id=report.nodeid))
+            self._searches.setdefault(report.nodeid, SearchSummary(node_id=report.nodeid))
 
     def _record(self, code: int | None) -> SessionRecord:
         from pytest_pafot.report.session_record import SessionRecord, same_everywhere, worst  # noqa: PLC0415

@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field
 from typing import Any, Self
 
 from pytest_pafot.campaign.events import SearchSummary
@@ -17,13 +17,15 @@ from pytest_pafot.findings.finding import Finding, portable
 from pytest_pafot.findings.severity import Severity
 from pytest_pafot.findings.shrink import size_of
 from pytest_pafot.support.text import quiet_json
-from pytest_pafot.support.ways_out import flag
 
 VERSION = 1
 """The version of the JSON layout. It grows if a key is removed or changes its meaning, not if a key is added."""
 
 NEW, ERROR = "new", "error"
 """Statuses of a finding that are no labels of replays: found in this session; or could not be read or run."""
+
+TERMINAL_ONLY = ("seconds", "process_notes")
+"""The attributes of a search that are not written, because the same seed may give other values."""
 
 SLOW = re.compile(r"(?<=^SlowDecision: a decision )took [\d.]+ s")
 """The measured time in the headline of a decision that took longer than ``decision_limit``."""
@@ -157,110 +159,6 @@ class FindingRecord:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class SearchRecord:
-    """A search that began, or that could not begin because its item failed.
-
-    Attributes:
-        node_id: node id of its item.
-        result: result of its item, with the same values as for a finding.
-        message: why the item failed, in one line; empty if it did not.
-        reason: why the search ended; empty if it did not begin, or its process died.
-        algorithm: name of the algorithm.
-        profile: profile that the defaults came from.
-        base_seed: seed that repeats the search, with `--pafot-seed`.
-        seed: seed of this search, derived from the base seed.
-        generations: number of finished generations.
-        asked: number of requested generations; null if the number of runs is the limit.
-        budget: number of requested runs; null if the number of generations is the limit.
-        runs: number of simulated scenarios.
-        shrink_runs: number of runs that simplified the findings, in addition to `runs`.
-        known_runs: scenarios that were not run, because an earlier run showed what they do.
-        failing: runs in which the test failed.
-        invalid: runs in which two NPCs touched.
-        npc: runs that are not failures because the NPC is at fault.
-        unpreventable: runs that are not failures because no reference driver avoids them.
-        common: runs that are not failures because the reference fails as well.
-        rejected: runs that the test function declined with `pafot.reject()`.
-        skipped: runs in which the test function skipped.
-        no_interaction: runs in which no NPC came near the ego.
-        reached: share of instructions whose cell, lane or zone was reached; null if no run shows it.
-        finds: ids of its new findings.
-        unsaved: number of runs by id of further findings, which were not saved because of the limit.
-        known: number of failing runs by id of the saved scenario that shows the same failure.
-        random_failing: number of the random scenarios at the beginning that failed by the ego's fault, which is a
-            collision for which the ego is responsible, alone or together with the NPC.
-        random_otherwise: number of the random scenarios that failed in any other way, such as by a check or an error of
-            the ADS.
-        random_runs: number of all random scenarios whose run says something about the ego.
-        drawn: the range of scenarios from which the search sampled, in one line.
-        coverage: one line on the share of instructions that the runs reached.
-        against: the reference that failures were compared with; empty without a reference.
-        warnings: warnings about its health.
-        notes: any other remarks, except those on processes, which only the terminal shows.
-    """
-
-    node_id: str
-    result: str = ""
-    message: str = ""
-    reason: str = ""
-    algorithm: str = ""
-    profile: str = ""
-    base_seed: int | None = None
-    seed: int | None = None
-    generations: int = 0
-    asked: int | None = None
-    budget: int | None = None
-    runs: int = 0
-    shrink_runs: int = 0
-    known_runs: int = 0
-    failing: int = 0
-    invalid: int = 0
-    npc: int = 0
-    unpreventable: int = 0
-    common: int = 0
-    rejected: int = 0
-    skipped: int = 0
-    no_interaction: int = 0
-    reached: float | None = None
-    finds: list[str] = field(default_factory=list)
-    unsaved: Mapping[str, int] = field(default_factory=dict)
-    known: Mapping[str, int] = field(default_factory=dict)
-    random_failing: int = 0
-    random_otherwise: int = 0
-    random_runs: int = 0
-    drawn: str = ""
-    coverage: str = ""
-    against: str = ""
-    warnings: list[str] = field(default_factory=list)
-    notes: list[str] = field(default_factory=list)
-
-    @classmethod
-    def of(cls, summary: SearchSummary) -> Self:
-        """Make a record of the summary of a search."""
-        failing, runs = summary.random
-        other = {
-            "finds": [find.id for find in summary.finds],
-            "warnings": list(summary.warnings),
-            "notes": list(summary.notes),
-            "random_failing": failing,
-            "random_runs": runs,
-        }
-        same = {each.name: getattr(summary, each.name) for each in fields(cls) if hasattr(summary, each.name)}
-        return cls(**same | other)
-
-    @property
-    def options(self) -> str:
-        """The command-line options that request the same search."""
-        given = (("generations", self.asked), ("runs", self.budget), ("seed", self.base_seed))
-        return " ".join(flag(name, value) for name, value in given if value is not None)
-
-    @property
-    def began(self) -> bool:
-        """True if the search ran and reported its end."""
-        return bool(self.reason)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class OrphanRecord:
     """A folder of saved scenarios that no test replays.
 
@@ -298,7 +196,7 @@ class SessionRecord:
 
     exit: int | None = None
     versions: Mapping[str, str] = field(default_factory=dict)
-    searches: list[SearchRecord] = field(default_factory=list)
+    searches: list[SearchSummary] = field(default_factory=list)
     findings: list[FindingRecord] = field(default_factory=list)
     merged: list[str] = field(default_factory=list)
     compared: list[str] = field(default_factory=list)
@@ -314,7 +212,12 @@ class SessionRecord:
 
 def to_text(record: SessionRecord) -> str:
     """Write a record as JSON with sorted keys."""
-    return quiet_json(json.dumps({"pafot_json": VERSION, **asdict(record)}, indent=2, sort_keys=True)) + "\n"
+    data = {"pafot_json": VERSION, **asdict(record)}
+    for told, search in zip(data["searches"], record.searches, strict=True):
+        told["finds"] = [find.id for find in search.finds]
+        for name in TERMINAL_ONLY:
+            del told[name]
+    return quiet_json(json.dumps(data, indent=2, sort_keys=True)) + "\n"
 
 
 def same_everywhere(text: str, root: str) -> str:

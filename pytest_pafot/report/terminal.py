@@ -230,7 +230,7 @@ def search_lines(search: SearchSummary, *, verbose: bool = False, width: int = W
         f"{', '.join(done)}, ended: {search.reason}"
     )
     texts = [_figures(search), *_find_lines(search), origin, *([search.drawn] if search.drawn else [])]
-    failing, random = search.random
+    failing, random = search.random_failing, search.random_runs
     if random:
         share = interval_text(failing, random)
         others = f"; {search.random_otherwise} failed in other ways" if search.random_otherwise else ""

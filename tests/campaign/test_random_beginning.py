@@ -26,7 +26,7 @@ def test_random_search_counts_all_valid_scenarios():
     last = {each.run.trace.scenario.id: each for each in judged}.values()
     valid = [each for each in last if each.verdict.kind != "invalid"]
     at_fault = [each for each in valid if each.run.responsibility in ("ego", "both")]
-    assert found.summary.random == (len(at_fault), len(valid))
+    assert (found.summary.random_failing, found.summary.random_runs) == (len(at_fault), len(valid))
     assert 0 < len(at_fault) < len(valid)
     told = " ".join(search_lines(found.summary))
     by_npcs = sum(each.run.responsibility == "npc" for each in valid)
@@ -53,7 +53,7 @@ def test_failed_check_without_collision_is_no_ego_fault(holds):
     )  # fmt: skip
     runs = {each.run.trace.scenario.id: each.run for each in judged if each.verdict.failed}.values()
     collided = sum(run.collision is not None and run.responsibility != "npc" for run in runs)
-    assert found.summary.random[0] == collided
+    assert found.summary.random_failing == collided
     assert found.summary.random_otherwise == len(runs) - collided > 0
     told = " ".join(search_lines(found.summary))
     assert " failed by the ego's fault, " in told
@@ -61,11 +61,12 @@ def test_failed_check_without_collision_is_no_ego_fault(holds):
 
 
 def test_early_stopped_search_gives_no_random_share():
-    assert explored(runs=40, algorithm="distinct", stop_after=1).summary.random == (0, 0)
+    summary = explored(runs=40, algorithm="distinct", stop_after=1).summary
+    assert (summary.random_failing, summary.random_runs, summary.random_otherwise) == (0, 0, 0)
 
 
 @pytest.mark.parametrize(("algorithm", "budget", "most"), [("distinct", 24, 20), ("av-fuzzer", 8, 0)])
 def test_random_share_uses_only_initial_random_scenarios(algorithm, budget, most):
-    failing, runs = explored(runs=budget, algorithm=algorithm).summary.random
-    assert most - 8 <= runs <= most
-    assert failing <= runs
+    summary = explored(runs=budget, algorithm=algorithm).summary
+    assert most - 8 <= summary.random_runs <= most
+    assert summary.random_failing <= summary.random_runs

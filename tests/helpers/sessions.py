@@ -20,7 +20,8 @@ import _pytest.assertion.rewrite
 import _pytest.fixtures
 import pytest
 
-from pytest_pafot.report.session_record import VERSION, FindingRecord, SearchRecord, SessionRecord
+from pytest_pafot.campaign.events import SearchSummary
+from pytest_pafot.report.session_record import VERSION, FindingRecord, SessionRecord
 
 INTERRUPTIBLE = (
     sys.executable,
@@ -34,10 +35,10 @@ INTERRUPTIBLE = (
 
 
 def read_record(text):
-    """Return a session's record for programs, and check that it has no unknown keys."""
+    """Return a session's record for programs, and check that it has no unknown keys; `finds` of a search are ids."""
     plain = json.loads(text)
     assert plain.pop("pafot_json") == VERSION
-    searches = [SearchRecord(**each) for each in plain.pop("searches")]
+    searches = [SearchSummary(**each) for each in plain.pop("searches")]
     findings = [FindingRecord(**each) for each in plain.pop("findings")]
     return SessionRecord(searches=searches, findings=findings, **plain)
 

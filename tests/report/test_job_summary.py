@@ -5,9 +5,10 @@ import re
 from hypothesis import given
 from hypothesis import strategies as st
 
+from pytest_pafot.campaign.events import SearchSummary
 from pytest_pafot.findings.severity import Severity
 from pytest_pafot.report.job_summary import MAX_LISTED, code, markdown, plain
-from pytest_pafot.report.session_record import FindingRecord, SearchRecord, SessionRecord
+from pytest_pafot.report.session_record import FindingRecord, SessionRecord
 from tests.helpers.hostile import CHARACTERS
 from tests.helpers.tables import table
 
@@ -19,7 +20,7 @@ def finding(id_="a", status="new", **changes):
 
 
 def search(**changes):
-    return SearchRecord(
+    return SearchSummary(
         node_id="test_it.py::x[search]",
         **{"reason": "all runs done", "runs": 40, "budget": 40, "base_seed": 5} | changes,
     )

@@ -16,8 +16,8 @@ from pytest_pafot.report.finding_view import finding_view, run_view
 from pytest_pafot.report.markup import finding_article
 from pytest_pafot.report.session_record import (
     RESULTS,
+    TERMINAL_ONLY,
     FindingRecord,
-    SearchRecord,
     SessionRecord,
     to_text,
     worst,
@@ -44,7 +44,7 @@ RECORDS = st.builds(
     SessionRecord,
     exit=st.none() | st.integers(0, 5),
     versions=st.dictionaries(TEXTS, TEXTS, max_size=2),
-    searches=st.lists(SUMMARIES.map(SearchRecord.of), max_size=2),
+    searches=st.lists(SUMMARIES, max_size=2),
     findings=st.lists(
         findings().map(lambda each: FindingRecord.of(each, node_id="test_it.py::x", status="new", file=None)),
         max_size=1,
@@ -57,7 +57,18 @@ RECORDS = st.builds(
 
 @given(RECORDS)
 def test_every_record_is_read_as_it_was_written(record):
-    assert read_record(to_text(record)) == record
+    searches = [
+        replace(
+            search,
+            finds=[find.id for find in search.finds],
+            warnings=list(search.warnings),
+            notes=list(search.notes),
+            seconds=0.0,
+            process_notes=(),
+        )
+        for search in record.searches
+    ]
+    assert read_record(to_text(record)) == replace(record, searches=searches)
 
 
 def test_finding_names_the_traffic_it_was_driven_in():
@@ -75,7 +86,7 @@ def test_finding_names_the_traffic_it_was_driven_in():
 
 
 def test_keys_are_sorted_and_include_the_version():
-    text = to_text(SessionRecord(searches=[SearchRecord(node_id="a")], exit=1))
+    text = to_text(SessionRecord(searches=[SearchSummary(node_id="a")], exit=1))
     plain = json.loads(text)
     assert plain["pafot_json"] == 1
     assert text == json.dumps(plain, indent=2, sort_keys=True) + "\n"
@@ -92,14 +103,14 @@ def test_a_finding_tells_what_its_file_does():
 
 
 def test_no_duration_is_in_it():
-    slow, fast = (SearchRecord.of(SearchSummary(node_id="a", seconds=seconds)) for seconds in (1.0, 2.0))
-    assert slow == fast
+    slow, fast = (SearchSummary(node_id="a", seconds=each, process_notes=(f"{each}",)) for each in (1.0, 2.0))
+    assert to_text(SessionRecord(searches=[slow])) == to_text(SessionRecord(searches=[fast]))
 
 
-@table("kind", [SessionRecord, SearchRecord, FindingRecord])
+@table("kind", [SessionRecord, SearchSummary, FindingRecord])
 def test_every_record_field_is_described_in_its_docstring(kind):
     told = [line.split(":")[0].strip() for line in kind.__doc__.splitlines() if re.match(r" +\w+: ", line)]
-    assert told == [each.name for each in fields(kind)]
+    assert told == [each.name for each in fields(kind) if each.name not in TERMINAL_ONLY]
 
 
 def test_the_worst_phase_of_an_item_counts():

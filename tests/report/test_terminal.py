@@ -28,6 +28,7 @@ FIND = Find(
     repeats=17,
 )
 SEARCH = SearchSummary(
+    algorithm="pafot",
     node_id="tests/test_safety.py::test_it[search]",
     profile="local",
     base_seed=3,

@@ -21,7 +21,7 @@ from pytest_pafot.corpus.saved import Saved
 from pytest_pafot.plugin.messages import set_properties
 from pytest_pafot.plugin.node_ids import saved_part
 from pytest_pafot.report import job_summary, markup, terminal
-from pytest_pafot.report.session_record import FindingRecord, SearchRecord, SessionRecord, to_text
+from pytest_pafot.report.session_record import FindingRecord, SessionRecord, to_text
 from pytest_pafot.support.errors import CorpusError, FieldError
 from pytest_pafot.support.text import (
     ascii_text,
@@ -93,7 +93,7 @@ def test_job_summary_and_tables_contain_no_foreign_markup(text, other):
         node_id=text, id=other, test=text, status="drifted", file=other, replay=text, headline=other, detail=text,
         flaky=text, xfail={"reason": other, "until": None}, result="xfailed",
     )  # fmt: skip
-    faulty = SearchRecord(node_id=text, message=other, result="failed", against=text)
+    faulty = SearchSummary(node_id=text, message=other, result="failed", against=text)
     record = SessionRecord(findings=[found], searches=[faulty], merged=[other], warnings=[text], problems=[text])
     shown = job_summary.markdown(record)
     assert obeyed(shown.replace("\u200b", "")) == []
