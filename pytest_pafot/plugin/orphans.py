@@ -31,7 +31,7 @@ from pytest_pafot.corpus.layout import (
 from pytest_pafot.corpus.saved import Saved, saved_in
 from pytest_pafot.plugin.option_sources import option_value
 from pytest_pafot.support.text import plural, visible
-from pytest_pafot.support.ways_out import command, flag
+from pytest_pafot.support.ways_out import command
 
 # Only a node id matches: the name is also printed for broken files, and a broken file may contain anything.
 _TEST_LINE = re.compile(rb"^test:[ \t]*([^\n:]*\.py::[^\n]+?)\s*$", re.MULTILINE)
@@ -120,7 +120,7 @@ def advice(config: pytest.Config) -> str:
     return (
         "if the test has another name or place now, move the files to its folder MODULE/TEST in the corpus, and name "
         "it in their line `test:`; else remove them with "
-        + command("pytest_pafot", "corpus", "prune", "--write", *(("--", flag("corpus", given)) if given else ()))
+        + command("pytest_pafot", "corpus", "prune", "--write", *(("--", f"{corpus.flag}={given}") if given else ()))
     )
 
 
