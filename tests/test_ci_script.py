@@ -6,6 +6,7 @@ import signal
 import stat
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -322,19 +323,20 @@ def test_bypassing_pytest_with_exit_code_0_fails(repository, leave):
 @pytest.mark.parametrize("shells", ["sh", "bash"])
 @pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])
 def test_signal_ends_pytest_and_then_the_script(repository, tmp_path, shells, name):
-    slow = TEST.replace("npcs=2", "npcs=2, runs=100000")
+    begins = tmp_path / "begun"
+    slow = TEST.replace("npcs=2", "npcs=2, runs=100000").replace(
+        "    assert", f"    open({str(begins)!r}, 'w').close()\n    assert"
+    )
     commit(repository, {"planner.py": PLANNER, "test_safety.py": slow}, "A planner")
     (tmp_path / "temporary").mkdir()
     own = environment(BRANCH="finds", TMPDIR=str(tmp_path / "temporary"))
     with begun([shells, SCRIPT, "night"], cwd=repository, env=own, stdout=subprocess.PIPE, text=True) as script:
-        printed = ""
-        while "distinct" not in printed and "runs" not in printed:
-            line = script.stdout.readline()
-            assert line, printed
-            printed += line
+        deadline = time.monotonic() + 60.0
+        while not begins.exists() and script.poll() is None and time.monotonic() < deadline:
+            time.sleep(0.05)
         script.send_signal(getattr(signal, name))
         rest, _ = script.communicate(timeout=60)  # It also waits for pytest, which has the same output.
-    assert script.returncode == 128 + getattr(signal, name), printed + rest
+    assert script.returncode == 128 + getattr(signal, name), rest
     assert "ended: interrupted" in rest
     assert not [path for path in (tmp_path / "temporary").iterdir() if not path.name.startswith("pytest-")]
 

@@ -16,7 +16,6 @@ from pytest_pafot.commands.revision import PROCESS
 from pytest_pafot.corpus.reader import load
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.execution.revision_policy import RevisionPolicy
-from pytest_pafot.plugin import search_item
 from tests.helpers.processes import begun
 from tests.helpers.tables import table
 
@@ -377,8 +376,9 @@ def test_revision_that_cannot_be_built_is_a_usage_error(repository, policy, rece
     result.stdout.fnmatch_lines([f"*against*: rev:main (*{received}*"])
 
 
-def test_revision_that_is_never_built_ends_with_the_time_limit(repository, monkeypatch):
-    monkeypatch.setattr(search_item, "LEAST_TO_BUILD", 1.0)
+def test_revision_that_is_never_built_ends_with_the_time_limit(repository):
+    least = "from pytest_pafot.plugin import search_item\n\nsearch_item.LEAST_TO_BUILD = 1.0\n"
+    (repository.path / "conftest.py").write_text(least)  # The session has a process of its own.
     commit(repository, **{"pkg/core.py": "import time; time.sleep(1000)\n"})
     write(repository, {"pkg/core.py": NOW})
     begun = time.monotonic()
