@@ -20,8 +20,8 @@ from pytest_pafot.attribution.responsibility import rss_rule
 from pytest_pafot.campaign.request import drawn_space
 from pytest_pafot.corpus.layout import SUFFIX, files_below
 from pytest_pafot.corpus.reader import load, located
-from pytest_pafot.episodes.compiled_traffic import CompiledSteps, why_not
 from pytest_pafot.episodes.episode import Start, Step
+from pytest_pafot.episodes.ordinary_traffic import CompiledSteps, why_not
 from pytest_pafot.model.scenario import Scenario, ScenarioError
 from pytest_pafot.model.trace import Trace
 from pytest_pafot.searching.space import sample, space_on
@@ -164,7 +164,7 @@ def training_env(world: World, scenarios: Scenarios = None, share: float = 0.5) 
     Observations, actions and reward are those of the world's environment. An episode is either a scenario or ordinary
     traffic. A scenario is the same run, to the last bit, as the world's ``rollout`` with the same actions, and ends at
     the ego's first contact. Ordinary traffic is the environment's own random traffic as without this package. Compiled
-    code drives it if :mod:`pytest_pafot.episodes.compiled_traffic` supports the environment.
+    code drives it if :mod:`pytest_pafot.episodes.ordinary_traffic` supports the environment.
 
     In addition to the environment's own values, ``info`` has ``is_scenario``, ``scenario`` (the id; empty in ordinary
     traffic) and ``responsible`` (``ego``, ``npc``, ``both`` or ``none`` after a crash in a scenario; otherwise empty).

@@ -70,8 +70,8 @@ def test_every_option_that_messages_name_exists_also_in_search():
 OF_COMMANDS = {
     "search": ["commands/search_command.py"],
     "bisect": ["commands/bisect_command.py"],
-    "progress": ["episodes/progress_command.py", "episodes/progress.py"],
-    "rate": ["episodes/rate_command.py", "episodes/rate_plan.py", "commands/resumable.py"],
+    "progress": ["episodes/progress_command.py", "episodes/progress_command.py"],
+    "rate": ["episodes/rate_command.py", "episodes/rate.py", "commands/resumable.py"],
     "compare": ["comparison/command.py", "comparison/plan.py", "comparison/algorithm_run.py", "commands/resumable.py"],
     "export": ["export/export_command.py", "export/exporter.py"],
     "corpus": ["corpus/corpus_command.py"],

@@ -26,7 +26,7 @@ from pytest_pafot.findings.finding import Finding, Found  # noqa: E402
 from pytest_pafot.findings.signature import Failure  # noqa: E402
 from pytest_pafot.model.trace import Trace  # noqa: E402
 from pytest_pafot.report.animation import BAR, PAPER, WIDTH, frame  # noqa: E402
-from pytest_pafot.report.finding_view import finding_view  # noqa: E402
+from pytest_pafot.report.views import finding_view  # noqa: E402
 from pytest_pafot.searching import sample  # noqa: E402
 from tests.helpers.road_cases import space_of  # noqa: E402
 

@@ -26,8 +26,7 @@ import numpy as np
 
 import pytest_pafot as pafot
 from pytest_pafot.attribution.responsibility import Fault, is_ego_responsible, rss_rule
-from pytest_pafot.episodes.rate import Pair, Rate
-from pytest_pafot.episodes.rate_plan import driven
+from pytest_pafot.episodes.rate import Pair, Rate, driven
 from pytest_pafot.support.proportions import interval_text
 from pytest_pafot.training import random_scenarios
 

@@ -14,8 +14,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from pytest_pafot.attribution.excuses import Escape
-from pytest_pafot.attribution.last_chance import Avoidance, LastChance, avoidance, last_decision
+from pytest_pafot.attribution.last_chance import Avoidance, Escape, LastChance, avoidance, last_decision
 from pytest_pafot.campaign.options import REVISION
 from pytest_pafot.campaign.request import AgainstError, Request
 from pytest_pafot.campaign.verdict import Test, Verdict, judge, no_skip, reference_outcomes, skips

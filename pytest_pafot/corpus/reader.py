@@ -15,8 +15,7 @@ from datetime import date
 from pathlib import Path
 from typing import Any, get_args
 
-from pytest_pafot.attribution.excuses import Escape
-from pytest_pafot.attribution.last_chance import Avoidance, LastChance
+from pytest_pafot.attribution.last_chance import Avoidance, Escape, LastChance
 from pytest_pafot.attribution.mistakes import LANE_CHANGES, Manoeuvre
 from pytest_pafot.attribution.responsibility import Fault, Responsibility
 from pytest_pafot.corpus import file_format

@@ -13,8 +13,7 @@ from datetime import date
 from types import TracebackType
 from typing import Any
 
-from pytest_pafot.attribution.excuses import Escape
-from pytest_pafot.attribution.last_chance import Avoidance, LastChance
+from pytest_pafot.attribution.last_chance import Avoidance, Escape, LastChance
 from pytest_pafot.attribution.mistakes import Manoeuvre, Mistake, manoeuvre_before, mistake_of
 from pytest_pafot.attribution.responsibility import Fault, Responsibility
 from pytest_pafot.findings.shrink import Shrunk

@@ -15,8 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pytest_pafot import criticality
-from pytest_pafot.attribution.excuses import Escape, escape
-from pytest_pafot.attribution.last_chance import Avoidance, LastChance, TakeOver, last_chance
+from pytest_pafot.attribution.last_chance import Avoidance, Escape, LastChance, TakeOver, escape, last_chance
 from pytest_pafot.attribution.responsibility import Attribution, position_rule, rss_rule
 from pytest_pafot.attribution.sentences import due_by, responsible_sentence
 from pytest_pafot.criticality import Passage, passages

@@ -19,9 +19,8 @@ from pytest_pafot.model.trace import Trace
 from pytest_pafot.oracle.checks import Check, CheckFailed
 from pytest_pafot.plugin import messages, node_ids
 from pytest_pafot.plugin.messages import PAGE
-from pytest_pafot.report.campaign_view import CampaignCounts
-from pytest_pafot.report.finding_view import finding_view
 from pytest_pafot.report.page_data import NEW
+from pytest_pafot.report.views import CampaignCounts, finding_view
 from pytest_pafot.searching.plain import plain
 from pytest_pafot.support.ways_out import rerun
 

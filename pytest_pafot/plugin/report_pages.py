@@ -22,8 +22,8 @@ from pytest_pafot.support.ways_out import flag, rerun
 if TYPE_CHECKING:
     from pytest_pafot.campaign.options import Settings
     from pytest_pafot.plugin.page_messages import PageMessages
+    from pytest_pafot.report.page import Draft
     from pytest_pafot.report.page_data import FindingView
-    from pytest_pafot.report.session_report import Draft
 
 
 def page_messages_of(item: pytest.Item, settings: Settings) -> PageMessages | None:
@@ -82,8 +82,8 @@ class Pages:
             lines.problems.append(f"{flag('report', asked)}: nothing was written, since no search and no replay ran")
 
     def _take(self, node_id: str, data: Mapping[str, Any]) -> None:
+        from pytest_pafot.report.page import Draft  # noqa: PLC0415
         from pytest_pafot.report.page_data import CampaignView, FindingView  # noqa: PLC0415
-        from pytest_pafot.report.session_report import Draft  # noqa: PLC0415
         from pytest_pafot.searching.plain import from_plain  # noqa: PLC0415
 
         finding = from_plain(FindingView, data["view"]) if "view" in data else None
@@ -103,7 +103,7 @@ class Pages:
             self._drafts.setdefault(path, Draft(target=target)).take(data, finding, campaign)
 
     def _write(self, path: Path, draft: Draft, *, is_interrupted: bool) -> tuple[str, str]:
-        from pytest_pafot.report.session_report import write_report  # noqa: PLC0415
+        from pytest_pafot.report.page import write_report  # noqa: PLC0415
 
         errors = tuple(
             (node_id, text)

@@ -110,7 +110,7 @@ class Records:
         if not path or not any((self._searches, self._findings, *self._texts.values(), orphans, self._lines.problems)):
             return  # A session without anything to report imports nothing for it.
         with self._lines.faults(f"the summary in {SUMMARY}"):
-            from pytest_pafot.report.job_summary import markdown  # noqa: PLC0415
+            from pytest_pafot.report.session_record import markdown  # noqa: PLC0415
             from pytest_pafot.support.files import append  # noqa: PLC0415
 
             file = self._config.invocation_params.dir / path

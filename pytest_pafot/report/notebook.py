@@ -16,10 +16,9 @@ from pytest_pafot.findings.finding import Finding
 from pytest_pafot.model.trace import Trace
 from pytest_pafot.oracle.checks import CheckFailed
 from pytest_pafot.oracle.run import Run
-from pytest_pafot.report.campaign_view import campaign_view
-from pytest_pafot.report.finding_view import finding_view, run_view
 from pytest_pafot.report.page import render_frame
 from pytest_pafot.report.page_data import FindingView, Report
+from pytest_pafot.report.views import campaign_view, finding_view, run_view
 from pytest_pafot.searching.events import Event
 from pytest_pafot.support.text import plural
 from pytest_pafot.world.limits import CLEARANCE

@@ -1,26 +1,422 @@
-"""The report as one self-contained HTML page: it needs no network, no library and no other file."""
+"""The report page: one self-contained HTML file, made from the data that all items send; it needs no network.
+
+A page has a list of findings, an article on each, and each search. Without its scripts it shows the same text.
+"""
 
 from __future__ import annotations
 
 import base64
 import hashlib
 import json
-from dataclasses import asdict, replace
+import os
+import pickle
+import re
+import zlib
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from datetime import UTC, datetime
 from html import escape
 from importlib.resources import files
+from itertools import islice
+from pathlib import Path
 from string import Template
+from textwrap import dedent
+from typing import Any
+from urllib.parse import quote
 
-from pytest_pafot.report.markup import (
-    campaign_article,
-    copyable,
-    facts,
-    finding_article,
-    finding_list,
-    further_section,
-    text,
+from pytest_pafot.campaign.options import is_page_file
+from pytest_pafot.corpus.layout import SUFFIX
+from pytest_pafot.findings.severity import worst_first
+from pytest_pafot.model.crossings import SLOTS
+from pytest_pafot.model.grid import Cell
+from pytest_pafot.report.animation import AnimationError, animate
+from pytest_pafot.report.page_data import (
+    NEW,
+    CampaignView,
+    CheckView,
+    CoverageRow,
+    Errors,
+    FindingView,
+    GenerationView,
+    InstructionView,
+    Report,
+    ShrinkView,
 )
-from pytest_pafot.report.page_data import Report
-from pytest_pafot.support.text import quiet_json
+from pytest_pafot.support.files import write_whole
+from pytest_pafot.support.text import plural, quiet_json, visible_lines
+from pytest_pafot.support.versions import installed_versions
+from pytest_pafot.support.ways_out import flag
+
+# The HTML that the report page has without its scripts: a list of findings, an article on each, and each search.
+
+
+def text(value: object) -> str:
+    """Escape a text for HTML, so that nothing in it is markup. Unprintable characters become visible escapes."""
+    return escape(visible_lines(str(value)), quote=True)
+
+
+def facts(pairs: Iterable[tuple[str, object]]) -> str:
+    """Return pairs of name and value as an HTML description list."""
+    rows = "".join(f"<div><dt>{text(name)}</dt><dd>{text(value)}</dd></div>" for name, value in pairs)
+    return f'<dl class="facts">{rows}</dl>' if rows else ""
+
+
+def copyable(command: str) -> str:
+    """Return the HTML of a command with a button that copies the command."""
+    return (
+        f'<p class="copyline"><span class="label">Command</span><code>{text(command)}</code>'
+        '<button type="button" class="copy" data-copy="code" aria-label="Copy: Command">Copy</button></p>'
+    )
+
+
+def details(summary: str, body: str) -> str:
+    """Return HTML that is folded under a summary until the reader opens it."""
+    return f"<details><summary>{summary}</summary>{body}</details>"
+
+
+def table(head: str, rows: Iterable[str]) -> str:
+    """Build an HTML table from its head, made by :func:`columns`, and its rows, made by :func:`row`."""
+    return f"<table><thead><tr>{head}</tr></thead><tbody>{''.join(rows)}</tbody></table>"
+
+
+def columns(*names: str) -> str:
+    """Build the head of an HTML table from the names of its columns."""
+    return "".join(f'<th scope="col">{name}</th>' for name in names)
+
+
+def row(name: str, *cells: object, attributes: str = "") -> str:
+    """Build a row of an HTML table. The name and the cells are HTML already, so they are not escaped."""
+    return f'<tr{attributes}><th scope="row">{name}</th>{"".join(f"<td>{cell}</td>" for cell in cells)}</tr>'
+
+
+# The page's text on findings without a script: their list, and an article on each with a place for its picture.
+
+SYMBOLS = {"ego": "\u25cf", "npc": "\u25cb", "both": "\u25d0", "none": "\u2013", "check": "\u25b2"}
+"""Symbols by who is responsible, or of a failed check. They differ at a glance, even without colour."""
+
+WHO = {
+    "ego": "ego responsible",
+    "npc": "NPC responsible",
+    "both": "both responsible",
+    "none": "nobody responsible",
+    "check": "failed check",
+}
+
+SAVE_RUN = '<p class="save"><button type="button" class="save-run" hidden>Save the run as CSV</button></p>'
+"""A button that saves a run. It is hidden until the page's script finds that it can save files."""
+
+
+def finding_keys(findings: Iterable[FindingView]) -> tuple[str, ...]:
+    """Return a unique key for each finding, for links and files: its id, with a number if several findings share it."""
+    keys: dict[str, None] = {}
+    for finding in findings:
+        number = 1
+        while (key := finding.id if number == 1 else f"{finding.id}-{number}") in keys:
+            number += 1
+        keys[key] = None
+    return tuple(keys)
+
+
+def finding_list(findings: Sequence[FindingView]) -> str:
+    """Return an HTML list of links to all findings, with counts; an empty text if there are none."""
+    if not findings:
+        return ""
+    groups: dict[str, list[str]] = {}
+    for index, (key, finding) in enumerate(zip(finding_keys(findings), findings, strict=True)):
+        meta = ", ".join(_tags(finding))
+        # The text that the filter searches.
+        words = " ".join([finding.node_id, finding.headline, finding.assertion, meta, finding.path]).lower()
+        groups.setdefault(finding.test, []).append(
+            f'<li><a href="#finding={text(quote(key, errors="replace"))}" data-index="{index}" data-key="{text(key)}" '
+            f'data-outcome="{text(_kind(finding))}" data-words="{text(words)}">'
+            f'<span class="mark" aria-hidden="true">{SYMBOLS.get(_who(finding), "?")}</span>'
+            f'<span class="what"><span class="id">{text(finding.id)}</span><span class="headline">'
+            f'{text(finding.headline)}</span><span class="meta">{text(meta)}</span></span></a></li>'
+        )
+    counts = Counter(map(_who, findings))
+    names = [*(name for name in SYMBOLS if counts[name]), *sorted(set(counts) - set(SYMBOLS))]
+    summary = ", ".join(
+        plural(counts[name], WHO[name]) if name == "check" else f"{counts[name]} {WHO.get(name, name)}"
+        for name in names
+    )
+    listed = f'<p class="summary">{text(summary)}</p>{_filter(findings) if len(findings) > 1 else ""}'
+    if len(groups) == 1:
+        return f"{listed}<ol>{''.join(groups[findings[0].test])}</ol>"
+    for number, (test, items) in enumerate(groups.items()):
+        name = f'<h3 id="group-{number}">{text(test.rpartition("::")[2])} <span class="count">{len(items)}</span></h3>'
+        listed += f'<div class="group">{name}<ol aria-labelledby="group-{number}">{"".join(items)}</ol></div>'
+    return listed
+
+
+def further_section(findings: Sequence[FindingView], whole: int) -> str:
+    """Return an HTML table of the findings that the page does not show whole; an empty text if there are none.
+
+    ``whole`` is the number of findings that it shows whole.
+    """
+    if not findings:
+        return ""
+    alone = flag("report", "one.html")
+    rows = (
+        row(
+            text(finding.id),
+            f"{text(finding.headline)}<br>{text(', '.join(_tags(finding)))}",
+            text(finding.path or finding.node_id),
+            f"<code>{text(f'{finding.command} {alone}')}</code>",
+        )
+        for finding in findings
+    )
+    listed = table(columns("finding", "what happened", "file", "a page of it alone"), rows)
+    count = plural(len(findings), "further finding")
+    told = f"This page shows the {whole} worst findings whole. The others follow, the worst first."
+    return (
+        f'<section class="campaigns" id="further" aria-label="Further findings"><h2>{count}</h2>'
+        f'<p class="note">{told}</p><div class="scroll">{listed}</div></section>'
+    )
+
+
+def _filter(findings: Sequence[FindingView]) -> str:
+    """Return the input fields that filter the list of findings. They work only with the page's script."""
+    options = ""
+    for kind, count in sorted(Counter(map(_kind, findings)).items()):
+        options += f'<option value="{text(kind)}">{text(kind.replace("_", " "))} ({count})</option>'
+    return (
+        '<div class="filter"><input type="search" id="filter" placeholder="Filter" aria-controls="list" '
+        'aria-label="Filter findings by text"><select id="outcome" aria-label="Filter findings by outcome">'
+        f'<option value="">all outcomes</option>{options}</select>'
+        '<p id="nothing" hidden>No finding matches.</p></div>'
+    )
+
+
+def finding_article(finding: FindingView, index: int) -> str:
+    """Return the HTML article on one finding, with an empty place for its picture."""
+    claim = f'<p class="assertion"><code>{text(finding.assertion)}</code></p>' if finding.assertion else ""
+    who, *tags = _tags(finding)
+    tags += [each for each in (finding.prevention, finding.perception, finding.traffic) if each]
+    mark = f'<span aria-hidden="true">{SYMBOLS.get(_who(finding), "?")}</span>'
+    words = text(dedent(finding.explanation).strip())
+    parts = [
+        f'<article id="finding-{index}" data-index="{index}" tabindex="-1" aria-labelledby="headline-{index}">',
+        f'<header><p class="id">{text(finding.id)}</p><h2 id="headline-{index}">{text(finding.headline)}</h2>',
+        claim if finding.check is None else _check_figures(finding.check),
+        f'<ul class="tags"><li>{mark} {text(who)}</li>{"".join(f"<li>{text(tag)}</li>" for tag in tags)}</ul>',
+        f'<p class="test">{text(finding.node_id)}</p></header>' if finding.node_id else "</header>",
+        "".join(f'<p class="sentence">{text(each)}</p>' for each in finding.sentences),
+        '<div class="player"></div>' if finding.times else '<p class="empty">There is no run to draw.</p>',
+        f'<section><h3>What happened</h3><pre class="explanation">{words}</pre></section>' if words else "",
+        "" if finding.shrink is None else _shrink_section(finding.shrink),
+        details("Instructions as a table", instruction_table(finding.instructions)),
+        _keep_section(finding) if finding.yaml else "",
+        "</article>",
+    ]
+    return "".join(parts)
+
+
+def _keep_section(finding: FindingView) -> str:
+    """Return the HTML of a finding's command, if any, of a button that saves its run, and of the text of its file."""
+    command = f"<h3>Run it again</h3>{copyable(finding.command)}" if finding.command else ""
+    return (
+        f'<section class="keep">{command}{SAVE_RUN if finding.drive else ""}'
+        f'<div class="yaml"><div class="bar"><h4>{text(finding.path or finding.id + SUFFIX)}</h4>'
+        '<button type="button" class="copy" data-copy="pre">Copy the file</button></div>'
+        f'<pre tabindex="0" aria-label="The file of this finding">{text(finding.yaml)}</pre></div></section>'
+    )
+
+
+def _check_figures(check: CheckView) -> str:
+    """Return the HTML of a failed check: its value, bound and moment, and for how long the bound was broken."""
+    unit = f' <span class="unit">{text(check.unit)}</span>' if check.unit else ""
+    seconds = ' <span class="unit">s</span>'
+    bounds = (("at most", check.at_most), ("at least", check.at_least))
+    figures = [(check.name, "no number" if check.value is None else f"{check.value:.4g}{unit}")]
+    figures += [(name, f"{bound:g}{unit}") for name, bound in bounds if bound is not None]
+    figures += [] if check.time is None else [("worst at", f"{check.time:.2f}{seconds}")]
+    if check.broken:
+        times = f" {len(check.broken)} times" if len(check.broken) > 1 else ""
+        first, last = check.broken[0][0], check.broken[-1][1]
+        figures.append((f"broken{times}", f"{first:.1f} to {last:.1f}{seconds}"))
+    shown = "".join(f"<div><dt>{text(name)}</dt><dd>{figure}</dd></div>" for name, figure in figures)
+    return f'<dl class="figures">{shown}</dl>'
+
+
+def _who(finding: FindingView) -> str:
+    return finding.responsibility if finding.check is None else "check"
+
+
+def _kind(finding: FindingView) -> str:
+    return finding.event.kind if finding.check is None else WHO["check"]
+
+
+def _tags(finding: FindingView) -> list[str]:
+    """Return short texts that distinguish a finding from others, such as who is responsible for the collision."""
+    tags = [WHO.get(_who(finding), finding.responsibility)]
+    if finding.check is not None and finding.responsibility != "none":
+        tags.append(f"{WHO.get(finding.responsibility, finding.responsibility)} for the collision")
+    tags += [] if finding.severity is None else [finding.severity.further]
+    tags += [plural(finding.runs, "run")] if finding.runs else []
+    tags += [] if finding.generation is None else [f"first in generation {finding.generation}"]
+    return [*tags, finding.label] if finding.label else tags
+
+
+def _shrink_section(shrink: ShrinkView) -> str:
+    notes = "".join(f'<p class="note">{text(note)}</p>' for note in shrink.notes)
+    if shrink.original == shrink.shrunk:
+        return f"<section><h3>Nothing simpler found in {plural(shrink.rollouts, 'run')}</h3>{notes}</section>"
+    chains = ("".join(f"<div>{text(chain)}</div>" for chain in each) for each in (shrink.original, shrink.shrunk))
+    rows = (
+        row("NPCs", shrink.original_npcs, shrink.shrunk_npcs),
+        row("instructions", shrink.original_instructions, shrink.shrunk_instructions),
+        row("chains", *chains, attributes=' class="chains"'),
+    )
+    sizes = table(f"<th></th>{columns('as found', 'shrunk')}", rows)
+    title = f"Shrunk in {plural(shrink.rollouts, 'run')}"
+    return f'<section><h3>{title}</h3>{notes}<div class="scroll">{sizes}</div></section>'
+
+
+def instruction_table(instructions: Iterable[InstructionView]) -> str:
+    """Return an HTML table of the NPCs' instructions, and whether the NPCs carried them out."""
+    instructions = tuple(instructions)
+    is_crossed, is_in_lanes = any(told.zone for told in instructions), any(told.lane for told in instructions)
+    places = "cell or lane" if not is_crossed else "cell, lane or zone" if is_in_lanes else "cell or zone"
+    rows = []
+    for told in instructions:
+        reached = "not reached" if told.arrived is None else f"at {told.arrived:.1f} s"
+        reached = "-" if told.lane == "keep" else reached
+        cells = f"{told.start:.1f}", _goal(told), f"{told.speed:.1f}", reached if told.started else "not begun"
+        rows.append(row(f"NPC {told.npc}", *cells, attributes="" if told.started else " class=unstarted"))
+    head = columns("NPC", "from [s]", places, "speed [m/s]", "reached")
+    return f'<div class="scroll">{table(head, rows)}</div>'
+
+
+def _goal(told: InstructionView) -> str:
+    if told.zone:
+        return text(f"{told.zone} {told.words}")
+    if told.lane:
+        return text(told.words)
+    names = [f"{cell} {Cell(cell).label}" for cell in (told.cell, told.requested)]
+    return names[0] if told.requested == told.cell else f"{names[0]} (requested {names[1]})"
+
+
+# The page's text on a search without a script: figures, tables and coverage, with a place for its curve.
+
+ENDS = {
+    "": "early",
+    "generations": "all generations done",
+    "runs": "all runs done",
+    "time": "time ran out",
+    "stopped": "enough findings",
+    "error": "with an error",
+}
+"""The text for each reason for which a search ends; an empty reason means that its end is not known."""
+
+
+def campaign_article(view: CampaignView, index: int, *, is_open: bool = True) -> str:
+    """Return the HTML article on one search: its figures, a place for its fitness curve, and its coverage.
+
+    The reader can fold it; ``is_open`` is False if it is folded at first.
+    """
+    finished, end = len(view.generations), ENDS.get(view.reason, view.reason)
+    figures = (
+        ("algorithm", view.algorithm),
+        ("seed", view.seed),
+        ("generations", finished if view.asked in (None, finished) else f"{finished} of {view.asked}"),
+        ("runs", view.simulated),
+        ("not run again", view.reused),
+        ("ended", end),
+    )
+    failing = sum(each.failing for each in view.generations)
+    folded = f"{plural(view.simulated, 'run')}, {failing} failing in its generations"
+    folded += f", {plural(len(view.warnings), 'warning')}" if view.warnings else ""
+    folded += f", ended {end}" if view.reason in ("error", "interrupted") else ""
+    warnings = "".join(f'<p class="warning"><b>Warning</b> {text(warning)}</p>' for warning in view.warnings)
+    judged = sum(count for _, count in view.responsibilities)
+    is_on_grid = not (view.zones or view.lanes) or any(each.requested for each in view.cells)
+    goals = ["cell", *(["its lane"] if view.lanes else []), *(["its zone"] if view.zones else [])]
+    return (
+        f'<article class="campaign" data-campaign="{index}" aria-labelledby="campaign-{index}">'
+        f"<details{' open' if is_open else ''}>"
+        f'<summary><h3 id="campaign-{index}" class="id">{text(view.node_id)}</h3>'
+        f'<span class="meta">{text(folded)}</span></summary>{facts(figures)}{warnings}<div class="fitness"></div>'
+        f"{details('Generations as a table', _generation_table(view.generations))}"
+        f'<div class="columns">{_counts("Runs by outcome", view.outcomes, view.simulated)}'
+        f"{_counts('Runs by responsibility', view.responsibilities, judged)}</div>"
+        "<h4>Coverage: instructions requested, driven and reached</h4>"
+        '<p class="note">Requested: in the scenarios that the search requested. Driven: as far as the runs got, '
+        f"after repair. Reached: the NPC arrived in its {' or '.join(goals)}.</p>"
+        f'<div class="columns">{_coverage("Cells", "cell", view.cells) if is_on_grid else ""}'
+        f"{_coverage('Lanes', 'lane', view.lanes) if view.lanes else ''}"
+        f"{_coverage('Target speeds', 'speed', view.speeds)}"
+        f"{_ring(view.steps) if is_on_grid else ''}{_slots(view.zones) if view.zones else ''}</div></details></article>"
+    )
+
+
+def _generation_table(generations: Iterable[GenerationView]) -> str:
+    head = columns("generation", "best fitness", "mean fitness", "failing", "")
+    rows = []
+    for each in generations:
+        best, mean = ("-" if value is None else f"{value:.3f}" for value in (each.best, each.mean))
+        remarks = ["random population after a restart"] if each.restarted else []
+        if each.local_best is not None:
+            result = "improved the incumbent" if each.local_replaced else "found nothing better"
+            remarks.append(f"local search {result}")
+        rows.append(row(str(each.generation), best, mean, f"{each.failing} of {each.population}", ", ".join(remarks)))
+    return f'<div class="scroll tall">{table(head, rows)}</div>'
+
+
+def _counts(title: str, counts: Iterable[tuple[str, int]], total: int) -> str:
+    rows = "".join(row(text(name.replace("_", " ")), count, _bars(total, driven=count)) for name, count in counts)
+    return f"<div><h4>{title}</h4><table><tbody>{rows}</tbody></table></div>" if rows else ""
+
+
+def _coverage(title: str, what: str, rows: Sequence[CoverageRow]) -> str:
+    top = max((each.requested for each in rows), default=0)
+    body = []
+    for each in rows:
+        bars = _bars(top, requested=each.requested, driven=each.driven, reached=each.reached)
+        body.append(row(text(each.label), each.requested, each.driven, each.reached, bars))
+    return f"<div><h4>{title}</h4>{table(columns(what, 'requested', 'driven', 'reached', ''), body)}</div>"
+
+
+def _ring(steps: Sequence[CoverageRow]) -> str:
+    """Return an HTML table with a row per cell: how often an NPC in it stayed, stepped clockwise, or anticlockwise."""
+    body = [
+        f'<tr><th scope="row">{int(cell)} {cell.label}</th>{"".join(map(_step, steps[3 * cell - 3 : 3 * cell]))}</tr>'
+        for cell in Cell
+    ]
+    grid = table(columns("from", "hold", "clockwise", "anticlockwise"), body)
+    return f'<div><h4>Steps on the ring <span class="unit">driven / requested, reached</span></h4>{grid}</div>'
+
+
+def _slots(rows: Sequence[CoverageRow]) -> str:
+    """Return an HTML table with a row per zone: how often NPCs were sent to each of the zone's slots."""
+    zones: dict[str, list[CoverageRow]] = {}
+    for each in rows:
+        zones.setdefault(each.label.partition(" ")[0], []).append(each)
+    body = [row(text(zone), *map(_figures, slots)) for zone, slots in zones.items()]
+    figures = '<span class="unit">driven / requested, reached</span>'
+    return f"<div><h4>Slots at zones {figures}</h4>{table(columns('zone', *SLOTS), body)}</div>"
+
+
+def _step(step: CoverageRow) -> str:
+    return f"<td>{_figures(step)}</td>" if step.driven else f'<td class="never">{_figures(step)}</td>'
+
+
+def _figures(step: CoverageRow) -> str:
+    never = "" if step.driven else ' <span class="flag">never</span>'
+    return f"{step.driven} / {step.requested}, {step.reached}{never}"
+
+
+def _bars(top: int, **values: int) -> str:
+    """Draw a bar for each value, one below the other. A bar of the value ``top`` fills the width."""
+    bars = "".join(
+        f'<svg class="meter {kind}" viewBox="0 0 100 4" preserveAspectRatio="none">'
+        f'<rect width="{100 * value / top if top else 0:.1f}" height="4"/></svg>'
+        for kind, value in values.items()
+    )
+    return f'<span class="bars" aria-hidden="true">{bars}</span>'
+
+
+# The report as one self-contained HTML page: it needs no network, no library and no other file.
 
 ASSETS = "pytest_pafot.report.assets"
 STYLE = "page.css"
@@ -127,3 +523,142 @@ def _hash(content: str) -> str:
 
 def _asset(name: str) -> str:
     return files(ASSETS).joinpath(name).read_text(encoding="utf-8")
+
+
+# The report page of a session: the data from all items are collected, sorted and written to files.
+
+PAGE = "index.html"
+
+WHOLE = 100
+"""The largest number of findings that a page shows whole, the worst ones: each takes about 80 kB of the page."""
+
+
+@dataclass(slots=True, kw_only=True)
+class Draft:
+    """The part of a session's report that is known so far; ``--pafot-report`` names the target.
+
+    Findings, searches and details of drifted scenarios are stored by node id, the number of replays by label, and base
+    seeds in the order in which they arrived. What only whole findings show of a finding is compressed, because it takes
+    half a megabyte, and a session may have thousands.
+    """
+
+    target: str
+    findings: dict[str, FindingView] = field(default_factory=dict)
+    _whole: dict[str, bytes] = field(default_factory=dict)
+    campaigns: dict[str, CampaignView] = field(default_factory=dict)
+    replayed: Counter[str] = field(default_factory=Counter)
+    drifted: dict[str, str] = field(default_factory=dict)
+    seeds: dict[int, None] = field(default_factory=dict)
+
+    def take(self, data: Mapping[str, Any], finding: FindingView | None, campaign: CampaignView | None) -> None:
+        """Add the data, the finding or the search that an item reports."""
+        if finding is not None:
+            self.findings[finding.node_id] = _as_row(finding)
+            self._whole[finding.node_id] = zlib.compress(pickle.dumps(finding), level=1)
+        if campaign is not None:
+            self.campaigns[campaign.node_id] = campaign
+            self.seeds[data["base_seed"]] = None
+        if "replayed" in data:
+            self.replayed[data["replayed"]] += 1
+        self.drifted.update(data.get("drifted", {}))
+
+    def report(
+        self, *, project: str, command: str, findings: Iterable[FindingView], errors: Errors, is_interrupted: bool
+    ) -> Report:
+        """Return the finished report, in an order that does not depend on which item ran first.
+
+        ``findings`` are the findings of this draft, with what became known at the end of the session. Only the worst
+        are whole findings of the report.
+        """
+        ranked = sorted(findings, key=_rank)
+        whole = [self._completed(finding) for finding in ranked[:WHOLE]]
+        tests = list(dict.fromkeys(finding.test for finding in whole))
+        return Report(
+            title=f"{project}: {_numbers(ranked, errors)}",
+            facts=tuple(self._facts(is_interrupted=is_interrupted)),
+            command=command,
+            findings=tuple(sorted(whole, key=lambda finding: tests.index(finding.test))),  # groups them by test
+            further=tuple(map(_as_row, ranked[WHOLE:])),
+            campaigns=tuple(self.campaigns[node_id] for node_id in sorted(self.campaigns)),
+            errors=errors,
+            is_interrupted=is_interrupted,
+        )
+
+    def _completed(self, finding: FindingView) -> FindingView:
+        """Return a finding with everything that was compressed of it."""
+        packed = self._whole.get(finding.node_id)
+        if packed is None:
+            return finding
+        whole: FindingView = pickle.loads(zlib.decompress(packed))  # noqa: S301  (of this process)
+        return replace(whole, runs=finding.runs, label=finding.label)
+
+    def _facts(self, *, is_interrupted: bool) -> Iterator[tuple[str, str]]:
+        if is_interrupted:
+            yield "session", "interrupted; this report has what ran before that"
+        if self.seeds:
+            yield "base seed" if len(self.seeds) == 1 else "base seeds", ", ".join(map(str, self.seeds))
+        if self.replayed:
+            labels = ", ".join(f"{count} {label}" for label, count in sorted(self.replayed.items()))
+            yield "replayed", f"{plural(self.replayed.total(), 'saved scenario')}: {labels}"
+        for node_id, detail in sorted(self.drifted.items()):
+            yield "drifted", f"{node_id}: {detail}"
+        yield from installed_versions().items()
+        yield "written", datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC")
+
+
+def write_report(target: str, path: Path, report: Report) -> tuple[str, str]:
+    """Write a report to a path; return a line on what was written, and a line on problems.
+
+    The path is the absolute path of ``target``, the user's text. The second line is empty if there is no problem. After
+    an interrupt there are no pictures, because each picture takes seconds and a page does not.
+
+    Raises:
+        OSError: if a file cannot be written.
+    """
+    is_file = is_page_file(target)
+    files = iter([("", render_page(report).encode())]) if is_file else report_files(report)
+    missing = ", after an interrupt" if report.is_interrupted and not is_file else ""
+    pictures = 0
+    try:
+        for name, content in islice(files, 1 if report.is_interrupted else None):
+            write_whole(path / name, content)
+            pictures += name.endswith(".png")
+    except AnimationError as error:
+        missing = f": {error}"
+    shown = target if is_file else os.path.join(target, PAGE)  # noqa: PTH118
+    more = f", {plural(pictures, 'moving picture')}" if pictures else ""
+    problem = f"{flag('report', target)}: the page was written, but not all pictures{missing}" if missing else ""
+    found = (*report.findings, *report.further)
+    return f"report: {shown} ({_numbers(found, report.errors)}{more})", problem
+
+
+def report_files(report: Report) -> Iterator[tuple[str, bytes]]:
+    """Yield the files of a report in a folder: the page, then an animation of each run that the page shows.
+
+    Raises:
+        AnimationError: if there is a run to draw and Pillow is missing; the page has been yielded by then.
+    """
+    yield PAGE, render_page(report).encode()
+    for key, finding in zip(finding_keys(report.findings), report.findings, strict=True):
+        if finding.times:
+            yield re.sub(r"[^A-Za-z0-9._-]", "_", key) + ".png", animate(finding)
+
+
+def _as_row(finding: FindingView) -> FindingView:
+    """Return a finding without what only a whole finding shows: its run, and the text of its file."""
+    check = None if finding.check is None else replace(finding.check, values=(), broken=())
+    road = replace(finding.road, lanes=(), shapes=())
+    nothing: dict[str, Any] = dict.fromkeys(("vehicles", "times", "instructions", "grid"), ())
+    return replace(finding, explanation="", yaml="", drive=None, shrink=None, check=check, road=road, **nothing)
+
+
+def _rank(finding: FindingView) -> tuple[Any, ...]:
+    """Return the key that sorts findings: new before known, then by responsibility, severity and number of runs."""
+    worst = worst_first(finding.responsibility, finding.severity)
+    return not finding.label.startswith(NEW), *worst, -finding.runs, finding.node_id
+
+
+def _numbers(findings: Sequence[object], errors: Sequence[object]) -> str:
+    """Return the number of errors, if there are any, and of findings, in words."""
+    found = plural(len(findings), "finding")
+    return f"{plural(len(errors), 'error')}, {found}" if errors else found

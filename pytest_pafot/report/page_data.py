@@ -211,7 +211,7 @@ class DriveView:
 
     Attributes:
         physics_hz: ticks per second.
-        states: the states as packed by :func:`~pytest_pafot.report.finding_view.drive_view`.
+        states: the states as packed by :func:`~pytest_pafot.report.views.drive_view`.
     """
 
     physics_hz: int

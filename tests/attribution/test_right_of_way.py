@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from pytest_pafot.attribution.mistakes import NOT_GIVEN_WAY, mistake_of
-from pytest_pafot.attribution.responsibility import position_rule, rss_rule
-from pytest_pafot.attribution.right_of_way import Passing, stopping
+from pytest_pafot.attribution.responsibility import Passing, position_rule, rss_rule, stopping
 from pytest_pafot.attribution.sentences import Doing, Fact, What, sentences
 from pytest_pafot.model.crossings import Holder, Kind, Origin, Zone
 from pytest_pafot.model.trace import ALONG, Y

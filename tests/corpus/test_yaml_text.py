@@ -5,8 +5,7 @@ from pathlib import Path
 import yaml
 from hypothesis import given, settings
 
-from pytest_pafot.attribution.excuses import Escape
-from pytest_pafot.attribution.last_chance import Avoidance, LastChance
+from pytest_pafot.attribution.last_chance import Avoidance, Escape, LastChance
 from pytest_pafot.corpus.file_format import text_of
 from pytest_pafot.corpus.reader import load, parsed
 from pytest_pafot.corpus.writer import write

@@ -11,7 +11,8 @@ import pytest
 from scipy.stats import binomtest
 
 from pytest_pafot.__main__ import main
-from pytest_pafot.episodes import rate_command, rate_plan
+from pytest_pafot.episodes import rate as rates
+from pytest_pafot.episodes import rate_command
 from pytest_pafot.episodes.rate import EpisodeRow, Pair, Rate, shown
 
 SHORT = ["--world", "highway-fast-v0", "--config", '{"vehicles_count": 8, "duration": 12}', "--workers", "1"]
@@ -64,7 +65,7 @@ def test_interrupted_rate_continues_and_can_be_extended(tmp_path, capsys, monkey
         return EpisodeRow(ads=name, seed=seed, outcome="safe", seconds=float(seed), error="", steps="0")
 
     whole, seeds = tmp_path / "whole", []
-    monkeypatch.setattr(rate_plan, "driven", driven)
+    monkeypatch.setattr(rates, "driven", driven)
     for episodes in ("50", "50", "60"):
         rate("--ads", "idm_mobil", "--episodes", episodes, "--out", str(tmp_path / "parts"))
     assert "rate: interrupted; finished tasks of up to 25 episodes are saved" in capsys.readouterr().err
@@ -178,7 +179,7 @@ def test_fail_above_compares_the_lower_end_of_the_interval(capsys, monkeypatch, 
         return EpisodeRow(ads=name, seed=seed, outcome=outcome, seconds=1.0, error="", steps="")
 
     monkeypatch.setattr(rate_command, "gate_workers", lambda *_, **__: 1)  # the episodes are made up in this process
-    monkeypatch.setattr(rate_plan, "driven", driven)  # 3 of 10: the interval of Clopper and Pearson begins at 6.674 %
+    monkeypatch.setattr(rates, "driven", driven)  # 3 of 10: the interval of Clopper and Pearson begins at 6.674 %
     assert rate("--ads", "idm_mobil", "--episodes", "10", "--fail-above", limit) == code
     assert ("received an interval that begins at" in capsys.readouterr().err) == bool(code)
 
@@ -189,7 +190,7 @@ def test_fail_above_refuses_a_policy_that_failed_in_an_episode(capsys, monkeypat
         return EpisodeRow(ads=name, seed=seed, outcome=outcome, seconds=1.0, error="KeyError", steps="")
 
     monkeypatch.setattr(rate_command, "gate_workers", lambda *_, **__: 1)
-    monkeypatch.setattr(rate_plan, "driven", driven)
+    monkeypatch.setattr(rates, "driven", driven)
     assert rate("--ads", "idm_mobil", "--episodes", "10") == 0
     assert rate("--ads", "idm_mobil", "--episodes", "10", "--fail-above", "2%") == 1
     assert (

@@ -5,8 +5,7 @@ from typing import get_args
 
 from hypothesis import strategies as st
 
-from pytest_pafot.attribution.excuses import Escape
-from pytest_pafot.attribution.last_chance import Avoidance, LastChance
+from pytest_pafot.attribution.last_chance import Avoidance, Escape, LastChance
 from pytest_pafot.attribution.mistakes import LANE_CHANGES, Manoeuvre
 from pytest_pafot.corpus.file_format import LIMITS, WORLDS
 from pytest_pafot.findings.finding import MAX_KEY, MAX_NUMBER, Bounded, Expect, Finding, Found, Perceived

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-import pytest_pafot.report.session_report  # noqa: F401  pytester forgets modules that a run imports; this one is patched
+import pytest_pafot.report.page  # noqa: F401  pytester forgets modules that a run imports; this one is patched
 
 FAILS = """
 @pafot.search(SHORT, stop_after=1, shrink_rollouts=0)
@@ -122,7 +122,7 @@ def test_interrupt_while_writing_report_loses_only_the_report(project, monkeypat
         raise KeyboardInterrupt
 
     project.write(FAILS)
-    monkeypatch.setattr("pytest_pafot.report.session_report.write_report", interrupted)
+    monkeypatch.setattr("pytest_pafot.report.page.write_report", interrupted)
     result = project.run("--pafot-report=x/")
     assert is_whole(result)
     result.stdout.fnmatch_lines(["*problem: --pafot-report=x/: not written: KeyboardInterrupt*"])

@@ -11,7 +11,7 @@ from pytest_pafot.corpus.reader import load
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.plugin import session_records
 from pytest_pafot.plugin.session import exit_code
-from pytest_pafot.report.job_summary import markdown
+from pytest_pafot.report.session_record import markdown
 from pytest_pafot.world import codec
 from tests.helpers.sessions import read_record
 

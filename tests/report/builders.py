@@ -12,9 +12,8 @@ import pytest_pafot as pafot
 from pytest_pafot.findings.finding import Finding, Found
 from pytest_pafot.findings.signature import Failure
 from pytest_pafot.oracle.run import Run
-from pytest_pafot.report.campaign_view import campaign_view
-from pytest_pafot.report.finding_view import finding_view
 from pytest_pafot.report.page_data import Report
+from pytest_pafot.report.views import campaign_view, finding_view
 from pytest_pafot.searching.algorithms.pafot import PafotSearch
 from pytest_pafot.searching.campaign import run_campaign
 from pytest_pafot.searching.evaluation import Evaluation

@@ -7,9 +7,9 @@ import pytest
 
 from pytest_pafot.model.scenario import LaneInstruction, Scenario
 from pytest_pafot.model.trace import Outcome
-from pytest_pafot.report.campaign_view import campaign_view
-from pytest_pafot.report.markup import campaign_article
+from pytest_pafot.report.page import campaign_article
 from pytest_pafot.report.page_data import CoverageRow
+from pytest_pafot.report.views import campaign_view
 from pytest_pafot.searching.evaluation import Evaluation
 from pytest_pafot.searching.events import (
     CampaignFinished,

@@ -11,10 +11,9 @@ from pytest_pafot.findings.signature import CHECK_FAILED, Failure
 from pytest_pafot.oracle.checks import CheckFailed, Recording, recorded
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.report.animation import shown_frames
-from pytest_pafot.report.finding_view import finding_view
-from pytest_pafot.report.markup import finding_article, finding_list
-from pytest_pafot.report.page import CURVE_HEIGHT, FRAME_HEIGHT, render_frame
+from pytest_pafot.report.page import CURVE_HEIGHT, FRAME_HEIGHT, finding_article, finding_list, render_frame
 from pytest_pafot.report.page_data import Report
+from pytest_pafot.report.views import finding_view
 from tests.helpers.tables import table
 from tests.helpers.traces import trace_of, vehicle
 from tests.report.builders import finding_of

@@ -10,10 +10,9 @@ import pytest_pafot as pafot
 from pytest_pafot.model.scenario import CrossingInstruction, Scenario
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.report import animation, notebook
-from pytest_pafot.report.finding_view import run_view, shrink_view
-from pytest_pafot.report.markup import instruction_table
-from pytest_pafot.report.page import render_frame, render_page
+from pytest_pafot.report.page import instruction_table, render_frame, render_page
 from pytest_pafot.report.page_data import Report
+from pytest_pafot.report.views import run_view, shrink_view
 from tests.helpers.browser import Browser, find_chromium
 from tests.helpers.crossing_traces import CROSSES, MERGES, ZONES, junction_trace
 from tests.helpers.picture import instruction_at, picture_at

@@ -6,15 +6,14 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from pytest_pafot.attribution.excuses import Escape
-from pytest_pafot.attribution.last_chance import Avoidance, LastChance
+from pytest_pafot.attribution.last_chance import Avoidance, Escape, LastChance
 from pytest_pafot.criticality import Encounters
 from pytest_pafot.findings.signature import Failure
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.trace import ACCELERATION, Outcome
 from pytest_pafot.oracle.run import Run
-from pytest_pafot.report.finding_view import finding_view, frame_ticks, shrink_view
 from pytest_pafot.report.page_data import ChanceView
+from pytest_pafot.report.views import finding_view, frame_ticks, shrink_view
 from tests.helpers.tables import table
 from tests.helpers.traces import collision_at, straight_lanes, trace_of, vehicle
 from tests.report.builders import CUT_IN, TEST, cut_in_trace, finding_of, is_close, rear_trace, scenario, view_of

@@ -7,11 +7,10 @@ import pytest
 
 from pytest_pafot.findings.shrink import Shrunk, SpeedInterval
 from pytest_pafot.model.scenario import LaneInstruction, PositionInstruction, Scenario
-from pytest_pafot.report.finding_view import shrink_view
-from pytest_pafot.report.markup import instruction_table
-from pytest_pafot.report.page import render_page
+from pytest_pafot.report.page import instruction_table, render_page
 from pytest_pafot.report.page_data import Report
 from pytest_pafot.report.terminal import speed_sentences
+from pytest_pafot.report.views import shrink_view
 from tests.findings.builders import plain_finding
 from tests.helpers.browser import Browser, find_chromium
 from tests.helpers.picture import DrawnCell, instruction_at, picture_at

@@ -13,9 +13,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pytest_pafot.report.finding_view import shrink_view
 from pytest_pafot.report.page import render_frame, render_page
 from pytest_pafot.report.page_data import CampaignView, FindingView, Report
+from pytest_pafot.report.views import shrink_view
 from tests.helpers.traces import trace_of, vehicle
 from tests.report.builders import CUT_IN, HOSTILE, cut_in_trace, real_report, scenario, values_of, view_of
 

@@ -9,10 +9,9 @@ from dataclasses import replace
 from pytest_pafot.corpus.file_format import text_of
 from pytest_pafot.findings.shrink import Shrunk
 from pytest_pafot.model.trace import Outcome
-from pytest_pafot.report.finding_view import shrink_view
-from pytest_pafot.report.markup import campaign_article, finding_article, finding_list
-from pytest_pafot.report.page import render_page
+from pytest_pafot.report.page import campaign_article, finding_article, finding_list, render_page
 from pytest_pafot.report.page_data import CampaignView, CoverageRow, GenerationView, Report
+from pytest_pafot.report.views import shrink_view
 from tests.helpers.traces import trace_of, vehicle
 from tests.report.builders import CUT_IN, TEST, finding_of, scenario, view_of
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 
 from pytest_pafot import Highway, PositionInstruction, Scenario, Traffic
-from pytest_pafot.report.finding_view import run_view
+from pytest_pafot.report.views import run_view
 from tests.helpers.picture import instruction_at, picture_at, vehicle_at
 from tests.helpers.tables import table
 from tests.helpers.traces import trace_of, vehicle

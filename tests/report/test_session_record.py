@@ -12,8 +12,7 @@ from pytest_pafot.campaign.events import Find, SearchSummary
 from pytest_pafot.model.driving_style import Traffic
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.plugin.failure_reports import SCENARIO
-from pytest_pafot.report.finding_view import finding_view, run_view
-from pytest_pafot.report.markup import finding_article
+from pytest_pafot.report.page import finding_article
 from pytest_pafot.report.session_record import (
     RESULTS,
     TERMINAL_ONLY,
@@ -22,6 +21,7 @@ from pytest_pafot.report.session_record import (
     to_text,
     worst,
 )
+from pytest_pafot.report.views import finding_view, run_view
 from pytest_pafot.world import Highway
 from tests.findings.builders import findings, plain_finding
 from tests.helpers.hostile import CHARACTERS

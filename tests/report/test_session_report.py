@@ -8,9 +8,8 @@ import pytest
 from pytest_pafot.campaign.options import BY_NAME
 from pytest_pafot.findings.severity import Severity
 from pytest_pafot.report.animation import AnimationError
-from pytest_pafot.report.page import render_page
+from pytest_pafot.report.page import WHOLE, Draft, render_page, report_files, write_report
 from pytest_pafot.report.page_data import Report
-from pytest_pafot.report.session_report import WHOLE, Draft, report_files, write_report
 from tests.helpers.tables import table
 from tests.report.builders import real_report
 
@@ -107,7 +106,7 @@ def test_page_is_written_if_pictures_cannot_be_drawn(tmp_path, monkeypatch):
     def fail(finding):
         raise AnimationError("install Pillow")
 
-    monkeypatch.setattr("pytest_pafot.report.session_report.animate", fail)
+    monkeypatch.setattr("pytest_pafot.report.page.animate", fail)
     written, problem = write_report("x/", tmp_path / "x", Report(title="t", findings=(shown(),)))
     assert written == "report: x/index.html (1 finding)"
     assert problem == "--pafot-report=x/: the page was written, but not all pictures: install Pillow"

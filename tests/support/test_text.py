@@ -20,7 +20,7 @@ from pytest_pafot.corpus.reader import load
 from pytest_pafot.corpus.saved import Saved
 from pytest_pafot.plugin.messages import set_properties
 from pytest_pafot.plugin.node_ids import saved_part
-from pytest_pafot.report import job_summary, markup, terminal
+from pytest_pafot.report import page, session_record, terminal
 from pytest_pafot.report.session_record import FindingRecord, SessionRecord, to_text
 from pytest_pafot.support.errors import CorpusError, FieldError
 from pytest_pafot.support.text import (
@@ -95,7 +95,7 @@ def test_job_summary_and_tables_contain_no_foreign_markup(text, other):
     )  # fmt: skip
     faulty = SearchSummary(node_id=text, message=other, result="failed", against=text)
     record = SessionRecord(findings=[found], searches=[faulty], merged=[other], warnings=[text], problems=[text])
-    shown = job_summary.markdown(record)
+    shown = session_record.markdown(record)
     assert obeyed(shown.replace("\u200b", "")) == []
     outside = re.sub(r"(`+).*?(?<!`)\1(?!`)", "", shown)
     assert not re.search(r"<(?!br>|/?span>)|(?<!\\)\||@(?!&#8203;)|\$(?!</span>)", outside)
@@ -108,7 +108,7 @@ def test_job_summary_and_tables_contain_no_foreign_markup(text, other):
 
 @given(TEXTS)
 def test_pages_and_junit_files_contain_no_foreign_markup(text):
-    shown = markup.text(text)
+    shown = page.text(text)
     assert obeyed(shown.replace("\t", " ")) == []
     assert not re.search("[<>\"']", shown)
     properties = []

@@ -10,8 +10,7 @@ from highway_env.vehicle.behavior import IDMVehicle
 from highway_env.vehicle.controller import ControlledVehicle
 
 from pytest_pafot.attribution.last_chance import avoidance, last_chance
-from pytest_pafot.attribution.responsibility import rss_rule
-from pytest_pafot.attribution.right_of_way import Passing
+from pytest_pafot.attribution.responsibility import Passing, rss_rule
 from pytest_pafot.model.scenario import CrossingInstruction, PositionInstruction, Scenario
 from pytest_pafot.model.trace import ACCELERATION, LANE, SPEED
 from pytest_pafot.support.errors import DriverError
