@@ -144,7 +144,18 @@ def test_four_sessions_are_one_long_one(search, tmp_path, request, algorithm):
 def check_summaries(whole, parts):
     """Check that each summary covers all sessions so far, but only its own new findings."""
     last = parts[-1]
-    for name in ("runs", "known_runs", "failing", "generations", "coverage", "random", "reached", "warnings", "drawn"):
+    for name in (
+        "runs",
+        "known_runs",
+        "failing",
+        "generations",
+        "coverage",
+        "random_failing",
+        "random_runs",
+        "reached",
+        "warnings",
+        "drawn",
+    ):
         assert getattr(last, name) == getattr(whole, name)
     assert (last.budget, last.seed) == (24, whole.seed)
     counted = {find.id: 1 + find.repeats for part in parts[-1:] for find in part.finds}

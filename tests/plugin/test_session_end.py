@@ -42,7 +42,7 @@ def is_whole(result):
     ("function", "expected"),
     [
         ("plugin.terminal_reporter.unclaimed", "problem: records of processes that died: ValueError: a fault"),
-        ("report.session_report.write_report", "problem: --pafot-report=x.html: not written: ValueError: a fault"),
+        ("report.page.write_report", "problem: --pafot-report=x.html: not written: ValueError: a fault"),
         ("report.terminal.session_lines", "summary of pytest-pafot: ValueError: a fault"),
     ],
     ids=["records", "report", "summary"],

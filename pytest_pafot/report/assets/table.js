@@ -13,7 +13,7 @@ function pythonText(value) {
 }
 
 async function seriesOf(finding) {
-  // The values of each column of each vehicle, packed as described at drive_view in finding_view.py.
+  // The values of each column of each vehicle, packed as described at drive_view in views.py.
   const packed = Uint8Array.from(atob(finding.drive.states), (letter) => letter.charCodeAt(0));
   const opened = new Blob([packed]).stream().pipeThrough(new DecompressionStream("deflate"));
   const planes = new Uint8Array(await new Response(opened).arrayBuffer());
