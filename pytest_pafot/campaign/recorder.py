@@ -296,7 +296,7 @@ class Recorder:
             node_id=node_id,
             headline=line,
             path=told,
-            problem=problem,
+            detail=problem,
             is_timed=is_timed,
             responsible=finding.expect.responsibility,
         )
