@@ -19,8 +19,7 @@ from pytest_pafot.corpus.writer import CorpusWriteError, free_path, rewrite, wri
 from pytest_pafot.execution.crash_records import Leftover
 from pytest_pafot.execution.pool import OUT_OF_MEMORY, WORLD_HANGS, ProcessLostError
 from pytest_pafot.execution.scenario_pool import LostRun, expectation
-from pytest_pafot.findings.finding import Expect, Finding, Found, Perceived, message_of, portable
-from pytest_pafot.findings.replay import disagreement
+from pytest_pafot.findings.finding import Expect, Finding, Found, Perceived, disagreement, message_of, portable
 from pytest_pafot.findings.signature import PROCESS_CRASH
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Outcome

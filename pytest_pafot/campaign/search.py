@@ -29,8 +29,7 @@ from pytest_pafot.campaign.verdict import no_skip, skips
 from pytest_pafot.corpus.saved import Saved, saved_in
 from pytest_pafot.execution import scenario_pool
 from pytest_pafot.execution.crash_records import Leftover
-from pytest_pafot.execution.runner import runner_for
-from pytest_pafot.execution.separate_runs import Retried, retry
+from pytest_pafot.execution.runner import Retried, retry, runner_for
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.sight import Sight
 from pytest_pafot.searching import run_campaign

@@ -18,8 +18,7 @@ from pytest_pafot.campaign.search_loop import SearchLoop
 from pytest_pafot.campaign.state_file import Answer, Shown
 from pytest_pafot.campaign.verdict import Verdict, headline
 from pytest_pafot.execution.pool import ProcessLostError
-from pytest_pafot.findings.finding import Expect, Perceived, of_failure
-from pytest_pafot.findings.replay import ending
+from pytest_pafot.findings.finding import Expect, Perceived, ending, of_failure
 from pytest_pafot.findings.shrink import OutOfBudget, Shrunk, Start, shrink
 from pytest_pafot.model.scenario import Scenario, ScenarioError
 from pytest_pafot.model.sight import Sight

@@ -19,8 +19,7 @@ from pytest_pafot.corpus.layout import relative
 from pytest_pafot.corpus.saved import Saved
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.execution.scenario_pool import LostRun
-from pytest_pafot.findings.finding import Cause, Finding, of_failure
-from pytest_pafot.findings.replay import unhandled
+from pytest_pafot.findings.finding import Cause, Finding, of_failure, unhandled
 from pytest_pafot.findings.severity import worsening
 from pytest_pafot.oracle.checks import CheckFailed
 from pytest_pafot.oracle.run import Run

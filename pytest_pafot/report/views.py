@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from pytest_pafot.attribution.lane_changes import stretches
+from pytest_pafot.attribution.manoeuvres import stretches
 from pytest_pafot.campaign.events import Judged, SearchEvent, SearchStarted
 from pytest_pafot.corpus.file_format import text_of
 from pytest_pafot.criticality import Encounters, Passage, passages, time_advantage

@@ -2,8 +2,7 @@
 
 import pytest
 
-from pytest_pafot.findings.finding import Expect, Finding, Found, of_failure
-from pytest_pafot.findings.replay import replay_label
+from pytest_pafot.findings.finding import Expect, Finding, Found, of_failure, replay_label
 from pytest_pafot.findings.severity import severity_of
 from pytest_pafot.findings.signature import ZONES, Failure, Signature
 from pytest_pafot.findings.situation import ZoneSituation, missed, seconds_after
