@@ -14,8 +14,8 @@ from pytest_pafot.criticality import RoadFrame, RssRules
 from pytest_pafot.model.crossings import Stretch
 from pytest_pafot.model.trace import ACROSS, ALONG, LANE, OFFSET, SPEED, FloatArray, Lane, Trace, X, Y
 
-# Lane changes: when a vehicle came into the lane of another vehicle, and since when it has kept that lane. The centre of
-# a vehicle determines the lane that it is in.
+# Lane changes: when a vehicle came into the lane of another vehicle, and since when it has kept that lane. The centre
+# of a vehicle determines the lane that it is in.
 
 DRIFTING = 0.3
 """The sideways speed from which on a vehicle moves towards a different lane [m/s]; a slower vehicle only wanders."""
