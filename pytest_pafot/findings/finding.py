@@ -157,7 +157,7 @@ class Expect:
     @property
     def signature(self) -> Signature:
         """The identity of the failure, as far as these fields determine it; for a run see :func:`of_failure`."""
-        return Signature(**{part.name: getattr(self, part.name) for part in fields(Signature)})
+        return Signature.of(**{part.name: getattr(self, part.name) for part in fields(Signature)})
 
     @property
     def preventable_by(self) -> tuple[str, ...]:
@@ -423,7 +423,7 @@ def _told(value: float | None, digits: int) -> float | None:
 
 def of_failure(run: Run, failure: Failure) -> Signature:
     """Return the signature of a run that failed."""
-    return replace(Expect.of(run, failure).signature, mistake=mistake_of(run.trace))
+    return replace(Expect.of(run, failure), mistake=mistake_of(run.trace)).signature
 
 
 def is_id(text: str) -> bool:
