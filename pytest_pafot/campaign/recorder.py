@@ -130,6 +130,7 @@ class Recorder:
             self.unsaved.append(finding.id)
             self.first = self.first or verdict.exception
             return finding.id
+        # Saved before it is confirmed, so that nothing is lost if the session dies in the second run.
         origin = self._origin(generation, number)
         kept = self._saved(finding, headline(run, verdict), origin, verdict.exception, verdict.is_timed)
         kept = replace(kept, run=run, number=number, find=replace(kept.find, severity=verdict.severity))

@@ -390,6 +390,7 @@ class Replays:
         finding, world = _finding(saved), self.world_of(saved)
         run, verdict = self.tried(saved, world, owner)
         failure = verdict.failure if verdict.failed else None
+        # What the file's own run says, in the file's world.
         label: str = replay_label(finding, run, failure, self.harness.versions)
         if finding.expect.is_crash:
             label = "drifted" if verdict.failed else "fixed"  # The process survived, whatever the run shows.
@@ -398,10 +399,12 @@ class Replays:
         now = Replayed(label, run, verdict)
         if verdict.discarded:
             return now
+        # A pass is tried once more and past the end of the file, because a slower policy fails a little later.
         if not verdict.failed:
             now = self._repeated(saved, world, owner, now)
             if now.label == FLAKY:
                 return now
+        # With a reference: is the failure, or its absence, new with the policy?
         if now.verdict.failed:
             shown = None if now.verdict.failure is None else of_failure(now.run, now.verdict.failure)
             reference, is_lost = self.of_reference(

@@ -195,12 +195,14 @@ def retry(
             f"{flag('isolate')}, so that it can die without harm"
         )
         return Retried(notes=(note,), pending=leftover)
+    # Try all of them again, each in a process of its own if there can be one.
     answers: dict[Scenario, Answer] | None = None
     with suppress(ExecutionError):  # The first run of the search reports it.
         answers = answers_apart(job, leftover.scenarios, judge, isolate=isolate)
     if answers is None and leftover.is_lock_step:
         run_here(leftover)
         return Retried()
+    # The guilty ones are saved. Of a batch in lock step nobody knows which one it was, so only a second death counts.
     is_build_up = has_died_twice and not leftover.is_lock_step
     guilty = [
         each for each in leftover.scenarios if answers is None or is_build_up or not _came_to_its_end(answers[each])

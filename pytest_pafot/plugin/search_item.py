@@ -193,6 +193,7 @@ def run_search(item: pytest.Function, request: Request) -> None:
         harness = harness_of(item, request)
         compare(item, harness)
     replays = Replays(harness=harness, in_own_session=partial(replay_in_own_session, item), today=today)
+    # If this policy has killed a process before, it runs in processes that may die of it.
     chosen = isolated_after_a_death(harness, replays)
     listener = SearchMessages(item, settings, page_counts(item, settings), table_messages_of(item))
     with prepared(chosen, listener) as sessions:
@@ -206,6 +207,7 @@ def run_search(item: pytest.Function, request: Request) -> None:
             progress_seconds=shared.progress_seconds,
             process_notes=[] if chosen is harness else [AFTER_A_DEATH],
         ).run()
+    # The item fails for a fault of the set-up, for new findings, for failures without an item, and for an empty search.
     summary = result.summary
     if result.fault is not None:
         raise shown(result.fault)
