@@ -74,7 +74,7 @@ def _each(results: Results) -> Iterator[tuple[int, str, Style, pd.DataFrame]]:
 
 
 def _unique(results: Results) -> pd.DataFrame:
-    return results.frame[~results.frame["duplicate"]]
+    return results.frame[~results.frame["reused"]]
 
 
 def draw_all(results: Results, folder: Path) -> dict[str, str]:

@@ -205,7 +205,7 @@ def _efficiency(results: Results, wall: Mapping[str, float]) -> str:
     for name in results.plan.names:
         told, total = PAPER.get(name), of(name, results.whole).sum(numeric_only=True)
         seconds, hits = total["seconds"], total["unique_collisions"]
-        times = of(name, results.frame[~results.frame["duplicate"]])["collision_time"].dropna()
+        times = of(name, results.frame[~results.frame["reused"]])["collision_time"].dropna()
         rows.append(
             [
                 name,

@@ -41,7 +41,7 @@ def inverted_distances(frame: pd.DataFrame, is_counted: pd.Series[bool]) -> pd.S
     show an impact often. Rows of ``frame`` that are not in ``is_counted``, such as rows after a time limit, still
     belong to the impacts that have to be shown.
     """
-    hits = frame[frame["failing"] & (frame["outcome"] == "collision") & ~frame["duplicate"]]
+    hits = frame[frame["failing"] & (frame["outcome"] == "collision") & ~frame["reused"]]
     places = starmap(_place, zip(hits["cell"], hits["zone"], strict=True))
     impacts = zip(places, hits["side"], hits["closing_speed"], strict=True)
     # The time of an impact is left out, because it would be a disadvantage for algorithms with short runs.
@@ -137,7 +137,7 @@ def measured(frame: pd.DataFrame, seconds: float | None = None) -> pd.DataFrame:
         inverted_distance: distance to all failing impacts of the comparison, see :func:`inverted_distances`.
     """
     within = frame["clock"] <= (math.inf if seconds is None else seconds)
-    collides, unique = within & (frame["outcome"] == "collision"), within & ~frame["duplicate"]
+    collides, unique = within & (frame["outcome"] == "collision"), within & ~frame["reused"]
     hits, failures = unique & collides, unique & frame["is_ego_failure"]
     counts = {
         "scenarios": within,

@@ -394,8 +394,8 @@ def _check_set_up(plan: ProgressPlan, side: str) -> None:
                 return
         first.end()
     except SetupFaultError as fault:
-        failure, asked = fault.verdict.failure, first_decision(plan.world, fault.run.scenario)
-        received = "" if failure is None else f"received {failure.kind}: {failure.message} in all of {first.runs} runs"
+        received = f"received {fault.received} in all of {first.runs} runs"
+        asked = first_decision(plan.world, fault.run.scenario)
         if not fault.verdict.is_ads:
             raise RequestError(f"--check: expected a function of a run that asserts, {received}; correct it") from None
         raise RequestError(
