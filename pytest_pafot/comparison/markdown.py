@@ -13,7 +13,6 @@ from types import MappingProxyType
 import pandas as pd
 
 from pytest_pafot.commands.resumable import file_name, seconds_of
-from pytest_pafot.comparison import statistics
 from pytest_pafot.comparison.plan import DIFFERENT, Plan
 from pytest_pafot.comparison.run_measures import (
     FAULTS,
@@ -23,6 +22,7 @@ from pytest_pafot.comparison.run_measures import (
     distinct_in_all,
     first_failures,
     of,
+    survival,
 )
 from pytest_pafot.support.proportions import holm
 from pytest_pafot.support.text import markdown_table
@@ -265,7 +265,7 @@ def _distinct(results: Results) -> str:
     faults = results.frame[results.frame["outcome"].isin(FAULTS)]
     for name in results.plan.names:
         whole, equal = of(name, results.whole), of(name, results.equal)
-        median = statistics.survival(*first_failures(equal)).median
+        median = survival(*first_failures(equal)).median
         distance = equal["inverted_distance"].median()
         means = [runs[column].mean() for runs in (whole, equal) for column in ("distinct", "distinct_per_hour")]
         rows.append(

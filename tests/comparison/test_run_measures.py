@@ -5,7 +5,7 @@ import math
 import pandas as pd
 import pytest
 
-from pytest_pafot.comparison import run_measures, statistics
+from pytest_pafot.comparison import run_measures
 from pytest_pafot.comparison.algorithm_run import text_of
 
 SAFE = {"outcome": "safe", "duration": 60.0, "responsibility": "none", "position_responsibility": "none"}
@@ -93,7 +93,7 @@ def test_run_without_collision_has_no_collision_time(frame):
 def test_missing_first_failure_is_censored_at_run_end(frame):
     runs = run_measures.measured(frame(rows({}, hit(8.0, "ego")), rows({}, {}, run=1)))
     assert run_measures.first_failures(runs) == ([68.0, 120.0], [False, True])
-    assert statistics.survival(*run_measures.first_failures(runs)).median == 68.0
+    assert run_measures.survival(*run_measures.first_failures(runs)).median == 68.0
 
 
 def test_distinct_failures_of_all_runs_are_counted_once(frame):
