@@ -530,7 +530,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
     """Compare the policies, print which is better, write the requested files, and return the exit code."""
-    sys.path.insert(0, str(Path.cwd()))  # as with pytest, policies are in the folder where the command is run
     given = arguments
     try:
         _check_arguments(given)  # before anything is driven
@@ -567,10 +566,9 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
         if given.report is not None:
             title = f"# From {plan.old} to {plan.new}\n\n```sh\n{shlex.join(command)}\n```"
             write_whole(given.report, f"{title}\n\n{shown}{HOW_TO_READ}")
-    except (RequestError, RevisionError, WorldError, AdsFactoryError, ChildProcessError) as error:
-        sys.stderr.write(f"progress: {error}\n")
-        return BAD_USE
     except OSError as error:
+        if isinstance(error, ChildProcessError):
+            raise
         sys.stderr.write(f"progress: {error}; {way_out(error, 'or give another file')}\n")
         return BAD_USE
     is_failed = {"worse": "worse" in verdict, "not-better": verdict != "better" and not same_as}
