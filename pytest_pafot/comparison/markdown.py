@@ -144,6 +144,8 @@ def _head(results: Results, command: Sequence[str], wall: Mapping[str, float]) -
     wider = [name for name in plan.names if plan.drawn and not plan.entrant(name).has_papers_scenarios]
     drawn = f"; of {', '.join(wider)} with `{json.dumps(dict(plan.drawn))}`" if wider else ""
     packages = ", ".join(f"{name} {version}" for name, version in installed_versions().items())
+    groups = "\n".join(f"- {', '.join(names)}: {scenarios}" for scenarios, names in plan.scenarios.items())
+    warning = "" if len(plan.scenarios) == 1 else f"\n**Warning:** {DIFFERENT}.\n\n{groups}\n"
     return f"""
 # {" against ".join(plan.names)} on {plan.ads}
 
@@ -156,15 +158,7 @@ What counts as a failure in the search: {hits}; and faults of the ADS, which are
 
 World: `{json.dumps(dict(plan.world))}`.
 Scenarios: `{json.dumps(dict(plan.space))}`{drawn}.
-{_warning(plan)}"""
-
-
-def _warning(plan: Plan) -> str:
-    """Name the groups of algorithms with different scenarios; return nothing for a single group."""
-    if len(plan.scenarios) == 1:
-        return ""
-    groups = "\n".join(f"- {', '.join(names)}: {scenarios}" for scenarios, names in plan.scenarios.items())
-    return f"\n**Warning:** {DIFFERENT}.\n\n{groups}\n"
+{warning}"""
 
 
 def _effectiveness(results: Results) -> str:

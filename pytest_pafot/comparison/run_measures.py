@@ -309,21 +309,17 @@ def comparisons(whole: pd.DataFrame | None, equal: pd.DataFrame, algorithms: Seq
     found: list[Comparison] = []
     for second in others:
         for at, runs in budgets.items():
-            found += _at_one_budget(at, first, second, of(first, runs), of(second, runs))
+            a, b = of(first, runs), of(second, runs)
+            for measure, column in TESTED.items():
+                effect = compared(a[column].tolist(), b[column].tolist())
+                values = float(np.median(a[column])), float(np.median(b[column]))
+                found.append(Comparison(measure, at, first, second, values, effect, effect.p, "Mann-Whitney U"))
+            counts = int((a["distinct"] > 0).sum()), int((b["distinct"] > 0).sum())
+            p = found_in((counts[0], len(a)), (counts[1], len(b)))
+            measure = "runs that found an ego-responsible failure"
+            found.append(Comparison(measure, at, first, second, counts, None, p, "Fisher exact"))
         times = [first_failures(of(name, equal)) for name in (first, second)]
         medians = survival(*times[0]).median, survival(*times[1]).median
         p, measure = log_rank(*times[0], *times[1]), "simulated s to the first ego-responsible failure"
         found.append(Comparison(measure, "seconds", first, second, medians, None, p, "log-rank"))
     return found
-
-
-def _at_one_budget(at: str, first: str, second: str, a: pd.DataFrame, b: pd.DataFrame) -> list[Comparison]:
-    found = []
-    for measure, column in TESTED.items():
-        effect = compared(a[column].tolist(), b[column].tolist())
-        medians = float(np.median(a[column])), float(np.median(b[column]))
-        found.append(Comparison(measure, at, first, second, medians, effect, effect.p, "Mann-Whitney U"))
-    counts = int((a["distinct"] > 0).sum()), int((b["distinct"] > 0).sum())
-    p = found_in((counts[0], len(a)), (counts[1], len(b)))
-    measure = "runs that found an ego-responsible failure"
-    return [*found, Comparison(measure, at, first, second, counts, None, p, "Fisher exact")]

@@ -187,7 +187,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
     """Rate the policies, write the page if there is a folder for it, and return the exit code."""
     try:
-        plan = checked(_plan_of(arguments))
+        config = config_of(arguments.config)
+        same = {name: getattr(arguments, name) for name in ("ads", "against", "episodes", "seed")}
+        plan = checked(RatePlan(env_id=arguments.world, config=config, **same))
         workers = worker_count(arguments.workers)
         if arguments.episode is not None and arguments.episode < 0:
             raise RequestError(f"--episode: expected a seed, at least 0, received {arguments.episode}")
@@ -317,17 +319,6 @@ def config_of(text: str | None) -> dict[str, Any] | None:
     if not isinstance(config, dict):
         raise RequestError(f"--config: expected JSON such as '{{\"vehicles_count\": 20}}', received {config!r:.100}")
     return config
-
-
-def _plan_of(arguments: argparse.Namespace) -> RatePlan:
-    return RatePlan(
-        ads=arguments.ads,
-        against=arguments.against,
-        env_id=arguments.world,
-        config=config_of(arguments.config),
-        episodes=arguments.episodes,
-        seed=arguments.seed,
-    )
 
 
 def _text(plan: RatePlan, rates: Sequence[Rate], arguments: argparse.Namespace) -> str:
