@@ -103,16 +103,19 @@ class SearchResult:
 
 
 @contextmanager
-def prepared(harness: Harness, listener: Listener) -> Iterator[Sessions]:
+def prepared(harness: Harness, listener: Listener, *, is_steered: bool = True) -> Iterator[Sessions]:
     """Build the parts of a search that run scenarios, record findings and count. Stop their processes at the end.
+
+    Unless ``blame="any"`` or ``is_steered`` is False, the search is steered towards collisions for which the ego is
+    responsible.
 
     Raises:
         RequestError: for a fitness that does not exist, or a world that cannot be used.
     """
     request, seed = harness.request, search_seed(harness.request.settings.seed, harness.node_id)
     space = build_space(request, harness.world) if request.settings.is_search else None
-    is_for_ego = request.blame != "any"
-    try:  # Unless blame="any", steer the search towards collisions for which the ego is responsible.
+    is_for_ego = is_steered and request.blame != "any"
+    try:
         fitness = resolve(request.fitness, responsible=is_ego_responsible if is_for_ego else None)
     except FitnessError as error:
         raise request.error("fitness=...", error) from None

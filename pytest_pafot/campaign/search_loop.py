@@ -152,7 +152,7 @@ class SearchLoop:
             discarded=True,
         )
 
-    def follow(self, campaign: Iterable[events.Event], tick: Callable[[], None]) -> None:
+    def follow(self, campaign: Iterable[events.Event], tick: Callable[[], None] = lambda: None) -> None:
         """Process the events of a campaign to its end. ``tick`` is called after each event.
 
         Raises:

@@ -17,10 +17,9 @@ from typing import Any
 from pytest_pafot.campaign.options import BY_NAME
 from pytest_pafot.campaign.saved_scenario import load
 from pytest_pafot.commands.history import History, copied, halved, inside
-from pytest_pafot.commands.policy_reference import BAD_USE
 from pytest_pafot.corpus.saved import named_file
 from pytest_pafot.execution.revision_policy import mapped
-from pytest_pafot.support.errors import CorpusError, RequestError
+from pytest_pafot.support.errors import RequestError
 from pytest_pafot.support.interrupts import undisturbed
 from pytest_pafot.support.text import one_line, plural, visible
 from pytest_pafot.support.ways_out import command
@@ -61,16 +60,8 @@ def _seconds(text: str) -> float:
     return seconds
 
 
-def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
+def run(arguments: argparse.Namespace, _: Sequence[str]) -> int:
     """Search for the commit that made a scenario fail; return the exit code: 0 if one commit is left, 1 if several."""
-    try:
-        return _bisect(arguments)
-    except (RequestError, CorpusError) as error:
-        sys.stderr.write(f"bisect: {error}\n")
-        return BAD_USE
-
-
-def _bisect(arguments: argparse.Namespace) -> int:
     here = Path(os.path.realpath(Path.cwd()))
     found = named_file(arguments.file)
     test = load(found).finding.test.partition("::")[0]
