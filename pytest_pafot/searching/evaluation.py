@@ -9,11 +9,10 @@ from typing import Any, Self
 
 import numpy as np
 
-from pytest_pafot.criticality import Encounters, passages, sweep, time_advantage
+from pytest_pafot.criticality import Encounters, passages, time_advantage
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.scenario import Chromosome, Scenario, with_targets
-from pytest_pafot.model.trace import HEADING, LANE, SPEED, Collision, FloatArray, Outcome, Trace, X, Y
-from pytest_pafot.searching.interaction import InteractionSweep
+from pytest_pafot.model.trace import LANE, SPEED, Collision, Outcome, Trace
 
 Rank = tuple[bool, bool, float]
 """A sort key for runs: eligible, failing, fitness. The first difference decides; greater is worse for the ego."""
@@ -36,7 +35,6 @@ STANDING = 0.5
 BARELY_MOVING = 2.0
 """Mean speed of the ego below which a run tests nothing [m/s]; stopping from 22 m/s gives a lower mean after 30 s."""
 
-_SWEEPS = sweep.is_in_use()
 _IMPOSSIBLE: Rank = (False, False, -math.inf)
 
 
@@ -53,9 +51,9 @@ class Evaluation:
         duration: simulated time [s].
         genes_started: number of genes that began before the run ended, summed over all NPCs.
         genes_reached: number of started genes whose cell or lane the NPC reached.
-        interaction: whether an NPC ever gave the ego a reason to react, see :func:`interacted`.
+        interaction: whether an NPC ever gave the ego a reason to react, see :func:`interaction_of`.
         discarded: whether the user's test function declined to give a verdict on the run.
-        outran: whether the ego left all NPCs behind, see :func:`outran`.
+        outran: whether the ego left all NPCs behind, see :func:`interaction_of`.
         barely_moved: whether the ego hardly drove, see :func:`barely_moved`.
         kind: kind of the failure, equal for failures that count as the same. None if nothing failed or it is unknown.
         mistake: the ego's mistake in the failure, or the name of the failed check; None if there is none or it is
@@ -173,27 +171,25 @@ class Evaluation:
         return next(enough, longest)
 
 
-def interaction_of(trace: Trace, *, sweeps: bool = _SWEEPS) -> tuple[bool, bool]:
-    """Return :func:`interacted` and :func:`outran` of a run, on straight roads by one compiled pass if possible."""
-    if not sweeps or trace.track is not None:
-        return interacted(trace), outran(trace)
-    near = InteractionSweep(trace.states, trace.sizes, INTERACTION_HEADWAY, INTERACTION_GAP, FAR_BEHIND)
-    return trace.outcome is Outcome.COLLISION or near.interacted, near.alone / len(trace.states) >= 0.5
+def interaction_of(trace: Trace) -> tuple[bool, bool]:
+    """Return whether an NPC gave the ego a reason to react, and whether the ego left all NPCs behind.
 
-
-def interacted(trace: Trace) -> bool:
-    """Return whether the ego collided, or an NPC was in its lane at a headway below 1.5 s or a gap below 2 m.
-
-    Also true if the ego and an NPC that crosses were expected in their zone within 1.5 s of each other.
+    There is a reason to react if the ego collided, if an NPC was in its lane at a headway below 1.5 s or a gap below
+    2 m, and if the ego and an NPC that crosses were expected in their zone within 1.5 s of each other. All NPCs are
+    left behind if they were over 100 m behind the ego for half of the run; an NPC that crosses is never behind.
     """
-    if trace.outcome is Outcome.COLLISION or np.any(time_advantage(trace) < INTERACTION_HEADWAY):
-        return True
-    ahead = _longitudinal(trace)
-    gap = np.abs(ahead) - (trace.sizes[0, 0] + trace.sizes[1:, 0]) / 2
-    follower = np.where(ahead >= 0, trace.ego[:, None, SPEED], trace.npcs[:, :, SPEED])
-    same_lane = trace.npcs[:, :, LANE] == trace.ego[:, None, LANE]
-    close = gap < np.maximum(INTERACTION_HEADWAY * follower, INTERACTION_GAP)
-    return bool(np.any(same_lane & close))
+    x, y, heading, speed, _, _, lane = np.ascontiguousarray(trace.states.T)  # each of shape [vehicles, ticks + 1]
+    # How far each NPC's centre is ahead of the ego's [m]: along the ego's heading, or on bent roads along its way.
+    if trace.track is None:
+        ahead = (x[1:] - x[0]) * np.cos(heading[0]) + (y[1:] - y[0]) * np.sin(heading[0])
+    else:
+        ahead = Encounters(trace).ahead
+    gap = np.abs(ahead) - (trace.sizes[0, 0] + trace.sizes[1:, :1]) / 2
+    follower = np.where(ahead >= 0, speed[0], speed[1:])
+    is_close = (lane[1:] == lane[0]) & (gap < np.maximum(INTERACTION_HEADWAY * follower, INTERACTION_GAP))
+    meets = time_advantage(trace) < INTERACTION_HEADWAY
+    interacted = trace.outcome is Outcome.COLLISION or bool(is_close.any() or meets.any())
+    return interacted, bool(np.mean((ahead < -FAR_BEHIND).all(axis=0)) >= 0.5)
 
 
 def nearest_crossing(trace: Trace) -> int | None:
@@ -211,12 +207,6 @@ def nearest_crossing(trace: Trace) -> int | None:
     return min(times, key=lambda npc: (times[npc], expected[npc]))
 
 
-def outran(trace: Trace) -> bool:
-    """Return whether all NPCs were over 100 m behind the ego for half of the run; NPCs that cross are never behind."""
-    alone = np.all(_longitudinal(trace) < -FAR_BEHIND, axis=1)
-    return bool(np.mean(alone) >= 0.5)
-
-
 def barely_moved(trace: Trace) -> bool:
     """Return whether the ego's mean speed was below 2 m/s."""
     return bool(np.mean(trace.ego[:, SPEED]) < BARELY_MOVING)
@@ -229,15 +219,3 @@ def demand_of(trace: Trace) -> Demand:
     lost = float(np.fmax.reduce(speed[:-ticks] - speed[ticks:], initial=0.0)) * trace.physics_hz / ticks
     changes = int(np.count_nonzero(np.diff(trace.ego[:, LANE])))
     return int(min(lost, 9.9) / BRAKING_STEP), min(changes, 2), bool(speed.min() < STANDING)
-
-
-def _longitudinal(trace: Trace) -> FloatArray:
-    """Return how far each NPC's centre is ahead of the ego's [m], shape [ticks + 1, npcs].
-
-    The distance is along the ego's heading, or on bent roads along the vehicles' paths.
-    """
-    if trace.track is not None:
-        return Encounters(trace).ahead.T
-    x, y, heading = (trace.ego[:, None, column] for column in (X, Y, HEADING))
-    along: FloatArray = (trace.npcs[:, :, X] - x) * np.cos(heading) + (trace.npcs[:, :, Y] - y) * np.sin(heading)
-    return along
