@@ -13,7 +13,7 @@ from pytest_pafot.attribution.responsibility import rss_rule
 from pytest_pafot.campaign.events import Judged, SearchEvent, SearchStarted
 from pytest_pafot.campaign.verdict import worst_margins
 from pytest_pafot.findings.signature import Signature
-from pytest_pafot.searching.evaluation_cache import EVALUATIONS
+from pytest_pafot.searching.evaluation import EVALUATIONS
 from pytest_pafot.searching.events import Evaluated
 
 COLUMNS: Mapping[str, str] = {

@@ -13,8 +13,7 @@ import numpy as np
 
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.searching.ask_tell import Algorithm, Drawing, StateT, check_order
-from pytest_pafot.searching.evaluation import Evaluation
-from pytest_pafot.searching.evaluation_cache import EvaluationCache, Remembered
+from pytest_pafot.searching.evaluation import Evaluation, EvaluationCache, Remembered
 from pytest_pafot.searching.events import (
     AlgorithmEvent,
     CampaignFinished,
