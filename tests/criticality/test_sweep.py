@@ -12,8 +12,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pytest_pafot import Highway
-from pytest_pafot.criticality import Encounters, sweep
-from pytest_pafot.criticality.measures import MANOEUVRE_SECONDS
+from pytest_pafot.criticality import gap, min_ttc, sweep, ttc
+from pytest_pafot.criticality.measures import MANOEUVRE_SECONDS, safety_shortfall
 from pytest_pafot.model.trace import ACCELERATION, HEADING, LANE, SPEED, X, Y
 from pytest_pafot.searching import SearchSpace, sample
 from tests.helpers.tables import table
@@ -43,8 +43,8 @@ def swept(module, trace):
 
 
 def by_arrays(trace):
-    encounters = Encounters(trace, sweeps=False)
-    return tuple(getattr(encounters, name) for name in EXTREMES)
+    shortfall = safety_shortfall(trace).max(initial=0.0)
+    return ttc(trace).min(initial=math.inf), gap(trace).min(initial=math.inf), shortfall
 
 
 def drawn(seed, *, spread=25.0):
@@ -143,7 +143,7 @@ def test_arrays_that_do_not_belong_together_are_refused(sizes):
 def test_roads_that_turn_are_left_to_the_arrays():
     lanes = (*straight_lanes(2), *straight_lanes(2, heading=0.3))
     trace = trace_of(vehicle(0, speed=20, ticks=9), vehicle(30, speed=10, ticks=9), lanes=lanes)
-    assert Encounters(trace, sweeps=True).min_ttc == Encounters(trace, sweeps=False).min_ttc == 25 / 10 - 0.6
+    assert min_ttc(trace) == ttc(trace).min() == 25 / 10 - 0.6
 
 
 @pytest.mark.skipif(not sweep.is_compiled(), reason="nothing is compiled here")
