@@ -189,9 +189,8 @@ def _extremes(trace: Trace) -> tuple[float, float, float]:
     heading = trace.lanes[0].heading
     if _SWEEPS and trace.track is None and all(lane.heading == heading for lane in trace.lanes):
         road = math.cos(heading), math.sin(heading)
-        found = sweep.Sweep(trace.states, trace.sizes, road, MANOEUVRE_SECONDS)
-        if found.run():
-            return found.min_ttc, found.min_gap, found.max_safety_shortfall
+        if (found := sweep.extremes(trace.states, trace.sizes, road, MANOEUVRE_SECONDS)) is not None:
+            return found
     return _lowest(ttc(trace)), _lowest(gap(trace)), float(safety_shortfall(trace).max(initial=0.0))
 
 

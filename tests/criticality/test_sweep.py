@@ -19,7 +19,6 @@ from pytest_pafot.searching import SearchSpace, sample
 from tests.helpers.tables import table
 from tests.helpers.traces import random_states, straight_lanes, trace_of, vehicle
 
-EXTREMES = ("min_ttc", "min_gap", "max_safety_shortfall")
 seeds = st.integers(0, 2**32)
 
 
@@ -38,8 +37,7 @@ def swept(module, trace):
     """Return the extremes by one pass, or None if it leaves the run to the arrays."""
     heading = trace.lanes[0].heading
     road = math.cos(heading), math.sin(heading)
-    found = module.Sweep(trace.states, trace.sizes, road, MANOEUVRE_SECONDS)
-    return tuple(getattr(found, name) for name in EXTREMES) if found.run() else None
+    return module.extremes(trace.states, trace.sizes, road, MANOEUVRE_SECONDS)
 
 
 def by_arrays(trace):
@@ -135,9 +133,9 @@ class TestSweep:
 @table("sizes", [(1, 2), (2, 3), (2,)])
 def test_arrays_that_do_not_belong_together_are_refused(sizes):
     with pytest.raises(ValueError, match="expected the shapes"):
-        sweep.Sweep(np.zeros((4, 2, 7)), np.ones(sizes), (1.0, 0.0), 3.0)
+        sweep.extremes(np.zeros((4, 2, 7)), np.ones(sizes), (1.0, 0.0), 3.0)
     with pytest.raises(ValueError, match="expected the shapes"):
-        sweep.Sweep(np.zeros((4, 2, 6)), np.ones((2, 2)), (1.0, 0.0), 3.0)
+        sweep.extremes(np.zeros((4, 2, 6)), np.ones((2, 2)), (1.0, 0.0), 3.0)
 
 
 def test_roads_that_turn_are_left_to_the_arrays():
