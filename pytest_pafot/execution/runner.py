@@ -37,7 +37,7 @@ from pytest_pafot.execution.scenario_pool import (
 )
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Outcome, Trace
-from pytest_pafot.searching.evaluation_cache import Chains, plain_chains
+from pytest_pafot.searching.evaluation import Chains, plain_chains
 from pytest_pafot.support.text import plural
 from pytest_pafot.support.ways_out import flag
 from pytest_pafot.world import Highway, protocol
@@ -441,7 +441,7 @@ class DecisionCache:
     Until the end of gene ``g``, a run depends only on the start and on the first ``g`` genes of each NPC. The last
     decision that depends only on these genes is at the tick at which the next gene begins. Two scenarios share
     decisions if their chains as driven are the same, or if their requested chains and their seeds are the same (see
-    :class:`~pytest_pafot.searching.evaluation_cache.EvaluationCache`).
+    :class:`~pytest_pafot.searching.evaluation.EvaluationCache`).
 
     The cache is valid only for an ADS that decides only from its observation.
 

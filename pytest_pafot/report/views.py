@@ -20,7 +20,7 @@ import numpy as np
 from pytest_pafot.attribution.manoeuvres import stretches
 from pytest_pafot.campaign.events import Judged, SearchEvent, SearchStarted
 from pytest_pafot.corpus.file_format import text_of
-from pytest_pafot.criticality import Encounters, Passage, passages, time_advantage
+from pytest_pafot.criticality import Encounters, Passage, gap, passages, time_advantage, ttc
 from pytest_pafot.criticality.signals import jerk
 from pytest_pafot.findings.finding import Expect, Finding
 from pytest_pafot.findings.shrink import blocks, instructions
@@ -428,7 +428,7 @@ def frame_ticks(trace: Trace) -> list[int]:
 
 def _vehicles(trace: Trace, ticks: Sequence[int]) -> tuple[VehicleView, ...]:
     encounters, changes = Encounters(trace), jerk(trace)
-    passed, advantages = passages(trace), time_advantage(trace)
+    gaps, ttcs, passed, advantages = gap(trace), ttc(trace), passages(trace), time_advantage(trace)
     along, across, heading = (trace.states[:, :, column] for column in (X, Y, HEADING))
     if trace.track is None:
         (along, across), heading = along_and_across(trace, along, across), heading - trace.lanes[0].heading
@@ -454,8 +454,8 @@ def _vehicles(trace: Trace, ticks: Sequence[int]) -> tuple[VehicleView, ...]:
             npc = vehicle - 1
             is_on_way = encounters.is_on_way[npc]
             cells = tuple(int(encounters.cell(npc, tick) or 0) if is_on_way[tick] else None for tick in ticks)
-            gap, ttc = _numbers(encounters.gap[npc, ticks], 2), _numbers(encounters.ttc[npc, ticks], 2)
-            view = replace(view, gap=gap, ttc=ttc, cells=cells)
+            room, seconds = _numbers(gaps[ticks, npc], 2), _numbers(ttcs[ticks, npc], 2)
+            view = replace(view, gap=room, ttc=seconds, cells=cells)
             passage = passed[npc]
             if passage is not None and trace.on_way is not None:
                 zone = zone_view(passage, view.length, trace.lanes[0].width)

@@ -16,7 +16,7 @@ from pytest_pafot.model.scenario import CrossingInstruction, LaneInstruction, Po
 from pytest_pafot.model.trace import LANE, Outcome, Y
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.searching import Evaluation
-from pytest_pafot.searching.evaluation_cache import EvaluationCache
+from pytest_pafot.searching.evaluation import EvaluationCache
 from pytest_pafot.searching.operators import crossover, mutate
 from pytest_pafot.searching.space import sample, space_on
 from pytest_pafot.world.kernel.director import Director
