@@ -16,7 +16,7 @@ from setuptools import Extension, find_packages, setup
 from setuptools.command.build_ext import build_ext
 from setuptools.command.build_py import build_py
 
-FOLDERS = [Path("pytest_pafot", room) for room in ("criticality", "searching", "world/kernel")]
+FOLDERS = [Path("pytest_pafot", room) for room in ("criticality", "world/kernel")]
 DIRECTIVES = {
     "language_level": 3,
     "annotation_typing": False,  # the types are in the .pxd files

@@ -16,7 +16,6 @@ def main(arguments: list[str] | None = None) -> int:
     """
     from pytest_pafot.commands import bisect_command as bisecting  # noqa: PLC0415
     from pytest_pafot.commands import search_command as searching  # noqa: PLC0415
-    from pytest_pafot.commands.history import HistoryError  # noqa: PLC0415
     from pytest_pafot.commands.policy_reference import BAD_USE  # noqa: PLC0415
     from pytest_pafot.comparison import command as comparison  # noqa: PLC0415
     from pytest_pafot.corpus import corpus_command as corpus  # noqa: PLC0415
@@ -29,7 +28,7 @@ def main(arguments: list[str] | None = None) -> int:
     from pytest_pafot.support.interrupts import Ended, interrupted_by_signals  # noqa: PLC0415
 
     # The errors that the user can correct. A worker that dies raises a ChildProcessError.
-    errors = (RequestError, FieldError, AdsFactoryError, HistoryError, RevisionError, AnimationError, ChildProcessError)
+    errors = (RequestError, FieldError, AdsFactoryError, RevisionError, AnimationError, ChildProcessError)
     given = sys.argv[1:] if arguments is None else arguments
     parser = argparse.ArgumentParser(
         prog="python -m pytest_pafot", description="Commands of pytest-pafot in addition to pytest."

@@ -8,9 +8,9 @@ from hypothesis import strategies as st
 
 import pytest_pafot as pafot
 from pytest_pafot import properties
-from pytest_pafot.attribution.needless_braking import braking, reasons
+from pytest_pafot.attribution.manoeuvres import braking, reasons
 from pytest_pafot.attribution.responses import DISTANCES
-from pytest_pafot.criticality import Encounters, RoadFrame, RssRules
+from pytest_pafot.criticality import RoadFrame, RssRules, gap
 from pytest_pafot.model.trace import ACCELERATION, ALONG, HEADING, LANE, SPEED, AdsError, Outcome, X
 from pytest_pafot.oracle.checks import Recording, recorded
 from pytest_pafot.searching.space import SearchSpace, sample
@@ -596,7 +596,7 @@ def test_npc_arriving_at_same_zone_soon_justifies_braking(start, holds):
 def test_merging_npc_from_another_way_cuts_in_nowhere():
     """At 20 m/s the ego reaches the NPC, which is in its lane as soon as it is on its way at all."""
     trace = junction_trace((MERGES, 12.0), ego_speed=20.0, seconds=4.0)
-    assert (Encounters(trace).gap == 0).any()
+    assert (gap(trace) == 0).any()
     assert judged(properties.answers_cut_ins, trace) == []
 
 

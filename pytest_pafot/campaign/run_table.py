@@ -14,7 +14,7 @@ from pytest_pafot.campaign.events import Judged, SearchEvent, SearchStarted
 from pytest_pafot.campaign.verdict import worst_margins
 from pytest_pafot.findings.signature import Signature
 from pytest_pafot.oracle.run import Run
-from pytest_pafot.searching.evaluation_cache import EVALUATIONS
+from pytest_pafot.searching.evaluation import EVALUATIONS
 from pytest_pafot.searching.events import Evaluated
 
 COLUMNS: Mapping[str, str] = {

@@ -24,8 +24,7 @@ from pytest_pafot.findings.signature import Signature
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.searching.ask_tell import ResumableSearch
 from pytest_pafot.searching.campaign import Checkpoint
-from pytest_pafot.searching.evaluation import Evaluation
-from pytest_pafot.searching.evaluation_cache import Remembered
+from pytest_pafot.searching.evaluation import Evaluation, Remembered
 from pytest_pafot.searching.events import CampaignFinished
 from pytest_pafot.searching.health import Health
 from pytest_pafot.searching.plain import from_plain, plain

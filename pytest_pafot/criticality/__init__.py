@@ -9,7 +9,7 @@ An NPC that crosses is not on the ego's way until it has merged. Until then, dis
 are NaN for it, measures within one lane are 0, and extremes ignore it. Measures in the plane treat it like any other
 NPC.
 
-For several measures of one run use :class:`Encounters`, which computes shared values only once.
+The geometry that measures share is computed only once if they are called for one run after the other.
 """
 
 from pytest_pafot.criticality.measures import (

@@ -7,7 +7,7 @@ Function), equations 1 to 5. Vehicle 1 of the equations is the ego, vehicle 2 an
 from __future__ import annotations
 
 import math
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 import numpy.typing as npt
@@ -29,122 +29,11 @@ _PARALLEL = 1e-9
 or only because of rounding."""
 
 
-def ettc(trace: Trace) -> FloatArray:
-    """Return the paper's estimated time to collision (equations 1 to 3) [s]; lower is worse.
-
-    It is the ego's distance to the point where the two lines of travel cross, divided by its speed. With p the
-    positions, d the unit vectors of travel and x the cross product, that distance is (p2 - p1) x d2 / d1 x d2. This
-    equals the paper's expression whenever the tangents and cotangents in that exist, and it is also defined for
-    headings along the axes.
-
-    The time is infinite if no single crossing point is ahead of both vehicles: if the lines are parallel or the same
-    (use :func:`ttc` for following), if the point is behind either vehicle, and if the ego stands. A vehicle that drives
-    backwards travels against its heading. As in the paper, it does not matter when the NPC reaches the point.
-    """
-    return Encounters(trace).ettc.T
-
-
-def mettc(trace: Trace) -> float:
-    """Return the paper's METTC, the smallest :func:`ettc` of the run [s]; lower is worse, inf if none is finite."""
-    return Encounters(trace).mettc
-
-
-def ttc(trace: Trace) -> FloatArray:
-    """Return the time until the boxes touch if both keep velocity and heading [s]; lower is worse, inf if never.
-
-    Source: time to collision of Hayward, "Near-miss determination through use of a scale of danger", 1972, for
-    oriented boxes; exact for straight motion (see :func:`pytest_pafot.criticality.boxes.contact_time`).
-    """
-    return Encounters(trace).ttc.T
-
-
-def min_ttc(trace: Trace) -> float:
-    """Return the smallest :func:`ttc` of the run [s]; lower is worse, infinite if none is finite."""
-    return Encounters(trace).min_ttc
-
-
-def centre_distance(trace: Trace) -> FloatArray:
-    """Return the distance between the centres of ego and NPC (equation 4) [m]; lower is worse."""
-    return Encounters(trace).centre_distance.T
-
-
-def min_centre_distance(trace: Trace) -> float:
-    """Return the paper's MD, the smallest :func:`centre_distance` of the run [m]; lower is worse."""
-    return Encounters(trace).min_centre_distance
-
-
-def gap(trace: Trace) -> FloatArray:
-    """Return the distance between the boxes of ego and NPC [m]; lower is worse, 0 at overlap."""
-    return Encounters(trace).gap.T
-
-
-def min_gap(trace: Trace) -> float:
-    """Return the smallest :func:`gap` of the run [m]; lower is worse, 0 at a collision."""
-    return Encounters(trace).min_gap
-
-
-def safety_distance(trace: Trace) -> FloatArray:
-    """Return the paper's SD (equation 5 with t = 3 s), the distance that the follower gains on the leader within t [m].
-
-    (v1 - v2) t + (a1 - a2) t^2 / 2 with vehicle 1 the follower (:attr:`Encounters.ego_follows`) and 2 the leader. The
-    follower must leave at least this distance. It is negative if the leader pulls away, and NaN if the NPC is not on
-    the ego's way.
-    """
-    return Encounters(trace).safety_distance.T
-
-
-def min_safety_distance(trace: Trace) -> float:
-    """Return the smallest :func:`safety_distance` of the run [m], which the paper's fitness minimises.
-
-    A minimum of this distance rewards leaders that pull away; :func:`max_safety_shortfall` does not. Only NPCs on the
-    ego's way are included; the result is infinite if there never is one.
-    """
-    return Encounters(trace).min_safety_distance
-
-
-def max_safety_shortfall(trace: Trace) -> float:
-    """Return the largest missing share of the safety distance SD in the run, 0 to 1; higher is worse.
-
-    The share is clip((SD - gap) / SD, 0, 1), which is 1 at contact. It is 0 if SD <= 0, or if the centres of ego and
-    NPC are not in the same lane, for example while an NPC crosses.
-    """
-    return Encounters(trace).max_safety_shortfall
-
-
-def hardest_brake(trace: Trace) -> float:
-    """Return the ego's largest deceleration in the run [m/s^2], 0 if it never slowed down; higher is worse."""
-    return max(0.0, -_lowest(trace.ego[:, ACCELERATION]))
-
-
-def execution_time(trace: Trace) -> float:
-    """Return the paper's ET, t_f - t_0, the simulated time of the run [s].
-
-    Lower is worse if the run ended in a failure.
-    """
-    return trace.duration
-
-
-def planned_duration(trace: Trace) -> float:
-    """Return the duration of the scenario's genes [s], which is the longest possible duration of its run.
-
-    If an NPC crosses, its gene has no duration, so the result is the duration of the run.
-    """
-    return trace.duration if trace.scenario.crossings else trace.scenario.seconds
-
-
 class Encounters(RelativePositions):
-    """The measures of one run, with their shared geometry computed only once.
+    """The geometry of one run that its measures share: relative positions, speeds and boxes."""
 
-    An array equals the result of the function of the same name, but transposed: [NPCs, ticks + 1].
-    """
-
-    def __init__(self, trace: Trace, *, sweeps: bool = _SWEEPS) -> None:
-        """Read a trace; ``sweeps`` is whether to compute extremes in one compiled pass instead of from whole arrays.
-
-        Both give the same values. Roads that bend always use the arrays.
-        """
+    def __init__(self, trace: Trace) -> None:
         super().__init__(trace.states, trace.sizes, trace.lanes, trace.track)
-        self._sweeps = sweeps and trace.track is None
 
     @cached_property
     def speed(self) -> FloatArray:
@@ -171,105 +60,159 @@ class Encounters(RelativePositions):
         """
         return self.ahead >= 0
 
-    @cached_property
-    def gain(self) -> FloatArray:
-        """The follower's speed minus the leader's [m/s]; NaN off the ego's way."""
-        return self._follower_minus_leader(self.speed)
-
-    @cached_property
-    def ettc(self) -> FloatArray:
-        """The ego's time to the point where the two lines of travel cross [s]; inf if none, see :func:`ettc`."""
-        pairs, speed = self.pairs, self.speed
-        way = np.where(speed < 0, -1.0, 1.0)
-        # In the ego's frame (p2 - p1) x d2 is minus the offset across the NPC's heading, and d1 x d2 the sine of
-        # the headings' difference; likewise with the roles swapped. Parallel lines divide by 1 and are ignored.
-        parallel = np.abs(pairs.sin) < _PARALLEL
-        sine = np.where(parallel, 1.0, pairs.sin)
-        ego_way = -way[:1] * pairs.offsets[3] / sine
-        npc_way = -way[1:] * pairs.offsets[1] / sine
-        standing = speed[:1] == 0
-        none = parallel | (ego_way < 0) | (npc_way < 0) | standing
-        with np.errstate(over="ignore"):  # at the smallest speeds the time is infinite
-            return np.where(none, np.inf, ego_way / np.where(standing, 1.0, np.abs(speed[:1])))
-
-    @cached_property
-    def ttc(self) -> FloatArray:
-        """The time until the boxes touch at constant velocity [s]; lower is worse, 0 at overlap, inf if never."""
-        return contact_time(self.pairs)
-
-    @cached_property
-    def centre_distance(self) -> FloatArray:
-        """The distance between the centres of ego and NPC [m]; lower is worse."""
-        # The offsets along and across the ego's heading give the same distance and are already computed.
-        along, across = self.pairs.offsets[0], self.pairs.offsets[1]
-        return np.sqrt(along * along + across * across)
-
-    @cached_property
-    def gap(self) -> FloatArray:
-        """The distance between the boxes of ego and NPC [m]; lower is worse, 0 at overlap."""
-        return box_gap(self.pairs)
-
-    @cached_property
-    def safety_distance(self) -> FloatArray:
-        """The paper's SD, the distance that the follower gains on the leader within 3 s [m]; NaN off the ego's way."""
-        t = MANOEUVRE_SECONDS
-        return self.gain * t + self._follower_minus_leader(self.column(ACCELERATION)) * (t * t / 2)
-
-    @cached_property
-    def safety_shortfall(self) -> FloatArray:
-        """The missing share of the safety distance if both are in one lane, 0 to 1; higher is worse."""
-        keep = self.safety_distance
-        demanded = self.same_lane & ~(keep <= 0)
-        with np.errstate(over="ignore"):  # at the smallest distances nothing is missing
-            ratio = np.divide(self.gap, keep, out=np.ones_like(keep), where=demanded)
-        return np.maximum(1.0 - ratio, 0.0)
-
-    @property
-    def mettc(self) -> float:
-        """The smallest :attr:`ettc` of the run [s]; lower is worse, inf if none is finite."""
-        return _lowest(self.ettc)
-
-    @property
-    def min_ttc(self) -> float:
-        """The smallest :attr:`ttc` of the run [s]; lower is worse, inf if none is finite."""
-        return _lowest(self.ttc) if self._extremes is None else self._extremes.min_ttc
-
-    @property
-    def min_centre_distance(self) -> float:
-        """The smallest :attr:`centre_distance` of the run [m]; lower is worse."""
-        return _lowest(self.centre_distance)
-
-    @property
-    def min_gap(self) -> float:
-        """The smallest :attr:`gap` of the run [m]; lower is worse, 0 at a collision."""
-        return _lowest(self.gap) if self._extremes is None else self._extremes.min_gap
-
-    @property
-    def min_safety_distance(self) -> float:
-        """The smallest :attr:`safety_distance` of all NPCs on the ego's way [m]; inf if no NPC ever is on it."""
-        return _lowest(np.where(self.is_on_way, self.safety_distance, np.inf))
-
-    @property
-    def max_safety_shortfall(self) -> float:
-        """The largest :attr:`safety_shortfall` of the run, 0 to 1; higher is worse."""
-        if self._extremes is not None:
-            return self._extremes.max_safety_shortfall
-        return float(self.safety_shortfall.max(initial=0.0))
-
-    @cached_property
-    def _extremes(self) -> sweep.Sweep | None:
-        """The extremes from one compiled pass over the run; None without such a pass or if its results are invalid."""
-        heading = self._lanes[0].heading
-        if not self._sweeps or any(lane.heading != heading for lane in self._lanes):
-            return None
-        road = math.cos(heading), math.sin(heading)
-        found = sweep.Sweep(self._states, self._sizes, road, MANOEUVRE_SECONDS)
-        return found if found.run() else None
-
-    def _follower_minus_leader(self, values: FloatArray) -> FloatArray:
+    def follower_minus_leader(self, values: FloatArray) -> FloatArray:
+        """Return the follower's value minus the leader's, for values of all vehicles; NaN off the ego's way."""
         ego_minus_npc = values[:1] - values[1:]
         gain: FloatArray = np.where(self.ego_follows, ego_minus_npc, -ego_minus_npc)
         return gain if self._track is None else np.where(self.is_on_way, gain, np.nan)
+
+
+@lru_cache(maxsize=1)
+def encounters_of(trace: Trace) -> Encounters:
+    """Return the geometry of a run. The last one is cached, because several measures of a run need it."""
+    return Encounters(trace)
+
+
+def ettc(trace: Trace) -> FloatArray:
+    """Return the paper's estimated time to collision (equations 1 to 3) [s]; lower is worse.
+
+    It is the ego's distance to the point where the two lines of travel cross, divided by its speed. With p the
+    positions, d the unit vectors of travel and x the cross product, that distance is (p2 - p1) x d2 / d1 x d2. This
+    equals the paper's expression whenever the tangents and cotangents in that exist, and it is also defined for
+    headings along the axes.
+
+    The time is infinite if no single crossing point is ahead of both vehicles: if the lines are parallel or the same
+    (use :func:`ttc` for following), if the point is behind either vehicle, and if the ego stands. A vehicle that drives
+    backwards travels against its heading. As in the paper, it does not matter when the NPC reaches the point.
+    """
+    pairs, speed = encounters_of(trace).pairs, encounters_of(trace).speed
+    way = np.where(speed < 0, -1.0, 1.0)
+    # In the ego's frame (p2 - p1) x d2 is minus the offset across the NPC's heading, and d1 x d2 the sine of
+    # the headings' difference; likewise with the roles swapped. Parallel lines divide by 1 and are ignored.
+    parallel = np.abs(pairs.sin) < _PARALLEL
+    sine = np.where(parallel, 1.0, pairs.sin)
+    ego_way = -way[:1] * pairs.offsets[3] / sine
+    npc_way = -way[1:] * pairs.offsets[1] / sine
+    standing = speed[:1] == 0
+    none = parallel | (ego_way < 0) | (npc_way < 0) | standing
+    with np.errstate(over="ignore"):  # at the smallest speeds the time is infinite
+        return np.where(none, np.inf, ego_way / np.where(standing, 1.0, np.abs(speed[:1]))).T
+
+
+def mettc(trace: Trace) -> float:
+    """Return the paper's METTC, the smallest :func:`ettc` of the run [s]; lower is worse, inf if none is finite."""
+    return _lowest(ettc(trace))
+
+
+def ttc(trace: Trace) -> FloatArray:
+    """Return the time until the boxes touch if both keep velocity and heading [s]; lower is worse, inf if never.
+
+    Source: time to collision of Hayward, "Near-miss determination through use of a scale of danger", 1972, for
+    oriented boxes; exact for straight motion (see :func:`pytest_pafot.criticality.boxes.contact_time`).
+    """
+    return contact_time(encounters_of(trace).pairs).T
+
+
+def min_ttc(trace: Trace) -> float:
+    """Return the smallest :func:`ttc` of the run [s]; lower is worse, infinite if none is finite."""
+    return _extremes(trace)[0]
+
+
+def centre_distance(trace: Trace) -> FloatArray:
+    """Return the distance between the centres of ego and NPC (equation 4) [m]; lower is worse."""
+    # The offsets along and across the ego's heading give the same distance and are already computed.
+    along, across = encounters_of(trace).pairs.offsets[:2]
+    return np.sqrt(along * along + across * across).T
+
+
+def min_centre_distance(trace: Trace) -> float:
+    """Return the paper's MD, the smallest :func:`centre_distance` of the run [m]; lower is worse."""
+    return _lowest(centre_distance(trace))
+
+
+def gap(trace: Trace) -> FloatArray:
+    """Return the distance between the boxes of ego and NPC [m]; lower is worse, 0 at overlap."""
+    return box_gap(encounters_of(trace).pairs).T
+
+
+def min_gap(trace: Trace) -> float:
+    """Return the smallest :func:`gap` of the run [m]; lower is worse, 0 at a collision."""
+    return _extremes(trace)[1]
+
+
+def safety_distance(trace: Trace) -> FloatArray:
+    """Return the paper's SD (equation 5 with t = 3 s), the distance that the follower gains on the leader within t [m].
+
+    (v1 - v2) t + (a1 - a2) t^2 / 2 with vehicle 1 the follower (:attr:`Encounters.ego_follows`) and 2 the leader. The
+    follower must leave at least this distance. It is negative if the leader pulls away, and NaN if the NPC is not on
+    the ego's way.
+    """
+    encounters, t = encounters_of(trace), MANOEUVRE_SECONDS
+    gain = encounters.follower_minus_leader(encounters.speed)
+    return (gain * t + encounters.follower_minus_leader(encounters.column(ACCELERATION)) * (t * t / 2)).T
+
+
+def min_safety_distance(trace: Trace) -> float:
+    """Return the smallest :func:`safety_distance` of the run [m], which the paper's fitness minimises.
+
+    A minimum of this distance rewards leaders that pull away; :func:`max_safety_shortfall` does not. Only NPCs on the
+    ego's way are included; the result is infinite if there never is one.
+    """
+    return _lowest(np.where(encounters_of(trace).is_on_way.T, safety_distance(trace), np.inf))
+
+
+def safety_shortfall(trace: Trace) -> FloatArray:
+    """Return the missing share of the safety distance, see :func:`max_safety_shortfall`; higher is worse."""
+    keep = safety_distance(trace)
+    demanded = encounters_of(trace).same_lane.T & ~(keep <= 0)
+    with np.errstate(over="ignore"):  # at the smallest distances nothing is missing
+        ratio = np.divide(gap(trace), keep, out=np.ones_like(keep), where=demanded)
+    return np.maximum(1.0 - ratio, 0.0)
+
+
+def max_safety_shortfall(trace: Trace) -> float:
+    """Return the largest missing share of the safety distance SD in the run, 0 to 1; higher is worse.
+
+    The share is clip((SD - gap) / SD, 0, 1), which is 1 at contact. It is 0 if SD <= 0, or if the centres of ego and
+    NPC are not in the same lane, for example while an NPC crosses.
+    """
+    return _extremes(trace)[2]
+
+
+@lru_cache(maxsize=1)
+def _extremes(trace: Trace) -> tuple[float, float, float]:
+    """Return the smallest :func:`ttc` and :func:`gap` and the largest :func:`safety_shortfall` of a run.
+
+    On roads of one direction they are from one compiled pass, if there is one and its results are valid. Otherwise they
+    are the same values from whole arrays. The last result is cached, because the default fitness needs all three.
+    """
+    heading = trace.lanes[0].heading
+    if _SWEEPS and trace.track is None and all(lane.heading == heading for lane in trace.lanes):
+        road = math.cos(heading), math.sin(heading)
+        if (found := sweep.extremes(trace.states, trace.sizes, road, MANOEUVRE_SECONDS)) is not None:
+            return found
+    return _lowest(ttc(trace)), _lowest(gap(trace)), float(safety_shortfall(trace).max(initial=0.0))
+
+
+def hardest_brake(trace: Trace) -> float:
+    """Return the ego's largest deceleration in the run [m/s^2], 0 if it never slowed down; higher is worse."""
+    return max(0.0, -_lowest(trace.ego[:, ACCELERATION]))
+
+
+def execution_time(trace: Trace) -> float:
+    """Return the paper's ET, t_f - t_0, the simulated time of the run [s].
+
+    Lower is worse if the run ended in a failure.
+    """
+    return trace.duration
+
+
+def planned_duration(trace: Trace) -> float:
+    """Return the duration of the scenario's genes [s], which is the longest possible duration of its run.
+
+    If an NPC crosses, its gene has no duration, so the result is the duration of the run.
+    """
+    return trace.duration if trace.scenario.crossings else trace.scenario.seconds
 
 
 def _lowest(values: FloatArray) -> float:
@@ -294,7 +237,7 @@ def post_encroachment_time(trace: Trace, *, horizon: float = 10.0) -> FloatArray
         trace: the run.
         horizon: longest lag to try [s]; a longer horizon takes longer to compute.
     """
-    boxes = Encounters(trace).boxes
+    boxes = encounters_of(trace).boxes
     lags = range(min(int(horizon * trace.physics_hz), trace.ticks) + 1)
     met = [
         next((lag for lag in lags if _meets(boxes, 0, npc, lag) or _meets(boxes, npc, 0, lag)), np.inf)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias, get_args
 import numpy as np
 import numpy.typing as npt
 
-from pytest_pafot.criticality.measures import Encounters
+from pytest_pafot.criticality.measures import encounters_of, gap, ttc
 from pytest_pafot.criticality.rss import longitudinal_gap
 from pytest_pafot.criticality.zones import Passage, passages, time_advantage
 from pytest_pafot.model.crossings import Zone
@@ -171,7 +171,7 @@ def leader(trace: Trace) -> npt.NDArray[np.intp]:
     The centres of the vehicles determine the lane and the distance. The shape is [ticks + 1]. An NPC that crosses can
     be the leader only after it has merged into the ego's way.
     """
-    encounters = Encounters(trace)
+    encounters = encounters_of(trace)
     is_ahead = encounters.same_lane & ~(encounters.ahead < 0)
     nobody = np.full((1, trace.ticks + 1), np.inf)
     nearest: npt.NDArray[np.intp] = np.vstack((nobody, np.where(is_ahead, encounters.ahead, np.inf))).argmin(axis=0)
@@ -186,9 +186,8 @@ def headway(trace: Trace) -> FloatArray:
     """
     ahead, speed = leader(trace), trace.ego[:, SPEED]
     moves = (ahead >= 0) & ~(speed <= 0)
-    gap = longitudinal_gap(trace)[moves, ahead[moves]]
     seconds = np.full(len(ahead), np.inf)
-    seconds[moves] = gap / speed[moves]
+    seconds[moves] = longitudinal_gap(trace)[moves, ahead[moves]] / speed[moves]
     return seconds
 
 
@@ -238,77 +237,78 @@ class EgoLaneChange:
 
 def ego_lane_changes(trace: Trace) -> tuple[EgoLaneChange, ...]:
     """Return the ego's lane changes in the order of their times; ticks at which the ego is off the road are ignored."""
-    lane = trace.ego[:, LANE]
+    encounters, gap, lane = encounters_of(trace), longitudinal_gap(trace), trace.ego[:, LANE]
     on_road = np.flatnonzero(lane >= 0)
-    changed = np.flatnonzero(np.diff(lane[on_road])) + 1
-    return tuple(_lane_change(trace, int(on_road[at - 1]), int(on_road[at])) for at in changed)
+    found = []
+    for at in np.flatnonzero(np.diff(lane[on_road])):
+        before, tick = on_road[at : at + 2].tolist()
+        is_there, is_ahead = encounters.same_lane[:, tick], ~(encounters.ahead[:, tick] < 0)
+        change = EgoLaneChange(
+            tick=tick,
+            time=tick / trace.physics_hz,
+            from_lane=int(lane[before]),
+            to_lane=int(lane[tick]),
+            gap_ahead=float(gap[tick, is_there & is_ahead].min(initial=np.inf)),
+            gap_behind=float(gap[tick, is_there & ~is_ahead].min(initial=np.inf)),
+        )
+        found.append(change)
+    return tuple(found)
 
 
-def _lane_change(trace: Trace, before: int, tick: int) -> EgoLaneChange:
-    encounters, lane = Encounters(trace), trace.states[tick, :, LANE]
-    gap, ahead, is_there = longitudinal_gap(trace)[tick], encounters.ahead[:, tick], encounters.same_lane[:, tick]
-    return EgoLaneChange(
-        tick=tick,
-        time=tick / trace.physics_hz,
-        from_lane=int(trace.ego[before, LANE]),
-        to_lane=int(lane[0]),
-        gap_ahead=float(gap[is_there & ~(ahead < 0)].min(initial=np.inf)),
-        gap_behind=float(gap[is_there & (ahead < 0)].min(initial=np.inf)),
-    )
+def _recorded(vehicles: int | slice, column: int, trace: Trace) -> FloatArray:
+    return trace.states[:, vehicles, column].T
 
 
-def _column(index: int, trace: Trace) -> FloatArray:
-    return trace.states[:, :, index].T
-
-
-def _of_ego(function: Callable[[Trace], FloatArray], trace: Trace) -> FloatArray:
+def _ego(function: Callable[[Trace], FloatArray], trace: Trace) -> FloatArray:
+    """Return the ego's row of a measure of all vehicles."""
     values: FloatArray = function(trace)[0]
     return values
 
 
-def _of_npcs(function: Callable[[Trace], FloatArray], trace: Trace) -> FloatArray:
-    return function(trace)[1:]
+def _npcs(function: Callable[[Trace], FloatArray], trace: Trace) -> FloatArray:
+    """Return a measure of the shape [ticks + 1, NPCs] with a row for each NPC."""
+    return function(trace).T
 
 
-def _encounter(name: str, trace: Trace) -> FloatArray:
-    values: FloatArray = getattr(Encounters(trace), name)
-    return values
+def _ahead(trace: Trace) -> FloatArray:
+    return encounters_of(trace).ahead
 
 
-def _time_advantage(trace: Trace) -> FloatArray:
-    return time_advantage(trace).T
+def _right(trace: Trace) -> FloatArray:
+    return encounters_of(trace).right
 
 
-_speed, _acceleration, _lane = (partial(_column, index) for index in (SPEED, ACCELERATION, LANE))
+_of_ego, _of_npcs = partial(_recorded, 0), partial(_recorded, slice(1, None))
 _TURNING = "speed times the turning rate of the heading since the tick before, positive to the right"
 _JERK = "change of the acceleration since the tick before, per second; 0 at the first tick"
 _ROAD = "along the road, between the centres"
 
 # Partial functions of named functions, because lambdas cannot be sent to other processes.
 MEASURES = (
-    Measure("ego.speed", "m/s", "high", "as recorded", partial(_of_ego, _speed)),
-    Measure("ego.acceleration", "m/s^2", "low", "as recorded; negative in braking", partial(_of_ego, _acceleration)),
-    Measure("ego.jerk", "m/s^3", "both", _JERK, partial(_of_ego, jerk)),
-    Measure("ego.lateral_acceleration", "m/s^2", "both", _TURNING, partial(_of_ego, lateral_acceleration)),
+    Measure("ego.speed", "m/s", "high", "as recorded", partial(_of_ego, SPEED)),
+    Measure("ego.acceleration", "m/s^2", "low", "as recorded; negative in braking", partial(_of_ego, ACCELERATION)),
+    Measure("ego.jerk", "m/s^3", "both", _JERK, partial(_ego, jerk)),
+    Measure("ego.lateral_acceleration", "m/s^2", "both", _TURNING, partial(_ego, lateral_acceleration)),
     Measure("ego.lane", "", "neither", "the lane of its centre, from 0 at the left; -1 off the road",
-            partial(_of_ego, _lane)),
+            partial(_of_ego, LANE)),
     Measure("headway", "s", "low", "gap along the lane to the leader, divided by the ego's speed; inf without a "
             "leader, or if the ego stands", headway),
-    Measure("npcs.speed", "m/s", "neither", "as recorded", partial(_of_npcs, _speed)),
-    Measure("npcs.acceleration", "m/s^2", "neither", "as recorded", partial(_of_npcs, _acceleration)),
+    Measure("npcs.speed", "m/s", "neither", "as recorded", partial(_of_npcs, SPEED)),
+    Measure("npcs.acceleration", "m/s^2", "neither", "as recorded", partial(_of_npcs, ACCELERATION)),
     Measure("npcs.lane", "", "neither", "the lane of its centre, from 0 at the left; -1 off the road",
-            partial(_of_npcs, _lane)),
+            partial(_of_npcs, LANE)),
     Measure("npcs.ahead", "m", "neither", f"distance ahead of the ego {_ROAD}; negative behind, NaN while it "
-            "crosses", partial(_encounter, "ahead")),
+            "crosses", _ahead),
     Measure("npcs.right", "m", "neither", "distance to the right of the ego across the road, between the centres; "
-            "NaN while it crosses", partial(_encounter, "right")),
+            "NaN while it crosses", _right),
     Measure("npcs.gap", "m", "low", "distance between the NPC's box and the ego's; 0 at contact",
-            partial(_encounter, "gap")),
+            partial(_npcs, gap)),
     Measure("npcs.ttc", "s", "low", "time to contact with the ego at constant velocity, of the boxes; inf if there is "
-            "none (Hayward 1972)", partial(_encounter, "ttc")),
+            "none (Hayward 1972)", partial(_npcs, ttc)),
     Measure("npcs.time_advantage", "s", "low", "time between the exit of ego or NPC from the zone where their ways "
             "meet and the entry of the other, if both keep their speed; 0 if both would be there at the same time, inf "
-            "if one would never arrive, and without a zone (Laureshyn and others 2010)", _time_advantage),
+            "if one would never arrive, and without a zone (Laureshyn and others 2010)",
+            partial(_npcs, time_advantage)),
 )  # fmt: skip
 """The measures of every run, named like the attributes ``run.headway``, ``run.ego.jerk`` and ``run.npcs[0].ttc``.
 
@@ -350,7 +350,7 @@ class Signals:
         npcs = range(self.trace.states.shape[1] - 1)
         crossing = [npc for npc, zone in enumerate(self.trace.zones) if zone is not None]
         for measure in MEASURES:
-            of_npcs = crossing if measure.function is _time_advantage else npcs
+            of_npcs = crossing if measure.name == "npcs.time_advantage" else npcs
             of_whom = of_npcs if measure.name.startswith(NpcSignals._of) else (None,)
             yield from (self.of(measure, npc) for npc in of_whom)
 

@@ -1,9 +1,9 @@
 # cython: boundscheck=False, initializedcheck=False, wraparound=False, cdivision=True, auto_pickle=False
-# The checks are off because no index exceeds the shapes that the constructor checks and no divisor is zero.
+# The checks are off because no index exceeds the shapes that `extremes` checks and no divisor is zero.
 """One pass over the ticks of a run for the three extremes that a search reads of every run, in typed, plain Python.
 
-The values equal those of :class:`~pytest_pafot.criticality.measures.Encounters` to the last bit, because the pass does
-the same operations in the same order. It skips ticks if bounds show that they cannot be extreme. The compiled pass
+The values equal those of numpy's arrays in :mod:`~pytest_pafot.criticality.measures` to the last bit, because the pass
+does the same operations in the same order. It skips ticks if bounds show that they cannot be extreme. The compiled pass
 takes a tenth of the time of numpy's whole arrays. The interpreted pass would be slower than numpy's arrays, so an
 installation without compiled code uses the arrays.
 
@@ -48,176 +48,124 @@ def is_in_use() -> bool:
     )
 
 
-class Sweep:
-    """A pass over the ticks of a run, which computes the extremes of three measures.
+def extremes(
+    states: FloatArray, sizes: FloatArray, road: tuple[float, float], manoeuvre_seconds: float
+) -> tuple[float, float, float] | None:
+    """Return the least time to contact, the least gap and the largest safety shortfall of a run.
+
+    None if the caller has to use numpy's arrays.
 
     Args:
         states: states of a trace, shape [ticks + 1, vehicles, 7].
         sizes: sizes of a trace, shape [vehicles, 2].
         road: cosine and sine of the road's heading.
         manoeuvre_seconds: time to manoeuvre, t in the equation of the safety distance [s].
-
-    Attributes:
-        min_ttc, min_gap, max_safety_shortfall: see the functions of these names; valid if :meth:`run` returned True.
     """
+    if states.ndim != 3 or states.shape[2] != 7 or sizes.shape != (states.shape[1], 2):
+        raise ValueError(
+            f"states, sizes: expected the shapes [ticks + 1, vehicles, 7] and [vehicles, 2], received "
+            f"{states.shape} and {sizes.shape}; give those of a trace"
+        )
+    return _swept(states, sizes, road[0], road[1], manoeuvre_seconds)
 
-    def __init__(
-        self, states: FloatArray, sizes: FloatArray, road: tuple[float, float], manoeuvre_seconds: float
-    ) -> None:
-        if states.ndim != 3 or states.shape[2] != 7 or sizes.shape != (states.shape[1], 2):
-            raise ValueError(
-                f"states, sizes: expected the shapes [ticks + 1, vehicles, 7] and [vehicles, 2], received "
-                f"{states.shape} and {sizes.shape}; give those of a trace"
-            )
-        self.min_ttc = math.inf
-        self.min_gap = math.inf
-        self.max_safety_shortfall = 0.0
-        self._states: Any = states
-        self._sizes: Any = sizes
-        self._road_cos, self._road_sin = road
-        self._seconds = manoeuvre_seconds
-        self._half_seconds_squared = manoeuvre_seconds * manoeuvre_seconds / 2
-        self._ticks = states.shape[0]
-        self._vehicles = states.shape[1]
-        self._al, self._aw = sizes[0, 0] / 2, sizes[0, 1] / 2
 
-    def run(self) -> bool:
-        """Read all ticks and return whether the results are valid; if not, the caller has to use numpy's arrays."""
-        for tick in range(self._ticks):
-            if not self._is_sane(tick):
-                return False
-            self._see_ego(tick)
-            for vehicle in range(1, self._vehicles):
-                self._see(tick, vehicle)
-                self._measure()
-        return self.min_ttc < LONGEST
-
-    def _is_sane(self, tick: int) -> bool:
-        for vehicle in range(self._vehicles):
+def _swept(
+    states: Any, sizes: Any, road_cos: float, road_sin: float, seconds: float
+) -> tuple[float, float, float] | None:
+    min_ttc, min_gap, max_shortfall = math.inf, math.inf, 0.0
+    al, aw = sizes[0, 0] / 2, sizes[0, 1] / 2
+    for tick in range(states.shape[0]):
+        for vehicle in range(states.shape[1]):
             size = 0.0
             for column in range(7):
-                size += abs(self._states[tick, vehicle, column])
+                size += abs(states[tick, vehicle, column])
             if not size < LARGE:
-                return False
-        return True
+                return None
+        # The ego is vehicle a of the formulas and an NPC is vehicle b, at (x, y) relative to the ego.
+        heading_a, speed_a = states[tick, 0, 2], states[tick, 0, 3]
+        acceleration_a, lane_a = states[tick, 0, 4], states[tick, 0, 6]
+        turn_a = abs(heading_a)
+        fast_a = abs(speed_a) * turn_a * turn_a / 2.0
+        for vehicle in range(1, states.shape[1]):
+            x, y = states[tick, vehicle, 0] - states[tick, 0, 0], states[tick, vehicle, 1] - states[tick, 0, 1]
+            heading_b, speed_b = states[tick, vehicle, 2], states[tick, vehicle, 3]
+            bl, bw = sizes[vehicle, 0] / 2, sizes[vehicle, 1] / 2
+            turn_b = abs(heading_b)
 
-    def _see_ego(self, tick: int) -> None:
-        """Read the ego's state at a tick, as vehicle a of the formulas."""
-        self._ax, self._ay = self._states[tick, 0, 0], self._states[tick, 0, 1]
-        self._heading_a, self._speed_a = self._states[tick, 0, 2], self._states[tick, 0, 3]
-        self._acceleration_a, self._lane_a = self._states[tick, 0, 4], self._states[tick, 0, 6]
+            # Lower bounds of the distance between the boxes along x and along y.
+            room_x = abs(x) - (al + aw * turn_a + bl + bw * turn_b) - SLACK
+            room_y = abs(y) - (aw + al * turn_a + bw + bl * turn_b) - SLACK
+            room_x = room_x if room_x > 0.0 else 0.0
+            room_y = room_y if room_y > 0.0 else 0.0
+            apart = room_x * room_x + room_y * room_y
 
-    def _see(self, tick: int, vehicle: int) -> None:
-        """Read an NPC's state at a tick, as vehicle b of the formulas; its position is relative to the ego's."""
-        self._x = self._states[tick, vehicle, 0] - self._ax
-        self._y = self._states[tick, vehicle, 1] - self._ay
-        self._heading_b, self._speed_b = self._states[tick, vehicle, 2], self._states[tick, vehicle, 3]
-        self._acceleration_b, self._lane_b = self._states[tick, vehicle, 4], self._states[tick, vehicle, 6]
-        self._bl, self._bw = self._sizes[vehicle, 0] / 2, self._sizes[vehicle, 1] / 2
+            # Whether upper bounds of the closing speeds along x and along y allow a shorter time to contact.
+            comes = True
+            fast_b = abs(speed_b) * turn_b * turn_b / 2.0
+            if room_x > 0.0:
+                closing = speed_a - speed_b
+                closing = (closing if x > 0.0 else -closing) + fast_a + fast_b
+                comes = closing > 0.0 and room_x < closing * min_ttc
+            if comes and room_y > 0.0:
+                closing = speed_a * heading_a - speed_b * heading_b
+                closing = (closing if y > 0.0 else -closing) + (fast_a * turn_a + fast_b * turn_b) / 3.0
+                comes = closing > 0.0 and room_y < closing * min_ttc
 
-    def _measure(self) -> None:
-        """Update the extremes from the present pair; compute exactly only if the bounds allow a new extreme."""
-        turn_a, turn_b = abs(self._heading_a), abs(self._heading_b)
-        # Lower bounds of the distance between the boxes along x and along y.
-        room_x = abs(self._x) - (self._al + self._aw * turn_a + self._bl + self._bw * turn_b) - SLACK
-        room_y = abs(self._y) - (self._aw + self._al * turn_a + self._bw + self._bl * turn_b) - SLACK
-        room_x = room_x if room_x > 0.0 else 0.0
-        room_y = room_y if room_y > 0.0 else 0.0
-        apart = room_x * room_x + room_y * room_y
-        comes = self._may_come(room_x, room_y, turn_a, turn_b)
-        keep = self._safety_distance()
-        demanded = (1.0 - self.max_safety_shortfall) * keep + SLACK  # a larger gap cannot be a larger shortfall
-        near = apart < self.min_gap * self.min_gap or (keep > 0.0 and apart < demanded * demanded)
-        if not (comes or near):
-            return
-        self._relate()
-        if comes:
-            time = self._contact_time()
-            self.min_ttc = time if time < self.min_ttc else self.min_ttc
-        if near:
-            gap = self._gap()
-            self.min_gap = gap if gap < self.min_gap else self.min_gap
-            if keep > 0.0 and 1.0 - gap / keep > self.max_safety_shortfall:
-                self.max_safety_shortfall = 1.0 - gap / keep
+            # The safety distance of the paper's equation 5, if ego and NPC are in one lane. A gap that is larger than
+            # ``demanded`` cannot be a larger shortfall.
+            keep = 0.0
+            if lane_a == states[tick, vehicle, 6] and lane_a >= 0.0:
+                gain, pull = speed_a - speed_b, acceleration_a - states[tick, vehicle, 4]
+                if not x * road_cos + y * road_sin >= 0.0:
+                    gain, pull = -gain, -pull
+                keep = gain * seconds + pull * (seconds * seconds / 2)
+            demanded = (1.0 - max_shortfall) * keep + SLACK
+            near = apart < min_gap * min_gap or (keep > 0.0 and apart < demanded * demanded)
+            if not (comes or near):
+                continue
 
-    def _may_come(self, room_x: float, room_y: float, turn_a: float, turn_b: float) -> bool:
-        """Return whether bounds along x and y allow a shorter time to contact than the shortest one so far."""
-        fast_a, fast_b = abs(self._speed_a) * turn_a * turn_a / 2.0, abs(self._speed_b) * turn_b * turn_b / 2.0
-        if room_x > 0.0:
-            closing = self._speed_a - self._speed_b
-            closing = (closing if self._x > 0.0 else -closing) + fast_a + fast_b
-            if closing <= 0.0 or room_x >= closing * self.min_ttc:
-                return False
-        if room_y > 0.0:
-            closing = self._speed_a * self._heading_a - self._speed_b * self._heading_b
-            closing = (closing if self._y > 0.0 else -closing) + (fast_a * turn_a + fast_b * turn_b) / 3.0
-            if closing <= 0.0 or room_y >= closing * self.min_ttc:
-                return False
-        return True
+            # The projections of the boxes onto their four axes, as in boxes.relate.
+            ac, sa, bc, sb = math.cos(heading_a), math.sin(heading_a), math.cos(heading_b), math.sin(heading_b)
+            cos, sin = ac * bc + sa * sb, ac * sb - sa * bc
+            c, s = abs(cos), abs(sin)
+            reach_0, reach_1 = al + bl * c + bw * s, aw + bl * s + bw * c
+            reach_2, reach_3 = bl + al * c + aw * s, bw + al * s + aw * c
+            offset_0, offset_1 = x * ac + y * sa, y * ac - x * sa
+            offset_2, offset_3 = x * bc + y * sb, y * bc - x * sb
 
-    def _safety_distance(self) -> float:
-        """Return the safety distance of the paper's equation 5 [m] if ego and NPC are in one lane, else 0."""
-        if self._lane_a != self._lane_b or self._lane_a < 0.0:
-            return 0.0
-        gain = self._speed_a - self._speed_b
-        pull = self._acceleration_a - self._acceleration_b
-        if not self._x * self._road_cos + self._y * self._road_sin >= 0.0:
-            gain, pull = -gain, -pull
-        distance: float = gain * self._seconds + pull * self._half_seconds_squared
-        return distance
+            if comes:  # the time to contact, as in boxes.contact_time
+                vx, vy = speed_b * bc - speed_a * ac, speed_b * sb - speed_a * sa
+                begins, ends = _cut(-math.inf, math.inf, offset_0, reach_0, vx * ac + vy * sa)
+                begins, ends = _cut(begins, ends, offset_1, reach_1, vy * ac - vx * sa)
+                begins, ends = _cut(begins, ends, offset_2, reach_2, vx * bc + vy * sb)
+                begins, ends = _cut(begins, ends, offset_3, reach_3, vy * bc - vx * sb)
+                if begins <= ends and ends >= 0.0:
+                    begins = begins if begins > 0.0 else 0.0
+                    min_ttc = begins if begins < min_ttc else min_ttc
+            if near:  # the distance between the boxes, as in boxes.box_gap
+                gap = 0.0
+                if (
+                    abs(offset_0) > reach_0
+                    or abs(offset_1) > reach_1
+                    or abs(offset_2) > reach_2
+                    or abs(offset_3) > reach_3
+                ):
+                    from_b = _corners_to_box(offset_0, offset_1, bl * cos, bl * sin, -bw * sin, bw * cos, al, aw)
+                    from_a = _corners_to_box(offset_2, offset_3, al * cos, -al * sin, aw * sin, aw * cos, bl, bw)
+                    gap = math.sqrt(from_a if from_a < from_b else from_b)
+                min_gap = gap if gap < min_gap else min_gap
+                if keep > 0.0 and 1.0 - gap / keep > max_shortfall:
+                    max_shortfall = 1.0 - gap / keep
+    return (min_ttc, min_gap, max_shortfall) if min_ttc < LONGEST else None
 
-    def _relate(self) -> None:
-        """Project the boxes onto their four axes, as :func:`pytest_pafot.criticality.boxes.relate` does."""
-        self._ac, self._as = math.cos(self._heading_a), math.sin(self._heading_a)
-        self._bc, self._bs = math.cos(self._heading_b), math.sin(self._heading_b)
-        ac, sa, bc, sb = self._ac, self._as, self._bc, self._bs
-        x, y = self._x, self._y
-        self._turn_cos = ac * bc + sa * sb
-        self._turn_sin = ac * sb - sa * bc
-        c, s = abs(self._turn_cos), abs(self._turn_sin)
-        self._reach_0 = self._al + self._bl * c + self._bw * s
-        self._reach_1 = self._aw + self._bl * s + self._bw * c
-        self._reach_2 = self._bl + self._al * c + self._aw * s
-        self._reach_3 = self._bw + self._al * s + self._aw * c
-        self._offset_0, self._offset_1 = x * ac + y * sa, y * ac - x * sa
-        self._offset_2, self._offset_3 = x * bc + y * sb, y * bc - x * sb
 
-    def _contact_time(self) -> float:
-        """Return the time to contact [s], as :func:`pytest_pafot.criticality.boxes.contact_time` computes it."""
-        ac, sa, bc, sb = self._ac, self._as, self._bc, self._bs
-        vx, vy = self._speed_b * bc - self._speed_a * ac, self._speed_b * sb - self._speed_a * sa
-        self._begins, self._ends = -math.inf, math.inf
-        self._cut(self._offset_0, self._reach_0, vx * ac + vy * sa)
-        self._cut(self._offset_1, self._reach_1, vy * ac - vx * sa)
-        self._cut(self._offset_2, self._reach_2, vx * bc + vy * sb)
-        self._cut(self._offset_3, self._reach_3, vy * bc - vx * sb)
-        if self._begins > self._ends or self._ends < 0.0:
-            return math.inf
-        return self._begins if self._begins > 0.0 else 0.0
-
-    def _cut(self, offset: float, reach: float, velocity: float) -> None:
-        """Restrict the time of contact to the time in which the boxes overlap along one axis."""
-        distance = abs(offset)
-        parting = math.copysign(1.0, offset) * velocity + TINY
-        near, far = (reach - distance) / parting, -(reach + distance) / parting
-        first, last = (near, far) if near < far else (far, near)
-        self._begins = first if first > self._begins else self._begins
-        self._ends = last if last < self._ends else self._ends
-
-    def _gap(self) -> float:
-        """Return the distance between the boxes [m], as :func:`pytest_pafot.criticality.boxes.box_gap` computes it."""
-        if (
-            abs(self._offset_0) <= self._reach_0
-            and abs(self._offset_1) <= self._reach_1
-            and abs(self._offset_2) <= self._reach_2
-            and abs(self._offset_3) <= self._reach_3
-        ):
-            return 0.0
-        cos, sin = self._turn_cos, self._turn_sin
-        al, aw, bl, bw = self._al, self._aw, self._bl, self._bw
-        from_b = _corners_to_box(self._offset_0, self._offset_1, bl * cos, bl * sin, -bw * sin, bw * cos, al, aw)
-        from_a = _corners_to_box(self._offset_2, self._offset_3, al * cos, -al * sin, aw * sin, aw * cos, bl, bw)
-        return math.sqrt(from_a if from_a < from_b else from_b)
+def _cut(begins: float, ends: float, offset: float, reach: float, velocity: float) -> tuple[float, float]:
+    """Restrict a time of contact to the time in which the boxes overlap along one axis."""
+    distance = abs(offset)
+    parting = math.copysign(1.0, offset) * velocity + TINY
+    near, far = (reach - distance) / parting, -(reach + distance) / parting
+    first, last = (near, far) if near < far else (far, near)
+    return first if first > begins else begins, last if last < ends else ends
 
 
 def _corners_to_box(

@@ -12,7 +12,7 @@ from pytest_pafot.commands.policy_reference import ads_factory
 from pytest_pafot.commands.resumable import written_into
 from pytest_pafot.corpus.saved import named_file
 from pytest_pafot.export.exporter import BUILT_IN, GROUP, ExportError, exporter
-from pytest_pafot.findings.replay import ending
+from pytest_pafot.findings.finding import ending
 from pytest_pafot.support.files import write_whole
 
 

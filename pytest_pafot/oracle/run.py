@@ -207,7 +207,7 @@ class Run(Shown):
         The estimated time is the time until the ego reaches the point where its line of travel crosses an NPC's line
         (PAFOT, section 3.3, equations 1 to 3).
         """
-        return self._encounters.mettc
+        return criticality.mettc(self.trace)
 
     @cached_property
     def min_ttc(self) -> float:
@@ -215,17 +215,17 @@ class Run(Shown):
 
         It assumes constant velocities: the time to collision of Hayward (1972), for oriented boxes.
         """
-        return self._encounters.min_ttc
+        return criticality.min_ttc(self.trace)
 
     @cached_property
     def min_distance(self) -> float:
         """The least distance between the ego's box and an NPC's [m]; lower is worse, 0 at contact."""
-        return self._encounters.min_gap
+        return criticality.min_gap(self.trace)
 
     @cached_property
     def min_centre_distance(self) -> float:
         """The paper's minimum distance between the ego's centre and an NPC's [m]; lower is worse (equation 4)."""
-        return self._encounters.min_centre_distance
+        return criticality.min_centre_distance(self.trace)
 
     @cached_property
     def hardest_brake(self) -> float:
@@ -392,12 +392,12 @@ class Run(Shown):
     @cached_property
     def worst_ttc(self) -> Moment | None:
         """The tick and NPC with the least time to contact in the run; None if no time to contact was finite."""
-        return self._at_minimum(self._encounters.ttc)
+        return self._at_minimum(criticality.ttc(self.trace))
 
     @cached_property
     def closest_approach(self) -> Moment | None:
         """The tick and NPC with the least distance between the NPC's box and the ego's."""
-        return self._at_minimum(self._encounters.gap)
+        return self._at_minimum(criticality.gap(self.trace))
 
     @property
     def closest_time(self) -> float:
@@ -481,20 +481,16 @@ class Run(Shown):
     def _signals(self) -> Signals:
         return Signals(self.trace)
 
-    @cached_property
-    def _encounters(self) -> criticality.Encounters:
-        return criticality.Encounters(self.trace)
-
     def _at_minimum(self, measure: FloatArray) -> Moment | None:
-        """Return the moment at which a measure of shape [NPCs, ticks + 1] is least; None if it is never finite.
+        """Return the moment at which a measure of shape [ticks + 1, NPCs] is least; None if it is never finite.
 
         Of equal values, the first tick is used, and at that tick the first NPC.
         """
-        values = np.where(np.isnan(measure), np.inf, measure).T
+        values = np.where(np.isnan(measure), np.inf, measure)
         if values.size == 0 or not np.isfinite(values.min()):
             return None
         tick, npc = divmod(int(values.argmin()), values.shape[1])
-        cell = self._encounters.last_cell(npc, tick)
+        cell = criticality.Encounters(self.trace).last_cell(npc, tick)
         return Moment(npc=npc, tick=tick, time=tick / self.trace.physics_hz, cell=cell)
 
     def _headline(self) -> str:

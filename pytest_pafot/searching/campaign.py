@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import islice
-from typing import Any, Generic
+from typing import Generic
 
 import numpy as np
 
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.searching.ask_tell import Algorithm, Drawing, StateT, check_order
-from pytest_pafot.searching.evaluation import Evaluation
-from pytest_pafot.searching.evaluation_cache import EvaluationCache, Remembered
+from pytest_pafot.searching.evaluation import Evaluation, EvaluationCache, Remembered
 from pytest_pafot.searching.events import (
     AlgorithmEvent,
     CampaignFinished,
@@ -120,190 +119,125 @@ def run_campaign(
             "clock: expected a function that returns seconds with max_seconds, received None; give time.monotonic"
         )
     now = clock or (lambda: 0.0)
+    cache = EvaluationCache(seeds_matter=seeds_matter)
 
-    def exceeded(left: int, seconds: float) -> EndReason | None:
-        if stop is not None and stop():
-            return "stopped"
-        if left <= 0:
-            return "runs"
-        most = max_seconds() if callable(max_seconds) else max_seconds
-        return "time" if most is not None and seconds >= most else None
+    def with_known_runs(checkpoint: Checkpoint[StateT]) -> Checkpoint[StateT]:
+        """Return a checkpoint with the known runs added, except those that its ``begun`` already lists."""
+        new = sum(not reused for _, reused in checkpoint.begun)
+        return replace(checkpoint, remembered=cache.remembered(but=new))
 
-    evaluator = _Evaluator(evaluate, foresee, EvaluationCache(seeds_matter=seeds_matter))
     if resumed is None:
         sums = CampaignFinished(reason="generations", generations=0, evaluated=0, simulated=0, best=None, seconds=0.0)
         resumed = Checkpoint(state=algorithm.start(generation_rng(seed)), sums=sums)
-        border(partial(evaluator.remembering, resumed))
-    evaluator.restore(resumed)
-    campaign = _Campaign(
-        adapted=adapted,
-        evaluator=evaluator,
-        exceeded=exceeded,
-        now=now,
-        border=border,
-        seed=seed,
-        generations=resumed.state.generation + (generations or (runs or 0) + bool(resumed.begun)),
-        runs=sys.maxsize if runs is None else resumed.sums.simulated + runs,
-    )
-    begun = CampaignStarted(algorithm=algorithm.name, generations=generations, seed=seed)
-    return campaign.events(algorithm, begun, resumed)
+        border(partial(with_known_runs, resumed))
+    try:
+        cache.restore(resumed.remembered)
+    except ValueError as error:
+        raise CheckpointError(f"remembered: {error}") from None
+    for evaluation, reused in resumed.begun:
+        if not reused:
+            cache.add(evaluation)
+    last_generation = resumed.state.generation + (generations or (runs or 0) + bool(resumed.begun))
+    last_run = sys.maxsize if runs is None else resumed.sums.simulated + runs
+
+    def unknown(scenarios: Iterable[Scenario]) -> Iterator[Scenario]:
+        """Yield once each scenario that no earlier run shows."""
+        seen = set()
+        for scenario in scenarios:
+            if scenario not in seen and cache.recall(scenario) is None:
+                seen.add(scenario)
+                yield scenario
+
+    def events(algorithm: Algorithm[StateT], resumed: Checkpoint[StateT]) -> Generator[Event, None, None]:
+        started, state, sums, told = now(), resumed.state, resumed.sums, list(resumed.begun)
+        yield CampaignStarted(algorithm=algorithm.name, generations=generations, seed=seed)
+        reason: EndReason | None = None
+        while reason is None and state.generation < last_generation:
+            # The algorithm draws the scenarios of a generation; the first may run while the last is still sampled.
+            before, rng = state, generation_rng(seed, state.generation, state.local_generation)
+            algorithm = adapted(algorithm, state)
+            drawing = Drawing(algorithm, state, rng)
+            coming: Iterable[Scenario] = drawing
+            if told:  # a resumed search may request other scenarios than the one that began the generation
+                drawing.finished()
+                coming = drawing.scenarios[len(told) :]
+                try:
+                    check_order("begun", drawing.scenarios[: len(told)], [evaluation for evaluation, _ in told])
+                except ValueError as error:
+                    raise CheckpointError(str(error)) from None
+            else:
+                cache.forget()  # only here, between two generations, where checkpoints are made
+            if foresee is not None:
+                foresee(islice(unknown(coming), last_run - sums.simulated))
+            state, scenarios = drawing.finished(), drawing.scenarios
+
+            # Each scenario is simulated, unless an earlier run shows its result; limits count after the first one.
+            for index, scenario in enumerate(scenarios[len(told) :], start=len(told)):
+                if sums.evaluated > resumed.sums.evaluated:
+                    seconds = now() - started
+                    if stop is not None and stop():
+                        reason = "stopped"
+                    elif sums.simulated >= last_run:
+                        reason = "runs"
+                    elif max_seconds is not None:
+                        most = max_seconds() if callable(max_seconds) else max_seconds
+                        reason = "time" if seconds >= most else None
+                    if reason is not None:
+                        break
+                evaluation = cache.recall(scenario)
+                reused = evaluation is not None
+                if evaluation is None:
+                    try:
+                        evaluation = evaluate(scenario)
+                    except OutOfTime:
+                        reason = "time"
+                        break
+                    check_order("evaluate", [scenario], [evaluation])
+                    cache.add(evaluation)
+                told.append((evaluation, reused))
+                sums = replace(
+                    sums,
+                    evaluated=sums.evaluated + 1,
+                    simulated=sums.simulated + (not reused),
+                    best=evaluation if improves(evaluation, sums.best) else sums.best,
+                )
+                yield Evaluated(
+                    generation=state.generation,
+                    local_generation=state.local_generation,
+                    index=index,
+                    evaluation=evaluation,
+                    reused=reused,
+                )
+
+            # The algorithm learns from a whole generation. A generation that the limit on runs cut is only reported:
+            # the algorithm does not receive its evaluations, because no other generation follows.
+            here = Checkpoint(state=before, sums=sums, begun=tuple(told))
+            evaluations = tuple(evaluation for evaluation, _ in told)
+            ended: tuple[AlgorithmEvent, ...] = ()
+            if reason is None:
+                state, ended = algorithm.tell(state, evaluations, rng)
+            elif reason == "runs" and evaluations:
+                cut = GenerationFinished(
+                    generation=state.generation,
+                    local_generation=state.local_generation,
+                    population=evaluations,
+                    elites=0,
+                )
+                ended = (cut,)
+            for event in ended:
+                # A restart without a following generation does not take place.
+                if not (isinstance(event, Restarted) and event.generation >= last_generation):
+                    if isinstance(event, GenerationFinished) and event.local_generation == 0:
+                        sums = replace(sums, generations=sums.generations + 1)
+                    yield event
+            if reason is None:
+                here, told = Checkpoint(state=state, sums=sums), []
+            border(partial(with_known_runs, here))
+        yield replace(sums, reason=reason or "generations", seconds=now() - started)
+
+    return events(algorithm, resumed)
 
 
 def generation_rng(seed: int, *generation: int) -> np.random.Generator:
     """Return the random generator of a generation; it depends only on the seed and the numbers of the generation."""
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=generation))
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Campaign(Generic[StateT]):
-    """The loop of a campaign, with the totals at which it ends."""
-
-    adapted: Callable[[Algorithm[StateT], StateT], Algorithm[StateT]]
-    evaluator: _Evaluator
-    exceeded: Callable[[int, float], EndReason | None]  # arguments: remaining runs, elapsed seconds
-    now: Callable[[], float]
-    border: Callable[[Callable[[], Checkpoint[StateT]]], None]
-    seed: int
-    generations: int
-    runs: int
-
-    def events(
-        self, algorithm: Algorithm[StateT], begun: CampaignStarted, resumed: Checkpoint[StateT]
-    ) -> Generator[Event, None, None]:
-        started, state, end, told = self.now(), resumed.state, resumed.sums, list(resumed.begun)
-        yield begun
-        reason: EndReason | None = None
-        while reason is None and state.generation < self.generations:
-            rng = generation_rng(self.seed, state.generation, state.local_generation)
-            algorithm = self.adapted(algorithm, state)
-            last = state
-            state, scenarios = self._asked(Drawing(algorithm, state, rng), told, self.runs - end.simulated)
-            while len(told) < len(scenarios):
-                if end.evaluated > resumed.sums.evaluated:
-                    reason = self.exceeded(self.runs - end.simulated, self.now() - started)
-                if reason is not None:
-                    break
-                try:
-                    evaluation, reused = self.evaluator.evaluated(scenarios[len(told)])
-                except OutOfTime:
-                    reason = "time"
-                    break
-                event = Evaluated(
-                    generation=state.generation,
-                    local_generation=state.local_generation,
-                    index=len(told),
-                    evaluation=evaluation,
-                    reused=reused,
-                )
-                told.append((evaluation, reused))
-                end = replace(
-                    end,
-                    evaluated=end.evaluated + 1,
-                    simulated=end.simulated + (not reused),
-                    best=evaluation if improves(evaluation, end.best) else end.best,
-                )
-                yield event
-            here = Checkpoint(state=last, sums=end, begun=tuple(told))
-            state, events = self._finished(algorithm, state, told, rng, reason)
-            for tell in events:
-                # A restart without a following generation does not take place.
-                if not (isinstance(tell, Restarted) and tell.generation >= self.generations):
-                    if isinstance(tell, GenerationFinished) and tell.local_generation == 0:
-                        end = replace(end, generations=end.generations + 1)
-                    yield tell
-            if reason is None:
-                here, told = Checkpoint(state=state, sums=end), []
-            self.border(partial(self.evaluator.remembering, here))
-        yield replace(end, reason=reason or "generations", seconds=self.now() - started)
-
-    def _asked(
-        self, drawing: Drawing[StateT], told: Sequence[tuple[Evaluation, bool]], left: int
-    ) -> tuple[StateT, Sequence[Scenario]]:
-        """Return the scenarios of a generation; the first may run while the last is still being sampled."""
-        if told:
-            drawing.finished()
-            try:  # a resumed search may request other scenarios than the one that began the generation
-                check_order("begun", drawing.scenarios[: len(told)], [evaluation for evaluation, _ in told])
-            except ValueError as error:
-                raise CheckpointError(str(error)) from None
-            self.evaluator.foresee(drawing.scenarios[len(told) :], left)
-        else:
-            self.evaluator.forget()
-            self.evaluator.foresee(drawing, left)
-        return drawing.finished(), drawing.scenarios
-
-    def _finished(
-        self,
-        algorithm: Algorithm[StateT],
-        state: StateT,
-        told: Sequence[tuple[Evaluation, bool]],
-        rng: np.random.Generator,
-        reason: EndReason | None,
-    ) -> tuple[StateT, tuple[AlgorithmEvent, ...]]:
-        evaluations = tuple(evaluation for evaluation, _ in told)
-        if reason is None:
-            return algorithm.tell(state, evaluations, rng)
-        if reason != "runs" or not evaluations:
-            return state, ()
-        # The algorithm does not receive these evaluations, because no other generation follows.
-        finished = GenerationFinished(
-            generation=state.generation, local_generation=state.local_generation, population=evaluations, elites=0
-        )
-        return state, (finished,)
-
-
-class _Evaluator:
-    """The only place that has scenarios simulated: it reuses the evaluations of runs that are known already."""
-
-    def __init__(
-        self, evaluate: Evaluate, foresee: Callable[[Iterable[Scenario]], None] | None, cache: EvaluationCache
-    ) -> None:
-        self._evaluate = evaluate
-        self._foresee = foresee
-        self._cache = cache
-
-    def restore(self, checkpoint: Checkpoint[Any]) -> None:
-        """Restore the known runs from a checkpoint.
-
-        Raises:
-            CheckpointError: if they are not the runs of a campaign.
-        """
-        try:
-            self._cache.restore(checkpoint.remembered)
-        except ValueError as error:
-            raise CheckpointError(f"remembered: {error}") from None
-        for evaluation, reused in checkpoint.begun:
-            if not reused:
-                self._cache.add(evaluation)
-
-    def remembering(self, checkpoint: Checkpoint[StateT]) -> Checkpoint[StateT]:
-        """Return a checkpoint with the known runs added, except those that its ``begun`` already lists."""
-        new = sum(not reused for _, reused in checkpoint.begun)
-        return replace(checkpoint, remembered=self._cache.remembered(but=new))
-
-    def forget(self) -> None:
-        """Forget old runs; only allowed between two generations, where checkpoints are made."""
-        self._cache.forget()
-
-    def foresee(self, scenarios: Iterable[Scenario], most: int) -> None:
-        """Announce the scenarios that will be evaluated, without those whose result is known."""
-        if self._foresee is not None:
-            self._foresee(islice(self._unknown(scenarios), most))
-
-    def _unknown(self, scenarios: Iterable[Scenario]) -> Iterator[Scenario]:
-        """Yield once each scenario that no earlier run shows."""
-        seen = set()
-        for scenario in scenarios:
-            if scenario not in seen and self._cache.recall(scenario) is None:
-                seen.add(scenario)
-                yield scenario
-
-    def evaluated(self, scenario: Scenario) -> tuple[Evaluation, bool]:
-        """Return the evaluation of a scenario, and whether it is from an earlier run."""
-        known = self._cache.recall(scenario)
-        if known is not None:
-            return known, True
-        new = self._evaluate(scenario)
-        check_order("evaluate", [scenario], [new])
-        self._cache.add(new)
-        return new, False

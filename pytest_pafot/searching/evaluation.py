@@ -1,19 +1,29 @@
-"""The results of a simulated scenario that a search uses, and the order in which a search prefers scenarios."""
+"""The results of a simulated scenario that a search uses, their order, and the results that a search remembers."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Hashable
-from dataclasses import dataclass, field
+from collections import deque
+from collections.abc import Hashable, Iterable
+from dataclasses import dataclass, field, replace
+from itertools import islice
 from typing import Any, Self
 
 import numpy as np
 
-from pytest_pafot.criticality import Encounters, passages, sweep, time_advantage
+from pytest_pafot.criticality import Encounters, passages, time_advantage
 from pytest_pafot.model.grid import Cell
-from pytest_pafot.model.scenario import Chromosome, Scenario, with_targets
-from pytest_pafot.model.trace import HEADING, LANE, SPEED, Collision, FloatArray, Outcome, Trace, X, Y
-from pytest_pafot.searching.interaction import InteractionSweep
+from pytest_pafot.model.scenario import (
+    SHIFTS,
+    Chromosome,
+    CrossingInstruction,
+    Gene,
+    PositionInstruction,
+    Scenario,
+    with_targets,
+)
+from pytest_pafot.model.trace import LANE, SPEED, Collision, Outcome, Trace
+from pytest_pafot.searching.space import repaired
 
 Rank = tuple[bool, bool, float]
 """A sort key for runs: eligible, failing, fitness. The first difference decides; greater is worse for the ego."""
@@ -36,7 +46,6 @@ STANDING = 0.5
 BARELY_MOVING = 2.0
 """Mean speed of the ego below which a run tests nothing [m/s]; stopping from 22 m/s gives a lower mean after 30 s."""
 
-_SWEEPS = sweep.is_in_use()
 _IMPOSSIBLE: Rank = (False, False, -math.inf)
 
 
@@ -53,9 +62,9 @@ class Evaluation:
         duration: simulated time [s].
         genes_started: number of genes that began before the run ended, summed over all NPCs.
         genes_reached: number of started genes whose cell or lane the NPC reached.
-        interaction: whether an NPC ever gave the ego a reason to react, see :func:`interacted`.
+        interaction: whether an NPC ever gave the ego a reason to react, see :func:`interaction_of`.
         discarded: whether the user's test function declined to give a verdict on the run.
-        outran: whether the ego left all NPCs behind, see :func:`outran`.
+        outran: whether the ego left all NPCs behind, see :func:`interaction_of`.
         barely_moved: whether the ego hardly drove, see :func:`barely_moved`.
         kind: kind of the failure, equal for failures that count as the same. None if nothing failed or it is unknown.
         mistake: the ego's mistake in the failure, or the name of the failed check; None if there is none or it is
@@ -173,27 +182,25 @@ class Evaluation:
         return next(enough, longest)
 
 
-def interaction_of(trace: Trace, *, sweeps: bool = _SWEEPS) -> tuple[bool, bool]:
-    """Return :func:`interacted` and :func:`outran` of a run, on straight roads by one compiled pass if possible."""
-    if not sweeps or trace.track is not None:
-        return interacted(trace), outran(trace)
-    near = InteractionSweep(trace.states, trace.sizes, INTERACTION_HEADWAY, INTERACTION_GAP, FAR_BEHIND)
-    return trace.outcome is Outcome.COLLISION or near.interacted, near.alone / len(trace.states) >= 0.5
+def interaction_of(trace: Trace) -> tuple[bool, bool]:
+    """Return whether an NPC gave the ego a reason to react, and whether the ego left all NPCs behind.
 
-
-def interacted(trace: Trace) -> bool:
-    """Return whether the ego collided, or an NPC was in its lane at a headway below 1.5 s or a gap below 2 m.
-
-    Also true if the ego and an NPC that crosses were expected in their zone within 1.5 s of each other.
+    There is a reason to react if the ego collided, if an NPC was in its lane at a headway below 1.5 s or a gap below
+    2 m, and if the ego and an NPC that crosses were expected in their zone within 1.5 s of each other. All NPCs are
+    left behind if they were over 100 m behind the ego for half of the run; an NPC that crosses is never behind.
     """
-    if trace.outcome is Outcome.COLLISION or np.any(time_advantage(trace) < INTERACTION_HEADWAY):
-        return True
-    ahead = _longitudinal(trace)
-    gap = np.abs(ahead) - (trace.sizes[0, 0] + trace.sizes[1:, 0]) / 2
-    follower = np.where(ahead >= 0, trace.ego[:, None, SPEED], trace.npcs[:, :, SPEED])
-    same_lane = trace.npcs[:, :, LANE] == trace.ego[:, None, LANE]
-    close = gap < np.maximum(INTERACTION_HEADWAY * follower, INTERACTION_GAP)
-    return bool(np.any(same_lane & close))
+    x, y, heading, speed, _, _, lane = np.ascontiguousarray(trace.states.T)  # each of shape [vehicles, ticks + 1]
+    # How far each NPC's centre is ahead of the ego's [m]: along the ego's heading, or on bent roads along its way.
+    if trace.track is None:
+        ahead = (x[1:] - x[0]) * np.cos(heading[0]) + (y[1:] - y[0]) * np.sin(heading[0])
+    else:
+        ahead = Encounters(trace).ahead
+    gap = np.abs(ahead) - (trace.sizes[0, 0] + trace.sizes[1:, :1]) / 2
+    follower = np.where(ahead >= 0, speed[0], speed[1:])
+    is_close = (lane[1:] == lane[0]) & (gap < np.maximum(INTERACTION_HEADWAY * follower, INTERACTION_GAP))
+    meets = time_advantage(trace) < INTERACTION_HEADWAY
+    interacted = trace.outcome is Outcome.COLLISION or bool(is_close.any() or meets.any())
+    return interacted, bool(np.mean((ahead < -FAR_BEHIND).all(axis=0)) >= 0.5)
 
 
 def nearest_crossing(trace: Trace) -> int | None:
@@ -211,12 +218,6 @@ def nearest_crossing(trace: Trace) -> int | None:
     return min(times, key=lambda npc: (times[npc], expected[npc]))
 
 
-def outran(trace: Trace) -> bool:
-    """Return whether all NPCs were over 100 m behind the ego for half of the run; NPCs that cross are never behind."""
-    alone = np.all(_longitudinal(trace) < -FAR_BEHIND, axis=1)
-    return bool(np.mean(alone) >= 0.5)
-
-
 def barely_moved(trace: Trace) -> bool:
     """Return whether the ego's mean speed was below 2 m/s."""
     return bool(np.mean(trace.ego[:, SPEED]) < BARELY_MOVING)
@@ -231,13 +232,127 @@ def demand_of(trace: Trace) -> Demand:
     return int(min(lost, 9.9) / BRAKING_STEP), min(changes, 2), bool(speed.min() < STANDING)
 
 
-def _longitudinal(trace: Trace) -> FloatArray:
-    """Return how far each NPC's centre is ahead of the ego's [m], shape [ticks + 1, npcs].
+# Results of earlier runs of a campaign, so that none of the last ten thousand runs is simulated twice.
 
-    The distance is along the ego's heading, or on bent roads along the vehicles' paths.
+Chains = tuple[tuple[float | CrossingInstruction, ...], ...]  # one number per gene, or a whole Crossing-Instruction
+_Key = tuple[object, ...]
+_Place = tuple[_Key, int | None]  # a key, and the seed if it matters
+
+Remembered = tuple[Evaluation | None, tuple[int, ...]]
+"""A run, and the numbers, from 0, of the keys that lead to it; None for the run if no key does."""
+
+EVALUATIONS = 10_000
+"""The largest number of remembered runs, in 25 MB with two NPCs and 90 MB with six; a forgotten run is simulated
+again."""
+
+
+class EvaluationCache:
+    """A cache of evaluations; the key of an evaluation is everything that its run depended on.
+
+    A run that ended in gene ``d`` depended only on the start and on the first ``d`` genes of each NPC. A different
+    scenario gives the same run in two cases. Either its start and these genes equal the start and genes that were
+    driven, which repair does not change for any seed. Or they equal those that were requested, and the seed is equal.
+
+    Args:
+        evaluations: evaluations that are known from the beginning.
+        seeds_matter: True if the seed affects more than the repair, such as what the ADS sees. The seeds must then be
+            equal in both cases.
     """
-    if trace.track is not None:
-        return Encounters(trace).ahead.T
-    x, y, heading = (trace.ego[:, None, column] for column in (X, Y, HEADING))
-    along: FloatArray = (trace.npcs[:, :, X] - x) * np.cos(heading) + (trace.npcs[:, :, Y] - y) * np.sin(heading)
-    return along
+
+    def __init__(self, evaluations: Iterable[Evaluation] = (), *, seeds_matter: bool = False) -> None:
+        self._seeds_matter = seeds_matter
+        self._evaluations: dict[_Key, dict[int | None, Evaluation]] = {}  # by key, then by the seed if it matters
+        self._depths: list[int] = []
+        # each run, the oldest first, with the places that lead only to it
+        self._runs: deque[tuple[Remembered, list[_Place]]] = deque()
+        for evaluation in evaluations:
+            self.add(evaluation)
+
+    def add(self, evaluation: Evaluation) -> None:
+        """Remember a run; if several runs have the same key, the first one stays."""
+        own = [
+            (number, (key, needed))
+            for number, (key, needed) in enumerate(self._places(evaluation))
+            if needed not in self._evaluations.get(key, {})
+        ]
+        numbers, places = tuple(number for number, _ in own), [place for _, place in own]
+        self._put((evaluation if own else None, numbers), places)
+
+    def restore(self, remembered: Iterable[Remembered]) -> None:
+        """Add the runs that :meth:`remembered` of a different cache returned.
+
+        Raises:
+            ValueError: for a number of a key that its run does not have.
+        """
+        for evaluation, numbers in remembered:
+            places = [] if evaluation is None else self._places(evaluation)
+            if any(not 0 <= number < len(places) for number in numbers):
+                raise ValueError(f"expected numbers of {len(places)} keys, received {numbers} of {evaluation!r:.60}")
+            self._put((evaluation, numbers), [places[number] for number in numbers])
+
+    def remembered(self, but: int = 0) -> tuple[Remembered, ...]:
+        """Return the remembered runs, the oldest first, without the last ``but`` runs."""
+        return tuple(run for run, _ in islice(self._runs, len(self._runs) - but))
+
+    def _put(self, run: Remembered, places: list[_Place]) -> None:
+        evaluation = run[0]
+        if evaluation is not None:
+            if evaluation.depth not in self._depths:
+                self._depths = sorted([*self._depths, evaluation.depth])
+            for key, needed in places:
+                self._evaluations.setdefault(key, {})[needed] = evaluation
+        self._runs.append((run, places))
+
+    def _places(self, evaluation: Evaluation) -> list[_Place]:
+        """Return the keys under which a run is found: its chains as driven, and as requested if they differ."""
+        depth = evaluation.depth
+        asked = driven = plain_chains(evaluation.scenario)
+        if evaluation.executed is not evaluation.scenario:
+            driven = plain_chains(evaluation.executed)
+        seed = evaluation.scenario.seed if self._seeds_matter else None
+        keys = [(driven, seed)] if asked == driven else [(driven, seed), (asked, evaluation.scenario.seed)]
+        return [(_key(evaluation.scenario, chains, depth), needed) for chains, needed in keys]
+
+    def forget(self, room: int = EVALUATIONS) -> None:
+        """Forget the oldest runs until at most ``room`` runs are left."""
+        while len(self._runs) > room:
+            for key, needed in self._runs.popleft()[1]:
+                del self._evaluations[key][needed]
+                if not self._evaluations[key]:
+                    del self._evaluations[key]
+
+    def recall(self, scenario: Scenario) -> Evaluation | None:
+        """Return the evaluation that a run of the scenario would have, or None if no earlier run shows it.
+
+        Genes that begin after the end of the earlier run are the scenario's own, so that the search can vary them.
+        """
+        chains = plain_chains(scenario)
+        for depth in self._depths:
+            runs = self._evaluations.get(_key(scenario, chains, depth))
+            if runs is None:
+                continue
+            if None in runs:
+                return replace(runs[None], scenario=scenario, executed=scenario)
+            if scenario.seed in runs:
+                known = runs[scenario.seed]
+                pairs = zip(known.executed.npcs, scenario.npcs, strict=True)
+                mixed = [driven[:depth] + own[depth:] for driven, own in pairs]
+                # The first of these genes may need repair, because it now follows other cells than those requested.
+                return replace(known, scenario=scenario, executed=repaired(mixed, scenario.seed, scenario))
+        return None
+
+
+def plain_chains(scenario: Scenario) -> Chains:
+    """Return the chains with a number for each gene, which is fast to hash and compare; speeds are at most 1000 m/s."""
+    return tuple([tuple([_code(gene) for gene in chain]) for chain in scenario.npcs])
+
+
+def _code(gene: Gene) -> float | CrossingInstruction:
+    if isinstance(gene, PositionInstruction):
+        return 10_000 * gene.cell + gene.speed
+    return gene if isinstance(gene, CrossingInstruction) else 10_000 * (9 + SHIFTS.index(gene.lane)) + gene.speed
+
+
+def _key(scenario: Scenario, chains: Chains, depth: int) -> _Key:
+    start = (scenario.ego_lane, scenario.ego_speed, scenario.gene_seconds, scenario.traffic)
+    return (*start, depth, *[chain[:depth] for chain in chains])

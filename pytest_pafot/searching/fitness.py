@@ -22,7 +22,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from pytest_pafot.criticality import Encounters, RoadFrame, execution_time, passages, planned_duration
+from pytest_pafot import criticality
 from pytest_pafot.criticality.measures import MANOEUVRE_SECONDS
 from pytest_pafot.criticality.signals import MEASURES
 from pytest_pafot.model.trace import HEADING, SPEED, FloatArray, Outcome, Trace
@@ -86,27 +86,17 @@ def weighted(trace: Trace, weights: Weights = DEFAULT_WEIGHTS) -> float:
     """
     if trace.outcome == Outcome.INVALID:
         return WORST_RANK
-    encounters = Encounters(trace)
+    planned = criticality.planned_duration(trace)  # 0 if NPCs cross and the ADS fails at its first decision
+    times = (each.post_encroachment_time for each in criticality.passages(trace) if each is not None)
+    encroachment = min((time for time in times if not math.isnan(time)), default=math.inf)
     total = (
-        weights.ttc / (1 + encounters.min_ttc / weights.tau)
-        + weights.gap / (1 + encounters.min_gap)
-        + weights.shortfall * max(encounters.max_safety_shortfall, 1 / (1 + _least_encroachment(trace)))
-        + weights.time * _earliness(trace)
+        weights.ttc / (1 + criticality.min_ttc(trace) / weights.tau)
+        + weights.gap / (1 + criticality.min_gap(trace))
+        + weights.shortfall * max(criticality.max_safety_shortfall(trace), 1 / (1 + encroachment))
+        + weights.time * (1 - _time_to_collision(trace) / planned if planned else 0.0)
     )
     mean = total / (weights.ttc + weights.gap + weights.shortfall + weights.time)
     return _never_nan(mean + (trace.outcome == Outcome.COLLISION))
-
-
-def _earliness(trace: Trace) -> float:
-    """Return the share of the planned duration that a collision leaves; 0 without one."""
-    planned = planned_duration(trace)  # 0 if NPCs cross and the ADS fails at its first decision
-    return 1 - _time_to_collision(trace) / planned if planned else 0.0
-
-
-def _least_encroachment(trace: Trace) -> float:
-    """Return the smallest post-encroachment time at the zones of crossing NPCs [s]; infinite if none arrived."""
-    times = (each.post_encroachment_time for each in passages(trace) if each is not None)
-    return min((time for time in times if not math.isnan(time)), default=math.inf)
 
 
 def paper(trace: Trace) -> float:
@@ -119,12 +109,10 @@ def paper(trace: Trace) -> float:
     """
     if trace.outcome == Outcome.INVALID:
         return WORST_RANK
-    encounters = Encounters(trace)
     # np.minimum propagates NaN, min() would drop it.
-    mettc = float(np.minimum(encounters.mettc, planned_duration(trace)))
-    return _never_nan(
-        -(mettc + encounters.min_centre_distance + encounters.min_safety_distance + _time_to_collision(trace))
-    )
+    mettc = float(np.minimum(criticality.mettc(trace), criticality.planned_duration(trace)))
+    distance, safety = criticality.min_centre_distance(trace), criticality.min_safety_distance(trace)
+    return _never_nan(-(mettc + distance + safety + _time_to_collision(trace)))
 
 
 SAMPLES_PER_SECOND = 4
@@ -155,12 +143,12 @@ def av_fuzzer(trace: Trace) -> float:
     samples = [round(sample * trace.physics_hz / SAMPLES_PER_SECOND) for sample in range(count)]
     hit = [] if trace.collision is None else [trace.collision.tick]
     ticks = sorted({min(tick, trace.ticks) for tick in (*samples, *hit)})
-    frame, encounters = RoadFrame(trace), Encounters(trace)
+    frame = criticality.RoadFrame(trace)
     ahead, right = frame.ahead[:, ticks], frame.right[:, ticks]
-    cos, sin = encounters.road
+    cos, sin = criticality.Encounters(trace).road
     heading = trace.ego[:, HEADING]
     turns = np.abs(np.sin(heading) * cos[0] - np.cos(heading) * sin[0])[ticks] > math.sin(TURNING)
-    distance = np.where(frame.is_on_way[:, ticks], np.hypot(ahead, right), encounters.centre_distance[:, ticks])
+    distance = np.where(frame.is_on_way[:, ticks], np.hypot(ahead, right), criticality.centre_distance(trace)[ticks].T)
     beside = np.abs(right) < BESIDE
     in_front = beside & (ahead > CAR_LENGTH) & (ahead < NEAR)
     cut_off = beside & (ahead < -CAR_LENGTH) & (ahead > -NEAR) & turns
@@ -321,8 +309,8 @@ def _name(function: object) -> str:
 
 def _time_to_collision(trace: Trace) -> float:
     """Return ET [s]: the time to the collision, at most the planned duration; without a collision that duration."""
-    planned = planned_duration(trace)
-    return min(execution_time(trace), planned) if trace.outcome == Outcome.COLLISION else planned
+    planned = criticality.planned_duration(trace)
+    return min(criticality.execution_time(trace), planned) if trace.outcome == Outcome.COLLISION else planned
 
 
 def _never_nan(value: float) -> float:

@@ -12,11 +12,12 @@ import math
 import operator
 import types
 from collections import Counter
-from collections.abc import Callable, Hashable, Iterable, Mapping
+from collections.abc import Hashable, Mapping, Sequence
 from collections.abc import Set as AbstractSet
+from contextlib import suppress
 from dataclasses import fields, is_dataclass
 from enum import Enum
-from functools import lru_cache, partial
+from functools import lru_cache
 from itertools import repeat
 from typing import Any, Literal, TypeVar, Union, cast, get_args, get_origin, get_type_hints
 
@@ -25,9 +26,6 @@ from pytest_pafot.model.scenario import Scenario, ScenarioError
 from pytest_pafot.support.errors import FieldError
 
 T = TypeVar("T")
-
-Read = Callable[[Any], Any]
-"""A function that converts plain data to a value; it raises a FieldError for data that does not fit."""
 
 _AS_THEY_ARE = frozenset({type(None), bool, int, str})
 _NO_NUMBERS = {"inf": math.inf, "-inf": -math.inf, "nan": math.nan}
@@ -78,7 +76,7 @@ def from_plain(kind: type[T], data: Any) -> T:
         FieldError: for data that does not fit the type, with the place of the mismatch, such as ``[2][0]``.
         TypeError: for a type that cannot be read.
     """
-    return cast("T", _reader(cast("Hashable", kind))(data))
+    return cast("T", _read(kind, data))
 
 
 @lru_cache(maxsize=256)
@@ -88,140 +86,76 @@ def _hints(kind: type) -> dict[str, Any]:
     return {each.name: hints[each.name] for each in fields(kind) if each.init and hints[each.name] is not Any}
 
 
-@lru_cache(maxsize=256)
-def _reader(kind: Any) -> Read:
-    origin, inner = get_origin(kind), get_args(kind)
-    if origin in _READERS:
-        return _READERS[origin](inner)
-    if kind in _SIMPLE:
-        return _SIMPLE[kind]
+def _read(kind: Any, data: Any) -> Any:
+    """Return the value of a type for its plain data."""
+    if kind is float:
+        if type(data) is float or type(data) is int:
+            return float(data)
+        if isinstance(data, str) and data in _NO_NUMBERS:
+            return _NO_NUMBERS[data]
+        raise _refuse("a number", data)
+    if kind is int or kind is str or kind is bool:
+        if type(data) is not kind:
+            raise _refuse({int: "a whole number", str: "a text", bool: "true or false"}[kind], data)
+        return data
+    if kind is Scenario:
+        try:
+            return Scenario.from_canonical(data)
+        except ScenarioError:
+            raise  # it is a ValueError, and already says what is wrong
+        except (TypeError, ValueError):
+            raise _refuse("a scenario: chains, seed, lane, speed and duration", data) from None
     if kind is Hashable:  # a kind of failure, which is stored as its signature
-        return _reader(Signature)
-    if isinstance(kind, type) and is_dataclass(kind):
-        hints = _hints(kind)
-        make: Callable[..., Any] = kind
-        return _read_parts(
-            lambda parts: make(**dict(zip(hints, parts, strict=True))), list(map(_reader, hints.values()))
+        kind = Signature
+    origin, inner = get_origin(kind), get_args(kind)
+    if origin is Union or origin is types.UnionType:
+        if data is None and type(None) in inner:
+            return None
+        *others, last = (each for each in inner if each is not type(None))
+        for each in others:
+            with suppress(FieldError):
+                return _read(each, data)
+        return _read(last, data)  # which reports what is wrong
+    is_enum = isinstance(kind, type) and issubclass(kind, Enum)
+    if is_enum or origin is Literal:
+        known = [each.value for each in kind] if is_enum else inner
+        if type(data) not in (str, int) or data not in known:
+            raise _refuse(f"one of {', '.join(map(str, known))}", data)
+        return kind(data) if is_enum else data
+
+    # All others are lists: with a value for each field of a dataclass or each type of a tuple, or any number of values.
+    names = _hints(kind) if isinstance(kind, type) and is_dataclass(kind) else None
+    kinds: Sequence[Any] | None = None
+    one: Any = None
+    if names is not None:
+        kinds = list(names.values())
+    elif origin is tuple and inner[-1] is not Ellipsis:
+        kinds = inner
+    elif origin in (tuple, frozenset):
+        one = inner[0]
+    elif origin in (Mapping, Counter):
+        one = types.GenericAlias(tuple, (inner[0], inner[1] if origin is Mapping else int))
+    else:
+        raise TypeError(
+            f"expected a type whose values can be stored, received {kind!r}; see pytest_pafot.searching.plain"
         )
-    if isinstance(kind, type) and issubclass(kind, Enum):
-        return _read_choice({each.value: each for each in kind})
-    raise TypeError(f"expected a type whose values can be stored, received {kind!r}; see pytest_pafot.searching.plain")
-
-
-def _reader_of_tuple(inner: tuple[Any, ...]) -> Read:
-    if inner[-1] is Ellipsis:
-        return _read_each(tuple, _reader(inner[0]))
-    return _read_parts(tuple, [_reader(each) for each in inner])
-
-
-def _reader_of_pairs(kind: Callable[[Any], Any], inner: tuple[Any, ...]) -> Read:
-    return _read_each(kind, _read_parts(tuple, [_reader(inner[0]), _reader(inner[1] if len(inner) > 1 else int)]))
+    if type(data) is not list or (kinds is not None and len(data) != len(kinds)):
+        raise _refuse("a list" if kinds is None else f"a list of {len(kinds)} values", data)
+    parts: list[Any] = []
+    try:
+        for each, part in zip(repeat(one) if kinds is None else kinds, data, strict=False):
+            parts.append(_read(each, part))
+    except FieldError as error:  # the error names the part that does not fit
+        separator = "." if error.field and not error.field.startswith("[") else ""
+        place = f"[{len(parts)}]{separator}{error.field}"
+        raise FieldError(field=place, expected=error.expected, received=error.received, fix=error.fix) from None
+    if names is not None:
+        try:
+            return kind(**dict(zip(names, parts, strict=True)))
+        except (TypeError, ValueError) as error:
+            raise _refuse(f"values that fit together ({error!s:.100})", data) from None
+    return Counter(dict(parts)) if origin is Counter else dict(parts) if origin is Mapping else origin(parts)
 
 
 def _refuse(expected: str, data: Any) -> FieldError:
     return FieldError(expected=expected, received=f"{data!r:.60}")
-
-
-def _read_float(data: Any) -> float:
-    if type(data) is float or type(data) is int:
-        return float(data)
-    if isinstance(data, str) and data in _NO_NUMBERS:
-        return _NO_NUMBERS[data]
-    raise _refuse("a number", data)
-
-
-def _read_exactly(kind: type) -> Read:
-    def read(data: Any) -> Any:
-        if type(data) is not kind:
-            raise _refuse({int: "a whole number", str: "a text", bool: "true or false"}[kind], data)
-        return data
-
-    return read
-
-
-def _read_choice(known: Mapping[Any, Any]) -> Read:
-    def read(data: Any) -> Any:
-        if type(data) not in (str, int) or data not in known:
-            raise _refuse(f"one of {', '.join(map(str, known))}", data)
-        return known[data]
-
-    return read
-
-
-def _read_scenario(data: Any) -> Scenario:
-    try:
-        return Scenario.from_canonical(data)
-    except ScenarioError:
-        raise  # it is a ValueError, and already says what is wrong
-    except (TypeError, ValueError):
-        raise _refuse("a scenario: chains, seed, lane, speed and duration", data) from None
-
-
-def _read_union(inner: tuple[Any, ...]) -> Read:
-    takes_none, readers = type(None) in inner, [_reader(each) for each in inner if each is not type(None)]
-
-    def read(data: Any) -> Any:
-        if data is None and takes_none:
-            return None
-        for reader in readers[:-1]:
-            try:
-                return reader(data)
-            except FieldError:
-                continue  # the last reader reports what is wrong
-        return readers[-1](data)
-
-    return read
-
-
-def _read_each(kind: Callable[[list[Any]], Any], reader: Read) -> Read:
-    def read(data: Any) -> Any:
-        if type(data) is not list:
-            raise _refuse("a list", data)
-        return kind(_read_all(repeat(reader, len(data)), data))
-
-    return read
-
-
-def _read_parts(kind: Callable[[list[Any]], Any], readers: list[Read]) -> Read:
-    def read(data: Any) -> Any:
-        if type(data) is not list or len(data) != len(readers):
-            raise _refuse(f"a list of {len(readers)} values", data)
-        parts = _read_all(readers, data)
-        try:
-            return kind(parts)
-        except (TypeError, ValueError) as error:
-            raise _refuse(f"values that fit together ({error!s:.100})", data) from None
-
-    return read
-
-
-def _read_all(readers: Iterable[Read], data: list[Any]) -> list[Any]:
-    """Return what each reader makes of its part; an error names the part that does not fit."""
-    parts: list[Any] = []
-    try:
-        for reader, each in zip(readers, data, strict=True):
-            parts.append(reader(each))
-    except FieldError as error:
-        separator = "." if error.field and not error.field.startswith("[") else ""
-        place = f"[{len(parts)}]{separator}{error.field}"
-        raise FieldError(field=place, expected=error.expected, received=error.received, fix=error.fix) from None
-    return parts
-
-
-_SIMPLE: Mapping[Any, Read] = {
-    float: _read_float,
-    int: _read_exactly(int),
-    str: _read_exactly(str),
-    bool: _read_exactly(bool),
-    Scenario: _read_scenario,
-}
-_READERS: Mapping[Any, Callable[[tuple[Any, ...]], Read]] = {
-    Union: _read_union,
-    types.UnionType: _read_union,
-    Literal: lambda inner: _read_choice({each: each for each in inner}),
-    tuple: _reader_of_tuple,
-    frozenset: lambda inner: _read_each(frozenset, _reader(inner[0])),
-    Mapping: partial(_reader_of_pairs, dict),
-    Counter: partial(_reader_of_pairs, lambda pairs: Counter(dict(pairs))),
-}
-"""Functions that make a reader for a generic type, by the type's origin; they receive the type's arguments."""

@@ -11,6 +11,7 @@ import pytest
 
 from pytest_pafot import criticality
 from pytest_pafot.criticality import Encounters, RoadFrame, RssRules, passages, still_to_pass, time_advantage
+from pytest_pafot.criticality.measures import safety_shortfall
 from pytest_pafot.criticality.signals import MEASURES, Signals, ego_lane_changes, leader
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.trace import LANE, SPEED, Y
@@ -30,7 +31,7 @@ ALONG_THE_WAY = {
 }
 IN_ONE_LANE = {
     "ego_follows": lambda trace: Encounters(trace).ego_follows.T,
-    "safety_shortfall": lambda trace: Encounters(trace).safety_shortfall.T,
+    "safety_shortfall": safety_shortfall,
 }
 """Measures that are False or 0 for a vehicle outside the ego's lane."""
 OTHERS = {

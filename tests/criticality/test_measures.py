@@ -9,14 +9,11 @@ from hypothesis import strategies as st
 
 from pytest_pafot import criticality
 from pytest_pafot.criticality import Encounters, RoadFrame, RssRules
+from pytest_pafot.criticality.measures import safety_shortfall
 from pytest_pafot.model.trace import ACCELERATION, HEADING, LANE, SPEED, X, Y
 from tests.helpers.polygons import corners, distance_after, polygon_distance
 from tests.helpers.tables import table
 from tests.helpers.traces import random_states, straight_lanes, trace_of, vehicle
-
-
-def safety_shortfall(trace):
-    return Encounters(trace).safety_shortfall.T
 
 
 def ego_follows(trace):
@@ -466,10 +463,11 @@ def test_swapping_ego_and_npc_changes_nothing(seed):
     assert differing(SYMMETRIC, with_states(trace.states[:, ::-1], trace.sizes[::-1]), trace) == []
 
 
-def test_one_encounter_answers_as_the_functions_do():
-    trace = random_trace(3)
-    encounters = criticality.Encounters(trace)
-    for name in ("ettc", "ttc", "gap", "centre_distance", "safety_distance"):
-        np.testing.assert_array_equal(getattr(encounters, name).T, getattr(criticality, name)(trace))
-    for name in ("mettc", "min_ttc", "min_gap", "min_centre_distance", "min_safety_distance", "max_safety_shortfall"):
-        assert getattr(encounters, name) == getattr(criticality, name)(trace)
+def test_measures_of_two_runs_in_turn_are_those_of_each_run_alone():
+    names = ("ettc", "ttc", "gap", "centre_distance", "safety_distance")
+    names += ("mettc", "min_ttc", "min_gap", "min_centre_distance", "min_safety_distance", "max_safety_shortfall")
+    one, other = random_trace(3), random_trace(4)
+    in_turn = [getattr(criticality, name)(trace) for name in names for trace in (one, other)]
+    alone = [[getattr(criticality, name)(trace) for name in names] for trace in (random_trace(3), random_trace(4))]
+    for values, expected in zip(in_turn, (each for pair in zip(*alone, strict=True) for each in pair), strict=True):
+        np.testing.assert_array_equal(values, expected)

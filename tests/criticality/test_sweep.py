@@ -1,4 +1,4 @@
-"""The compiled passes over a run give the same as numpy's whole arrays, to the last bit."""
+"""The compiled pass over a run gives the same as numpy's whole arrays, to the last bit."""
 
 import functools
 import importlib.util
@@ -12,47 +12,37 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pytest_pafot import Highway
-from pytest_pafot.criticality import Encounters, sweep
-from pytest_pafot.criticality.measures import MANOEUVRE_SECONDS
+from pytest_pafot.criticality import gap, min_ttc, sweep, ttc
+from pytest_pafot.criticality.measures import MANOEUVRE_SECONDS, safety_shortfall
 from pytest_pafot.model.trace import ACCELERATION, HEADING, LANE, SPEED, X, Y
-from pytest_pafot.searching import SearchSpace, interaction, sample
-from pytest_pafot.searching.evaluation import FAR_BEHIND, INTERACTION_GAP, INTERACTION_HEADWAY, interacted, outran
+from pytest_pafot.searching import SearchSpace, sample
 from tests.helpers.tables import table
 from tests.helpers.traces import random_states, straight_lanes, trace_of, vehicle
 
-EXTREMES = ("min_ttc", "min_gap", "max_safety_shortfall")
 seeds = st.integers(0, 2**32)
 
 
-def interpreted(module):
-    """Return the same module from its source, even if there is a compiled one next to it."""
-    spec = importlib.util.spec_from_file_location("interpreted", Path(module.__file__).parent / f"{NAMES[module]}.py")
+def interpreted():
+    """Return the module of the pass from its source, even if there is a compiled one next to it."""
+    spec = importlib.util.spec_from_file_location("interpreted", Path(sweep.__file__).with_name("sweep.py"))
     copy = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(copy)
     return copy
 
 
-NAMES = {sweep: "sweep", interaction: "interaction"}
-SWEEPS = {"as installed": sweep, "interpreted": interpreted(sweep)}
-INTERACTIONS = {"as installed": interaction, "interpreted": interpreted(interaction)}
+SWEEPS = {"as installed": sweep, "interpreted": interpreted()}
 
 
 def swept(module, trace):
     """Return the extremes by one pass, or None if it leaves the run to the arrays."""
     heading = trace.lanes[0].heading
     road = math.cos(heading), math.sin(heading)
-    found = module.Sweep(trace.states, trace.sizes, road, MANOEUVRE_SECONDS)
-    return tuple(getattr(found, name) for name in EXTREMES) if found.run() else None
+    return module.extremes(trace.states, trace.sizes, road, MANOEUVRE_SECONDS)
 
 
 def by_arrays(trace):
-    encounters = Encounters(trace, sweeps=False)
-    return tuple(getattr(encounters, name) for name in EXTREMES)
-
-
-def kept(module, trace):
-    found = module.InteractionSweep(trace.states, trace.sizes, INTERACTION_HEADWAY, INTERACTION_GAP, FAR_BEHIND)
-    return found.interacted, found.alone / len(trace.states) >= 0.5
+    shortfall = safety_shortfall(trace).max(initial=0.0)
+    return ttc(trace).min(initial=math.inf), gap(trace).min(initial=math.inf), shortfall
 
 
 def drawn(seed, *, spread=25.0):
@@ -140,49 +130,29 @@ class TestSweep:
         assert by_arrays(trace)[0] == math.inf
 
 
-@pytest.mark.parametrize("module", INTERACTIONS.values(), ids=INTERACTIONS)
-class TestInteraction:
-    @given(seed=seeds, spread=st.sampled_from([5.0, 25.0, 500.0]))
-    def test_is_that_of_the_arrays_in_any_states(self, module, seed, spread):
-        trace = drawn(seed, spread=spread)
-        assert kept(module, trace) == (interacted(trace), outran(trace))
-
-    @pytest.mark.parametrize("x", [-100.1, -99.9, -35.1, -34.9, 34.9, 35.1])
-    def test_is_that_of_the_arrays_at_the_bounds(self, module, x):
-        trace = trace_of(vehicle(0, speed=20, ticks=9), vehicle(x, speed=20, ticks=9))
-        assert kept(module, trace) == (interacted(trace), outran(trace)) == (abs(x) < 35, x < -100)
-
-    def test_of_nowhere_is_none(self, module):
-        trace = trace_of(vehicle(0, speed=20, ticks=9), vehicle(math.nan, speed=20, lane=0))
-        assert kept(module, trace) == (interacted(trace), outran(trace)) == (False, False)
-
-
 @table("sizes", [(1, 2), (2, 3), (2,)])
-@table("make", [sweep.Sweep, interaction.InteractionSweep])
-def test_arrays_that_do_not_belong_together_are_refused(make, sizes):
-    rest = ((1.0, 0.0), 3.0) if make is sweep.Sweep else (1.5, 2.0, 100.0)
+def test_arrays_that_do_not_belong_together_are_refused(sizes):
     with pytest.raises(ValueError, match="expected the shapes"):
-        make(np.zeros((4, 2, 7)), np.ones(sizes), *rest)
+        sweep.extremes(np.zeros((4, 2, 7)), np.ones(sizes), (1.0, 0.0), 3.0)
     with pytest.raises(ValueError, match="expected the shapes"):
-        make(np.zeros((4, 2, 6)), np.ones((2, 2)), *rest)
+        sweep.extremes(np.zeros((4, 2, 6)), np.ones((2, 2)), (1.0, 0.0), 3.0)
 
 
 def test_roads_that_turn_are_left_to_the_arrays():
     lanes = (*straight_lanes(2), *straight_lanes(2, heading=0.3))
     trace = trace_of(vehicle(0, speed=20, ticks=9), vehicle(30, speed=10, ticks=9), lanes=lanes)
-    assert Encounters(trace, sweeps=True).min_ttc == Encounters(trace, sweeps=False).min_ttc == 25 / 10 - 0.6
+    assert min_ttc(trace) == ttc(trace).min() == 25 / 10 - 0.6
 
 
 @pytest.mark.skipif(not sweep.is_compiled(), reason="nothing is compiled here")
-@pytest.mark.parametrize("module", [sweep, interaction])
-def test_compiled_pass_matches_the_current_source_files(module):
-    compiled = Path(module.__file__)
-    for suffix in (".py", ".pxd"):
-        source = compiled.with_name(NAMES[module] + suffix)
+def test_compiled_pass_matches_the_current_source_files():
+    compiled = Path(sweep.__file__)
+    for name in ("sweep.py", "sweep.pxd"):
+        source = compiled.with_name(name)
         assert source.stat().st_mtime <= compiled.stat().st_mtime + 1, f"{source.name} is newer than its compiled form"
 
 
-def test_without_compiled_passes_the_arrays_answer(monkeypatch):
-    assert interpreted(sweep).is_in_use() is False
+def test_without_a_compiled_pass_the_arrays_answer(monkeypatch):
+    assert interpreted().is_in_use() is False
     monkeypatch.setenv("PAFOT_KERNEL", "interpreted")
     assert sweep.is_in_use() is False

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from pytest_pafot.attribution.last_chance import Avoidance, Escape, LastChance
-from pytest_pafot.criticality import Encounters
+from pytest_pafot.criticality import gap, ttc
 from pytest_pafot.findings.signature import Failure
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.trace import ACCELERATION, Outcome
@@ -48,7 +48,7 @@ def test_first_last_and_collision_frames_are_always_included():
 
 def test_frame_positions_and_measures_match_the_trace():
     trace = cut_in_trace()
-    view, encounters = view_of(trace), Encounters(trace)
+    view, gaps, times = view_of(trace), gap(trace), ttc(trace)
     for frame, time in enumerate(view.times):
         tick = round(time * trace.physics_hz)
         for index, shown in enumerate(view.vehicles):
@@ -57,9 +57,9 @@ def test_frame_positions_and_measures_match_the_trace():
             assert is_close(shown.across[frame], y)
             assert is_close(shown.speed[frame], speed)
         for npc, shown in enumerate(view.vehicles[1:]):
-            assert is_close(shown.gap[frame], encounters.gap[npc, tick])
-            ttc = encounters.ttc[npc, tick]
-            assert is_close(shown.ttc[frame], ttc if np.isfinite(ttc) else None)
+            assert is_close(shown.gap[frame], gaps[tick, npc])
+            seconds = times[tick, npc]
+            assert is_close(shown.ttc[frame], seconds if np.isfinite(seconds) else None)
 
 
 def test_time_to_contact_without_contact_is_none():

@@ -24,8 +24,7 @@ from pytest_pafot.searching import (
 )
 from pytest_pafot.searching.algorithms.catalogue import CATALOGUE
 from pytest_pafot.searching.campaign import CheckpointError
-from pytest_pafot.searching.evaluation import Evaluation
-from pytest_pafot.searching.evaluation_cache import EvaluationCache, Remembered
+from pytest_pafot.searching.evaluation import Evaluation, EvaluationCache, Remembered
 from pytest_pafot.searching.events import CampaignFinished, CampaignStarted, GenerationFinished
 from pytest_pafot.searching.operators import mutate
 from pytest_pafot.searching.space import SearchSpace, sample

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from pytest_pafot.model.trace import Outcome
-from pytest_pafot.searching.evaluation import Evaluation, interacted, nearest_crossing, outran
+from pytest_pafot.searching.evaluation import Evaluation, interaction_of, nearest_crossing
 from pytest_pafot.searching.fitness import FITNESSES, Steered, av_fuzzer, before_impact, resolve, weighted
 from tests.helpers.junctions import driven, hit, plan
 from tests.helpers.tables import table
@@ -86,9 +86,7 @@ def test_whoever_was_hit_came_nearest():
 
 @pytest.mark.parametrize(("enters", "expected"), [(8.5, True), (10.0, True), (13.0, False), (3.0, False)])
 def test_who_is_about_to_share_a_zone_interacts(enters, expected):
-    trace = run_of(enters)
-    assert interacted(trace) == expected
-    assert not outran(trace)
+    assert interaction_of(run_of(enters)) == (expected, False)
 
 
 def test_an_evaluation_tells_who_crosses():

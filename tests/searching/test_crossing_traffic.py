@@ -17,7 +17,7 @@ from pytest_pafot.model.trace import Collision, Outcome
 from pytest_pafot.searching import ALGORITHMS, Health, SearchSpace, resolve_algorithm, run_campaign
 from pytest_pafot.searching.algorithms.distinct import niche
 from pytest_pafot.searching.crossing_traffic import ACTS, CrossingTraffic, drawn_slot, mixed
-from pytest_pafot.searching.evaluation_cache import EvaluationCache
+from pytest_pafot.searching.evaluation import EvaluationCache
 from pytest_pafot.searching.events import Evaluated
 from pytest_pafot.searching.operators import crossover, first_crossed, mutate, varied
 from pytest_pafot.searching.space import sample

@@ -9,9 +9,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pytest_pafot.model.scenario import PositionInstruction, Scenario
-from pytest_pafot.model.trace import Collision, Lane, Outcome, Trace
-from pytest_pafot.searching.evaluation import Evaluation, barely_moved, demand_of, interacted, outran
+from pytest_pafot.model.trace import HEADING, LANE, SPEED, Collision, Lane, Outcome, Trace, X, Y
+from pytest_pafot.searching.evaluation import Evaluation, barely_moved, demand_of, interaction_of
 from tests.helpers.tables import table
+from tests.helpers.traces import random_states, trace_of, vehicle
 
 NAN = math.nan
 
@@ -109,21 +110,56 @@ def test_an_evaluation_is_read_from_a_trace():
     ],
 )
 def test_npc_interacts_when_close_in_ego_lane(run, expected):
-    assert interacted(trace(**run)) is expected
+    assert interaction_of(trace(**run))[0] is expected
 
 
 def test_start_at_two_seconds_headway_is_no_interaction():
-    assert not interacted(trace(ahead=2.0 * 20.0 + 5.0))
+    assert not interaction_of(trace(ahead=2.0 * 20.0 + 5.0))[0]
 
 
 def test_a_collision_is_an_interaction():
     crash = Collision(tick=9, time=0.6, npc=0, side="left", cell=8, ego_speed=1.0, npc_speed=1.0, closing_speed=0.1)
-    assert interacted(trace(ahead=60.0, outcome=Outcome.COLLISION, collision=crash))
+    assert interaction_of(trace(ahead=60.0, outcome=Outcome.COLLISION, collision=crash))[0]
 
 
 @table(("npc_speed", "expected"), [(20.0, False), (5.0, False), (0.0, True)])
 def test_ego_outruns_npcs_far_behind_for_half_run(npc_speed, expected):
-    assert outran(trace(20.0, npc_speed, ahead=0.0, same_lane=False, seconds=12)) is expected
+    assert interaction_of(trace(20.0, npc_speed, ahead=0.0, same_lane=False, seconds=12))[1] is expected
+
+
+def tick_by_tick(trace):
+    """Return the same by a loop over all ticks and vehicles, with the limits of the docstring as numbers."""
+    interacted, alone = False, 0
+    for ego, *npcs in trace.states.tolist():
+        behind = 0
+        for (x, y, _, speed, _, _, lane), (length, _) in zip(npcs, trace.sizes.tolist()[1:], strict=True):
+            ahead = (x - ego[X]) * math.cos(ego[HEADING]) + (y - ego[Y]) * math.sin(ego[HEADING])
+            gap = abs(ahead) - (trace.sizes[0, 0] + length) / 2
+            follower = ego[SPEED] if ahead >= 0 else speed
+            interacted |= lane == ego[LANE] and (gap < 1.5 * follower or gap < 2.0)
+            behind += ahead < -100.0
+        alone += behind == len(npcs)
+    return bool(interacted), alone >= len(trace.states) / 2
+
+
+@given(seed=st.integers(0, 2**32), spread=st.sampled_from([5.0, 25.0, 500.0]))
+def test_interaction_is_that_of_a_loop_in_any_states(seed, spread):
+    rng = np.random.default_rng(seed)
+    vehicles = int(rng.integers(2, 6))
+    states = random_states(rng, int(rng.integers(1, 40)), vehicles, spread=spread)
+    run = trace_of(*np.moveaxis(states, 1, 0), sizes=rng.uniform(1, 6, (vehicles, 2)))
+    assert interaction_of(run) == tick_by_tick(run)
+
+
+@table("x", [-100.1, -99.9, -35.1, -34.9, 34.9, 35.1])
+def test_interaction_is_that_of_a_loop_at_the_bounds(x):
+    run = trace_of(vehicle(0, speed=20, ticks=9), vehicle(x, speed=20, ticks=9))
+    assert interaction_of(run) == tick_by_tick(run) == (abs(x) < 35, x < -100)
+
+
+def test_an_npc_that_is_nowhere_neither_interacts_nor_is_left_behind():
+    run = trace_of(vehicle(0, speed=20, ticks=9), vehicle(math.nan, speed=20, lane=0))
+    assert interaction_of(run) == tick_by_tick(run) == (False, False)
 
 
 @table(("speed", "expected"), [(0.0, True), (1.9, True), (2.1, False)])

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pytest_pafot.model.scenario import SHIFTS, LaneInstruction, PositionInstruction, Scenario
-from pytest_pafot.searching.evaluation_cache import EvaluationCache
+from pytest_pafot.searching.evaluation import EvaluationCache
 from pytest_pafot.searching.operators import mutate
 from pytest_pafot.searching.space import SearchSpace, sample
 from tests.helpers.tables import table

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from pytest_pafot.model.scenario import PositionInstruction, Scenario
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.searching.algorithms.pafot import PafotSearch, PafotState
-from pytest_pafot.searching.evaluation_cache import EvaluationCache
+from pytest_pafot.searching.evaluation import EvaluationCache
 from pytest_pafot.searching.events import (
     GenerationFinished,
     LocalSearchFinished,

@@ -10,13 +10,13 @@ from hypothesis import strategies as st
 
 from pytest_pafot import Highway, strategies
 from pytest_pafot.execution.runner import DecisionCache
-from pytest_pafot.findings.replay import disagreement
+from pytest_pafot.findings.finding import disagreement
 from pytest_pafot.model.driving_style import Traffic
 from pytest_pafot.model.scenario import CrossingInstruction, LaneInstruction, PositionInstruction, Scenario
 from pytest_pafot.model.trace import LANE, Outcome, Y
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.searching import Evaluation
-from pytest_pafot.searching.evaluation_cache import EvaluationCache
+from pytest_pafot.searching.evaluation import EvaluationCache
 from pytest_pafot.searching.operators import crossover, mutate
 from pytest_pafot.searching.space import sample, space_on
 from pytest_pafot.world.kernel.director import Director

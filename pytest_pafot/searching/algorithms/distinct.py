@@ -149,15 +149,22 @@ class DistinctSearch(NicheSearch[DistinctState]):
 
     def learn(self, state: DistinctState, evaluations: Sequence[Evaluation], rng: Generator) -> DistinctState:
         """Update the known failures, and the runs that may be parents."""
-        failed = [each for each in evaluations if each.failing]
+        failed, crossings = [each for each in evaluations if each.failing], self.space.crossings
         kinds = state.kinds | {each.kind for each in failed if each.kind is not None}
         mistakes = state.mistakes | {each.mistake for each in failed if each.mistake is not None}
+        # The runs for the elites of each check that has not failed, with the margin in the place of the fitness.
+        judged: dict[str, list[Evaluation]] = {
+            name: [each for _, each in elites] for name, elites in state.strained.items()
+        }
+        for each in evaluations:
+            for name, margin in each.margins:
+                judged.setdefault(name, []).append(replace(each, fitness=-margin))
         return replace(
             state,
             kinds=kinds,
             mistakes=mistakes,
-            elites=_elites([*(each for _, each in state.elites), *evaluations], kinds, self.space.crossings),
-            strained=_strained(state.strained, evaluations, kinds, mistakes, self.space.crossings),
+            elites=_elites([*(each for _, each in state.elites), *evaluations], kinds, crossings),
+            strained={name: _elites(judged[name], kinds, crossings) for name in sorted(judged) if name not in mistakes},
         )
 
 
@@ -188,21 +195,6 @@ def meeting_place(evaluation: Evaluation, crossings: Crossings | None) -> int | 
 
 def _parent(groups: Sequence[Sequence[Evaluation]], rng: Generator) -> Evaluation:
     return tournament(groups[int(rng.integers(len(groups)))], rng)
-
-
-def _strained(
-    before: Mapping[str, Elites],
-    evaluations: Sequence[Evaluation],
-    kinds: frozenset[Hashable],
-    failed: frozenset[str],
-    crossings: Crossings | None,
-) -> dict[str, Elites]:
-    """Return the elites by margin for each check that has not failed, in the order of the names."""
-    judged: dict[str, list[Evaluation]] = {name: [each for _, each in elites] for name, elites in before.items()}
-    for each in evaluations:
-        for name, margin in each.margins:
-            judged.setdefault(name, []).append(replace(each, fitness=-margin))
-    return {name: _elites(judged[name], kinds, crossings) for name in sorted(judged) if name not in failed}
 
 
 def _elites(evaluations: Sequence[Evaluation], kinds: frozenset[Hashable], crossings: Crossings | None) -> Elites:
