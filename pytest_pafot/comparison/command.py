@@ -26,6 +26,7 @@ from pytest_pafot.world import Highway, World
 from pytest_pafot.world.protocol import road_start
 
 LIBRARIES = ("matplotlib", "pandas", "scipy")
+SAMPLED_GENES = "sampled, or 10 in the paper's scenarios; on a bent road about 10"
 START = " in the paper's scenarios and with --env, otherwise sampled; on a bent road, the environment's"
 
 
@@ -70,28 +71,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--population", type=int, metavar="N", help="scenarios per generation (default: that of each algorithm)"
     )
     parser.add_argument("--env", metavar="ID", help="a highway-env environment such as highway-v0, for its policies")
-    parser.add_argument("--lanes", type=int, metavar="N", help="number of lanes, 3 to 6 (default: 4)")
-    parser.add_argument(
-        "--speed-limit", type=float, metavar="V", help=f"speed limit [m/s] (default: {PAPER_SPEED_LIMIT})"
-    )
-    parser.add_argument(
-        "--duration", type=float, metavar="S", help="duration of a scenario [s] (default: 60, or the environment's)"
-    )
-    parser.add_argument(
-        "--clearance", type=float, metavar="D", help="clearance of the grid [m]; the paper has 0 (default: 3)"
-    )
-    parser.add_argument(
-        "--npcs", type=int, metavar="N", help="number of NPCs, 1 to 8 (default: sampled, or 2 in the paper's scenarios)"
-    )
-    parser.add_argument(
-        "--genes", type=int, metavar="N", help="genes of each NPC (default: as many as fill a scenario)"
-    )
-    parser.add_argument(
-        "--gene-seconds",
-        type=float,
-        metavar="S",
-        help="duration of a gene [s] (default: sampled, or 10 in the paper's scenarios; on a bent road about 10)",
-    )
+    for name, number, metavar, meaning in (
+        ("--lanes", int, "N", "number of lanes, 3 to 6 (default: 4)"),
+        ("--speed-limit", float, "V", f"speed limit [m/s] (default: {PAPER_SPEED_LIMIT})"),
+        ("--duration", float, "S", "duration of a scenario [s] (default: 60, or the environment's)"),
+        ("--clearance", float, "D", "clearance of the grid [m]; the paper has 0 (default: 3)"),
+        ("--npcs", int, "N", "number of NPCs, 1 to 8 (default: sampled, or 2 in the paper's scenarios)"),
+        ("--genes", int, "N", "genes of each NPC (default: as many as fill a scenario)"),
+        ("--gene-seconds", float, "S", f"duration of a gene [s] (default: {SAMPLED_GENES})"),
+    ):
+        parser.add_argument(name, type=number, metavar=metavar, help=meaning)
     parser.add_argument(
         "--traffic", choices=STYLES, help="how the NPCs drive (default: as in a test with the algorithm)"
     )
@@ -137,7 +126,23 @@ def plan_of(arguments: argparse.Namespace) -> Plan:
     Raises:
         RequestError: for a value that no world or space accepts.
     """
-    world = _world(arguments)
+    road: dict[str, Any] = {
+        name: value
+        for name in ("lanes", "speed_limit", "duration", "clearance")
+        if (value := getattr(arguments, name)) is not None
+    }
+    world: Highway | World
+    if arguments.env is None:
+        world = Highway(**road)
+    else:
+        for name in ("lanes", "speed_limit"):
+            if name in road:
+                raise RequestError(
+                    f"--{name.replace('_', '-')}: expected no such option with --env, received {road[name]!r}; leave "
+                    "it out, because the environment has its own road"
+                )
+        world = replace(World(arguments.env), **road)
+        world.check()
     given = {name: value for name in SPACE_ARGUMENTS if (value := getattr(arguments, name, None)) is not None}
     try:
         space = space_on(world, given, road_start(world))
@@ -160,22 +165,3 @@ def plan_of(arguments: argparse.Namespace) -> Plan:
         space=space.plain,
         drawn={name: value for name, value in drawn_space(world, given).items() if name != "crossings"},
     )
-
-
-def _world(arguments: argparse.Namespace) -> Highway | World:
-    given: dict[str, Any] = {
-        name: value
-        for name in ("lanes", "speed_limit", "duration", "clearance")
-        if (value := getattr(arguments, name)) is not None
-    }
-    if arguments.env is None:
-        return Highway(**given)
-    for name in ("lanes", "speed_limit"):
-        if name in given:
-            raise RequestError(
-                f"--{name.replace('_', '-')}: expected no such option with --env, received {given[name]!r}; leave it "
-                "out, because the environment has its own road"
-            )
-    world = replace(World(arguments.env), **given)
-    world.check()
-    return world
