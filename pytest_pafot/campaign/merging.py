@@ -10,10 +10,9 @@ from datetime import date
 from pathlib import Path
 
 from pytest_pafot.campaign.replays import Replays
-from pytest_pafot.corpus.file_format import text_of
 from pytest_pafot.corpus.layout import SUFFIX, files_in, relative
 from pytest_pafot.corpus.saved import Saved, saved_in
-from pytest_pafot.corpus.writer import CorpusWriteError, overwrite
+from pytest_pafot.corpus.writer import CorpusWriteError, overwrite, text_of
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.execution.scenario_pool import expectation
 from pytest_pafot.findings.finding import Finding, of_failure

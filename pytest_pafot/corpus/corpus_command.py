@@ -18,10 +18,10 @@ from datetime import date
 from pathlib import Path
 from typing import Any
 
-from pytest_pafot.corpus.file_format import text_of
 from pytest_pafot.corpus.layout import files_in, folders_below, link_below
 from pytest_pafot.corpus.reader import content_of, parsed
 from pytest_pafot.corpus.saved import Saved, named_file, of_one_kind, read_saved_file, refusal
+from pytest_pafot.corpus.writer import text_of
 from pytest_pafot.findings.finding import Finding
 from pytest_pafot.findings.shrink import size_of, sort_key
 from pytest_pafot.support.errors import CorpusError

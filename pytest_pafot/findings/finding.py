@@ -81,7 +81,7 @@ _ID = re.compile(r"[A-Za-z0-9_][A-Za-z0-9._-]{0,119}")
 class Bounded:
     """The value that a failed check measured, and its bounds [unit]; None for a bound that does not exist."""
 
-    value: float | None  # None if it was not a finite number, or if its magnitude was above a billion
+    value: float | None = None  # None if it was not a finite number, or if its magnitude was above a billion
     at_most: float | None = None
     at_least: float | None = None
     unit: str = ""

@@ -17,7 +17,7 @@ from itertools import pairwise
 import numpy as np
 
 from pytest_pafot.attribution.lane_changes import stretches
-from pytest_pafot.corpus.file_format import text_of
+from pytest_pafot.corpus.writer import text_of
 from pytest_pafot.criticality import Encounters, Passage, passages, time_advantage
 from pytest_pafot.criticality.signals import jerk
 from pytest_pafot.findings.finding import Expect, Finding
