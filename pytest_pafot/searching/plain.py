@@ -16,7 +16,7 @@ from collections.abc import Callable, Hashable, Iterable, Mapping
 from collections.abc import Set as AbstractSet
 from dataclasses import fields, is_dataclass
 from enum import Enum
-from functools import lru_cache, partial
+from functools import lru_cache
 from itertools import repeat
 from typing import Any, Literal, TypeVar, Union, cast, get_args, get_origin, get_type_hints
 
@@ -51,15 +51,6 @@ def plain(value: Any) -> Any:
         return float(value) if math.isfinite(value) else repr(float(value))
     if isinstance(value, Enum):
         return value.value
-    try:
-        return _composed(value)
-    except TypeError:
-        raise ValueError(
-            f"expected a value that JSON can hold, or a dataclass of such values, received {value!r:.100}; convert it"
-        ) from None
-
-
-def _composed(value: Any) -> Any:
     if isinstance(value, Scenario):
         return value.plain()
     if is_dataclass(value) and not isinstance(value, type):
@@ -68,7 +59,12 @@ def _composed(value: Any) -> Any:
         return [[plain(key), plain(each)] for key, each in value.items()]
     if isinstance(value, AbstractSet):
         return sorted(map(plain, value), key=json.dumps)  # the order of a set differs from process to process
-    return operator.index(value)
+    try:
+        return operator.index(value)
+    except TypeError:
+        raise ValueError(
+            f"expected a value that JSON can hold, or a dataclass of such values, received {value!r:.100}; convert it"
+        ) from None
 
 
 def from_plain(kind: type[T], data: Any) -> T:
@@ -90,32 +86,31 @@ def _hints(kind: type) -> dict[str, Any]:
 
 @lru_cache(maxsize=256)
 def _reader(kind: Any) -> Read:
+    """Return the function that reads a type. It is made once, because a state has a million values of few types."""
     origin, inner = get_origin(kind), get_args(kind)
-    if origin in _READERS:
-        return _READERS[origin](inner)
     if kind in _SIMPLE:
         return _SIMPLE[kind]
     if kind is Hashable:  # a kind of failure, which is stored as its signature
         return _reader(Signature)
+    if origin in (Union, types.UnionType):
+        return _read_union(inner)
+    if origin is Literal:
+        return _read_choice({each: each for each in inner})
+    if origin is tuple and inner[-1] is not Ellipsis:
+        return _read_list(tuple, [_reader(each) for each in inner])
+    if origin in (tuple, frozenset):
+        return _read_list(origin, _reader(inner[0]))
+    if origin in (Mapping, Counter):
+        pair = _read_list(tuple, [_reader(inner[0]), _reader(int if origin is Counter else inner[1])])
+        return _read_list(dict if origin is Mapping else lambda pairs: Counter(dict(pairs)), pair)
     if isinstance(kind, type) and is_dataclass(kind):
-        hints = _hints(kind)
-        make: Callable[..., Any] = kind
-        return _read_parts(
-            lambda parts: make(**dict(zip(hints, parts, strict=True))), list(map(_reader, hints.values()))
+        hints, make = _hints(kind), cast("Callable[..., Any]", kind)
+        return _read_list(
+            lambda parts: make(**dict(zip(hints, parts, strict=True))), [_reader(each) for each in hints.values()]
         )
     if isinstance(kind, type) and issubclass(kind, Enum):
         return _read_choice({each.value: each for each in kind})
     raise TypeError(f"expected a type whose values can be stored, received {kind!r}; see pytest_pafot.searching.plain")
-
-
-def _reader_of_tuple(inner: tuple[Any, ...]) -> Read:
-    if inner[-1] is Ellipsis:
-        return _read_each(tuple, _reader(inner[0]))
-    return _read_parts(tuple, [_reader(each) for each in inner])
-
-
-def _reader_of_pairs(kind: Callable[[Any], Any], inner: tuple[Any, ...]) -> Read:
-    return _read_each(kind, _read_parts(tuple, [_reader(inner[0]), _reader(inner[1] if len(inner) > 1 else int)]))
 
 
 def _refuse(expected: str, data: Any) -> FieldError:
@@ -130,10 +125,10 @@ def _read_float(data: Any) -> float:
     raise _refuse("a number", data)
 
 
-def _read_exactly(kind: type) -> Read:
+def _read_exactly(kind: type, expected: str) -> Read:
     def read(data: Any) -> Any:
         if type(data) is not kind:
-            raise _refuse({int: "a whole number", str: "a text", bool: "true or false"}[kind], data)
+            raise _refuse(expected, data)
         return data
 
     return read
@@ -173,55 +168,39 @@ def _read_union(inner: tuple[Any, ...]) -> Read:
     return read
 
 
-def _read_each(kind: Callable[[list[Any]], Any], reader: Read) -> Read:
+def _read_list(make: Callable[[list[Any]], Any], readers: Read | list[Read]) -> Read:
+    """Return a reader of a list, from whose parts ``make`` makes the value.
+
+    A list of readers has one for each part. A single reader reads all parts of a list of any length.
+    """
+    count, expected = None, "a list"
+    if isinstance(readers, list):
+        count, expected = len(readers), f"a list of {len(readers)} values"
+    of_parts: Iterable[Read] = readers if isinstance(readers, list) else repeat(readers)
+
     def read(data: Any) -> Any:
-        if type(data) is not list:
-            raise _refuse("a list", data)
-        return kind(_read_all(repeat(reader, len(data)), data))
-
-    return read
-
-
-def _read_parts(kind: Callable[[list[Any]], Any], readers: list[Read]) -> Read:
-    def read(data: Any) -> Any:
-        if type(data) is not list or len(data) != len(readers):
-            raise _refuse(f"a list of {len(readers)} values", data)
-        parts = _read_all(readers, data)
+        if type(data) is not list or count not in (None, len(data)):
+            raise _refuse(expected, data)
+        parts: list[Any] = []
         try:
-            return kind(parts)
+            for reader, part in zip(of_parts, data, strict=False):
+                parts.append(reader(part))
+        except FieldError as error:  # say in which part
+            separator = "." if error.field and not error.field.startswith("[") else ""
+            place = f"[{len(parts)}]{separator}{error.field}"
+            raise FieldError(field=place, expected=error.expected, received=error.received, fix=error.fix) from None
+        try:
+            return make(parts)
         except (TypeError, ValueError) as error:
             raise _refuse(f"values that fit together ({error!s:.100})", data) from None
 
     return read
 
 
-def _read_all(readers: Iterable[Read], data: list[Any]) -> list[Any]:
-    """Return what each reader makes of its part; an error names the part that does not fit."""
-    parts: list[Any] = []
-    try:
-        for reader, each in zip(readers, data, strict=True):
-            parts.append(reader(each))
-    except FieldError as error:
-        separator = "." if error.field and not error.field.startswith("[") else ""
-        place = f"[{len(parts)}]{separator}{error.field}"
-        raise FieldError(field=place, expected=error.expected, received=error.received, fix=error.fix) from None
-    return parts
-
-
 _SIMPLE: Mapping[Any, Read] = {
     float: _read_float,
-    int: _read_exactly(int),
-    str: _read_exactly(str),
-    bool: _read_exactly(bool),
+    int: _read_exactly(int, "a whole number"),
+    str: _read_exactly(str, "a text"),
+    bool: _read_exactly(bool, "true or false"),
     Scenario: _read_scenario,
 }
-_READERS: Mapping[Any, Callable[[tuple[Any, ...]], Read]] = {
-    Union: _read_union,
-    types.UnionType: _read_union,
-    Literal: lambda inner: _read_choice({each: each for each in inner}),
-    tuple: _reader_of_tuple,
-    frozenset: lambda inner: _read_each(frozenset, _reader(inner[0])),
-    Mapping: partial(_reader_of_pairs, dict),
-    Counter: partial(_reader_of_pairs, lambda pairs: Counter(dict(pairs))),
-}
-"""Functions that make a reader for a generic type, by the type's origin; they receive the type's arguments."""
