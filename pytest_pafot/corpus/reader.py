@@ -9,6 +9,8 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Callable, Mapping
+from dataclasses import MISSING
+from dataclasses import fields as fields_of
 from datetime import date
 from functools import cache
 from pathlib import Path
@@ -18,11 +20,11 @@ from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_
 from pytest_pafot.attribution.mistakes import LANE_CHANGES
 from pytest_pafot.corpus.layout import SUFFIX
 from pytest_pafot.corpus.yaml_document import MAX_BYTES, Field, Keys, one_of, parse
-from pytest_pafot.findings.finding import MAX_NUMBER, Bounded, Expect, Finding, Found, Perceived, check_plain, is_id
+from pytest_pafot.findings.finding import MAX_NUMBER, Expect, Finding, Found, Perceived, check_plain, is_id
 from pytest_pafot.findings.shrink import Shrunk, SpeedInterval
 from pytest_pafot.findings.signature import ZONES
 from pytest_pafot.findings.situation import ZoneSituation
-from pytest_pafot.model.driving_style import BOUNDS, PAPERS, STYLES, Traffic
+from pytest_pafot.model.driving_style import PAPERS, STYLES, Traffic
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.scenario import (
     REPAIR,
@@ -39,7 +41,7 @@ from pytest_pafot.support.errors import CorpusError, FieldError
 from pytest_pafot.support.files import open_regular
 
 DEFAULT_GENE_SECONDS = 10.0
-
+"""The duration of a gene in a file that does not give it [s]. It stays, whatever the default of a scenario becomes."""
 
 FILE = Keys(
     ("pafot", "test", "world", "scenario", "expect", "found"), ("perception", "original", "shrunk", "flaky", "xfail")
@@ -65,21 +67,11 @@ EGO = Keys(("lane", "speed"))
 XFAIL = Keys(("reason",), ("until",))
 """The keys of ``xfail``, if it is not just a reason."""
 
-OPTIONAL: Mapping[type, tuple[str, ...]] = MappingProxyType(
-    {
-        Expect: (
-            *("assertion", "check", "message", "npc", "cell", "zone", "side", "fault", "mistake", "npc_manoeuvre"),
-            *("ego_manoeuvre", "situation", "reference_drivers", "last_chance", "avoided_by", "escaped_by", "against"),
-            "traceback",
-        ),
-        Bounded: ("value", "at_most", "at_least", "unit"),
-        CrossingInstruction: ("act",),
-        Traffic: tuple(BOUNDS),
-        Found: ("weights",),
-    }
+REQUIRED: Mapping[type, tuple[str, ...]] = MappingProxyType(
+    {Expect: ("responsibility",), Found: ("versions",), Shrunk: ("is_minimal", "speeds"), Traffic: ("style",)}
 )
-"""The fields of dataclasses that a file may leave out, in the order in which errors list them. Every other field is
-required, also if it has a default."""
+"""The fields of dataclasses that a file must have, although they have a default in code. A field without a default is
+required, too, and any other field may be left out."""
 
 SIGNED = frozenset(
     {"slot", "value", "at_most", "at_least", "ahead", "lane", "npc_enters", "ego_enters", "ego_speed", "npc_speed"}
@@ -221,9 +213,12 @@ def _world(field: Field) -> dict[str, Any]:
 
 @cache
 def _keys_of(kind: Any) -> Keys:
-    """Return the keys of the mapping that holds a dataclass."""
-    optional = OPTIONAL.get(kind, ())
-    return Keys(tuple(name for name in types_of(kind) if name not in optional), optional)
+    """Return the keys of the mapping that holds a dataclass, in the order in which errors list them."""
+    required, optional = list[str](), list[str]()
+    for each in fields_of(kind):
+        has_default = each.default is not MISSING or each.default_factory is not MISSING
+        (optional if has_default and each.name not in REQUIRED.get(kind, ()) else required).append(each.name)
+    return Keys(tuple(required), tuple(optional))
 
 
 def _record(field: Field, kind: Callable[..., T], **own: Read) -> T:

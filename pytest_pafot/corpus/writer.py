@@ -7,11 +7,11 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import asdict, replace
 from enum import Enum
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import yaml
 
@@ -25,8 +25,6 @@ from pytest_pafot.support.errors import CorpusError
 from pytest_pafot.support.files import way_out, write_if_free, write_whole
 from pytest_pafot.support.ways_out import flag
 
-T = TypeVar("T")
-
 
 class CorpusWriteError(RuntimeError):
     """An error for a finding that could not be written. No unfinished file is left behind."""
@@ -36,15 +34,26 @@ class CorpusWriteError(RuntimeError):
         self.path = path
 
 
-def write(path: Path, finding: Finding) -> bool:
-    """Write the new file of a finding, as a whole or not at all.
+def write(path: Path, finding: Finding, *, over: bool = False) -> bool:
+    """Write the file of a finding, as a whole or not at all; with ``over`` also over an existing file.
 
     Return False if the file exists already, for example because another process has written it.
 
     Raises:
         CorpusWriteError: if the file cannot be written.
     """
-    return _written(path, finding, write_if_free)
+    content = text_of(finding).encode()
+    if len(content) > MAX_BYTES:
+        reason = f"{len(content) // 1024} KiB, more than the {MAX_BYTES // 1024} KiB that are read back"
+        raise CorpusWriteError(path, reason, "use fewer or shorter chains")
+    try:
+        if not over:
+            return write_if_free(path, content)
+        write_whole(path, content)
+        return True
+    except OSError as error:
+        fix = way_out(error, f"or choose another folder with {flag('corpus')}")
+        raise CorpusWriteError(path, error.strerror or str(error), fix) from error
 
 
 def rewrite(path: Path, finding: Finding) -> Finding:
@@ -62,17 +71,8 @@ def rewrite(path: Path, finding: Finding) -> Finding:
             kept = replace(finding, xfail=there.xfail, xfail_until=there.xfail_until)
         except CorpusError as error:
             raise CorpusWriteError(path, f"a file that cannot be read ({error})", "correct or delete it") from error
-    _written(path, kept, write_whole)
+    write(path, kept, over=True)
     return kept
-
-
-def overwrite(path: Path, finding: Finding) -> None:
-    """Write the file of a finding, as a whole or not at all, even over an existing file.
-
-    Raises:
-        CorpusWriteError: if the file cannot be written.
-    """
-    _written(path, finding, write_whole)
 
 
 def free_path(folder: Path, finding: Finding, passed: Collection[Path] = ()) -> tuple[Path, Finding]:
@@ -101,18 +101,6 @@ def _holds(path: Path, finding: Finding, *, shrunk: bool) -> bool:
         return False
     is_same = finding.scenario == saved.scenario or (shrunk and finding.scenario == saved.original)
     return is_same and saved.signature == finding.signature
-
-
-def _written(path: Path, finding: Finding, write: Callable[[Path, bytes], T]) -> T:
-    content = text_of(finding).encode()
-    if len(content) > MAX_BYTES:
-        reason = f"{len(content) // 1024} KiB, more than the {MAX_BYTES // 1024} KiB that are read back"
-        raise CorpusWriteError(path, reason, "use fewer or shorter chains")
-    try:
-        return write(path, content)
-    except OSError as error:
-        fix = way_out(error, f"or choose another folder with {flag('corpus')}")
-        raise CorpusWriteError(path, error.strerror or str(error), fix) from error
 
 
 # The text.

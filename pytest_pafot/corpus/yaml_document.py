@@ -226,18 +226,15 @@ def _parsed(path: Path, content: bytes, base: type[Any] | None) -> tuple[Any, Li
     loader = kind(text)
     try:
         return _Builder(path, loader).document()
-    except yaml.MarkedYAMLError as error:
-        mark = error.problem_mark or error.context_mark
-        raise _syntax_error(path, None if mark is None else mark.line + 1, error.problem or "unknown") from None
     except yaml.YAMLError as error:
-        raise _syntax_error(path, None, str(error).splitlines()[0]) from None
+        where, problem = None, str(error).splitlines()[0]
+        if isinstance(error, yaml.MarkedYAMLError):
+            mark, problem = error.problem_mark or error.context_mark, error.problem or "unknown"
+            where = None if mark is None else mark.line + 1
+        received, fix = f"text with this error: {problem}", "correct it, or restore the file"
+        raise CorpusError(path, "valid YAML", received, fix, line=where) from None
     finally:
         loader.dispose()
-
-
-def _syntax_error(path: Path, line: int | None, problem: str) -> CorpusError:
-    received = f"text with this error: {problem}"
-    return CorpusError(path, "valid YAML", received, "correct it, or restore the file", line=line)
 
 
 class _Builder:

@@ -134,12 +134,12 @@ class Expect:
     cell: Cell | None = None
     zone: str | None = None
     side: Side | None = None
-    situation: Situation | ZoneSituation | None = None
     responsibility: Responsibility = "none"
     fault: Fault | None = None
     mistake: Mistake | None = None
     npc_manoeuvre: Manoeuvre | None = None
     ego_manoeuvre: Manoeuvre | None = None
+    situation: Situation | ZoneSituation | None = None
     reference_drivers: Mapping[str, ReferenceOutcome] = field(default_factory=dict)
     last_chance: LastChance | None = None
     avoided_by: Avoidance | None = None

@@ -32,10 +32,11 @@ SLOT_STEPS_PER_SECOND = 10
 PAPER_SPEED_LIMIT = 26.8
 """The speed limit on the paper's motorway, 60 mph [m/s]."""
 EGO_LANE, EGO_SPEED, GENE_SECONDS = 1, 22.0, 10.0
-LONGEST_GENE = 86400.0
-"""The longest duration of a gene [s], a day. It is longer than any run, and its ticks still fit a C integer."""
 """The defaults of a scenario: the ego's first lane, counted from 0 at the left; the first speed of all vehicles [m/s];
 the duration of an instruction, as in the paper [s]."""
+
+LONGEST_GENE = 86400.0
+"""The longest duration of a gene [s], a day. It is longer than any run, and its ticks still fit a C integer."""
 
 MAX_SPEED = 1000.0
 """The largest speed that a scenario can give to a vehicle [m/s]; each world has a much lower limit."""
