@@ -16,13 +16,19 @@ def main(arguments: list[str] | None = None) -> int:
     """
     from pytest_pafot.commands import bisect_command as bisecting  # noqa: PLC0415
     from pytest_pafot.commands import search_command as searching  # noqa: PLC0415
+    from pytest_pafot.commands.policy_reference import BAD_USE  # noqa: PLC0415
     from pytest_pafot.comparison import command as comparison  # noqa: PLC0415
     from pytest_pafot.corpus import corpus_command as corpus  # noqa: PLC0415
     from pytest_pafot.episodes import progress_command as progressing  # noqa: PLC0415
     from pytest_pafot.episodes import rate_command as rating  # noqa: PLC0415
+    from pytest_pafot.execution.revision_policy import RevisionError  # noqa: PLC0415
     from pytest_pafot.export import export_command as exporting  # noqa: PLC0415
+    from pytest_pafot.report.animation import AnimationError  # noqa: PLC0415
+    from pytest_pafot.support.errors import AdsFactoryError, FieldError, RequestError  # noqa: PLC0415
     from pytest_pafot.support.interrupts import Ended, interrupted_by_signals  # noqa: PLC0415
 
+    # The errors that the user can correct. A worker that dies raises a ChildProcessError.
+    errors = (RequestError, FieldError, AdsFactoryError, RevisionError, AnimationError, ChildProcessError)
     given = sys.argv[1:] if arguments is None else arguments
     parser = argparse.ArgumentParser(
         prog="python -m pytest_pafot", description="Commands of pytest-pafot in addition to pytest."
@@ -91,9 +97,14 @@ def main(arguments: list[str] | None = None) -> int:
         which = commands.choices[arguments_given.command]
         which.error(f"unrecognized arguments: {' '.join(unknown)}; {which.prog} --help lists the options")
     try:
-        Path.cwd()  # A shell may still be in a folder that was removed.
+        # Policies are in the current folder, as with pytest. It may be gone, if a shell is still in it.
+        sys.path.insert(0, str(Path.cwd()))
         with interrupted_by_signals():
-            code: int = arguments_given.run(arguments_given, ["python", "-m", "pytest_pafot", *given])
+            try:
+                code: int = arguments_given.run(arguments_given, ["python", "-m", "pytest_pafot", *given])
+            except errors as error:
+                sys.stderr.write(f"{arguments_given.command}: {error}\n")
+                code = BAD_USE
             sys.stdout.flush()
     except KeyboardInterrupt as interrupt:
         with suppress(OSError, ValueError):  # A terminal that was closed receives nothing.

@@ -20,12 +20,13 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
-from pytest_pafot.attribution.lane_changes import DRIFTING, LanePlaces
-from pytest_pafot.attribution.needless_braking import (
+from pytest_pafot.attribution.manoeuvres import (
+    DRIFTING,
     HARD_BRAKING,
     HARD_SECONDS,
     NEAR_SECONDS,
     REASON_SECONDS,
+    LanePlaces,
     braking,
     hard_braking,
     reasons,

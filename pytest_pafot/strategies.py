@@ -235,6 +235,7 @@ def scenarios_in(
             f"instructions: expected a world whose NPCs can have Lane-Instructions, received {world!r:.100}, which "
             "declares none; leave instructions out, or write has_lane_instructions = True in its class if its NPCs can"
         )
+    # Lanes in which the ego can start with enough free cells around it.
     space = space_on(world, given, road_start(world))
     crossing, starts, room = space.crossing_traffic, _starts(world, space.ego_lane), most_on_grid(world)
     usable = [lane for lane, cells in starts.items() if crossing is not None or min(len(cells), room) >= max_npcs]

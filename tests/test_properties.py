@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 import pytest_pafot as pafot
 from pytest_pafot import properties
-from pytest_pafot.attribution.needless_braking import braking, reasons
+from pytest_pafot.attribution.manoeuvres import braking, reasons
 from pytest_pafot.attribution.responses import DISTANCES
 from pytest_pafot.criticality import Encounters, RoadFrame, RssRules
 from pytest_pafot.model.trace import ACCELERATION, ALONG, HEADING, LANE, SPEED, AdsError, Outcome, X

@@ -16,13 +16,13 @@ from typing import Any
 
 from pytest_pafot import criticality, policies, properties, strategies
 from pytest_pafot.attribution.last_chance import LastChance
+from pytest_pafot.campaign import run_table
 from pytest_pafot.campaign.events import SearchSummary
 from pytest_pafot.campaign.options import BY_NAME, OPTIONS, PROFILES, Option
 from pytest_pafot.campaign.request import Request, SearchArguments
-from pytest_pafot.campaign.run_table import COLUMNS
 from pytest_pafot.commands.bisect_command import add_arguments as add_bisect_arguments
 from pytest_pafot.commands.search_command import add_arguments as add_search_arguments
-from pytest_pafot.comparison.algorithm_run import Row
+from pytest_pafot.comparison import algorithm_run
 from pytest_pafot.comparison.command import add_arguments
 from pytest_pafot.corpus.writer import text_of
 from pytest_pafot.criticality import Passage, RssRules
@@ -222,8 +222,8 @@ def sections() -> dict[str, str]:
         "strategies": _strategies_table(),
         "compare": _command_table(add_arguments),
         "search-command": _command_table(add_search_arguments),
-        "run-table": _table(["Column", "Meaning"], ([_code(name), text] for name, text in COLUMNS.items())),
-        "results": _table(["Name", "Meaning"], ([_code(name), text] for name, text in _field_comments(Row))),
+        "run-table": _columns_table(run_table.COLUMNS),
+        "results": _columns_table(algorithm_run.COLUMNS),
         "bisect": _command_table(add_bisect_arguments),
         "progress": _command_table(add_progress_arguments),
         "export": _command_table(add_export_arguments),
@@ -245,6 +245,10 @@ def generated(text: str) -> str:
 def _table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     lines = [header, ["---"] * len(header), *rows]
     return "".join(f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in line)} |\n" for line in lines)
+
+
+def _columns_table(columns: Mapping[str, str]) -> str:
+    return _table(["Column", "Meaning"], ([_code(name), text] for name, text in columns.items()))
 
 
 def _fields_table(cls: type[Any]) -> str:

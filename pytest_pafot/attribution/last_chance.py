@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from pytest_pafot.attribution.needless_braking import braking
+from pytest_pafot.attribution.manoeuvres import braking
 from pytest_pafot.attribution.responses import FOLLOWING
 from pytest_pafot.attribution.responsibility import Fault, is_ego_responsible, rss_rule
 from pytest_pafot.attribution.sentences import BRAKES, What, avoidance_sentence, escape_sentences, last_chance_sentence

@@ -13,8 +13,7 @@ from itertools import pairwise
 import numpy as np
 
 from pytest_pafot.attribution.avoidance import HARDEST, Braking, Emergency
-from pytest_pafot.attribution.lane_changes import stretches
-from pytest_pafot.attribution.needless_braking import STANDING_SPEED
+from pytest_pafot.attribution.manoeuvres import STANDING_SPEED, stretches
 from pytest_pafot.attribution.sentences import BRAKES, Doing, Fact, Phase, What
 from pytest_pafot.criticality import RssRules
 from pytest_pafot.model.trace import LANE, SPEED, FloatArray, Trace

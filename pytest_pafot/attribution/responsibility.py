@@ -15,21 +15,26 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from pytest_pafot.attribution.avoidance import HARDEST, SPED_UP, Braking, Pursuit
-from pytest_pafot.attribution.lane_changes import DRIFTING, PAUSE, LaneChange, LanePlaces, first_lasting, stretches
-from pytest_pafot.attribution.needless_braking import (
+from pytest_pafot.attribution.manoeuvres import (
     AFTERMATH_SECONDS,
+    DRIFTING,
     HARD_BRAKING,
     HARD_SECONDS,
     LEAST_LOST,
+    PAUSE,
     REASON_SECONDS,
     RELEASE_SECONDS,
     STANDING_SPEED,
+    LaneChange,
+    LanePlaces,
     Stop,
     braking,
+    first_lasting,
     hard_braking,
     lasting_braking,
     long_stop,
     reasons,
+    stretches,
 )
 from pytest_pafot.attribution.responses import (
     ALREADY_BRAKING,

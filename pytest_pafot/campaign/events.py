@@ -34,21 +34,48 @@ class Progress:
     phase: str = ""  # the work after the generations, such as shrinking; empty while they run
 
 
+NEW = "new"
+"""The label of a finding that was not known before this session."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Find:
-    """A distinct new finding, as the terminal and the summary report it."""
+    """What this session saw of a finding, new or replayed: all that the controller needs for terminal and summary.
+
+    Attributes:
+        id: name of its file without the suffix.
+        node_id: node id of the item that replays it, in this session or, if it is new, from the next one on.
+        label: ``new``, or of a replay ``fixed``, ``still failing``, ``drifted`` or ``flaky``; in a comparison with a
+            reference also ``introduced``, ``common`` or ``fixed before``.
+        headline: how the run failed; empty if it passes.
+        path: path of its file; empty if a new finding has none.
+        detail: why a new finding has no file, or what differs from the file of a replayed one; may be empty.
+        difference: what differed when the scenario of a new finding was run again; empty if nothing did.
+        is_timed: True if the failure depends on wall-clock time.
+        unshrunk: why a new finding is not yet fully shrunk; empty if it is.
+        severity: severity of the failure; None if it passes, nothing measures it, or there is no run.
+        severity_before: severity with the reference of a replay; None if there is none.
+        responsible: who is responsible for the collision, as in its file.
+        repeats: number of other runs of the search that failed in the same way.
+        against: the reference that a replay is compared with; empty without one.
+        is_accepted: True if the file of a replay accepts its failure.
+    """
 
     id: str
-    node_id: str  # the node id under which the finding is reported
-    headline: str
-    path: str = ""  # the path of its file, or empty
-    problem: str = ""  # why there is no file, or empty
-    difference: str = ""  # what differed when the scenario was run again, or empty
-    is_timed: bool = False  # True if the failure depends on wall-clock time
-    unshrunk: str = ""  # why the finding is not yet fully shrunk, or empty
-    severity: Severity | None = None  # None if nothing measures it, or if there is no run
-    responsible: str = "none"  # who is responsible for the collision, as in its file
-    repeats: int = 0  # number of other runs that failed in the same way
+    node_id: str
+    label: str = NEW
+    headline: str = ""
+    path: str = ""
+    detail: str = ""
+    difference: str = ""
+    is_timed: bool = False
+    unshrunk: str = ""
+    severity: Severity | None = None
+    severity_before: Severity | None = None
+    responsible: str = "none"
+    repeats: int = 0
+    against: str = ""
+    is_accepted: bool = False
 
     @property
     def is_flaky(self) -> bool:

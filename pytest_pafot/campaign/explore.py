@@ -137,7 +137,7 @@ def request_of(given: dict[str, Any]) -> Request:
                 "with pytest; remove it"
             )
     check_names(given, place=PLACE)
-    values: dict[str, Any] = {each.name: each.default for each in OPTIONS if each.name in Settings.__annotations__}
+    values: dict[str, Any] = {each.name: each.default for each in OPTIONS}
     values |= {"profile": "", "corpus": "", "save": "new" if given.get("corpus") else "none"}
     for name in sorted(given.keys() & values.keys()):
         try:

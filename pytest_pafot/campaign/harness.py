@@ -21,9 +21,8 @@ from pytest_pafot.campaign.verdict import Test, Verdict, judge, no_skip, referen
 from pytest_pafot.execution.crash_records import CrashRecord, Leftover, left_by
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.execution.revision_policy import RevisionError, RevisionPolicy, rolled
-from pytest_pafot.execution.runner import Runner, runner_for
+from pytest_pafot.execution.runner import Runner, replay_in_gym_apart, runner_for
 from pytest_pafot.execution.scenario_pool import ExecutionError, Job
-from pytest_pafot.execution.separate_runs import replay_in_gym_apart
 from pytest_pafot.findings.signature import PROCESS_CRASH, Failure
 from pytest_pafot.model.scenario import Scenario, ScenarioError
 from pytest_pafot.model.trace import Outcome, Trace

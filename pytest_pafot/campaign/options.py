@@ -1,16 +1,16 @@
 """The options of a search, in one typed table.
 
 Command-line options, ini and toml keys, ``PAFOT_*`` variables, arguments of the mark and of ``pafot.explore``, and the
-reference documentation are all generated from :data:`OPTIONS`. :mod:`pytest_pafot.plugin.option_sources` defines the
-precedence of these sources.
+reference documentation are all generated from the fields of :class:`Settings`.
+:mod:`pytest_pafot.plugin.option_sources` defines the precedence of these sources.
 """
 
 from __future__ import annotations
 
 import difflib
 import os
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, fields
 from pathlib import Path, PurePath
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
@@ -101,37 +101,44 @@ class Option(NamedTuple):
         return typed
 
 
-OPTIONS: tuple[Option, ...] = (
-    Option(
-        "runs",
+def option(kind: Kind, text: str, default: object = None, **known: Any) -> Any:
+    """Return the field of :class:`Settings` for an option; further keyword arguments are fields of :class:`Option`."""
+    return field(default=default, metadata={"kind": kind, "help": text, "default": default, **known})
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Settings:
+    """All options: of each its type, help and default, and in a value of this class the value for one item.
+
+    Only the controller reads the options that are given for a session alone (``everywhere=False``). Without them an
+    item's value has their defaults. ``seed`` is the base seed, which a value always has.
+    """
+
+    runs: int | None = option(
         "integer",
         "Number of runs after which each search ends, even within a generation. Default: 40, or 400 in the profile ci; "
         "none if --pafot-generations is given.",
         least=1,
-    ),
-    Option(
-        "generations",
+    )
+    generations: int | None = option(
         "integer",
         "Number of generations of each search; 0 only replays saved scenarios. Default: none, so the number of runs "
         "decides.",
-    ),
-    Option(
-        "population",
+    )
+    population: int | None = option(
         "integer",
         "Scenarios per generation. Default: 16 for distinct, and 64 from the second generation on if the ADS decides "
         "for many runs at once with `batch` (not used with --pafot-isolate, decision_limit or an executor); 4 for the "
         "other algorithms. At most 10000, since all scenarios of a generation are in memory at once.",
         least=2,
         most=10_000,
-    ),
-    Option(
-        "seed",
+    )
+    seed: int = option(
         "integer",
         "Base seed; each search derives its own seed from it and its node id. Default: random, but 0 in the profile ci "
         "and with --pafot-resume.",
-    ),
-    Option(
-        "algorithm",
+    )
+    algorithm: str | type[Algorithm[Any]] = option(  # noqa: RUF009  (it returns a field)
         "text",
         "Search algorithm: pafot is the paper's (genetic, with local fuzzer and restarts); distinct is the same, but "
         "searches for other failures after it has found one; the others are baselines, the last three of which "
@@ -139,192 +146,148 @@ OPTIONS: tuple[Option, ...] = (
         default="distinct",
         choices=("distinct", "pafot", "av-fuzzer", "random", "random-manoeuvre", "nsga2", "map-elites", "cma-es"),
         or_class=True,
-    ),
-    Option(
-        "against",
+    )
+    against: str | Callable[..., Any] | None = option(  # noqa: RUF009  (it returns a field)
         "text",
         "A reference, such as the policy before a change: rev:REVISION for the test's policy in another revision of "
         "the repository, such as rev:main; or the module:factory[:argument] of a second ADS; or in the mark also the "
         "factory or the name of its fixture. A failure then counts only if the reference passes the same scenario; the "
         "reference runs only if the ADS fails.",
         or_class=True,
-    ),
-    Option(
-        "copy",
+    )
+    copy: str | None = option(
         "text",
         "Files and folders that the policy of --pafot-against=rev:REVISION needs and git ignores, such as weights: "
         "paths relative to the current folder, with spaces between them, quoted as in a shell.",
-    ),
-    Option(
-        "max_time",
+    )
+    max_time: float | None = option(
         "seconds",
         "Limit of wall-clock time of each search [s], including shrinking and reference drivers, for which a search "
         "with findings reserves a third. It ends a run before its next decision. A search that this limit cuts is not "
         "reproducible.",
-    ),
-    Option(
-        "total_time",
+    )
+    total_time: float | None = option(
         "seconds",
         "Limit of wall-clock time for all searches of the session [s], from its start; each search gets an equal share "
         "of the time left when it begins, including shrinking as with --pafot-max-time. A search that this limit cuts "
         "is not reproducible.",
         is_argument=False,
-    ),
-    Option(
-        "resume",
+    )
+    resume: str | None = option(
         "text",
         "Folder for the states of searches. A search with a state there resumes where it stopped, with a new budget of "
         "runs, generations and time. Several sessions find the same as one long one. Works with distinct, random, "
         "random-manoeuvre, or your own algorithm if it supports it.",
-    ),
-    Option("stop_after", "integer", "Number of distinct new findings after which each search ends.", least=1),
-    Option(
-        "shrink_rollouts",
+    )
+    stop_after: int | None = option(
+        "integer",
+        "Number of distinct new findings after which each search ends.",
+        least=1,
+    )
+    shrink_rollouts: int | None = option(
         "integer",
         "Largest number of runs to shrink each new finding; 0 leaves findings as they were found. Default: 3000 if the "
         "ADS is a vehicle class that the kernel drives, otherwise 300.",
-    ),
-    Option(
-        "max_saved",
+    )
+    max_saved: int = option(
         "integer",
         "Largest number of saved scenarios of each test; more new findings are counted and named, but not saved.",
         default=20,
         least=1,
-    ),
-    Option(
-        "corpus",
+    )
+    corpus: str = option(
         "text",
         "Folder of saved scenarios: a name next to each test file, or an absolute path for all.",
         default=CORPUS,
-    ),
-    Option("save", "text", "Which findings are written to the corpus.", default="new", choices=("new", "none")),
-    Option(
-        "workers",
+    )
+    save: str = option(
+        "text",
+        "Which findings are written to the corpus.",
+        default="new",
+        choices=("new", "none"),
+    )
+    workers: int = option(
         "workers",
         "Number of processes that simulate the scenarios of a generation if runs take long; auto is one for each core. "
         "The findings are the same. Always 1 under pytest-xdist.",
         default=1,
         least=1,
         most=MOST_WORKERS,
-    ),
-    Option(
-        "isolate",
+    )
+    isolate: bool = option(
         "switch",
         "Run the ADS only in other processes: an ADS that ends its process is a finding, and the session goes on. The "
         "findings are the same; for an ADS with `batch`, only if the population is given.",
         default=False,
-    ),
-    Option(
-        "memory",
+    )
+    memory: int | None = option(
         "integer",
         "Memory [MB] that a process of --pafot-isolate or --pafot-workers may use in addition to what it starts with; "
         "0 for no limit. Beyond it allocations fail, which is a finding. Default: three quarters of the machine's "
         "memory, shared among the workers, but at least 2048. Only on Linux.",
-    ),
-    Option(
-        "dask",
+    )
+    dask: str | None = option(
         "address",
         "Simulate the scenarios of a generation on the workers of the Dask scheduler at ADDRESS; needs "
         "pytest-pafot[dask]. The findings are the same; for an ADS with `batch`, only if the population is given.",
         everywhere=False,
         is_argument=False,
-    ),
-    Option(
-        "report",
+    )
+    report: str | None = option(
         "page",
         "Write the findings to FILE.html as one web page, or to the folder DIR/ as a page with an animation of each. "
         "Of more than 100 findings, the worst 100 are whole, and the others are rows of a table.",
-    ),
-    Option(
-        "json",
+    )
+    json: str | None = option(
         "file",
         "Write the results of the session to FILE, for programs: searches, findings, their files and the exit code.",
         everywhere=False,
         is_argument=False,
-    ),
-    Option(
-        "table",
+    )
+    table: str | None = option(
         "table",
         "Write a row for each scenario that the searches tried, failed or not, to FILE.csv or FILE.parquet.",
         everywhere=False,
         is_argument=False,
-    ),
-    Option(
-        "merge",
+    )
+    merge: Sequence[str] | None = option(
         "folders",
         "Merge the saved scenarios of another machine's corpus DIR into this corpus, instead of searches and replays: "
         "each is run, and the simplest of each kind of failure is stored. May be given several times.",
         everywhere=False,
         is_argument=False,
-    ),
-    Option(
-        "today",
+    )
+    today: str | None = option(
         "day",
         "Compare the last days of accepted failures (`xfail` with `until`) with this day instead of today, to see "
         "which failures will be reported on that day.",
         everywhere=False,
         is_argument=False,
-    ),
-    Option(
-        "profile",
+    )
+    profile: str = option(
         "text",
         "Set of defaults: ci (400 runs, seed 0; automatic if CI is set) or local (40 runs, random seed).",
         choices=tuple(PROFILES),
-    ),
-    Option(
-        "strict_drift",
+    )
+    strict_drift: bool = option(
         "switch",
         "Fail saved scenarios that pass with other versions of packages than in their file, or although the situation "
         "of their failure did not occur.",
         default=False,
-    ),
-    Option(
-        "strict_health",
+    )
+    strict_health: bool = option(
         "switch",
         "Fail searches with a health warning, such as scenarios without any interaction; and fail a session whose "
         "saved scenarios have lost their test, as the variable CI does.",
         default=False,
-    ),
-    Option(
-        "allow_orphans",
+    )
+    allow_orphans: bool = option(
         "switch",
         "Let a session pass whose saved scenarios have lost their test, even with CI or --pafot-strict-health: for "
         "projects that share a corpus, or a job that has only some of the tests. The summary still names them.",
         default=False,
         is_argument=False,
-    ),
-)
-
-BY_NAME: Mapping[str, Option] = {option.name: option for option in OPTIONS}
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Settings:
-    """The value of every option for the item of one test. ``seed`` is the base seed."""
-
-    runs: int | None
-    generations: int | None
-    population: int | None  # None for the algorithm's own default
-    seed: int
-    algorithm: str | type[Algorithm[Any]]
-    against: str | Callable[..., Any] | None
-    copy: str | None
-    max_time: float | None
-    total_time: float | None
-    resume: str | None
-    stop_after: int | None
-    shrink_rollouts: int | None  # None for a default that depends on the ADS
-    max_saved: int
-    corpus: str
-    save: str
-    workers: int
-    isolate: bool
-    memory: int | None  # None for a default that depends on the machine
-    report: str | None
-    profile: str
-    strict_drift: bool
-    strict_health: bool
-    allow_orphans: bool
+    )
 
     @property
     def is_search(self) -> bool:
@@ -335,6 +298,11 @@ class Settings:
     def repeated(self) -> list[str]:
         """The command-line options that request a search with the same number of runs or generations, and seed."""
         return [flag(name, value) for name in (*BUDGETS, "seed") if (value := getattr(self, name)) is not None]
+
+
+OPTIONS: tuple[Option, ...] = tuple(Option(each.name, **each.metadata) for each in fields(Settings))
+
+BY_NAME: Mapping[str, Option] = {each.name: each for each in OPTIONS}
 
 
 def is_ci(environ: Mapping[str, str]) -> bool:

@@ -18,8 +18,7 @@ from pytest_pafot.corpus.writer import CorpusWriteError, free_path, rewrite, tex
 from pytest_pafot.execution.crash_records import Leftover
 from pytest_pafot.execution.pool import OUT_OF_MEMORY, WORLD_HANGS, ProcessLostError
 from pytest_pafot.execution.scenario_pool import LostRun, expectation
-from pytest_pafot.findings.finding import Expect, Finding, Found, Perceived, message_of, portable
-from pytest_pafot.findings.replay import disagreement
+from pytest_pafot.findings.finding import Expect, Finding, Found, Perceived, disagreement, message_of, portable
 from pytest_pafot.findings.signature import PROCESS_CRASH
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Outcome
@@ -130,6 +129,7 @@ class Recorder:
             self.unsaved.append(finding.id)
             self.first = self.first or verdict.exception
             return finding.id
+        # Saved before it is confirmed, so that nothing is lost if the session dies in the second run.
         origin = self._origin(generation, number)
         kept = self._saved(finding, headline(run, verdict), origin, verdict.exception, verdict.is_timed)
         kept = replace(kept, run=run, number=number, find=replace(kept.find, severity=verdict.severity))
@@ -295,7 +295,7 @@ class Recorder:
             node_id=node_id,
             headline=line,
             path=told,
-            problem=problem,
+            detail=problem,
             is_timed=is_timed,
             responsible=finding.expect.responsibility,
         )

@@ -20,16 +20,16 @@ from pytest_pafot.corpus.reader import located
 from pytest_pafot.corpus.saved import Saved
 from pytest_pafot.execution import scenario_pool
 from pytest_pafot.execution.pool import ProcessLostError
-from pytest_pafot.execution.runner import Runner, runner_for
+from pytest_pafot.execution.runner import Runner, run_apart, runner_for
 from pytest_pafot.execution.scenario_pool import Job, LostRun, expectation
-from pytest_pafot.execution.separate_runs import run_apart
-from pytest_pafot.findings.finding import Finding, of_failure
-from pytest_pafot.findings.replay import (
+from pytest_pafot.findings.finding import (
     DRIVEN_ON,
     HAS_EVENT,
+    Finding,
     ending,
     has_time,
     is_same_failure,
+    of_failure,
     replay_label,
     unhandled,
 )
@@ -373,9 +373,9 @@ class Replays:
     def labelled(self, saved: Saved, owner: str) -> Replayed:
         """Replay a saved scenario, and return the result.
 
-        A replay that passes is run again, and driven on for :data:`~pytest_pafot.findings.replay.DRIVEN_ON`. If it then
-        fails as the file says, and once more in a third run, it is ``still failing``. Any other failure in that time is
-        only a text.
+        A replay that passes is run again, and driven on for :data:`~pytest_pafot.findings.finding.DRIVEN_ON`. If it
+        then fails as the file says, and once more in a third run, it is ``still failing``. Any other failure in that
+        time is only a text.
 
         With a reference, a failure is ``introduced`` if the reference passes, otherwise ``common``. A pass is ``fixed``
         if the reference fails and the situation occurred; otherwise a label ``fixed`` becomes ``fixed before``. The
@@ -390,6 +390,7 @@ class Replays:
         finding, world = _finding(saved), self.world_of(saved)
         run, verdict = self.tried(saved, world, owner)
         failure = verdict.failure if verdict.failed else None
+        # What the file's own run says, in the file's world.
         label: str = replay_label(finding, run, failure, self.harness.versions)
         if finding.expect.is_crash:
             label = "drifted" if verdict.failed else "fixed"  # The process survived, whatever the run shows.
@@ -398,10 +399,12 @@ class Replays:
         now = Replayed(label, run, verdict)
         if verdict.discarded:
             return now
+        # A pass is tried once more and past the end of the file, because a slower policy fails a little later.
         if not verdict.failed:
             now = self._repeated(saved, world, owner, now)
             if now.label == FLAKY:
                 return now
+        # With a reference: is the failure, or its absence, new with the policy?
         if now.verdict.failed:
             shown = None if now.verdict.failure is None else of_failure(now.run, now.verdict.failure)
             reference, is_lost = self.of_reference(

@@ -262,6 +262,7 @@ def build_space(request: Request, world: Any) -> SearchSpace:
                 f"expected a world whose NPCs have styles, received {world!r:.100}, which declares none; leave traffic "
                 "out, or write has_traffic_styles = True in its class if its NPCs keep to scenario.traffic",
             )
+        # The paper's algorithms keep the paper's space; the others fill in what the mark leaves open.
         drawn = {} if request.algorithm.is_papers else drawn_space(world, {"instructions": kinds[-1], **request.space})
         space = space_on(world, {**drawn, **request.space}, protocol.road_start(world))
         given = ", ".join(f"{name}={value!r}" for name, value in request.space.items())
@@ -292,6 +293,7 @@ def drawn_space(world: Any, given: Mapping[str, Any]) -> dict[str, Any]:
         if draws_genes and in_lanes:
             drawn |= {"gene_seconds": SLICE, "genes": max(1, math.ceil(world.longest_run / SLICE - 1e-9))}
         return drawn | _crossing_space(world, given)
+    # A straight road: patterns of traffic, and random numbers of NPCs, durations and starts, where nothing is given.
     drawn["patterns"] = True
     npcs, lane = given.get("npcs", NPCS), given.get("ego_lane", EGO_LANE)
     draws_lane = isinstance(world, Highway) and "ego_lane" not in given

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from itertools import islice
 from typing import Any
@@ -13,6 +13,7 @@ from pytest_pafot.attribution.responsibility import rss_rule
 from pytest_pafot.campaign.events import Judged, SearchEvent, SearchStarted
 from pytest_pafot.campaign.verdict import worst_margins
 from pytest_pafot.findings.signature import Signature
+from pytest_pafot.oracle.run import Run
 from pytest_pafot.searching.evaluation_cache import EVALUATIONS
 from pytest_pafot.searching.events import Evaluated
 
@@ -65,6 +66,7 @@ class RunTable:
     seed: int = 0
     number: int = 0
     rows: list[Row] = field(default_factory=list)
+    more: Callable[[Run], Row] = lambda run: {}  # returns the values of a run for columns that only one table has
     # the columns of the last runs, as many as a search reuses, by the id of the scenario
     _judged: dict[str, Row] = field(default_factory=dict)
 
@@ -76,7 +78,7 @@ class RunTable:
             case Judged():
                 id_ = event.run.scenario.id
                 self._judged.pop(id_, None)  # so that the order is that of the last runs
-                self._judged[id_] = _of_run(event)
+                self._judged[id_] = _of_run(event) | self.more(event.run)
             case Evaluated():
                 self.number += 1
                 self.rows.append(self._row(event))

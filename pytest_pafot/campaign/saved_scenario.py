@@ -8,8 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from pytest_pafot.corpus import reader
-from pytest_pafot.findings.finding import Expect, Finding
-from pytest_pafot.findings.replay import is_same_event
+from pytest_pafot.findings.finding import Expect, Finding, is_same_event
 from pytest_pafot.model.scenario import Scenario, ScenarioError
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.support.errors import CorpusError

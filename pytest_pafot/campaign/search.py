@@ -29,8 +29,7 @@ from pytest_pafot.campaign.verdict import no_skip, skips
 from pytest_pafot.corpus.saved import Saved, saved_in
 from pytest_pafot.execution import scenario_pool
 from pytest_pafot.execution.crash_records import Leftover
-from pytest_pafot.execution.runner import runner_for
-from pytest_pafot.execution.separate_runs import Retried, retry
+from pytest_pafot.execution.runner import Retried, retry, runner_for
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.sight import Sight
 from pytest_pafot.searching import run_campaign
@@ -104,16 +103,19 @@ class SearchResult:
 
 
 @contextmanager
-def prepared(harness: Harness, listener: Listener) -> Iterator[Sessions]:
+def prepared(harness: Harness, listener: Listener, *, is_steered: bool = True) -> Iterator[Sessions]:
     """Build the parts of a search that run scenarios, record findings and count. Stop their processes at the end.
+
+    Unless ``blame="any"`` or ``is_steered`` is False, the search is steered towards collisions for which the ego is
+    responsible.
 
     Raises:
         RequestError: for a fitness that does not exist, or a world that cannot be used.
     """
     request, seed = harness.request, search_seed(harness.request.settings.seed, harness.node_id)
     space = build_space(request, harness.world) if request.settings.is_search else None
-    is_for_ego = request.blame != "any"
-    try:  # Unless blame="any", steer the search towards collisions for which the ego is responsible.
+    is_for_ego = is_steered and request.blame != "any"
+    try:
         fitness = resolve(request.fitness, responsible=is_ego_responsible if is_for_ego else None)
     except FitnessError as error:
         raise request.error("fitness=...", error) from None
@@ -193,6 +195,7 @@ class Search:
         recorder.listener(SearchStarted(node_id=self.node_id, seed=self.sessions.seed, speed_limit=speed_limit))
         began = self.sessions.clock()
         recorder.until = max(self.limit.until, began + LEAST)
+        # A process of an earlier session may have died: its scenarios are tried again before anything else.
         left = harness.left_behind()
         retried = [self._retried(leftover, left) for leftover in left]
         self.process_notes += [note for each in retried for note in each.notes]
@@ -200,6 +203,7 @@ class Search:
         try:
             with simulation.runner:
                 reason = self._searched(saved_in(harness.folder), began)
+            # All findings are reported and the state is stored before shrinking, which takes long and may be cut.
             recorder.release()
             self.sessions.store()
             plain = None if loop.space is None else (loop.space.ego_lane, loop.space.ego_speed)
@@ -290,6 +294,8 @@ class Search:
         space, loop, runner = self.loop.space, self.loop, self.loop.simulation.runner
         request, settings = self.harness.request, self.harness.request.settings
         limit = 1 if self.stops_at_first else settings.stop_after
+        # The algorithm twice: a policy that decides for many runs at once gets a larger population, but only its first
+        # generation shows whether it does.
         try:
             algorithm = request.algorithm.make(space, **_population(settings.population))
             for_batches = request.algorithm.make(
@@ -297,6 +303,8 @@ class Search:
             )
         except ValueError as error:
             raise RequestError(str(error)) from None
+        # What is known before the first run: the state of earlier sessions, and the failures that saved scenarios still
+        # show. The search's own findings of earlier sessions are part of that state, not known failures.
         self.sessions.beginning.most = getattr(algorithm, "random_at_first", 0.0)
         resumed = self.sessions.resume(algorithm, space, saved)
         others = [each for each in saved if not self.sessions.is_own(each)]
@@ -315,6 +323,7 @@ class Search:
 
         runs_before = loop.runs
 
+        # A run may be cut when the time is over; the first run gets its time in any case.
         def seconds_left() -> float:
             ends = search_until if loop.recorder.has_firm else self.limit.until
             return (ends if loop.runs > runs_before else max(ends, began + LEAST)) - self.sessions.clock()
@@ -323,6 +332,7 @@ class Search:
             runner.announce(each for each in scenarios if each not in loop.fatal)
             loop.count()  # now, because other processes are busy with the scenarios
 
+        # The campaign is a generator: the loop that follows its events makes it draw, run and breed.
         try:
             events = run_campaign(
                 algorithm,

@@ -152,7 +152,7 @@ class SearchLoop:
             discarded=True,
         )
 
-    def follow(self, campaign: Iterable[events.Event], tick: Callable[[], None]) -> None:
+    def follow(self, campaign: Iterable[events.Event], tick: Callable[[], None] = lambda: None) -> None:
         """Process the events of a campaign to its end. ``tick`` is called after each event.
 
         Raises:
@@ -202,6 +202,8 @@ class SearchLoop:
         for event in judged:  # After both runs, because the time limit may end the second one, and then none counts.
             self.listener(event)
         self.verdicts[verdict.kind] += 1
+        # What says that the set-up is wrong: a check that the function catches, units, the same error in all runs. As
+        # soon as two runs differ, the findings that were held back are no fault of the set-up.
         if verdict.kind == "passed":
             self.caught.update({check.name for check in verdict.checks if not check.holds})
         self.doubt = self.doubt or unit_doubt(run.trace)
@@ -209,6 +211,7 @@ class SearchLoop:
             self.first.see(run, verdict)
         if not self.first.is_alike:
             self.recorder.release()
+        # A failure is known, repeated or new, by its signature; a new one is saved here, before the next run.
         signature, failure = None, verdict.failure if verdict.failed else None
         if failure is not None:
             signature = of_failure(run, failure)
@@ -218,6 +221,7 @@ class SearchLoop:
         if verdict.reference is not None and self.broken != "":
             broken = verdict.reference.failure if verdict.reference.is_ads else None
             self.broken = "" if broken is None else self.broken or f"{broken.kind}: {broken.message}"
+        # The algorithm sees how bad the run was, and in which way it failed, so that it can look for other ways.
         check = None if failure is None else failure.check
         return Evaluation.of(
             run.trace,

@@ -39,24 +39,37 @@ class SetupFaultError(Exception):
         super().__init__(f"{runs} ended in {verdict.exception!r}")
         self.run, self.verdict, self.runs, self.is_replay = run, verdict, runs, is_replay
 
+    @property
+    def received(self) -> str:
+        """The class and the message of what was raised in all runs."""
+        failure = self.verdict.failure
+        return "" if failure is None else f"{failure.kind}: {failure.message}"
+
+    def asked(self, world: Any, ads: Callable[..., Any], *, of_si: str, of_env: str) -> str:
+        """Return a paragraph on the first decision that the world asks an ADS for; empty if no world can say it.
+
+        It ends with ``of_si`` if the decision is in SI units, and with ``of_env`` if it is the environment's.
+        """
+        asked = None if is_vehicle_class(ads) else first_decision(world, self.run.trace.scenario)
+        return "" if asked is None else f"\n\n{asked.text} {of_si if asked.is_si else of_env}"
+
     def shown(self, world: Any, ads: Callable[..., Any]) -> BaseException:
         """Return the exception for the user: what was raised and where, why it is no finding, and what to do."""
         verdict = self.verdict
         nothing = "so nothing was saved" if not self.is_replay else "so it says nothing about any saved scenario"
         again = "replay" if self.is_replay else "search"
         if verdict.is_ads or verdict.exception is None:
-            asked = None if is_vehicle_class(ads) else first_decision(world, self.run.trace.scenario)
-            others = (
-                "A policy needs the config= and the wrappers= with which it was trained; a planner in SI units needs "
-                "pafot.Highway, which is the default world, or pafot.World(..., planner_hz=5)."
+            asked = self.asked(
+                world,
+                ads,
+                of_si='A policy of a highway-env environment needs world=pafot.World("highway-v0", config=...).',
+                of_env="A policy needs the config= and the wrappers= with which it was trained; a planner in SI units "
+                "needs pafot.Highway, which is the default world, or pafot.World(..., planner_hz=5).",
             )
-            if asked is not None and asked.is_si:
-                others = 'A policy of a highway-env environment needs world=pafot.World("highway-v0", config=...).'
-            told = "" if asked is None else f"\n\n{asked.text} {others}"
             return PlainFailure(
                 f"{verdict.exception}\n\n"
                 f"This happened in {self.runs}, at the first decision: it is an error of the set-up and no finding, "
-                f"{nothing}. Correct the ADS, its factory, or the world= in which it drives, and {again} again.{told}"
+                f"{nothing}. Correct the ADS, its factory, or the world= in which it drives, and {again} again.{asked}"
             )
         verdict.exception.add_note(
             f"This happened in {self.runs}, whatever the ego did: it is an error of the test function and no finding, "

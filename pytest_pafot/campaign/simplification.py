@@ -18,8 +18,7 @@ from pytest_pafot.campaign.search_loop import SearchLoop
 from pytest_pafot.campaign.state_file import Answer, Shown
 from pytest_pafot.campaign.verdict import Verdict, headline
 from pytest_pafot.execution.pool import ProcessLostError
-from pytest_pafot.findings.finding import Expect, Perceived, of_failure
-from pytest_pafot.findings.replay import ending
+from pytest_pafot.findings.finding import Expect, Perceived, ending, of_failure
 from pytest_pafot.findings.shrink import OutOfBudget, Shrunk, Start, shrink
 from pytest_pafot.model.scenario import Scenario, ScenarioError
 from pytest_pafot.model.sight import Sight
@@ -206,6 +205,7 @@ class Simplification:
 
         def attempt(candidate: Scenario) -> Scenario | None:
             nonlocal asked
+            # Shrinking asks the same questions in the same order, so an earlier session's answers serve as a prefix.
             if asked < len(answers) and answers[asked][0] != candidate.id:
                 del answers[asked:]  # They are from a session with other settings, which made other attempts.
             if asked == len(answers):
@@ -287,6 +287,7 @@ class Simplification:
             return
         before, harness, recorder = kept.finding, self.loop.simulation.harness, self.loop.recorder
         found = before.original or before.scenario
+        # Drivers in the ego's place say who could have prevented the failure, and how.
         self.tell(f"trying reference drivers in saved-{kept.find.id}")
         outcomes = harness.reference_outcomes(run, verdict, self._note)
         avoided, known, exception = self._claimed(lambda: harness.avoidance(run, verdict)), run, verdict.exception
@@ -296,6 +297,7 @@ class Simplification:
             again = harness.judge(known)
             exception = again.exception if again.failed and again.exception is not None else exception
         perception = self._perceived(kept, scenario)
+        # The file now says what the shrunk scenario shows, and keeps the scenario as found.
         finding = replace(
             before,
             scenario=scenario,

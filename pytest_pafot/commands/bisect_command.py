@@ -16,11 +16,10 @@ from typing import Any
 
 from pytest_pafot.campaign.options import BY_NAME
 from pytest_pafot.campaign.saved_scenario import load
-from pytest_pafot.commands.history import History, HistoryError, copied, halved, inside
-from pytest_pafot.commands.policy_reference import BAD_USE
+from pytest_pafot.commands.history import History, copied, halved, inside
 from pytest_pafot.corpus.saved import named_file
 from pytest_pafot.execution.revision_policy import mapped
-from pytest_pafot.support.errors import CorpusError
+from pytest_pafot.support.errors import RequestError
 from pytest_pafot.support.interrupts import undisturbed
 from pytest_pafot.support.text import one_line, plural, visible
 from pytest_pafot.support.ways_out import command
@@ -61,16 +60,8 @@ def _seconds(text: str) -> float:
     return seconds
 
 
-def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
+def run(arguments: argparse.Namespace, _: Sequence[str]) -> int:
     """Search for the commit that made a scenario fail; return the exit code: 0 if one commit is left, 1 if several."""
-    try:
-        return _bisect(arguments)
-    except (HistoryError, CorpusError) as error:
-        sys.stderr.write(f"bisect: {error}\n")
-        return BAD_USE
-
-
-def _bisect(arguments: argparse.Namespace) -> int:
     here = Path(os.path.realpath(Path.cwd()))
     found = named_file(arguments.file)
     test = load(found).finding.test.partition("::")[0]
@@ -85,7 +76,7 @@ def _bisect(arguments: argparse.Namespace) -> int:
     above = (folder / test for folder in file.parents)
     own = [path for path in (file, *above) if history.is_policy(path.as_posix()) and (history.root / path).is_file()]
     if own:
-        raise HistoryError(
+        raise RequestError(
             f"--policy: expected only paths of the policy, received paths that contain {visible(own[0].as_posix())}, "
             "which must be the same in all commits; name the other files and folders one by one"
         )
@@ -101,11 +92,11 @@ def _bisect(arguments: argparse.Namespace) -> int:
         if trials.passes(bad) is not False:
             hint = "commit your changes" if dirty else f"try `{command('pytest', found)}`, or another --bad"
             hint = hint if trials.passes(bad) else f"{hint}; files that git ignores need --copy, a slow test --timeout"
-            raise HistoryError(f"expected --bad to fail as the file says, received: {trials.why(bad)}; {hint}")
+            raise RequestError(f"expected --bad to fail as the file says, received: {trials.why(bad)}; {hint}")
         for start, name in ((good, "--good"), (history.parents(commits[0])[0], "the commit before these")):
             if trials.passes(start) is not True:
                 hint = ", or --any-pass if such a pass is enough" if trials.told(start).get("is_other") else ""
-                raise HistoryError(f"expected {name} to pass, received: {trials.why(start)}; give another --good{hint}")
+                raise RequestError(f"expected {name} to pass, received: {trials.why(start)}; give another --good{hint}")
         left = first_failing(history, trials, commits)
         return _conclude(history, trials, left)
 
@@ -114,10 +105,10 @@ def _commits(history: History, good: str, bad: str) -> list[str]:
     """Return the commits after ``good`` up to ``bad`` that change the policy.
 
     Raises:
-        HistoryError: if there is no such commit.
+        RequestError: if there is no such commit.
     """
     if not history.is_ancestor(good, bad):
-        raise HistoryError(
+        raise RequestError(
             f"expected a --good that is an ancestor of --bad, received {good:.10}, which is not an ancestor of "
             f"{bad:.10}; give an ancestor, such as the commit that `git merge-base` prints"
         )
@@ -125,12 +116,12 @@ def _commits(history: History, good: str, bad: str) -> list[str]:
         path for path in history.paths if not any(replace(history, paths=(path,)).content(at) for at in (good, bad))
     ]
     if lost:
-        raise HistoryError(
+        raise RequestError(
             f"--policy: expected paths in {good:.10} or {bad:.10}, received {', '.join(map(visible, lost))}"
         )
     commits = history.between(good, bad)
     if not commits:
-        raise HistoryError(
+        raise RequestError(
             f"--policy: expected paths that change from {good:.10} to {bad:.10}, received "
             f"{', '.join(map(visible, history.paths))}, which do not; add the paths of all that the policy imports"
         )
@@ -183,7 +174,7 @@ class Trials:
             try:
                 self.history.put(self.tree, commit)
                 self.known[content] = self._session()
-            except HistoryError as error:  # such as a folder where there is a file now
+            except RequestError as error:  # such as a folder where there is a file now
                 self.known[content] = {"passes": None, "why": one_line(str(error))}
             _say(f"  {commit:.10} {self.why(commit)} | {self.history.described(commit, '%s')}")
         return self.known[content]

@@ -21,6 +21,7 @@ from itertools import pairwise
 from pathlib import Path
 from types import MappingProxyType
 
+from pytest_pafot.support.errors import RequestError
 from pytest_pafot.support.files import hold, is_held, open_regular, pid_of
 from pytest_pafot.support.interrupts import undisturbed
 from pytest_pafot.support.text import visible, visible_lines
@@ -41,10 +42,6 @@ TREES = "pafot-tree-"
 
 NEW = 60.0
 """The age up to which the folder of a worktree may belong to a process that has not locked it yet [s]."""
-
-
-class HistoryError(ValueError):
-    """An error for a history that cannot be searched. The message says what was expected and what to do."""
 
 
 def halved(commits: Sequence[str], passes: Callable[[str], bool | None]) -> Sequence[str]:
@@ -82,31 +79,31 @@ class History:
         """Return the history of paths that are relative to a folder.
 
         Raises:
-            HistoryError: if the folder is in no repository, if a path is outside of it, or if git is missing.
+            RequestError: if the folder is in no repository, if a path is outside of it, or if git is missing.
         """
         try:
             root = Path(os.path.realpath(_git(folder, "rev-parse", "--show-toplevel").removesuffix("\n")))
-        except HistoryError as error:
-            raise HistoryError(f"expected a folder in a git repository, received {folder} ({error})") from None
+        except RequestError as error:
+            raise RequestError(f"expected a folder in a git repository, received {folder} ({error})") from None
         return cls(root, tuple(inside(root, folder, path, "--policy").as_posix() for path in paths))
 
     def named(self, revision: str) -> str:
         """Return the hash of the commit that a revision such as a branch or a tag names.
 
         Raises:
-            HistoryError: if there is no such commit.
+            RequestError: if there is no such commit.
         """
         try:
             return self._git("rev-parse", "--verify", "--quiet", "--end-of-options", f"{revision}^{{commit}}").strip()
-        except HistoryError:
+        except RequestError:
             kind = ""
-            with suppress(HistoryError):
+            with suppress(RequestError):
                 found = self._git("rev-parse", "--verify", "--quiet", "--end-of-options", revision).strip()
                 kind = self._git("cat-file", "-t", found).strip()
             if kind:
                 expected = f"expected a commit, a branch or a tag, received {revision!a}, which is a {kind}"
-                raise HistoryError(f"{expected}; name the commit itself") from None
-            raise HistoryError(
+                raise RequestError(f"{expected}; name the commit itself") from None
+            raise RequestError(
                 f"expected a commit, a branch or a tag, received {revision!a}, which does not exist in {self.root}; "
                 "`git log --oneline` lists commits, and `git fetch --unshallow` adds commits that a shallow clone lacks"
             ) from None
@@ -127,7 +124,7 @@ class History:
         """Return the hash of the last common ancestor of two commits; None if there is no common ancestor."""
         try:
             return self._git("merge-base", one, other).split()[0]
-        except HistoryError:
+        except RequestError:
             return None
 
     def between(self, good: str, bad: str) -> list[str]:
@@ -200,7 +197,7 @@ class History:
         the root; of these, the copy gets only what the commit does not have, or has as a pointer of Git LFS.
 
         Raises:
-            HistoryError: if git fails, or a submodule that is checked out here was not cloned with its commit.
+            RequestError: if git fails, or a submodule that is checked out here was not cloned with its commit.
         """
         with self._tree(commit) as tree:
             self._put_submodules(tree, commit, self._modules)
@@ -242,7 +239,7 @@ class History:
             paths: only submodules below these paths, which have to be cloned; all without any.
 
         Raises:
-            HistoryError: if a submodule that is checked out here, or named by the paths, is not cloned with its commit.
+            RequestError: if a submodule that is checked out here, or named by the paths, is not cloned with its commit.
         """
         own = (f"--git-dir={clone}",) if clone else ()
         links = _links(_git(self.root, *own, "ls-tree", "-r", "-z", "--full-tree", commit, "--", *paths))
@@ -256,7 +253,7 @@ class History:
             here, there = tree / at / path, self.root / at / path
             clones = [*(folder / names.get(path, path) for folder in modules), there / ".git"]
             for found in (each for each in clones if each.is_dir()):
-                with suppress(HistoryError):
+                with suppress(RequestError):
                     _git(tree, f"--git-dir={found}", "cat-file", "-e", f"{hash_}^{{tree}}")
                     here.mkdir(parents=True, exist_ok=True)
                     # The index of the commit before names the files that git removes. All others stay.
@@ -270,7 +267,7 @@ class History:
                 if is_there or paths:
                     name = shlex.quote(visible(f"{Path(at, path)}"))
                     way = f"git -C {name} fetch" if is_there else f"git submodule update --init {name}"
-                    raise HistoryError(
+                    raise RequestError(
                         f"expected the submodule {visible(path)} to be cloned with its commit {hash_:.10}, received "
                         f"{self.root} without it; nothing is fetched here: run `{way}` first"
                     )
@@ -287,8 +284,8 @@ class History:
                 hold(lock.fileno())
                 try:
                     self._git("worktree", "add", "--quiet", "--detach", str(tree), commit)
-                except HistoryError as error:
-                    raise HistoryError(f"{error}; {self._way_to_a_worktree(folder)}") from None
+                except RequestError as error:
+                    raise RequestError(f"{error}; {self._way_to_a_worktree(folder)}") from None
                 yield tree
         finally:
             with undisturbed():
@@ -315,7 +312,7 @@ class History:
 
     def _remove(self, tree: Path) -> None:
         """Remove a worktree with its folder. Git forgets also a worktree whose folder is already gone."""
-        with suppress(HistoryError):
+        with suppress(RequestError):
             self._git("worktree", "remove", "--force", "--force", str(tree))
         shutil.rmtree(tree.parent, ignore_errors=True)
 
@@ -327,7 +324,7 @@ class History:
         """Check the policy's paths out of a commit into a worktree; remove paths that the commit does not have.
 
         Raises:
-            HistoryError: if git fails.
+            RequestError: if git fails.
         """
         content = self.content(commit)
         before = _git(tree, "ls-files", "--stage", "-z", "--", *self.paths)
@@ -378,12 +375,12 @@ def copied(root: Path, folder: Path, paths: Iterable[str], option: str) -> list[
     """Return the paths of an option for files to copy, relative to the root.
 
     Raises:
-        HistoryError: if a path is outside of the repository, or does not exist.
+        RequestError: if a path is outside of the repository, or does not exist.
     """
     extra = [inside(root, folder, path, option).as_posix() for path in paths]
     lost = [path for path in extra if not (root / path).exists()]
     if lost:
-        raise HistoryError(f"{option}: expected files and folders, received {', '.join(map(visible, lost))}")
+        raise RequestError(f"{option}: expected files and folders, received {', '.join(map(visible, lost))}")
     return extra
 
 
@@ -393,11 +390,11 @@ def inside(root: Path, folder: Path, path: str, what: str) -> Path:
     ``what`` names the option of the path in an error.
 
     Raises:
-        HistoryError: if the path is outside of the root.
+        RequestError: if the path is outside of the root.
     """
     found = Path(os.path.normpath(Path(os.path.realpath(folder)) / path))
     if not found.is_relative_to(root):
-        raise HistoryError(f"{what}: expected a path inside the repository {root}, received {visible(path)}")
+        raise RequestError(f"{what}: expected a path inside the repository {root}, received {visible(path)}")
     return found.relative_to(root)
 
 
@@ -441,7 +438,7 @@ def _git(folder: Path, *arguments: str, environ: Mapping[str, str] = MappingProx
     """Run git in a folder and return its output. It fetches nothing, and runs no hook.
 
     Raises:
-        HistoryError: if git fails; the message is git's own.
+        RequestError: if git fails; the message is git's own.
     """
     quiet = ("--no-optional-locks", "--literal-pathspecs", "-c", f"core.hooksPath={os.devnull}")
     command = ["git", "-C", str(folder), *quiet, "-c", "core.fsmonitor=false", "-c", "core.sparseCheckout=false"]
@@ -455,8 +452,8 @@ def _git(folder: Path, *arguments: str, environ: Mapping[str, str] = MappingProx
             check=False,
         )
     except FileNotFoundError:
-        raise HistoryError("expected the program git, received none on the PATH; install it") from None
+        raise RequestError("expected the program git, received none on the PATH; install it") from None
     if done.returncode:
         command = [each for each in arguments if not each.startswith("--")]
-        raise HistoryError(f"git {command[0]} in {folder}: {visible(os.fsdecode(done.stderr).strip())}")
+        raise RequestError(f"git {command[0]} in {folder}: {visible(os.fsdecode(done.stderr).strip())}")
     return os.fsdecode(done.stdout)

@@ -11,10 +11,11 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
 from pytest_pafot.campaign.options import REVISION
-from pytest_pafot.commands.history import History, HistoryError, copied, is_pointer
+from pytest_pafot.commands.history import History, copied, is_pointer
 from pytest_pafot.commands.revision_process import digest_of, imported_elsewhere
 from pytest_pafot.corpus.layout import SUFFIX
 from pytest_pafot.execution.revision_policy import PACKAGE, RevisionError, RevisionPolicy
+from pytest_pafot.support.errors import RequestError
 from pytest_pafot.support.text import visible
 
 PROCESS = "pytest_pafot.commands.revision_process"
@@ -90,7 +91,7 @@ class Revision:
         try:
             head, dirty = self.history.named("HEAD"), self.history.uncommitted()
             changed = {name for name in self.history.uncommitted(self.commit) if name == test or _may_count(root, name)}
-        except HistoryError as error:
+        except RequestError as error:
             raise RevisionError(f"{self.label}: {error}") from None
         differ = changed | {name for name, digest in seen.items() if _digest(root / name) != digest}
         # Those that differ come first, because long lists are cut. New files other than modules are often outputs.
@@ -136,17 +137,17 @@ def revision_at(text: str, folder: Path, here: Path, paths: str, option: str) ->
     with ExitStack() as stack:
         try:
             if not name:
-                raise HistoryError(f"expected a revision, such as {REVISION}main, received {text!r}")
+                raise RequestError(f"expected a revision, such as {REVISION}main, received {text!r}")
             history = History.of([], folder)
             commit = history.named(name)
             try:
                 names = shlex.split(paths)
             except ValueError as error:
-                raise HistoryError(f"{option}: expected paths as in a shell, received {paths!r}: {error}") from None
+                raise RequestError(f"{option}: expected paths as in a shell, received {paths!r}: {error}") from None
             extra = copied(history.root, here, names, option)
             tree = stack.enter_context(history.revision(commit, extra))
             copies = tuple(each for each in extra if (history.root / each).is_dir() or not history.has(commit, each))
-        except HistoryError as error:
+        except RequestError as error:
             raise RevisionError(f"{visible(text)}: {error}") from None
         is_hash = len(name) >= 7 and commit.startswith(name)
         label = f"{REVISION}{commit:.7}" if is_hash else f"{visible(text)} ({commit:.7})"

@@ -91,18 +91,13 @@ class _ForPytest(argparse.Action):
 def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
     """Run the search, or with ``--write-test`` write the test that runs it. Return the exit code."""
     here = Path.cwd()
-    sys.path.insert(0, str(here))  # Import the policy from the current folder, as `python -m pytest` does.
-    try:
-        files = {CONFTEST: _conftest(arguments), TEST: _test(arguments)}
-        if arguments.write_test:
-            return _write_test(here, files, arguments.ads)
-        against = arguments.against
-        if against is not None and not against.startswith(REVISION):
-            ads_factory(against, "--against")
-            against = whole_name(against)
-    except RequestError as error:
-        sys.stderr.write(f"search: {error}\n")
-        return BAD_USE
+    files = {CONFTEST: _conftest(arguments), TEST: _test(arguments)}
+    if arguments.write_test:
+        return _write_test(here, files, arguments.ads)
+    against = arguments.against
+    if against is not None and not against.startswith(REVISION):
+        ads_factory(against, "--against")
+        against = whole_name(against)
     given = {name: getattr(arguments, name) for name in OWN}
     given |= {"against": against, "copy": shlex.join(arguments.copy) or None}
     given["corpus"] = corpus = here / arguments.corpus  # The tests are not in this folder.

@@ -1,90 +1,69 @@
-"""The runs of a comparison: each run is a campaign of one algorithm, without pytest, whose scenarios become rows."""
+"""The runs of a comparison: each run is a search of one algorithm, without pytest, whose scenarios become rows."""
 
 from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import astuple, dataclass, fields, replace
+import tempfile
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any, TextIO
 
-from pytest_pafot.attribution.responsibility import is_ego_responsible, position_rule
+from pytest_pafot.attribution.responsibility import position_rule
+from pytest_pafot.campaign import run_table
+from pytest_pafot.campaign.events import SearchEvent
+from pytest_pafot.campaign.explore import replays_of, request_of
+from pytest_pafot.campaign.run_table import Row, RunTable
+from pytest_pafot.campaign.search import prepared
+from pytest_pafot.campaign.setup_fault import SetupFaultError
 from pytest_pafot.commands.policy_reference import ads_factory, caution
 from pytest_pafot.commands.resumable import ResumableJob, Task, Tick, claim, run_job
 from pytest_pafot.comparison.plan import DIFFERENT, Plan
-from pytest_pafot.execution.runner import runner_here
-from pytest_pafot.findings.finding import ads_failure, event_of, first_decision_cause, of_failure
+from pytest_pafot.findings.finding import ads_failure, event_of, of_failure
 from pytest_pafot.findings.signature import Failure
-from pytest_pafot.model.scenario import Scenario
-from pytest_pafot.model.trace import AdsError, Outcome, Trace
 from pytest_pafot.oracle.run import Run
-from pytest_pafot.searching import Evaluation, run_campaign
-from pytest_pafot.searching.events import Evaluated, GenerationFinished
-from pytest_pafot.searching.fitness import Fitness, resolve
+from pytest_pafot.searching import run_campaign
+from pytest_pafot.searching.events import Evaluated
 from pytest_pafot.support.errors import RequestError
 from pytest_pafot.support.text import csv_text
-from pytest_pafot.world.driving.ads import is_vehicle_class
-from pytest_pafot.world.protocol import WorldLike, first_decision, reference_world
+from pytest_pafot.world.protocol import WorldLike
 
-# Tidy results: one row per scenario; equal runs give equal text.
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Row:
-    """A row of the results: one scenario that an algorithm requested."""
-
-    algorithm: str  # name of the algorithm
-    run: int  # number of the algorithm's run, from 0
-    seed: int  # seed of the run
-    generation: int  # of the main search, from 0
-    local_generation: int  # of a local search, from 1; 0 in the main search
-    index: int  # index in the generation, from 0
-    scenario: str  # id of the scenario
-    duplicate: bool  # True if the scenario was not simulated, because an earlier one of this search shows the result
-    outcome: str  # how the run ended
-    duration: float  # duration of the run [s]
-    clock: float  # simulated time of the search until the end of the run [s]; duplicates take no time
-    failing: bool  # whether the run counts as a failure, by the blame of the comparison
-    collision_time: float | None  # time of the collision [s]; without a collision it and the next five are empty
-    npc: int | None  # index of the NPC that collided
-    cell: int | None  # cell of that NPC; empty if it crossed the ego's way
-    zone: str | None  # zone in which that NPC crossed, such as ``crossing from the left``; otherwise empty
-    side: str | None  # side of the ego that was hit
-    closing_speed: float | None  # closing speed at the impact [m/s]
-    responsibility: str  # by :func:`~pytest_pafot.attribution.responsibility.rss_rule`; ``none`` without a collision
-    position_responsibility: str  # by the rule of the authors' code
-    signature: str | None  # identity of a collision or of an ADS error; otherwise empty
-    fitness: float | None  # the number that the search maximised; empty if there is none
-    genes_started: int  # started genes of all NPCs
-    genes_reached: int  # number of started genes whose cell or lane was reached
-    executed: str  # the scenario as driven, in canonical text
-
-
-COLUMNS = tuple(field.name for field in fields(Row))
-
-
-def text_of(rows: Iterable[Row]) -> str:
-    """Format rows as CSV."""
-    return csv_text(COLUMNS, map(astuple, rows))
-
+COLUMNS: Mapping[str, str] = {
+    "algorithm": "name of the algorithm",
+    "run": "number of the algorithm's run, from 0",
+    **{name: meaning for name, meaning in run_table.COLUMNS.items() if name not in ("test", "run")},
+    "index": "index in the generation, from 0",
+    "clock": "simulated time of the search until the end of the run [s]; reused results take no time",
+    "cell": "cell of the NPC that was hit; empty if it crossed the ego's way",
+    "zone": "zone in which that NPC crossed, such as `crossing from the left`; otherwise empty",
+    "position_responsibility": "who is responsible by the rule of the authors' code",
+    "signature": "identity of a collision, even of one that is no failure, or of an ADS error; otherwise empty",
+    "genes_started": "started genes of all NPCs",
+    "genes_reached": "number of started genes whose cell or lane was reached",
+    "executed": "the scenario as driven, in canonical text",
+}
+"""The columns of the results: those of the table of runs, and those that only a comparison has."""
 
 UNBOUNDED = 10**9  # generations of a run with a time budget
 
 COLLISION = Failure(kind="AssertionError", assertion="not run.collision")
-"""The failure of a test that forbids collisions; its signature tells different collisions apart."""
+"""The failure of :func:`never_collides`; its signature tells different collisions apart."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RunFacts:
-    """Facts about a run that its evaluation lacks; rows and the check of the set-up need them."""
+def never_collides(blame: str, run: Run) -> None:
+    """Assert that there is no collision; the test function of a comparison.
 
-    responsibility: str
-    position_responsibility: str
-    signature: str | None
-    zone: str | None
-    error: AdsError | None
+    Unless the blame is ``any``, a collision for which neither vehicle is responsible is no failure.
+    """
+    if blame == "any" or run.responsibility is not None:
+        assert not run.collision  # noqa: S101  (the function of a test)
+
+
+def text_of(rows: Iterable[Row]) -> str:
+    """Format rows as CSV; equal runs give equal text."""
+    return csv_text(tuple(COLUMNS), ([row.get(name) for name in COLUMNS] for row in rows))
 
 
 def run_all(plan: Plan, folder: Path, *, workers: int, told: TextIO, clock: Callable[[], float]) -> Path:
@@ -117,140 +96,91 @@ def _text(plan: Plan, task: Task, tick: Tick) -> str:
     return text_of(run_rows(plan, *task, tick))
 
 
-def run_rows(plan: Plan, algorithm: str, run: int, tick: Tick = lambda share: None) -> Iterator[Row]:
-    """Run one campaign of an algorithm, and yield a row for each scenario after its evaluation.
+def run_rows(plan: Plan, algorithm: str, run: int, tick: Tick = lambda share: None) -> list[Row]:
+    """Run one search of an algorithm, and return a row for each scenario that it requested.
+
+    It evaluates scenarios as :func:`~pytest_pafot.campaign.explore.explore` does, but it ends after a simulated time if
+    the plan has one, and it neither runs findings again nor simplifies them.
 
     Raises:
         RequestError: if the ADS fails for the same reason at its first decision in the whole first generation.
     """
-    (world, _), factory, chosen = plan.setting(algorithm), ads_factory(plan.ads), plan.entrant(algorithm).algorithm
-    seed, name = plan.run_seed(algorithm, run), plan.fitness or chosen.fitness
-    # Blame affects all fitnesses except AV-Fuzzer's, which its authors used without it.
-    is_steered = plan.blame != "any" and name != "av-fuzzer"
-    fitness = resolve(name, responsible=is_ego_responsible if is_steered else None)
-    budget = math.inf if plan.seconds is None else plan.seconds
-    generations = plan.generations or UNBOUNDED
-    seconds = 0.0
+    (world, _), chosen, seed = plan.setting(algorithm), plan.entrant(algorithm).algorithm, plan.run_seed(algorithm, run)
+    generations, budget = plan.generations or UNBOUNDED, math.inf if plan.seconds is None else plan.seconds
+    given = {"ads": ads_factory(plan.ads), "world": world, "algorithm": chosen.made_by}
+    request = request_of({**given, "fitness": plan.fitness, "blame": plan.blame})
+    # A finding above the largest number of saved ones is only counted.
+    request = replace(request, settings=replace(request.settings, max_saved=0))
+    table, seconds = RunTable(seed=seed, more=_of_run), 0.0
 
-    with runner_here(world, factory) as runner:
+    def listen(event: SearchEvent) -> None:
+        nonlocal seconds
+        table.see(event)
+        if isinstance(event, Evaluated):
+            evaluation = event.evaluation
+            seconds += 0.0 if event.reused else evaluation.duration
+            tick(max(event.generation / generations, seconds / budget))
+            table.rows[-1] |= {
+                "algorithm": algorithm,
+                "run": run,
+                "index": event.index,
+                "clock": seconds,
+                "genes_started": evaluation.genes_started,
+                "genes_reached": evaluation.genes_reached,
+                "executed": evaluation.executed.canonical(),
+            }
 
-        def evaluate(scenario: Scenario) -> Evaluation:
-            nonlocal seconds
-            trace = runner.run(scenario)
-            seconds += trace.duration
-            return evaluated(trace, fitness, plan.blame, world)
-
-        events = run_campaign(
-            plan.made(algorithm),
-            evaluate,
-            generations=generations,
-            seed=seed,
-            stop=lambda: seconds >= budget,
-            foresee=runner.announce,
-        )
-        first: list[Evaluation] = []
-        for event in events:
-            if isinstance(event, GenerationFinished) and first:
-                check_set_up(world, factory, first)
-                first.clear()
-            if isinstance(event, Evaluated):
-                if event.generation == 0 and event.local_generation == 0:
-                    first.append(event.evaluation)
-                tick(max(event.generation / generations, seconds / budget))
-                yield row_of(event, algorithm=algorithm, run=run, seed=seed, clock=seconds)
+    with tempfile.TemporaryDirectory(prefix="pafot-") as scratch:
+        harness = replays_of(request, partial(never_collides, plan.blame), "compare", Path(scratch)).harness
+        # Blame affects all fitnesses except AV-Fuzzer's, which its authors used without it.
+        with prepared(harness, listen, is_steered=request.fitness != "av-fuzzer") as sessions:
+            events = run_campaign(
+                plan.made(algorithm),
+                sessions.loop.evaluate,
+                generations=generations,
+                seed=seed,
+                stop=lambda: seconds >= budget,
+                foresee=sessions.loop.simulation.runner.announce,
+            )
+            try:
+                sessions.loop.follow(events)
+            except SetupFaultError as fault:
+                raise _set_up(fault, world, request.ads) from None
     tick(1.0)
+    return table.taken()
 
 
-def evaluated(trace: Trace, fitness: Fitness, blame: str, world: WorldLike) -> Evaluation:
-    """Evaluate a run by who is responsible for its collision; the evaluation's note has its :class:`RunFacts`.
-
-    The text of a signature begins with readable words, and two texts are equal only if the signatures are equal.
-    """
-    run, signature, mistake = Run(trace, world=reference_world(world)), None, None
-    failure = ads_failure(run) or (COLLISION if run.collision is not None else None)
+def _of_run(run: Run) -> Row:
+    """Return the values of a run for columns that the table of runs lacks."""
+    hit, signature = run.collision, None
+    failure = ads_failure(run) or (None if hit is None else COLLISION)
     if failure is not None:
         found = of_failure(run, failure)
-        mistake = found.mistake
-        signature = f"{mistake or found.slug}-{hashlib.sha256(repr(found).encode()).hexdigest()[:6]}"
-    responsibility = run.attribution.responsibility
-    is_blamed = blame == "any" or responsibility in ("ego", "both")
-    failing = trace.outcome in (Outcome.ADS_ERROR, Outcome.HANG) or (trace.outcome is Outcome.COLLISION and is_blamed)
-    if failing and run.collision is not None and blame == "preventable":
-        failing = bool(run.preventable_by)
-    evaluation = Evaluation.of(
-        trace,
-        fitness=fitness(trace),
-        failing=failing,
-        kind=signature if failing else None,
-        mistake=mistake if failing else None,
+        # It begins with readable words, and two texts are equal only if the signatures are equal.
+        signature = f"{found.mistake or found.slug}-{hashlib.sha256(repr(found).encode()).hexdigest()[:6]}"
+    return {
+        "cell": None if hit is None or hit.cell is None else int(hit.cell),
+        "zone": None if hit is None else event_of(run, failure).zone,
+        "position_responsibility": None if hit is None else position_rule(run.trace),
+        "signature": signature,
+    }
+
+
+def _set_up(fault: SetupFaultError, world: WorldLike, ads: Any) -> RequestError:
+    """Return the error for an ADS that does not drive at all, which says nothing about algorithms."""
+    traceback = "" if fault.verdict.failure is None else fault.verdict.failure.traceback
+    place = traceback.rfind("  File ")
+    where = f"\n{traceback[place:].rstrip()}" if place >= 0 else ""
+    asked = fault.asked(
+        world,
+        ads,
+        of_si="A policy of a highway-env environment needs that environment, such as --env highway-v0.",
+        of_env="With --env the environment has its default configuration, because config= cannot be given; a planner "
+        "in SI units needs the road without --env.",
     )
-    facts = RunFacts(
-        responsibility=responsibility,
-        position_responsibility=position_rule(trace),
-        signature=signature,
-        zone=None if run.collision is None else event_of(run, failure).zone,
-        error=trace.error,
-    )
-    return replace(evaluation, note=facts)
-
-
-def row_of(event: Evaluated, *, algorithm: str, run: int, seed: int, clock: float) -> Row:
-    """Return the row for an event whose evaluation has :class:`RunFacts`."""
-    evaluation, hit = event.evaluation, event.evaluation.collision
-    facts: RunFacts = evaluation.note
-    return Row(
-        algorithm=algorithm,
-        run=run,
-        seed=seed,
-        generation=event.generation,
-        local_generation=event.local_generation,
-        index=event.index,
-        scenario=evaluation.scenario.id,
-        duplicate=event.reused,
-        outcome=str(evaluation.outcome),
-        duration=evaluation.duration,
-        clock=clock,
-        failing=evaluation.failing,
-        collision_time=None if hit is None else hit.time,
-        npc=None if hit is None else hit.npc,
-        cell=None if hit is None or hit.cell is None else int(hit.cell),
-        zone=facts.zone,
-        side=None if hit is None else hit.side,
-        closing_speed=None if hit is None else hit.closing_speed,
-        responsibility=facts.responsibility,
-        position_responsibility=facts.position_responsibility,
-        signature=facts.signature,
-        fitness=evaluation.fitness if math.isfinite(evaluation.fitness) else None,
-        genes_started=evaluation.genes_started,
-        genes_reached=evaluation.genes_reached,
-        executed=evaluation.executed.canonical(),
-    )
-
-
-def check_set_up(world: WorldLike, factory: Callable[..., Any], first: Sequence[Evaluation]) -> None:
-    """Check in the first generation that the ADS drives at all: an error of the set-up says nothing about algorithms.
-
-    Raises:
-        RequestError: if the ADS failed for the same reason at its first decision in all runs.
-    """
-    error: AdsError | None = first[0].note.error
-    causes = {first_decision_cause(each.note.error) for each in first}
-    if error is None or len(causes) > 1 or None in causes:
-        return
-    place = error.traceback.rfind("  File ")
-    where = f"\n{error.traceback[place:].rstrip()}" if place >= 0 else ""
-    asked, given = None if is_vehicle_class(factory) else first_decision(world, first[0].scenario), ""
-    if asked is not None:
-        others = (
-            "A policy of a highway-env environment needs that environment, such as --env highway-v0."
-            if asked.is_si
-            else "With --env the environment has its default configuration, because config= cannot be given; a planner "
-            "in SI units needs the road without --env."
-        )
-        given = f"{asked.text} {others}"
-    raise RequestError(
-        f"--ads: expected a policy that drives, received {error.kind}: {error.message}{where}\n\n"
-        f"This happened in all {len(first)} runs of the first generation, at the first decision: it is an error of the "
-        "set-up, which says nothing about the algorithms. Correct the ADS, its factory, or the world that it drives in "
-        f"(--env and the options after it), and run the command again.\n\n{given}".rstrip()
+    return RequestError(
+        f"--ads: expected a policy that drives, received {fault.received}{where}\n\n"
+        f"This happened in {fault.runs}, at the first decision: it is an error of the set-up, which says nothing about "
+        "the algorithms. Correct the ADS, its factory, or the world that it drives in (--env and the options after "
+        f"it), and run the command again.{asked}"
     )

@@ -12,18 +12,17 @@ from pathlib import Path
 from typing import Any
 
 from pytest_pafot.campaign.request import BLAMES, SPACE_ARGUMENTS, drawn_space
-from pytest_pafot.commands.policy_reference import BAD_USE
 from pytest_pafot.commands.resumable import AGAIN, worker_count, written_into
 from pytest_pafot.comparison.algorithm_run import run_all
 from pytest_pafot.comparison.plan import Plan, checked
 from pytest_pafot.model.driving_style import STYLES
-from pytest_pafot.model.scenario import PAPER_SPEED_LIMIT, ScenarioError
+from pytest_pafot.model.scenario import PAPER_SPEED_LIMIT
 from pytest_pafot.searching.algorithms.catalogue import ALGORITHMS
 from pytest_pafot.searching.space import space_on
 from pytest_pafot.support.errors import RequestError
 from pytest_pafot.support.files import write_whole
 from pytest_pafot.support.ways_out import install
-from pytest_pafot.world import AdsFactoryError, Highway, World, WorldError
+from pytest_pafot.world import Highway, World
 from pytest_pafot.world.protocol import road_start
 
 LIBRARIES = ("matplotlib", "pandas", "scipy")
@@ -106,7 +105,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
     """Run a comparison and write its report, which quotes ``command``; return the exit code."""
-    sys.path.insert(0, str(Path.cwd()))  # The policy is in the current folder, as with pytest.
     try:
         plan = checked(plan_of(arguments))
         workers = worker_count(arguments.workers)
@@ -126,9 +124,6 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
             titles = figures.draw_all(measured, folder / "figures")
             report = markdown.report(measured, command, markdown.wall_seconds(plan, folder), titles)
             write_whole(folder / "report.md", report)
-    except (RequestError, WorldError, AdsFactoryError, ScenarioError, ChildProcessError) as error:
-        sys.stderr.write(f"compare: {error}\n")
-        return BAD_USE
     except KeyboardInterrupt as interrupt:
         interrupt.add_note("finished runs are saved, and the same command continues with the rest")
         raise

@@ -15,10 +15,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from pytest_pafot.comparison import statistics
 from pytest_pafot.comparison.markdown import BIN_SECONDS, PAPER, PAPER_GENERATIONS, Reported
 from pytest_pafot.comparison.plan import Plan
-from pytest_pafot.comparison.run_measures import SECONDS_PER_HOUR, Results, first_failures, of
+from pytest_pafot.comparison.run_measures import SECONDS_PER_HOUR, Results, first_failures, of, survival
 from pytest_pafot.support.files import write_whole
 
 SETTINGS: Any = {
@@ -74,7 +73,7 @@ def _each(results: Results) -> Iterator[tuple[int, str, Style, pd.DataFrame]]:
 
 
 def _unique(results: Results) -> pd.DataFrame:
-    return results.frame[~results.frame["duplicate"]]
+    return results.frame[~results.frame["reused"]]
 
 
 def draw_all(results: Results, folder: Path) -> dict[str, str]:
@@ -182,7 +181,7 @@ def _collision_times(axes: Axes, results: Results) -> None:
 
 def _first_failure(axes: Axes, results: Results) -> None:
     for _, name, style, runs in _each(results):
-        estimate = statistics.survival(*first_failures(runs))
+        estimate = survival(*first_failures(runs))
         hours = np.array([0.0, *estimate.times]) / SECONDS_PER_HOUR
         axes.step(hours, 100 * np.array([1.0, *estimate.shares]), where="post", markersize=4, label=name, **style.curve)
     axes.set(xlim=(0, None), ylim=(0, 103))

@@ -13,7 +13,6 @@ from types import MappingProxyType
 import pandas as pd
 
 from pytest_pafot.commands.resumable import file_name, seconds_of
-from pytest_pafot.comparison import statistics
 from pytest_pafot.comparison.plan import DIFFERENT, Plan
 from pytest_pafot.comparison.run_measures import (
     FAULTS,
@@ -23,6 +22,7 @@ from pytest_pafot.comparison.run_measures import (
     distinct_in_all,
     first_failures,
     of,
+    survival,
 )
 from pytest_pafot.support.proportions import holm
 from pytest_pafot.support.text import markdown_table
@@ -144,6 +144,8 @@ def _head(results: Results, command: Sequence[str], wall: Mapping[str, float]) -
     wider = [name for name in plan.names if plan.drawn and not plan.entrant(name).has_papers_scenarios]
     drawn = f"; of {', '.join(wider)} with `{json.dumps(dict(plan.drawn))}`" if wider else ""
     packages = ", ".join(f"{name} {version}" for name, version in installed_versions().items())
+    groups = "\n".join(f"- {', '.join(names)}: {scenarios}" for scenarios, names in plan.scenarios.items())
+    warning = "" if len(plan.scenarios) == 1 else f"\n**Warning:** {DIFFERENT}.\n\n{groups}\n"
     return f"""
 # {" against ".join(plan.names)} on {plan.ads}
 
@@ -156,15 +158,7 @@ What counts as a failure in the search: {hits}; and faults of the ADS, which are
 
 World: `{json.dumps(dict(plan.world))}`.
 Scenarios: `{json.dumps(dict(plan.space))}`{drawn}.
-{_warning(plan)}"""
-
-
-def _warning(plan: Plan) -> str:
-    """Name the groups of algorithms with different scenarios; return nothing for a single group."""
-    if len(plan.scenarios) == 1:
-        return ""
-    groups = "\n".join(f"- {', '.join(names)}: {scenarios}" for scenarios, names in plan.scenarios.items())
-    return f"\n**Warning:** {DIFFERENT}.\n\n{groups}\n"
+{warning}"""
 
 
 def _effectiveness(results: Results) -> str:
@@ -205,7 +199,7 @@ def _efficiency(results: Results, wall: Mapping[str, float]) -> str:
     for name in results.plan.names:
         told, total = PAPER.get(name), of(name, results.whole).sum(numeric_only=True)
         seconds, hits = total["seconds"], total["unique_collisions"]
-        times = of(name, results.frame[~results.frame["duplicate"]])["collision_time"].dropna()
+        times = of(name, results.frame[~results.frame["reused"]])["collision_time"].dropna()
         rows.append(
             [
                 name,
@@ -265,7 +259,7 @@ def _distinct(results: Results) -> str:
     faults = results.frame[results.frame["outcome"].isin(FAULTS)]
     for name in results.plan.names:
         whole, equal = of(name, results.whole), of(name, results.equal)
-        median = statistics.survival(*first_failures(equal)).median
+        median = survival(*first_failures(equal)).median
         distance = equal["inverted_distance"].median()
         means = [runs[column].mean() for runs in (whole, equal) for column in ("distinct", "distinct_per_hour")]
         rows.append(

@@ -191,12 +191,6 @@ def checked(plan: Plan) -> Plan:
         raise RequestError(f"--seconds: expected simulated seconds, more than 0, received {plan.seconds:g}")
     if plan.seed < 0:
         raise RequestError(f"--seed: expected a whole number, at least 0, received {plan.seed}")
-    _check_searches(plan)
-    ads_factory(plan.ads)
-    return plan
-
-
-def _check_searches(plan: Plan) -> None:
     try:
         names = plan.names
         repeated = sorted({name for name in names if names.count(name) > 1})
@@ -208,6 +202,8 @@ def _check_searches(plan: Plan) -> None:
             resolve(plan.fitness)
     except ValueError as error:
         raise RequestError(str(error)) from None
+    ads_factory(plan.ads)
+    return plan
 
 
 def world_of(plan: Plan) -> WorldLike:

@@ -11,11 +11,11 @@ from typing import NamedTuple, cast
 
 import numpy as np
 import pandas as pd
+import scipy  # it imports its parts on first use, which takes a second
 
-from pytest_pafot.comparison import statistics
 from pytest_pafot.comparison.plan import Plan, world_of
-from pytest_pafot.comparison.statistics import Effect
 from pytest_pafot.model.grid import Cell
+from pytest_pafot.model.trace import FloatArray
 
 # The coverage inverted distance: how much of all failures a run of a search has shown, rather than how often.
 #
@@ -41,7 +41,7 @@ def inverted_distances(frame: pd.DataFrame, is_counted: pd.Series[bool]) -> pd.S
     show an impact often. Rows of ``frame`` that are not in ``is_counted``, such as rows after a time limit, still
     belong to the impacts that have to be shown.
     """
-    hits = frame[frame["failing"] & (frame["outcome"] == "collision") & ~frame["duplicate"]]
+    hits = frame[frame["failing"] & (frame["outcome"] == "collision") & ~frame["reused"]]
     places = starmap(_place, zip(hits["cell"], hits["zone"], strict=True))
     impacts = zip(places, hits["side"], hits["closing_speed"], strict=True)
     # The time of an impact is left out, because it would be a disadvantage for algorithms with short runs.
@@ -137,7 +137,7 @@ def measured(frame: pd.DataFrame, seconds: float | None = None) -> pd.DataFrame:
         inverted_distance: distance to all failing impacts of the comparison, see :func:`inverted_distances`.
     """
     within = frame["clock"] <= (math.inf if seconds is None else seconds)
-    collides, unique = within & (frame["outcome"] == "collision"), within & ~frame["duplicate"]
+    collides, unique = within & (frame["outcome"] == "collision"), within & ~frame["reused"]
     hits, failures = unique & collides, unique & frame["is_ego_failure"]
     counts = {
         "scenarios": within,
@@ -187,6 +187,104 @@ def first_failures(runs: pd.DataFrame) -> tuple[list[float], list[bool]]:
     return runs["first_failure"].where(~is_censored, runs["seconds"]).tolist(), is_censored.tolist()
 
 
+# Statistics for comparing randomised algorithms: effect sizes with intervals, tests, and censored times.
+#
+# Sources: Arcuri, Briand, "A hitchhiker's guide to statistical tests for assessing randomized algorithms in software
+# engineering", STVR 24(3), 2014; each function names its own source.
+
+CONFIDENCE = 0.95
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Effect:
+    """The effect size of two samples, with its confidence interval and a test."""
+
+    a12: float  # probability that a value of the first sample is greater, counting ties as half (Vargha-Delaney)
+    low: float  # lower end of the 95 % confidence interval of A12
+    high: float  # upper end of the interval
+    p: float  # p-value of the two-sided Mann-Whitney U test
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Survival:
+    """Kaplan-Meier's estimate of the share of runs that are without an event at each time."""
+
+    times: FloatArray  # times at which the estimated share decreases
+    shares: FloatArray  # the share from each of these times on
+    median: float  # the first time at which the share is at most one half; infinite if there is none
+
+
+def compared(first: Sequence[float], second: Sequence[float]) -> Effect:
+    """Return the effect size of two samples, its interval and the test; infinite values are equal, and the largest."""
+    low, high = a12_interval(a12(first, second), len(first), len(second))
+    is_one_value = len({*first, *second}) == 1
+    p = 1.0 if is_one_value else float(scipy.stats.mannwhitneyu(first, second, alternative="two-sided").pvalue)
+    return Effect(a12=a12(first, second), low=low, high=high, p=p)
+
+
+def a12(first: Sequence[float], second: Sequence[float]) -> float:
+    """Return A12, the probability that a value of the first sample is greater than one of the second, ties as half.
+
+    Source: Vargha, Delaney, "A critique and improvement of the CL common language effect size", 2000.
+    """
+    x, y = np.asarray(first, dtype=float)[:, None], np.asarray(second, dtype=float)[None, :]
+    return float(np.mean((x > y) + 0.5 * (x == y)))
+
+
+def a12_interval(estimate: float, first: int, second: int, confidence: float = CONFIDENCE) -> tuple[float, float]:
+    """Return the confidence interval of an estimate of A12, which is not a point even if the estimate is 0 or 1.
+
+    Source: Newcombe, "Confidence intervals for an effect size measure based on the Mann-Whitney statistic. Part 2",
+    Statistics in Medicine 25(4), 2006, method 5. A value is in the interval if the estimate is within ``z`` standard
+    errors of it; the standard error is that of Hanley and McNeil, with the mean of the two sizes of the samples.
+    ``first`` and ``second`` are these sizes.
+    """
+    z = float(scipy.stats.norm.ppf((1 + confidence) / 2))
+    others = (first + second) / 2 - 1
+
+    def excess(value: float) -> float:
+        spread = 1 + others * (1 - value) / (2 - value) + others * value / (1 + value)
+        return float((value - estimate) ** 2 - z**2 * value * (1 - value) * spread / (first * second))
+
+    # At an estimate of 0 or 1, that value itself is a root, so only the other end is computed.
+    low = 0.0 if estimate <= 0 else float(scipy.optimize.brentq(excess, 0.0, min(estimate, 1 - 1e-9)))
+    high = 1.0 if estimate >= 1 else float(scipy.optimize.brentq(excess, max(estimate, 1e-9), 1.0))
+    return low, high
+
+
+def found_in(first: tuple[int, int], second: tuple[int, int]) -> float:
+    """Return p of Fisher's two-sided exact test for two pairs: the number of runs with a failure, and of all runs."""
+    table = np.array([[found, runs - found] for found, runs in (first, second)])
+    return float(scipy.stats.fisher_exact(table).pvalue)
+
+
+def survival(times: Sequence[float], is_censored: Sequence[bool]) -> Survival:
+    """Estimate the share without an event from times to an event, or without an event if censored.
+
+    Source: Kaplan, Meier, JASA 53, 1958.
+    """
+    estimate = scipy.stats.ecdf(_censored(times, is_censored)).sf
+    at = np.asarray(estimate.quantiles, dtype=np.float64)
+    shares = np.asarray(estimate.probabilities, dtype=np.float64)
+    half = np.flatnonzero(shares <= 0.5 + 1e-12)
+    return Survival(times=at, shares=shares, median=float(at[half[0]]) if half.size else float("inf"))
+
+
+def log_rank(
+    first: Sequence[float], first_censored: Sequence[bool], second: Sequence[float], second_censored: Sequence[bool]
+) -> float:
+    """Return p of the two-sided log-rank test on times that may be censored; 1 if no event tells the samples apart."""
+    if all(first_censored) and all(second_censored):
+        return 1.0
+    with np.errstate(invalid="ignore"):  # If all events are at one time, it divides 0 by a variance of 0.
+        result = scipy.stats.logrank(_censored(first, first_censored), _censored(second, second_censored))
+    return 1.0 if np.isnan(result.pvalue) else float(result.pvalue)
+
+
+def _censored(times: Sequence[float], is_censored: Sequence[bool]) -> scipy.stats.CensoredData:
+    return scipy.stats.CensoredData.right_censored(np.asarray(times, dtype=float), np.asarray(is_censored, dtype=bool))
+
+
 class Comparison(NamedTuple):
     """The result of a statistical test of one algorithm against a second algorithm."""
 
@@ -211,21 +309,17 @@ def comparisons(whole: pd.DataFrame | None, equal: pd.DataFrame, algorithms: Seq
     found: list[Comparison] = []
     for second in others:
         for at, runs in budgets.items():
-            found += _at_one_budget(at, first, second, of(first, runs), of(second, runs))
+            a, b = of(first, runs), of(second, runs)
+            for measure, column in TESTED.items():
+                effect = compared(a[column].tolist(), b[column].tolist())
+                values = float(np.median(a[column])), float(np.median(b[column]))
+                found.append(Comparison(measure, at, first, second, values, effect, effect.p, "Mann-Whitney U"))
+            counts = int((a["distinct"] > 0).sum()), int((b["distinct"] > 0).sum())
+            p = found_in((counts[0], len(a)), (counts[1], len(b)))
+            measure = "runs that found an ego-responsible failure"
+            found.append(Comparison(measure, at, first, second, counts, None, p, "Fisher exact"))
         times = [first_failures(of(name, equal)) for name in (first, second)]
-        medians = statistics.survival(*times[0]).median, statistics.survival(*times[1]).median
-        p, measure = statistics.log_rank(*times[0], *times[1]), "simulated s to the first ego-responsible failure"
+        medians = survival(*times[0]).median, survival(*times[1]).median
+        p, measure = log_rank(*times[0], *times[1]), "simulated s to the first ego-responsible failure"
         found.append(Comparison(measure, "seconds", first, second, medians, None, p, "log-rank"))
     return found
-
-
-def _at_one_budget(at: str, first: str, second: str, a: pd.DataFrame, b: pd.DataFrame) -> list[Comparison]:
-    found = []
-    for measure, column in TESTED.items():
-        effect = statistics.compared(a[column].tolist(), b[column].tolist())
-        medians = float(np.median(a[column])), float(np.median(b[column]))
-        found.append(Comparison(measure, at, first, second, medians, effect, effect.p, "Mann-Whitney U"))
-    counts = int((a["distinct"] > 0).sum()), int((b["distinct"] > 0).sum())
-    p = statistics.found_in((counts[0], len(a)), (counts[1], len(b)))
-    measure = "runs that found an ego-responsible failure"
-    return [*found, Comparison(measure, at, first, second, counts, None, p, "Fisher exact")]

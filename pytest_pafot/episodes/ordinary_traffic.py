@@ -9,9 +9,8 @@ from __future__ import annotations
 
 import math
 from array import array
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from contextlib import ExitStack
-from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -47,37 +46,30 @@ from pytest_pafot.world.roads.straight import StraightRoad
 
 def why_not(start: Start) -> str:
     """Return the reason why compiled code cannot drive the traffic of an episode; empty if it can."""
-    return next(chain(_of_the_environment(start), _of_the_vehicles(start)), "")
-
-
-def _of_the_environment(start: Start) -> Iterator[str]:
-    env, road, inner, cls = start.env, start.env.road, start.outer, type(start.env)
+    env, road, ego, inner, cls = start.env, start.env.road, start.env.vehicle, start.outer, type(start.env)
     while isinstance(inner, NEUTRAL):
         inner = inner.env
     if inner is not env:
-        yield f"the environment is wrapped in {type(inner).__name__}"
+        return f"the environment is wrapped in {type(inner).__name__}"
     if type(road) is not Road or cls.step is not AbstractEnv.step or cls._simulate is not AbstractEnv._simulate:
-        yield f"{cls.__name__} has its own steps"
+        return f"{cls.__name__} has its own steps"
     if start.road is None or len({lane.speed_limit for lane in start.road.lanes}) > 1:
-        yield "the road is not straight, or its lanes differ"
+        return "the road is not straight, or its lanes differ"
     if road.objects or any(lane.forbidden for lane in road.network.lanes_list()):
-        yield "there are objects on the road, or lanes that may not be entered"
-
-
-def _of_the_vehicles(start: Start) -> Iterator[str]:
-    env, road, ego = start.env, start.env.road, start.env.vehicle
+        return "there are objects on the road, or lanes that may not be entered"
     for each in road.vehicles:
         if each is not ego and (idm_model(type(each)) is None or each.route):
-            yield f"the traffic has a {type(each).__name__}, not only IDM and MOBIL"
+            return f"the traffic has a {type(each).__name__}, not only IDM and MOBIL"
         if (each.MIN_SPEED, each.MAX_SPEED) != (Vehicle.MIN_SPEED, Vehicle.MAX_SPEED):
-            yield f"a {type(each).__name__} has its own speed limits"
+            return f"a {type(each).__name__} has its own speed limits"
     if start.kind == "vehicle" and not isinstance(ego, ControlledVehicle) and hasattr(ego, "target_speed"):
-        yield f"{type(ego).__name__} has a target speed and no target lane"
+        return f"{type(ego).__name__} has a target speed and no target lane"
     has_range = getattr(env.action_type, "speed_range", None) is not None  # actions limit the ego's speed to it
     if start.kind == "policy" and (type(ego) not in (MDPVehicle, Vehicle) or has_range):
-        yield f"the actions drive a {type(ego).__name__} with its own limits"
+        return f"the actions drive a {type(ego).__name__} with its own limits"
     if road.vehicles[0] is not ego:
-        yield "the ego is not the first on its road"
+        return "the ego is not the first on its road"
+    return ""
 
 
 def compiled(start: Start, seed: int, *, is_recorded: bool) -> Episode:

@@ -394,8 +394,8 @@ def _check_set_up(plan: ProgressPlan, side: str) -> None:
                 return
         first.end()
     except SetupFaultError as fault:
-        failure, asked = fault.verdict.failure, first_decision(plan.world, fault.run.scenario)
-        received = "" if failure is None else f"received {failure.kind}: {failure.message} in all of {first.runs} runs"
+        received = f"received {fault.received} in all of {first.runs} runs"
+        asked = first_decision(plan.world, fault.run.scenario)
         if not fault.verdict.is_ads:
             raise RequestError(f"--check: expected a function of a run that asserts, {received}; correct it") from None
         raise RequestError(
@@ -414,30 +414,41 @@ def _check_set_up(plan: ProgressPlan, side: str) -> None:
 
 def _text(plan: ProgressPlan, task: Task, tick: Tick) -> str:
     (part, _, size), rows = task[0].partition("-"), []
-    for row in _ROWS[part](plan, range(task[1], task[1] + int(size)), tick):
+    for row in _rows(plan, part, range(task[1], task[1] + int(size)), tick):
         rows.append([json.dumps(asdict(row))])
         tick(min(1.0, len(rows) / int(size)))
     return csv_text(["row"], rows)
 
 
-def _scenarios(plan: ProgressPlan, numbers: range, _: Tick) -> Iterator[PairRow]:
-    sides = (plan.judged(side, numbers) for side in ("old", "new"))
-    for number, old, new in zip(numbers, *sides, strict=True):
-        yield PairRow(part="scenarios", name=str(number), old=Result.of(*old), new=Result.of(*new))
-
-
-def _episodes(plan: ProgressPlan, numbers: range, _: Tick) -> Iterator[PairRow]:
-    for seed in range(plan.seed + numbers.start, plan.seed + numbers.stop):
-        is_planner = plan.new.endswith(PLANNER)
-        rows = []
-        for side in ("old", "new"):
-            factory = plan.factory(side)
-            if isinstance(factory, RevisionPolicy):
-                rows.append(factory.call(_driven, plan.traffic, side, is_planner, seed))
-            else:
-                rows.append(driven(plan.traffic, side, factory, seed, is_planner=is_planner))
-        old, new = (Result(failed=row.outcome != Outcome.SAFE) for row in rows)  # an error is as bad as a crash
-        yield PairRow(part="episodes", name=str(seed), old=old, new=new, told=rows[1].error or rows[0].error)
+def _rows(plan: ProgressPlan, part: str, numbers: range, tick: Tick) -> Iterator[PairRow]:
+    """Run some situations of one part with both policies, and yield a row for each of them."""
+    if part == "scenarios":
+        sides = (plan.judged(side, numbers) for side in ("old", "new"))
+        for number, old, new in zip(numbers, *sides, strict=True):
+            yield PairRow(part=part, name=str(number), old=Result.of(*old), new=Result.of(*new))
+    elif part == "episodes":
+        for seed in range(plan.seed + numbers.start, plan.seed + numbers.stop):
+            is_planner, rows = plan.new.endswith(PLANNER), []
+            for side in ("old", "new"):
+                factory = plan.factory(side)
+                if isinstance(factory, RevisionPolicy):
+                    rows.append(factory.call(_driven, plan.traffic, side, is_planner, seed))
+                else:
+                    rows.append(driven(plan.traffic, side, factory, seed, is_planner=is_planner))
+            old, new = (Result(failed=row.outcome != Outcome.SAFE) for row in rows)  # an error is as bad as a crash
+            yield PairRow(part=part, name=str(seed), old=old, new=new, told=rows[1].error or rows[0].error)
+    elif part == "saved":
+        yield _replayed(plan, plan.saved[numbers[0]])
+    else:  # the scenarios that a search has found in which only the policy of one side fails
+        (side, other), runs = ("old", "new") if part == "alone_old" else ("new", "old"), count(1)
+        found = explore(
+            plan.factory(side), against=plan.factory(other), holds=plan.holds, world=plan.world,
+            blame="ego", runs=plan.scenarios, seed=plan.seed, node_id=plan.test, shrink_rollouts=0,
+            on_event=lambda event: tick(min(1.0, next(runs) / plan.scenarios)) if isinstance(event, Judged) else None,
+        )  # fmt: skip
+        old, new = Result(failed=side == "old"), Result(failed=side == "new")
+        for each in found.told:
+            yield PairRow(part="alone", name=each.finding.id, old=old, new=new, told=each.find.headline)
 
 
 def _driven(built: Any, world: World, side: str, is_planner: bool, seed: int) -> EpisodeRow:
@@ -445,8 +456,9 @@ def _driven(built: Any, world: World, side: str, is_planner: bool, seed: int) ->
     return driven(world, side, built.factory, seed, is_planner=is_planner)
 
 
-def _saved(plan: ProgressPlan, numbers: range, _: Tick) -> Iterator[PairRow]:
-    saved, label, worse = read_saved_file(plan.saved[numbers[0]]), "unreadable", ""
+def _replayed(plan: ProgressPlan, file: Path) -> PairRow:
+    """Replay a saved scenario with both policies, and return the row with the label of the new one."""
+    saved, label, worse = read_saved_file(file), "unreadable", ""
     finding = saved.finding
     if finding is not None:
         arguments = {"ads": plan.factory("new"), "against": plan.factory("old"), "world": plan.world, "blame": "ego"}
@@ -465,32 +477,7 @@ def _saved(plan: ProgressPlan, numbers: range, _: Tick) -> Iterator[PairRow]:
             label = "crashing"
         except RequestError:
             label = "not to be run here"
-    yield PairRow(part="saved", name=saved.id, old=Result(), new=Result(), told=label, worse=worse)
-
-
-def _alone(side: str, plan: ProgressPlan, _: range, tick: Tick) -> Iterator[PairRow]:
-    """Yield the scenarios that a search has found in which only the policy of one side fails.
-
-    ``side`` is ``old`` or ``new``.
-    """
-    runs = count(1)
-    found = explore(
-        plan.factory(side), against=plan.factory("new" if side == "old" else "old"), holds=plan.holds, world=plan.world,
-        blame="ego", runs=plan.scenarios, seed=plan.seed, node_id=plan.test, shrink_rollouts=0,
-        on_event=lambda event: tick(min(1.0, next(runs) / plan.scenarios)) if isinstance(event, Judged) else None,
-    )  # fmt: skip
-    old, new = Result(failed=side == "old"), Result(failed=side == "new")
-    for each in found.told:
-        yield PairRow(part="alone", name=each.finding.id, old=old, new=new, told=each.find.headline)
-
-
-_ROWS: Mapping[str, Callable[[ProgressPlan, range, Tick], Iterator[PairRow]]] = {
-    "scenarios": _scenarios,
-    "episodes": _episodes,
-    "saved": _saved,
-    "alone_old": partial(_alone, "old"),
-    "alone_new": partial(_alone, "new"),
-}
+    return PairRow(part="saved", name=saved.id, old=Result(), new=Result(), told=label, worse=worse)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -528,21 +515,31 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.epilog = ABOUT_POLICIES
 
 
-def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
+def run(given: argparse.Namespace, command: Sequence[str]) -> int:
     """Compare the policies, print which is better, write the requested files, and return the exit code."""
-    sys.path.insert(0, str(Path.cwd()))  # as with pytest, policies are in the folder where the command is run
-    given = arguments
     try:
-        _check_arguments(given)  # before anything is driven
+        # Report what is wrong before anything is driven.
+        for path in (each for each in (given.json, given.report) if each is not None):
+            if not path.parent.is_dir() or path.is_dir():
+                raise RequestError(f"expected a file in a folder that exists, received {path}; give a different one")
+        if given.corpus is not None and not given.corpus.is_dir():
+            raise RequestError(f"--corpus: expected a folder, received {given.corpus}; give one that exists")
+        if given.episodes is not None and not given.world:
+            raise RequestError("--episodes: expected an environment, received none; give --world")
         episodes = EPISODES if given.episodes is None else given.episodes
         saved, config = files_below((given.corpus or Path(CORPUS)).resolve()), config_of(given.config)
         same = {name: getattr(given, name) for name in ("old", "new", "scenarios", "check", "seed")}
         same["episodes"] = episodes
-        plan, workers = ProgressPlan(env_id=given.world, config=config, saved=tuple(saved), **same), given.workers
-        workers, rows = worker_count(workers), []
+        plan = ProgressPlan(env_id=given.world, config=config, saved=tuple(saved), **same)
+        workers, rows = worker_count(given.workers), []
         with _of_revision(plan, given.copy) as (plan, both, same_as):
             if not same_as:
-                rows = _compared(checked(plan), workers, is_gate=given.fail_on is not None)
+                job = checked(plan).job
+                workers = gate_workers(workers, job, is_gate=given.fail_on is not None)
+                with tempfile.TemporaryDirectory(prefix="pafot-") as folder:
+                    results = run_job(job, Path(folder), workers=workers, told=sys.stderr, clock=time.monotonic)
+                    table = io.StringIO(results.read_text("utf-8"))
+                rows = [PairRow.of_data(json.loads(each["row"])) for each in csv.DictReader(table)]
         old = plan.old if plan.revision is None else plan.revision.label
         lines = lines_of(rows)
         verdict, sentence, shown = verdict_of(lines), same_as, f"{same_as}\n"
@@ -567,33 +564,13 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
         if given.report is not None:
             title = f"# From {plan.old} to {plan.new}\n\n```sh\n{shlex.join(command)}\n```"
             write_whole(given.report, f"{title}\n\n{shown}{HOW_TO_READ}")
-    except (RequestError, RevisionError, WorldError, AdsFactoryError, ChildProcessError) as error:
-        sys.stderr.write(f"progress: {error}\n")
-        return BAD_USE
     except OSError as error:
+        if isinstance(error, ChildProcessError):
+            raise
         sys.stderr.write(f"progress: {error}; {way_out(error, 'or give another file')}\n")
         return BAD_USE
     is_failed = {"worse": "worse" in verdict, "not-better": verdict != "better" and not same_as}
     return int(is_failed.get(given.fail_on, False))
-
-
-def _check_arguments(given: argparse.Namespace) -> None:
-    for path in (each for each in (given.json, given.report) if each is not None):
-        if not path.parent.is_dir() or path.is_dir():
-            raise RequestError(f"expected a file in a folder that exists, received {path}; give a different one")
-    if given.corpus is not None and not given.corpus.is_dir():
-        raise RequestError(f"--corpus: expected a folder, received {given.corpus}; give one that exists")
-    if given.episodes is not None and not given.world:
-        raise RequestError("--episodes: expected an environment, received none; give --world")
-
-
-def _compared(plan: ProgressPlan, workers: int, *, is_gate: bool) -> list[PairRow]:
-    """Run all situations with both policies, and return the rows of the results."""
-    job = plan.job
-    with tempfile.TemporaryDirectory(prefix="pafot-") as folder:
-        workers, clock = gate_workers(workers, job, is_gate=is_gate), time.monotonic
-        results = run_job(job, Path(folder), workers=workers, told=sys.stderr, clock=clock).read_text("utf-8")
-    return [PairRow.of_data(json.loads(each["row"])) for each in csv.DictReader(io.StringIO(results))]
 
 
 def _hint(plan: ProgressPlan, rows: Sequence[PairRow], copy: Sequence[str]) -> str:

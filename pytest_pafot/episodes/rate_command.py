@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pytest_pafot.commands.policy_reference import BAD_USE
 from pytest_pafot.commands.resumable import AGAIN, gate_workers, printing_elsewhere, run_job, worker_count, written_into
 from pytest_pafot.episodes.rate import CHUNK, Pair, Rate, RatePlan, checked, factory_of, number, rows_of, shown, told
 from pytest_pafot.model.trace import Outcome
@@ -29,7 +28,6 @@ from pytest_pafot.support.proportions import CONFIDENCE, interval, percent
 from pytest_pafot.support.text import capitalised, markdown_table, plural, quiet_json
 from pytest_pafot.support.versions import installed_versions
 from pytest_pafot.support.ways_out import command
-from pytest_pafot.world import AdsFactoryError, WorldError
 from pytest_pafot.world.driving.ads import loading_hint
 
 if TYPE_CHECKING:
@@ -188,9 +186,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
     """Rate the policies, write the page if there is a folder for it, and return the exit code."""
-    sys.path.insert(0, str(Path.cwd()))  # as with pytest, policies are in the folder where the command is run
     try:
-        plan = checked(_plan_of(arguments))
+        config = config_of(arguments.config)
+        same = {name: getattr(arguments, name) for name in ("ads", "against", "episodes", "seed")}
+        plan = checked(RatePlan(env_id=arguments.world, config=config, **same))
         workers = worker_count(arguments.workers)
         if arguments.episode is not None and arguments.episode < 0:
             raise RequestError(f"--episode: expected a seed, at least 0, received {arguments.episode}")
@@ -221,9 +220,6 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
         if objection:
             sys.stderr.write(f"rate: {objection}\n")
             return ABOVE
-    except (RequestError, WorldError, AdsFactoryError, ChildProcessError, AnimationError) as error:
-        sys.stderr.write(f"rate: {error}\n")
-        return BAD_USE
     except KeyboardInterrupt as interrupt:
         kept = f"finished tasks of up to {CHUNK} episodes are saved, and the same command continues with the rest"
         interrupt.add_note("nothing is saved without --out" if arguments.out is None else kept)
@@ -323,17 +319,6 @@ def config_of(text: str | None) -> dict[str, Any] | None:
     if not isinstance(config, dict):
         raise RequestError(f"--config: expected JSON such as '{{\"vehicles_count\": 20}}', received {config!r:.100}")
     return config
-
-
-def _plan_of(arguments: argparse.Namespace) -> RatePlan:
-    return RatePlan(
-        ads=arguments.ads,
-        against=arguments.against,
-        env_id=arguments.world,
-        config=config_of(arguments.config),
-        episodes=arguments.episodes,
-        seed=arguments.seed,
-    )
 
 
 def _text(plan: RatePlan, rates: Sequence[Rate], arguments: argparse.Namespace) -> str:

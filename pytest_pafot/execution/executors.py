@@ -26,9 +26,17 @@ from queue import Empty, SimpleQueue
 from types import ModuleType
 from typing import Any
 
-from pytest_pafot.execution.captured_output import capture_output
 from pytest_pafot.execution.pool import GRACE, POLL, ProcessLostError, WorkerPool
-from pytest_pafot.execution.scenario_pool import Answer, ExecutionError, Job, LostRun, Timed, recovery_note, timed
+from pytest_pafot.execution.scenario_pool import (
+    Answer,
+    ExecutionError,
+    Job,
+    LostRun,
+    Timed,
+    capture_output,
+    recovery_note,
+    timed,
+)
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.support.versions import installed_versions
 from pytest_pafot.support.ways_out import flag, install

@@ -10,23 +10,421 @@ from __future__ import annotations
 import tempfile
 import time
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Executor
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Self
 
-from pytest_pafot.execution.crash_records import CrashRecord
-from pytest_pafot.execution.prefetching import Isolated, LockStep, Processes
+from pytest_pafot.execution import scenario_pool
+from pytest_pafot.execution.crash_records import CrashRecord, Leftover
+from pytest_pafot.execution.executors import ExecutorPool
+from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.execution.revision_policy import Elsewhere, RevisionPolicy
-from pytest_pafot.execution.scenario_pool import Job
+from pytest_pafot.execution.scenario_pool import (
+    NOT_REPEATED,
+    Answer,
+    ExecutionError,
+    Job,
+    LostRun,
+    ScenarioPool,
+    capture_output,
+    pool_for,
+    recovery_note,
+    trace_apart,
+    trace_from,
+)
 from pytest_pafot.model.scenario import Scenario
-from pytest_pafot.model.trace import Trace
+from pytest_pafot.model.trace import Outcome, Trace
 from pytest_pafot.searching.evaluation_cache import Chains, plain_chains
+from pytest_pafot.support.text import plural
+from pytest_pafot.support.ways_out import flag
+from pytest_pafot.world import Highway, protocol
 from pytest_pafot.world.driving.ads import is_vehicle_class, wants_env
-from pytest_pafot.world.guard.own_worlds import rollout_of
+from pytest_pafot.world.guard.own_worlds import rollout_of, simulate_batch
 from pytest_pafot.world.protocol import WorldLike, lock_stepping, resumable
+
+
+@dataclass(frozen=True, slots=True)
+class _OtherRuns:
+    """A stand-in for a world, with a different ``rollout``, which guards the ADS."""
+
+    guards_ads = True
+
+    hang_limit: float
+    rollout: Callable[[Scenario, Callable[..., Any]], Trace]
+
+
+def answers_apart(
+    job: Job, scenarios: Sequence[Scenario], judge: Callable[[Trace], object], *, isolate: bool
+) -> dict[Scenario, Answer] | None:
+    """Run and evaluate each scenario by itself in a separate process; return the answers, or None if impossible.
+
+    If a process dies, the answer is a ``ProcessLostError`` even if a second attempt succeeds, because a process has
+    already died in this scenario before.
+
+    Args:
+        job: everything that a run needs.
+        scenarios: the scenarios, run one after the other.
+        judge: evaluates a trace. It needs the fixtures of the test function, which only forked processes have. Its
+            output and its exceptions are ignored, because the session evaluates the run again.
+        isolate: True if the run must be in a separate process, without the evaluation if processes cannot be forked.
+
+    Raises:
+        ExecutionError: with ``isolate``, if no other process can be started.
+    """
+    world = job.world
+
+    def judged(scenario: Scenario, ads: Callable[..., Any]) -> Trace:
+        trace = rollout_of(world)(scenario, ads)
+        with capture_output(), suppress(BaseException):
+            judge(trace)
+        return trace
+
+    if scenario_pool.METHOD == "fork":
+        job = replace(job, world=_OtherRuns(protocol.hang_limit(world), judged))
+    elif not isolate:
+        return None
+    with pool_for(job, 1) as pool:
+        pool.expect(scenarios)
+        answers = {scenario: pool.fetch(scenario) for scenario in scenarios}
+    if pool.failure and isolate:
+        raise ExecutionError(f"{flag('isolate')}: expected processes to run the ADS in, received: {pool.failure}")
+    return None if pool.failure else answers | {lost.task: lost for lost in pool.recovered}
+
+
+def run_apart(
+    job: Job,
+    scenario: Scenario,
+    judge: Callable[[Trace], object],
+    *,
+    isolate: bool,
+    in_own_session: Callable[[], object],
+) -> Trace | None:
+    """Return the trace of a scenario that was run and evaluated in a separate process.
+
+    The session then evaluates the trace again. Return None if the scenario must be run in this process, because no
+    other process can be started. In that case, ``in_own_session`` has first replayed the scenario in a separate
+    session, which has survived. For the other arguments see :func:`answers_apart`.
+
+    Raises:
+        ProcessLostError: if the separate process died or hung.
+        ExecutionError: with ``isolate``, if no other process can be started; without, if the ADS does not work in one.
+        Exception: with ``isolate``, any exception of the separate process.
+    """
+    __tracebackhide__ = True
+    answers = answers_apart(job, [scenario], judge, isolate=isolate)
+    if answers is None:
+        in_own_session()
+        return None
+    try:
+        return trace_apart(answers[scenario])
+    except ProcessLostError:
+        raise
+    except Exception as error:
+        if isolate:
+            raise
+        raise ExecutionError(
+            "expected a scenario that has ended a process to run in a separate process, received from there "
+            f"{type(error).__name__}: {error}. {NOT_REPEATED} Or delete the file; a search may then find it again"
+        ) from None
+
+
+def replay_in_gym_apart(job: Job, record: CrashRecord, scenario: Scenario) -> Trace:
+    """Run a scenario with ``env.step`` of highway-env's own environment in a separate process.
+
+    Raises:
+        ProcessLostError: if the separate process died or hung.
+        ExecutionError: if no other process can be started.
+        Exception: any exception of the separate process.
+    """
+    __tracebackhide__ = True
+    in_gym = replace(job, world=_OtherRuns(protocol.hang_limit(job.world), job.world.rollout_in_gym))
+    with runner_for(in_gym, record, isolate=True) as runner:
+        return runner.run(scenario)
+
+
+# A scenario in which a process died runs again in a separate process before it is called a finding.
+#
+# A process may also be killed from outside: a job is cancelled, or the system is short of memory. Then the scenario
+# says nothing about the ADS, however many sessions are killed in a row. But if two processes died in the same scenario,
+# the cause is probably something that builds up from run to run, such as memory of the test function. Then the scenario
+# is called a finding after all, or this would never be reported.
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Retried:
+    """The result of a second attempt to run the scenarios of a process that died."""
+
+    notes: tuple[str, ...] = ()
+    """Notes for the user on scenarios that did not cause the death of the process."""
+    pending: Leftover | None = None
+    """The crash record to remove at the end of the search, or None. If this session dies, the next one reads it."""
+
+
+def retry(
+    leftover: Leftover,
+    job: Job,
+    judge: Callable[[Trace], object],
+    *,
+    isolate: bool,
+    has_died_twice: bool,
+    keep: Callable[[Leftover, Scenario, LostRun | None], object],
+    run_here: Callable[[Leftover], object],
+) -> Retried:
+    """Try the scenarios of a process that died a second time, and save the scenarios that caused its death.
+
+    If a reference was driving when the process died, the reference is the cause, and nothing is run again. A scenario
+    that ran by itself is saved although a second attempt survives, or is impossible, in two cases: two processes died
+    in it, or no separate process can be started.
+
+    Args:
+        leftover: the crash record of the process; it is removed unless the result contains it as ``pending``.
+        job: everything that a run of the scenarios needs.
+        judge, isolate: see :func:`answers_apart`.
+        has_died_twice: whether another process died in the same scenarios.
+        keep: saves a scenario in which a process died; its last argument is the second death, or None if unknown.
+        run_here: runs the scenarios of a batch in this process, one by one, each with a crash record on disk. If this
+            process dies, the next session reads that record.
+    """
+    if leftover.reference:
+        note = (
+            f"a process (pid {leftover.pid}) died while the reference {leftover.reference} drove in "
+            f"{leftover.scenario!r}, which says nothing about the ADS: correct the reference, or search with "
+            f"{flag('isolate')}, so that it can die without harm"
+        )
+        return Retried(notes=(note,), pending=leftover)
+    # Try all of them again, each in a process of its own if there can be one.
+    answers: dict[Scenario, Answer] | None = None
+    with suppress(ExecutionError):  # The first run of the search reports it.
+        answers = answers_apart(job, leftover.scenarios, judge, isolate=isolate)
+    if answers is None and leftover.is_lock_step:
+        run_here(leftover)
+        return Retried()
+    # The guilty ones are saved. Of a batch in lock step nobody knows which one it was, so only a second death counts.
+    is_build_up = has_died_twice and not leftover.is_lock_step
+    guilty = [
+        each for each in leftover.scenarios if answers is None or is_build_up or not _came_to_its_end(answers[each])
+    ]
+    for scenario in guilty:
+        answer = None if answers is None else answers[scenario]
+        lost = answer if isinstance(answer, ProcessLostError) else None
+        if lost is not None or not leftover.is_lock_step:
+            keep(leftover, scenario, lost)
+    if guilty:
+        leftover.discard()
+        return Retried()
+    ran = f"{leftover.scenario!r},"
+    if leftover.is_lock_step:
+        ran = f"{len(leftover.scenarios)} scenarios in lock step, each of"
+    note = (
+        f"a process (pid {leftover.pid}) died while it ran {ran} which ran to its end when it was tried again: the "
+        "process was killed from outside, or there was too little memory"
+    )
+    return Retried(notes=(note,), pending=leftover)
+
+
+def _came_to_its_end(answer: Answer) -> bool:
+    """Return whether a run succeeded, without an error of the ADS, which may occur only in the separate process."""
+    return not isinstance(answer, Exception) and answer[0].outcome not in (Outcome.ADS_ERROR, Outcome.HANG)
+
+
+# Simulation of runs before a search requests them: many at once in lock step, or in other processes.
+#
+# :meth:`Runner.run` documents the exceptions of ``take``.
+
+DEAR = 0.010
+"""The mean duration of a run from which on a search is faster with other processes [s].
+
+A run in a different process takes half a millisecond longer, and starting a process takes as long as several runs.
+"""
+
+WARM_RUNS = 2
+"""The number of runs, after the first run of a search, that decide whether other processes are used.
+
+The first run is slower, because it loads libraries. If it was slow, processes are started after it. If the next runs
+turn out to be fast, the processes are ended.
+"""
+
+
+class LockStep:
+    """A maker of runs in lock step: it runs all announced scenarios in one batch when the first of them is requested.
+
+    On a Highway, all scenarios of a batch have the same number of NPCs. Otherwise the observations would have rows of
+    NaN for missing NPCs, and a network would decide on NaN without an error. The world of the job must have
+    ``rollout_batch``. ``workers`` is the number of processes that the user requested.
+    """
+
+    def __init__(self, job: Job, record: CrashRecord, *, workers: int) -> None:
+        self._job = job
+        self._record = record
+        self._workers = workers
+        self._announced: list[Scenario] = []
+        self._made: dict[Scenario, Trace] = {}
+
+    @property
+    def notes(self) -> list[str]:
+        """The note on why processes were not used although the user requested them; empty if not requested."""
+        why = "since the ADS decides for many runs at once, by its `batch`"
+        return [] if self._workers == 1 else [f"{flag('workers', self._workers)}: not in use, {why}"]
+
+    def announce(self, scenarios: Iterable[Scenario]) -> None:
+        """Announce the next scenarios; runs of earlier announcements that were not taken are dropped."""
+        self._announced, self._made = list(scenarios), {}
+
+    def take(self, scenario: Scenario, *, afresh: bool) -> Trace | None:
+        """Return the trace of an announced scenario; None if the scenario must be run by itself.
+
+        Each trace can be taken once. With ``afresh`` the result is always None.
+        """
+        __tracebackhide__ = True
+        if afresh:
+            return None
+        if scenario in self._announced:
+            are_alike = not isinstance(self._job.world, Highway)
+            together = [each for each in self._announced if are_alike or len(each.npcs) == len(scenario.npcs)]
+            self._announced = [each for each in self._announced if each not in together]
+            if len(together) > 1:
+                self._record.write(*together)
+                traces = simulate_batch(self._job.world, together, self._job.ads)
+                self._made |= dict(zip(together, traces, strict=True))
+        return self._made.pop(scenario, None)
+
+
+class Processes:
+    """A maker of announced runs in other processes, which are started if runs turn out to be slow.
+
+    With one worker, no process is ever started. If there is an executor, it makes all announced runs.
+    """
+
+    def __init__(self, job: Job, *, workers: int, executor: Executor | None = None) -> None:
+        self.announced: list[Scenario] = []
+        """The announced scenarios that were not requested yet."""
+        self._job = job
+        self._workers = workers
+        self._executor = executor
+        self._pool: ScenarioPool | ExecutorPool | None = None
+        self._failure = ""
+        self._is_measured = False
+        self._runs = self._runs_before = 0  # all runs, and the runs before processes were started
+        self._warm_seconds = 0.0
+
+    @property
+    def notes(self) -> list[str]:
+        """Notes on the use of processes if the user requested them; complete after the processes have ended."""
+        if self._failure:
+            return [f"{flag('workers')} is 1: {self._failure}"]
+        if isinstance(self._pool, ExecutorPool):
+            return self._pool.notes
+        option = flag("workers", self._workers)
+        if self._pool is not None:
+            used = f"{option}: in use after {plural(self._runs_before, 'run')} of this process"
+            if self._pool.failure:
+                used = f"{flag('workers')}: this process ran the scenarios; no other one could: {self._pool.failure}"
+            return [used, *map(recovery_note, self._pool.recovered)]
+        if self._workers == 1 or self._runs <= WARM_RUNS:
+            return []
+        mean, dear = 1000 * self._warm_seconds / (self._runs - 1), 1000 * DEAR
+        return [f"{option}: not in use, since a run took {mean:.1f} ms, and it pays off from {dear:g} ms on"]
+
+    def announce(self, scenarios: Iterable[Scenario]) -> None:
+        """Announce the next scenarios, and start to run them if processes are in use."""
+        self.announced = []
+        if self._pool is not None:
+            self._pool.expect(self._noted(scenarios))
+        else:
+            self.announced.extend(scenarios)
+
+    def _noted(self, scenarios: Iterable[Scenario]) -> Iterator[Scenario]:
+        for scenario in scenarios:
+            self.announced.append(scenario)
+            yield scenario
+
+    def take(self, scenario: Scenario, *, afresh: bool) -> Trace | None:
+        """Return the trace of an announced scenario; None if the scenario must be run in this process.
+
+        Each trace can be taken once. With ``afresh`` the result is always None.
+        """
+        __tracebackhide__ = True
+        if afresh or scenario not in self.announced:
+            return None
+        if self._executor is not None and self._pool is None:
+            self._begin()
+        self.announced.remove(scenario)
+        self._is_measured = self._pool is None
+        if self._pool is None:
+            return None
+        answer = self._pool.fetch(scenario)
+        if isinstance(answer, tuple) and self._executor is None:
+            self._learn(answer[2])
+        return trace_from(answer)
+
+    def ran_here(self, seconds: float) -> None:
+        """Record the duration of the last run in this process [s]; only announced runs are used."""
+        if self._is_measured:
+            self._is_measured = False
+            self._learn(seconds)
+
+    def _learn(self, seconds: float) -> None:
+        self._runs += 1
+        self._warm_seconds += seconds if self._runs > 1 else 0.0
+        is_dear = self._warm_seconds >= DEAR * (self._runs - 1) if self._runs > WARM_RUNS else seconds >= DEAR
+        if self._pool is not None and self._runs == WARM_RUNS + 1 and not is_dear:
+            self._pool.close(at_once=True)
+            self._pool = None
+        elif self._pool is None and is_dear and self._workers > 1 and not self._failure:
+            self._runs_before = self._runs
+            try:
+                self._begin()
+            except ExecutionError as error:
+                self._failure = str(error)
+
+    def close(self, *, at_once: bool) -> None:
+        """End the processes; with ``at_once`` kill all of them without waiting."""
+        if self._pool is not None:
+            self._pool.close(at_once=at_once)
+
+    def _begin(self) -> ScenarioPool | ExecutorPool:
+        job, executor = self._job, self._executor
+        self._pool = pool = pool_for(job, self._workers) if executor is None else ExecutorPool(job, executor)
+        pool.expect(self.announced)
+        return pool
+
+
+class Isolated(Processes):
+    """A maker of all runs, announced or not, in other processes, so that the ADS is never called in this process."""
+
+    @property
+    def notes(self) -> list[str]:
+        """Notes on processes that died in runs that later succeeded, and on an executor that made all runs."""
+        if isinstance(self._pool, ExecutorPool):
+            return [] if self._pool.failure or self._pool.unable else self._pool.notes
+        return [] if self._pool is None else [recovery_note(each) for each in self._pool.recovered]
+
+    def take(self, scenario: Scenario, *, afresh: bool) -> Trace:
+        """Return the trace of a scenario from a different process, and raise the exceptions of that process.
+
+        No run is repeated in this process. So if a worker of an executor raises, for example because it lacks a
+        package, the result is an ``ExecutionError``.
+        """
+        __tracebackhide__ = True
+        try:
+            pool = self._pool or self._begin()
+        except ExecutionError as error:
+            raise ExecutionError(f"{flag('isolate')}: {error}") from None
+        answer = pool.fetch(scenario)
+        if pool.failure:
+            raise ExecutionError(f"{flag('isolate')}: expected processes to run the ADS in, received: {pool.failure}")
+        if isinstance(pool, ExecutorPool) and pool.unable:
+            first = pool.unable[0]
+            raise ExecutionError(
+                f"{flag('isolate')}: expected workers that can make every run, received from one of them "
+                f"{type(first).__name__}: {first}; install what the run needs on the workers, or search without "
+                f"{flag('isolate')}, so that this process makes such runs"
+            )
+        return trace_apart(answer)
+
 
 # The decisions of an ADS in earlier runs, for runs that begin in the same way.
 

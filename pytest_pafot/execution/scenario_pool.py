@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+import io
+import logging
 import os
 import pickle
 import sys
 import time
-from collections.abc import Callable, Mapping
-from contextlib import suppress
-from dataclasses import dataclass
+import warnings
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, redirect_stderr, redirect_stdout, suppress
+from dataclasses import dataclass, field
 from functools import partial
+from logging.handlers import QueueHandler
 from pathlib import Path
+from queue import SimpleQueue
 from typing import Any, TypeAlias
 
-from pytest_pafot.execution.captured_output import CapturedOutput, capture_output
 from pytest_pafot.execution.crash_records import CrashRecord, left_by
 from pytest_pafot.execution.pool import GRACE, IGNORED, ProcessLostError, WorkerPool
 from pytest_pafot.findings.finding import Expect
@@ -22,6 +26,68 @@ from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Outcome, Trace
 from pytest_pafot.world import protocol
 from pytest_pafot.world.guard.own_worlds import rollout_of
+
+# The output of code in a different process: printed text, log records and warnings. The process of the test repeats it,
+# because pytest captures only the output of that process.
+
+
+@dataclass(slots=True, kw_only=True)
+class CapturedOutput:
+    """The captured output: printed text, log records and warnings, each in the order in which they occurred.
+
+    A warning that passes the filters is stored as text, category, file and line, without the objects that it refers to.
+    """
+
+    out: str = ""
+    err: str = ""
+    records: list[logging.LogRecord] = field(default_factory=list)
+    warned: list[tuple[str, type[Warning], str, int]] = field(default_factory=list)
+
+    def repeat(self) -> None:
+        """Print the texts, handle the log records and issue the warnings in this process."""
+        for stream, text in ((sys.stdout, self.out), (sys.stderr, self.err)):
+            if text:
+                stream.write(text)
+        for record in self.records:
+            logging.getLogger().callHandlers(record)
+        with warnings.catch_warnings():
+            warnings.simplefilter("always")  # They passed the filters of the process in which they were raised.
+            for each in self.warned:
+                warnings.warn_explicit(*each)
+
+
+@contextmanager
+def capture_output() -> Iterator[CapturedOutput]:
+    """Capture the output of the code in the ``with`` block; it is complete when the block ends."""
+    captured, out, err = CapturedOutput(), _Stream(), _Stream()
+    root, queue = logging.getLogger(), SimpleQueue[logging.LogRecord]()
+    handlers, root.handlers = root.handlers, [QueueHandler(queue)]
+    try:
+        with redirect_stdout(out), redirect_stderr(err), warnings.catch_warnings(record=True) as warned:
+            yield captured
+    finally:
+        root.handlers = handlers
+    captured.out, captured.err = out.text, err.text
+    captured.records = [queue.get() for _ in range(queue.qsize())]
+    captured.warned = [(str(each.message), each.category, each.filename, each.lineno) for each in warned]
+
+
+class _Stream(io.TextIOWrapper):
+    """A text stream in memory that accepts bytes as well, like a standard stream."""
+
+    def __init__(self) -> None:
+        self._bytes = io.BytesIO()
+        super().__init__(self._bytes, encoding="utf-8", errors="replace", newline="", write_through=True)
+
+    def close(self) -> None:
+        """Stay open, so that code that closes a standard stream does not lose its earlier output."""
+
+    @property
+    def text(self) -> str:
+        return self._bytes.getvalue().decode("utf-8", "replace")
+
+
+# The processes.
 
 METHOD = "fork" if sys.platform == "linux" else "spawn"
 """The start method of processes. Forked processes have the factory and the fixtures that it uses.

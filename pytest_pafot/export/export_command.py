@@ -8,13 +8,11 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from pytest_pafot.campaign.saved_scenario import load
-from pytest_pafot.commands.policy_reference import BAD_USE, ads_factory
+from pytest_pafot.commands.policy_reference import ads_factory
 from pytest_pafot.commands.resumable import written_into
 from pytest_pafot.corpus.saved import named_file
 from pytest_pafot.export.exporter import BUILT_IN, GROUP, ExportError, exporter
-from pytest_pafot.findings.replay import ending
-from pytest_pafot.model.scenario import ScenarioError
-from pytest_pafot.support.errors import AdsFactoryError, CorpusError, RequestError, WorldError
+from pytest_pafot.findings.finding import ending
 from pytest_pafot.support.files import write_whole
 
 
@@ -37,21 +35,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
     """Drive the scenario of a finding, and write the run to files of the requested format; return the exit code."""
-    sys.path.insert(0, str(Path.cwd()))  # The policy is in the current folder, as with pytest.
-    try:
-        export, saved = exporter(arguments.to), load(named_file(arguments.finding))
-        if arguments.ads is None:
-            expected = f"the policy that drives the ego in the test {saved.finding.test}, such as --ads module:factory"
-            received = "none; a file contains the NPCs' instructions, not where the vehicles drove"
-            raise ExportError(field="--ads", expected=expected, received=received)
-        driven = saved.replay(ads_factory(arguments.ads))
-        for name, content in export(saved.finding, driven.trace).items():
-            with written_into(arguments.out):
-                write_whole(arguments.out / name, content)
-            sys.stdout.write(f"{arguments.out / name}\n")
-    except (ExportError, RequestError, CorpusError, ScenarioError, WorldError, AdsFactoryError) as error:
-        sys.stderr.write(f"export: {error}\n")
-        return BAD_USE
+    export, saved = exporter(arguments.to), load(named_file(arguments.finding))
+    if arguments.ads is None:
+        expected = f"the policy that drives the ego in the test {saved.finding.test}, such as --ads module:factory"
+        received = "none; a file contains the NPCs' instructions, not where the vehicles drove"
+        raise ExportError(field="--ads", expected=expected, received=received)
+    driven = saved.replay(ads_factory(arguments.ads))
+    for name, content in export(saved.finding, driven.trace).items():
+        with written_into(arguments.out):
+            write_whole(arguments.out / name, content)
+        sys.stdout.write(f"{arguments.out / name}\n")
     # A failed check cannot be compared, because the test function is not called.
     if saved.expect.check is None and not saved.matches(driven):
         event = f"{saved.expect.outcome} at {saved.expect.time:.1f} s"

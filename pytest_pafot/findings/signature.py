@@ -7,10 +7,10 @@ from __future__ import annotations
 
 import ast
 import re
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from functools import lru_cache
 from textwrap import dedent
-from typing import cast, get_args
+from typing import Self, cast, get_args
 
 from pytest_pafot.attribution.mistakes import BY_FAULT, NOT_GIVEN_WAY, Manoeuvre, Mistake
 from pytest_pafot.attribution.responsibility import Fault, Responsibility
@@ -111,24 +111,43 @@ class Signature:
     npc_manoeuvre: Manoeuvre | None = None
     ego_manoeuvre: Manoeuvre | None = None
 
-    def __post_init__(self) -> None:
-        if self.is_property:
-            object.__setattr__(self, "outcome", Outcome.SAFE)
-            object.__setattr__(self, "responsibility", "none")
-            for name in ("mistake", "fault", "side", "cell", "zone", "npc_manoeuvre", "ego_manoeuvre"):
-                object.__setattr__(self, name, None)
-        elif self.fault is not None:
-            object.__setattr__(self, "responsibility", "ego")
-            given = None if self.zone is None else NOT_GIVEN_WAY[cast("Origin", self.zone.rpartition(" ")[2])]
-            known = given if self.fault == "did-not-give-way" else BY_FAULT.get(self.fault)
-            object.__setattr__(self, "mistake", self.mistake or known)
-            for name in ("side", "cell", "npc_manoeuvre", "ego_manoeuvre"):
-                object.__setattr__(self, name, None)
-            if self.fault not in AT_ZONES:
-                object.__setattr__(self, "zone", None)
-        elif self.outcome is not Outcome.COLLISION or self.failure == SLOW_DECISION:
-            object.__setattr__(self, "cell", None)
-            object.__setattr__(self, "zone", None)
+    @classmethod
+    def of(
+        cls,
+        *,
+        failure: str,
+        assertion: str,
+        outcome: Outcome,
+        responsibility: Responsibility,
+        mistake: Mistake | None = None,
+        fault: Fault | None = None,
+        side: Side | None = None,
+        cell: Cell | None = None,
+        zone: str | None = None,
+        npc_manoeuvre: Manoeuvre | None = None,
+        ego_manoeuvre: Manoeuvre | None = None,
+    ) -> Self:
+        """Return the signature of a failure with these facts, without the facts that do not distinguish failures."""
+        ended = cls(failure=failure, assertion=assertion, outcome=outcome, responsibility=responsibility)
+        if ended.is_property:
+            return replace(ended, outcome=Outcome.SAFE, responsibility="none")
+        if fault is not None:
+            # At a zone the origin of the NPC says which way was not given; elsewhere the rule alone says the mistake.
+            given = None if zone is None else NOT_GIVEN_WAY[cast("Origin", zone.rpartition(" ")[2])]
+            known = given if fault == "did-not-give-way" else BY_FAULT.get(fault)
+            at_zone = zone if fault in AT_ZONES else None
+            return replace(ended, responsibility="ego", mistake=mistake or known, fault=fault, zone=at_zone)
+        if outcome is not Outcome.COLLISION or failure == SLOW_DECISION:
+            cell = zone = None
+        return replace(
+            ended,
+            mistake=mistake,
+            side=side,
+            cell=cell,
+            zone=zone,
+            npc_manoeuvre=npc_manoeuvre,
+            ego_manoeuvre=ego_manoeuvre,
+        )
 
     @property
     def is_property(self) -> bool:

@@ -16,8 +16,7 @@ from typing import Protocol, Self
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from pytest_pafot.attribution.lane_changes import DRIFTING
-from pytest_pafot.attribution.needless_braking import braking
+from pytest_pafot.attribution.manoeuvres import DRIFTING, braking
 from pytest_pafot.attribution.responsibility import frame_of
 from pytest_pafot.attribution.sentences import BRAKES
 from pytest_pafot.criticality import RoadFrame

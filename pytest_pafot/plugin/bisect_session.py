@@ -16,8 +16,7 @@ import pytest
 from pytest_pafot.campaign.replays import FLAKY
 from pytest_pafot.campaign.verdict import Verdict, headline
 from pytest_pafot.commands.bisect_command import ALIVE, TOLD
-from pytest_pafot.findings.finding import Finding
-from pytest_pafot.findings.replay import ending, is_same_failure, replay_label, unhandled
+from pytest_pafot.findings.finding import Finding, ending, is_same_failure, replay_label, unhandled
 from pytest_pafot.findings.situation import missed
 from pytest_pafot.model.trace import ACCELERATION, SPEED, STEERING, Trace
 from pytest_pafot.oracle.run import Run

@@ -26,7 +26,6 @@ if TYPE_CHECKING:
 
 
 PHASE = "pafot"  # the phase of a report that is a message
-PAGE = "page"  # the kind of messages for a report page
 
 
 class Message(NamedTuple):

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import replace
+from collections.abc import Iterable
 from datetime import date
 from functools import partial
 from typing import NoReturn
 
 import pytest
 
+from pytest_pafot.campaign.events import Find
 from pytest_pafot.campaign.recorder import cause
 from pytest_pafot.campaign.replays import BESIDE, FLAKY, Replays, happened, was_lost
 from pytest_pafot.campaign.request import Request
@@ -19,21 +19,17 @@ from pytest_pafot.corpus.layout import relative
 from pytest_pafot.corpus.saved import Saved
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.execution.scenario_pool import LostRun
-from pytest_pafot.findings.finding import Cause, Finding, of_failure
-from pytest_pafot.findings.replay import unhandled
+from pytest_pafot.findings.finding import Cause, Finding, of_failure, unhandled
 from pytest_pafot.findings.severity import worsening
 from pytest_pafot.oracle.checks import CheckFailed
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.plugin import messages, node_ids
 from pytest_pafot.plugin.failure_reports import REPLAYED, SUMMARY, explained
+from pytest_pafot.plugin.finding_message import tell_finding
 from pytest_pafot.plugin.messages import OF_ONE_RUN, set_properties, severity_text
 from pytest_pafot.plugin.own_session import replay_in_own_session
-from pytest_pafot.plugin.report_pages import page_messages_of
 from pytest_pafot.plugin.search_item import harness_of, shown
 from pytest_pafot.plugin.session import SHARED
-from pytest_pafot.plugin.session_records import tell_finding
-from pytest_pafot.report.terminal import ReplaySummary
-from pytest_pafot.searching.plain import plain
 from pytest_pafot.support.text import ascii_text, fitted_lines, visible
 from pytest_pafot.support.ways_out import flag
 
@@ -73,21 +69,7 @@ def run_replay(item: pytest.Function, request: Request, saved: Saved) -> None:
         told = [missed, replays.changes(finding, happened(finding, run, verdict.failure)), note]
         detail = "; ".join(filter(None, told))
     line = headline(run, verdict) if verdict.failed else ""
-    sentences = finding.expect.sentences_on(run) if verdict.failed else ()
-    _tell(item, replays, saved, label, headline=line, sentences=sentences, detail=detail, verdict=verdict, worse=worse)
-    page = page_messages_of(item, request.settings)
-    if page is not None:
-        check = None if verdict.failure is None else verdict.failure.check
-        page.replayed(
-            finding,
-            run.trace,
-            headline="; ".join(filter(None, [line, note])) if line else "",
-            label=label,
-            detail=detail,
-            path=path,
-            check=check,
-            severity=verdict.severity,
-        )
+    _tell(item, replays, saved, label, headline=line, detail=detail, run=run, verdict=verdict, note=note)
     item.stash[OF_ONE_RUN].show(run)  # the last call may have been for the reference
     if finding.xfail is not None and not verdict.failed:
         _tell_pass(item, finding, label, path, is_accepted=replays.accepts(finding))
@@ -134,7 +116,6 @@ def _conclude_lost(
     ``beside`` is the label of the replay if it is compared with a reference ADS; empty without a reference.
     """
     __tracebackhide__ = True
-    path = relative(saved.path, replays.harness.root)
     label = "still failing" if was_lost(finding, lost) else "drifted"
     note = "; ".join(getattr(lost, "__notes__", ()))
     item.stash[REPLAYED] = label, None, None, note
@@ -145,9 +126,6 @@ def _conclude_lost(
     detail = "; ".join(filter(None, [note, *told]))
     line = f"the process (pid {lost.pid}) that ran this scenario {lost.how}"
     _tell(item, replays, saved, label, headline=line, detail=detail)
-    page = page_messages_of(item, replays.harness.request.settings)
-    if page is not None:
-        page.replayed(finding, None, headline=line, label=label, detail=detail, path=path)
     _add_section(item, [f"replay: {label}{f', {detail}' if detail else ''}"])
     item.stash[OF_ONE_RUN].show(None)
     pytest.fail(f"{line}: {cause(lost, 'delete the file')}", pytrace=False)
@@ -171,43 +149,40 @@ def _tell(
     *,
     headline: str,
     detail: str,
-    sentences: Sequence[str] = (),
+    run: Run | None = None,
     verdict: Verdict | None = None,
-    worse: str = "",
+    note: str = "",
 ) -> None:
-    """Report a replay to the controller. The verdict is None if the process of the replay died or hung."""
-    path, finding = relative(saved.path, replays.harness.root), saved.finding
-    against, worse = replays.harness.against_name, f"{saved.id} {worse}" if worse else ""
-    summary = ReplaySummary(node_id=item.nodeid, label=label, detail=detail, against=against, worse=worse)
-    if finding is not None:
-        today = date.fromisoformat(item.config.stash[SHARED].today)
-        severity = None if verdict is None else verdict.severity
-        reference = None if verdict is None else verdict.reference
-        before = None if reference is None else reference.severity
-        if headline:
-            set_properties(item.user_properties, severity=severity_text(severity))
-        if headline and not finding.is_accepted(today):
-            responsible = finding.expect.responsibility
-            summary = replace(summary, id=finding.id, severity=severity, responsible=responsible)
-        if finding.xfail is not None and not finding.is_accepted(today):
-            over = (
-                f"{path}: accepted ({finding.accepted}), but that day is over: correct the failure, write a later day, "
-                "or remove the line"
-            )
-            messages.send(item, "warning", {"text": over})
-        tell_finding(
-            item,
-            finding,
-            node_id=item.nodeid,
-            status=label,
-            file=path,
-            headline=headline,
-            sentences=list(sentences),
-            detail=detail,
-            severity=severity,
-            severity_before=before,
+    """Report a replay to the controller. Run and verdict are None if the process of the replay died or hung."""
+    finding, path = saved.finding, relative(saved.path, replays.harness.root)
+    if finding is None:
+        raise ValueError(f"saved: expected a file that can be read, received {saved!r:.100}")
+    today = date.fromisoformat(item.config.stash[SHARED].today)
+    failure = None if verdict is None else verdict.failure
+    reference = None if verdict is None else verdict.reference
+    find = Find(
+        id=finding.id,
+        node_id=item.nodeid,
+        label=label,
+        headline=headline,
+        path=path,
+        detail=detail,
+        severity=None if verdict is None else verdict.severity,
+        severity_before=None if reference is None else reference.severity,
+        responsible=finding.expect.responsibility,
+        against=replays.harness.against_name,
+        is_accepted=finding.is_accepted(today),
+    )
+    if headline:
+        set_properties(item.user_properties, severity=severity_text(find.severity))
+    if finding.xfail is not None and not find.is_accepted:
+        over = (
+            f"{path}: accepted ({finding.accepted}), but that day is over: correct the failure, write a later day, "
+            "or remove the line"
         )
-    messages.send(item, "replay", {"summary": plain(summary)})
+        messages.send(item, "warning", {"text": over})
+    check = None if failure is None else failure.check
+    tell_finding(item, replays.harness.request.settings, finding, find, run=run, check=check, note=note)
     item.user_properties.append(("pafot", label))
     set_properties(item.user_properties, detail=detail)
 

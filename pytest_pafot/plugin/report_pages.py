@@ -20,19 +20,8 @@ from pytest_pafot.plugin.session import SUMMARY_LINES, exit_code, not_written
 from pytest_pafot.support.ways_out import flag, rerun
 
 if TYPE_CHECKING:
-    from pytest_pafot.campaign.options import Settings
-    from pytest_pafot.plugin.page_messages import PageMessages
     from pytest_pafot.report.page import Draft
     from pytest_pafot.report.page_data import FindingView
-
-
-def page_messages_of(item: pytest.Item, settings: Settings) -> PageMessages | None:
-    """Return the sender of an item's content for the report page; None if no page is requested."""
-    if settings.report is None and not _has_rows(item.config):
-        return None
-    from pytest_pafot.plugin.page_messages import PageMessages  # noqa: PLC0415
-
-    return PageMessages(item=item, settings=settings)
 
 
 class Pages:
@@ -54,7 +43,7 @@ class Pages:
         """Store what items send for the page; add a picture to an item's row in the report of pytest-html."""
         message = messages.received(report)
         if message is not None:
-            if message.kind == messages.PAGE:
+            if "target" in message.data:  # of a finding or a search whose item asks for a page
                 self._take(report.nodeid, message.data)
             self._is_compared |= message.kind == "compared"  # so that it is known why no search ran
             return
@@ -82,6 +71,7 @@ class Pages:
             lines.problems.append(f"{flag('report', asked)}: nothing was written, since no search and no replay ran")
 
     def _take(self, node_id: str, data: Mapping[str, Any]) -> None:
+        from pytest_pafot.campaign.events import Find  # noqa: PLC0415
         from pytest_pafot.report.page import Draft  # noqa: PLC0415
         from pytest_pafot.report.page_data import CampaignView, FindingView  # noqa: PLC0415
         from pytest_pafot.searching.plain import from_plain  # noqa: PLC0415
@@ -90,17 +80,18 @@ class Pages:
         campaign = from_plain(CampaignView, data["campaign"]) if "campaign" in data else None
         if finding is not None:
             self._shown |= {finding.node_id, node_id}  # the search that found it fails because of it, too
-            if _has_rows(self._config):
+            if self._config.getoption("htmlpath", None):  # pytest-html writes a report
                 self._rows[finding.node_id] = finding
         if campaign is not None and campaign.reason == "error":
             self._shown.discard(node_id)
         self._runs.update(data.get("runs", {}))
         self._labels.update(data.get("labels", {}))
+        find = from_plain(Find, data["find"]) if "find" in data else None
         target = data["target"]
         if target is not None:
             path = Path(os.path.normpath(self._config.invocation_params.dir / target))
             self._targets[node_id] = path
-            self._drafts.setdefault(path, Draft(target=target)).take(data, finding, campaign)
+            self._drafts.setdefault(path, Draft(target=target)).take(find, finding, campaign, data.get("base_seed"))
 
     def _write(self, path: Path, draft: Draft, *, is_interrupted: bool) -> tuple[str, str]:
         from pytest_pafot.report.page import write_report  # noqa: PLC0415
@@ -133,8 +124,3 @@ class Pages:
         node_id = finding.node_id
         runs, label = self._runs.get(node_id, finding.runs), self._labels.get(node_id, finding.label)
         return replace(finding, runs=runs, label=label)
-
-
-def _has_rows(config: pytest.Config) -> bool:
-    """Return whether pytest-html writes a report."""
-    return bool(config.getoption("htmlpath", None))

@@ -12,7 +12,7 @@ from dataclasses import asdict, dataclass, field, replace
 from datetime import date
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
@@ -28,18 +28,17 @@ from pytest_pafot.campaign.verdict import PlainFailure, Test
 from pytest_pafot.corpus.layout import SUFFIX, chosen_folder, files_in, folder_of_test, link_below
 from pytest_pafot.corpus.saved import refusal
 from pytest_pafot.findings.finding import message_of
-from pytest_pafot.findings.severity import worst_first
+from pytest_pafot.oracle.checks import CheckFailed
 from pytest_pafot.plugin import messages, node_ids
 from pytest_pafot.plugin.collection import COLLECTED, is_search
 from pytest_pafot.plugin.failure_reports import SUMMARY, explained, is_compact, summarise
+from pytest_pafot.plugin.finding_message import is_on_page, label_of, tell_finding
 from pytest_pafot.plugin.marks import EXECUTOR_FIXTURE, WORLD_FIXTURE
 from pytest_pafot.plugin.messages import OF_ONE_RUN, OfOneRun, of_findings, set_properties
 from pytest_pafot.plugin.own_session import replay_in_own_session
-from pytest_pafot.plugin.report_pages import page_messages_of
 from pytest_pafot.plugin.revisions import compare, revision_of
 from pytest_pafot.plugin.run_tables import table_messages_of
 from pytest_pafot.plugin.session import SHARED, is_worker, records_folder
-from pytest_pafot.plugin.session_records import tell_finding
 from pytest_pafot.report import terminal
 from pytest_pafot.searching.plain import plain
 from pytest_pafot.support.errors import RequestError
@@ -48,6 +47,9 @@ from pytest_pafot.support.text import plural
 from pytest_pafot.support.versions import installed_versions
 from pytest_pafot.support.ways_out import flag
 from pytest_pafot.world.guard.hang_guard import runs_end_in
+
+if TYPE_CHECKING:
+    from pytest_pafot.report.views import CampaignCounts
 
 TIDIED: pytest.StashKey[set[Path]] = pytest.StashKey()
 """The folders of saved scenarios from which this session has removed the unfinished files of killed processes."""
@@ -191,8 +193,9 @@ def run_search(item: pytest.Function, request: Request) -> None:
         harness = harness_of(item, request)
         compare(item, harness)
     replays = Replays(harness=harness, in_own_session=partial(replay_in_own_session, item), today=today)
+    # If this policy has killed a process before, it runs in processes that may die of it.
     chosen = isolated_after_a_death(harness, replays)
-    listener = SearchMessages(item, page_messages_of(item, settings), table_messages_of(item), settings)
+    listener = SearchMessages(item, settings, page_counts(item, settings), table_messages_of(item))
     with prepared(chosen, listener) as sessions:
         result = Search(
             node_id=item.nodeid,
@@ -204,6 +207,7 @@ def run_search(item: pytest.Function, request: Request) -> None:
             progress_seconds=shared.progress_seconds,
             process_notes=[] if chosen is harness else [AFTER_A_DEATH],
         ).run()
+    # The item fails for a fault of the set-up, for new findings, for failures without an item, and for an empty search.
     summary = result.summary
     if result.fault is not None:
         raise shown(result.fault)
@@ -230,6 +234,15 @@ def run_search(item: pytest.Function, request: Request) -> None:
         _fail(item, f"health warnings ({flag('strict_health')})", summary.warnings)
 
 
+def page_counts(item: pytest.Item, settings: Settings) -> CampaignCounts | None:
+    """Return empty counts of a search for the report page; None if no page is requested."""
+    if not is_on_page(item.config, settings):
+        return None
+    from pytest_pafot.report.views import CampaignCounts  # noqa: PLC0415
+
+    return CampaignCounts()
+
+
 def searches_left(item: pytest.Item) -> int:
     """Return how many searches this process still has to run, including the search of this item.
 
@@ -253,13 +266,17 @@ class SearchMessages:
     """A listener that sends the events of a search as messages; also to the report page and the table, if requested."""
 
     item: pytest.Function
-    page: Listener | None
-    table: Listener | None
     settings: Settings
+    counts: CampaignCounts | None  # for the report page
+    table: Listener | None
     told: dict[str, FindTold] = field(default_factory=dict)  # the findings so far, by id
 
     def __call__(self, event: SearchEvent) -> None:
-        """Send a message for each event that the terminal reports."""
+        """Send a message for each event that the terminal, the page or the table reports."""
+        if self.counts is not None:
+            self.counts.see(event)
+        if self.table is not None:
+            self.table(event)
         if isinstance(event, SearchStarted):
             seeds = {"seed": event.seed, "base_seed": self.settings.seed}
             set_properties(self.item.user_properties, **seeds)
@@ -273,10 +290,21 @@ class SearchMessages:
             set_properties(self.item.user_properties, **found)
             if self.told:  # otherwise they stay those of the last run
                 self.item.stash[OF_ONE_RUN].show(next(iter(self.told.values())).run)
-            messages.send(self.item, "search", {"summary": plain(event)})
-        for also in (self.page, self.table):
-            if also is not None:
-                also(event)
+            messages.send(self.item, "search", {"summary": plain(event), **self._for_page(event)})
+
+    def _for_page(self, summary: SearchSummary) -> dict[str, Any]:
+        """Return what a page shows of the search, and what is known of its findings only now."""
+        if self.counts is None or self.counts.started is None:  # otherwise the item only replayed
+            return {}
+        cut_by = summary.reason if summary.reason in ("error", "interrupted") else ""
+        known = {node_ids.saved_node_id(self.item, id_): count for id_, count in summary.known.items()}
+        return {
+            "target": self.settings.report,
+            "base_seed": self.settings.seed,
+            "campaign": plain(self.counts.view(self.item.nodeid, cut_by=cut_by)),
+            "runs": {find.node_id: 1 + find.repeats for find in summary.finds} | known,
+            "labels": {find.node_id: label_of(find) for find in summary.finds},
+        }
 
     def _find(self, kept: FindTold) -> None:
         config = self.item.config
@@ -299,22 +327,17 @@ class SearchMessages:
             advice=advice,
             width=width,
         )
-        lines = terminal.found_lines(kept.find, width) if kept.is_new else []
+        check = kept.exception.check if isinstance(kept.exception, CheckFailed) else None
         report = _report(self.item, kept, section)
-        rank = list(worst_first(kept.find.responsible, kept.find.severity))
-        messages.send(self.item, "find", {"node_id": kept.find.node_id, "lines": lines, "report": report, "rank": rank})
         tell_finding(
             self.item,
+            self.settings,
             kept.finding,
-            node_id=kept.find.node_id,
-            status="new",
-            file=kept.find.path or None,
-            again=self.settings.repeated,
-            headline=kept.find.headline,
-            sentences=[] if kept.run is None else list(kept.finding.expect.sentences_on(kept.run)),
-            detail=kept.find.problem,
-            unshrunk=kept.find.unshrunk,
-            severity=kept.find.severity,
+            kept.find,
+            run=kept.run,
+            check=check,
+            report=report,
+            is_new=kept.is_new,
         )
 
 

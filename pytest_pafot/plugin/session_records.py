@@ -11,11 +11,11 @@ import json
 import math
 import os
 import time
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, replace
+from collections.abc import Callable, Mapping
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import pytest
 
@@ -30,14 +30,11 @@ from pytest_pafot.support.ways_out import flag, rerun
 
 if TYPE_CHECKING:
     from pytest_pafot.campaign.events import SearchSummary
-    from pytest_pafot.findings.finding import Finding
     from pytest_pafot.report.session_record import FindingRecord, OrphanRecord, SessionRecord
 
 JSON = BY_NAME["json"]
 SUMMARY = "GITHUB_STEP_SUMMARY"
 """The environment variable in which GitHub Actions names the file for the summary of a step."""
-
-
 QUICK, REST = 0.1, 10
 """Writing the JSON file takes long if it takes more than the first number [s]. While the session runs, the file is then
 written again only after this time multiplied by the second number."""
@@ -47,27 +44,6 @@ def is_asked_for(config: pytest.Config, environ: Mapping[str, str]) -> bool:
     """Return whether ``--pafot-json`` or a CI job requests a record; False if the session replays for another one."""
     is_wanted = bool(config.getoption(JSON.key) or environ.get(SUMMARY))
     return is_wanted and not environ.get(HERE) and not config.getoption("collectonly", False)
-
-
-def tell_finding(
-    item: pytest.Item, finding: Finding, *, file: str | None, again: Sequence[str] = (), **told: Any
-) -> None:
-    """Send a finding to the controller, if a record of the session is requested.
-
-    Args:
-        item: the item that found or replayed it.
-        finding: the finding.
-        file: the path of its file; None if there is no file.
-        again: the options that repeat the search, which alone can reproduce a finding without a file.
-        told: further attributes of the finding's record.
-    """
-    if not is_asked_for(item.config, os.environ):
-        return
-    from pytest_pafot.report.session_record import FindingRecord  # noqa: PLC0415
-
-    options, saved = (again, "") if file is None else ((), finding.id)
-    replay = rerun(["python", "-m", "pytest", file or item.nodeid], os.environ, *options, saved=saved)
-    messages.send(item, "record", asdict(FindingRecord.of(finding, file=file, replay=replay, **told)))
 
 
 class Records:
@@ -97,7 +73,7 @@ class Records:
         message = messages.received(report)
         if message is None:
             self._take_phase(report)
-        elif message.kind in ("record", "start", "search", *self._texts):
+        elif message.kind in ("finding", "start", "search", *self._texts):
             self._take(report.nodeid, message)
 
     @pytest.hookimpl(trylast=True)  # after the pages are written and the new findings are reported
@@ -128,8 +104,8 @@ class Records:
         match message.kind:
             case "start":
                 self._searches[node_id] = SearchSummary(node_id=node_id, **data)
-            case "record":
-                finding = FindingRecord(**data)
+            case "finding":
+                finding = FindingRecord(**data["record"])
                 told = self._findings.get(finding.node_id)
                 if told is not None and told.unshrunk:  # from a search whose new file this session replays as well
                     finding = replace(finding, unshrunk=told.unshrunk)

@@ -27,10 +27,7 @@ from pytest_pafot.support.text import ascii_text
 from pytest_pafot.support.ways_out import rerun
 
 if TYPE_CHECKING:
-    from pytest_pafot.campaign.events import SearchSummary
-    from pytest_pafot.report import terminal
-
-"""The labels of replays that show the failure that their file describes."""
+    from pytest_pafot.campaign.events import Find, SearchSummary
 
 TERMINAL_SECONDS = 0.25  # the interval between reports of a search's progress on a terminal [s]
 
@@ -99,11 +96,11 @@ class Reporter:
         self._config = config
         self._live = LiveTerminal(config)
         self._session: pytest.Session | None = None
-        self._pending: dict[str, dict[str, tuple[dict[str, Any], Any, list[float]]]] = {}
+        self._pending: dict[str, dict[str, tuple[dict[str, Any], Any, tuple[float, ...]]]] = {}
         self._expanded: set[str] = set()
         self._running: dict[str, None] = {}
         self._searches: list[SearchSummary] = []
-        self._replays: list[terminal.ReplaySummary] = []
+        self._replays: list[Find] = []
         self._lines = config.stash[SUMMARY_LINES]
         self._notes: dict[str, None] = {}
         self._warnings: dict[str, None] = {}
@@ -204,7 +201,7 @@ class Reporter:
 
     def _take(self, report: pytest.TestReport, message: Message) -> None:
         """Process a message of an item. Messages for the report page are left to a separate plugin."""
-        from pytest_pafot.campaign.events import Progress, SearchSummary  # noqa: PLC0415
+        from pytest_pafot.campaign.events import NEW, Find, Progress, SearchSummary  # noqa: PLC0415
         from pytest_pafot.report import terminal  # noqa: PLC0415
         from pytest_pafot.searching.plain import from_plain  # noqa: PLC0415
 
@@ -214,13 +211,15 @@ class Reporter:
                 self._take_start(report)
             case "progress":
                 self._live.show_progress(lambda width: terminal.progress_line(Progress(**data), width))
-            case "find":
-                self._take_find(report, data)
+            case "finding":
+                find = from_plain(Find, data["find"])
+                if find.label == NEW:
+                    self._take_find(report, find, data)
+                else:
+                    self._replays.append(find)
             case "search":
                 self._running.pop(report.nodeid, None)
                 self._searches.append(from_plain(SearchSummary, data["summary"]))
-            case "replay":
-                self._replays.append(from_plain(terminal.ReplaySummary, data["summary"]))
             case "merge":
                 self._lines.reports.append(data["text"])
             case "note" | "compared":
@@ -238,13 +237,17 @@ class Reporter:
             self._live.write([f"pafot: {base}"] if base else [])
         self._running[report.nodeid] = None
 
-    def _take_find(self, report: pytest.TestReport, data: dict[str, Any]) -> None:
-        if data["node_id"] not in self._expanded:
-            finds = self._pending.setdefault(report.nodeid, {})
-            finds[data["node_id"]] = (data["report"], getattr(report, "node", None), data["rank"])
+    def _take_find(self, report: pytest.TestReport, find: Find, data: dict[str, Any]) -> None:
+        from pytest_pafot.findings.severity import worst_first  # noqa: PLC0415
+        from pytest_pafot.report import terminal  # noqa: PLC0415
+
+        if find.node_id not in self._expanded:
+            rank = worst_first(find.responsible, find.severity)
+            told = data["report"], getattr(report, "node", None), rank
+            self._pending.setdefault(report.nodeid, {})[find.node_id] = told
         self._live.erase_progress()
-        if self._config.get_verbosity() >= 0:
-            self._live.write(data["lines"])
+        if data["is_new"] and self._config.get_verbosity() >= 0:
+            self._live.write(terminal.found_lines(find, self._config.stash[SHARED].width))
 
     def _expand(self, search_id: str) -> None:
         """Report the findings of a search, the worst first, as the items that will replay them in the next session."""

@@ -36,7 +36,7 @@ def report_of(value: object) -> Report:
         title = f"{plural(len(views), 'finding')} in {plural(value.summary.runs, 'run')}"
         started = next(event for event in value.events if isinstance(event, SearchStarted))
         events = [event for event in value.events if isinstance(event, Event)]
-        campaign = campaign_view(started.node_id, events, speed_limit=started.speed_limit)
+        campaign = campaign_view(started.node_id, events)
         return Report(title=title, findings=views, campaigns=(campaign,))
     if isinstance(value, SavedScenario):
         view = _finding_view(value.finding)

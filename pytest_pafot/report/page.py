@@ -13,7 +13,7 @@ import pickle
 import re
 import zlib
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from datetime import UTC, datetime
 from html import escape
@@ -25,6 +25,7 @@ from textwrap import dedent
 from typing import Any
 from urllib.parse import quote
 
+from pytest_pafot.campaign.events import NEW, Find
 from pytest_pafot.campaign.options import is_page_file
 from pytest_pafot.corpus.layout import SUFFIX
 from pytest_pafot.findings.severity import worst_first
@@ -32,7 +33,6 @@ from pytest_pafot.model.crossings import SLOTS
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.report.animation import AnimationError, animate
 from pytest_pafot.report.page_data import (
-    NEW,
     CampaignView,
     CheckView,
     CoverageRow,
@@ -548,19 +548,26 @@ class Draft:
     campaigns: dict[str, CampaignView] = field(default_factory=dict)
     replayed: Counter[str] = field(default_factory=Counter)
     drifted: dict[str, str] = field(default_factory=dict)
-    seeds: dict[int, None] = field(default_factory=dict)
+    seeds: dict[int | None, None] = field(default_factory=dict)
 
-    def take(self, data: Mapping[str, Any], finding: FindingView | None, campaign: CampaignView | None) -> None:
-        """Add the data, the finding or the search that an item reports."""
+    def take(
+        self,
+        find: Find | None = None,
+        finding: FindingView | None = None,
+        campaign: CampaignView | None = None,
+        base_seed: int | None = None,
+    ) -> None:
+        """Add what an item reports: a finding, with its view if it fails; or the view of a search, with its seed."""
         if finding is not None:
             self.findings[finding.node_id] = _as_row(finding)
             self._whole[finding.node_id] = zlib.compress(pickle.dumps(finding), level=1)
         if campaign is not None:
             self.campaigns[campaign.node_id] = campaign
-            self.seeds[data["base_seed"]] = None
-        if "replayed" in data:
-            self.replayed[data["replayed"]] += 1
-        self.drifted.update(data.get("drifted", {}))
+            self.seeds[base_seed] = None
+        if find is not None and find.label != NEW:
+            self.replayed[find.label] += 1
+            if find.label == "drifted":
+                self.drifted[find.node_id] = find.detail
 
     def report(
         self, *, project: str, command: str, findings: Iterable[FindingView], errors: Errors, is_interrupted: bool

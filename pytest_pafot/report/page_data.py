@@ -20,9 +20,6 @@ Pose = tuple[float, float, float]
 Errors = tuple[tuple[str, str], ...]
 """Tests that failed without a finding: the node id of each, and the text that pytest shows for the failure."""
 
-NEW = "new"
-"""The first word of the label of a finding that was not known before."""
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LaneView:

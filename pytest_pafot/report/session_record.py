@@ -15,7 +15,7 @@ from dataclasses import asdict, dataclass, field
 from types import MappingProxyType
 from typing import Any, Self
 
-from pytest_pafot.campaign.events import SearchSummary
+from pytest_pafot.campaign.events import NEW, Find, SearchSummary
 from pytest_pafot.findings.finding import Finding, portable
 from pytest_pafot.findings.severity import Severity, worsening, worst_first
 from pytest_pafot.findings.shrink import size_of
@@ -24,8 +24,8 @@ from pytest_pafot.support.text import plural, quiet_json, visible
 VERSION = 1
 """The version of the JSON layout. It grows if a key is removed or changes its meaning, not if a key is added."""
 
-NEW, ERROR = "new", "error"
-"""Statuses of a finding that are no labels of replays: found in this session; or could not be read or run."""
+ERROR = "error"
+"""The status of a saved scenario that could not be read or run."""
 
 TERMINAL_ONLY = ("seconds", "process_notes")
 """The attributes of a search that are not written, because the same seed may give other values."""
@@ -118,28 +118,22 @@ class FindingRecord:
         return self.status == NEW
 
     @classmethod
-    def of(
-        cls,
-        finding: Finding,
-        *,
-        node_id: str,
-        status: str,
-        file: str | None,
-        severity: Severity | None = None,
-        severity_before: Severity | None = None,
-        **told: Any,
-    ) -> Self:
-        """Make a record of a finding; further keyword arguments are attributes of the record."""
+    def of(cls, finding: Finding, find: Find, *, replay: str = "", sentences: Iterable[str] = ()) -> Self:
+        """Make a record of a finding's file, or what would be its file, and of what this session saw of it."""
         expect, until = finding.expect, finding.xfail_until
         accepted = {"reason": finding.xfail, "until": None if until is None else until.isoformat()}
         return cls(
-            node_id=node_id,
+            node_id=find.node_id,
             id=finding.id,
-            status=status,
+            status=find.label,
             test=finding.test,
-            file=file,
+            file=find.path or None,
+            replay=replay,
             scenario=finding.scenario.plain(),
             world=dict(finding.world),
+            headline=find.headline,
+            sentences=list(sentences),
+            detail=find.detail,
             signature=finding.signature.text,
             kind=finding.signature.slug,
             failure=expect.failure,
@@ -154,10 +148,10 @@ class FindingRecord:
             algorithm=finding.found.algorithm,
             against=expect.against,
             flaky=finding.flaky,
-            severity=None if severity is None else severity.data(),
-            severity_before=None if severity_before is None else severity_before.data(),
+            unshrunk=find.unshrunk,
+            severity=None if find.severity is None else find.severity.data(),
+            severity_before=None if find.severity_before is None else find.severity_before.data(),
             xfail=None if finding.xfail is None else accepted,
-            **told,
         )
 
 

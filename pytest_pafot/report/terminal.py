@@ -11,11 +11,10 @@ import re
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
-from pytest_pafot.campaign.events import Find, Progress, SearchSummary
+from pytest_pafot.campaign.events import NEW, Find, Progress, SearchSummary
 from pytest_pafot.findings.finding import Expect, Finding
-from pytest_pafot.findings.severity import Severity, worst_first
+from pytest_pafot.findings.severity import worsening, worst_first
 from pytest_pafot.findings.shrink import size_of
 from pytest_pafot.model.scenario import CrossingInstruction, LaneInstruction, PositionInstruction
 from pytest_pafot.oracle.run import ReferenceOutcome
@@ -46,30 +45,6 @@ _BESIDE: Mapping[ReferenceOutcome, str] = {
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ReplaySummary:
-    """The result of a replay: a label, and what differs from the file.
-
-    The label is ``fixed``, ``still failing``, ``drifted`` or ``flaky``. In a comparison with a reference, it may also
-    be ``introduced``, ``common`` or ``fixed before``.
-
-    Attributes:
-        id: id of the finding if the replay fails and the failure is not accepted; otherwise empty.
-        severity: severity of that failure; None if it has no measure.
-        responsible: who is responsible for the collision, as in the file.
-        worse: how much worse the failure is than with the reference, with the finding's id; empty if it is not worse.
-    """
-
-    node_id: str
-    label: str
-    detail: str = ""
-    against: str = ""
-    id: str = ""
-    severity: Severity | None = None
-    responsible: str = "none"
-    worse: str = ""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class SessionSummary:
     """Everything that the summary of a session contains.
 
@@ -86,7 +61,7 @@ class SessionSummary:
     """
 
     searches: Sequence[SearchSummary] = ()
-    replays: Sequence[ReplaySummary] = ()
+    replays: Sequence[Find] = ()
     orphans: Sequence[tuple[str, Sequence[str], str]] = ()
     way_out: str = ""
     strays: Sequence[tuple[str, str]] = ()
@@ -116,7 +91,7 @@ def progress_line(progress: Progress, width: int = WIDTH) -> str:
 def found_lines(find: Find, width: int = WIDTH) -> list[str]:
     """Return the lines that report a new finding while the search continues. Its file already exists."""
     lines = [ascii_text(f"pafot: found {find.node_id}"), *_wrapped(find.summary, width)]
-    return lines if find.path else [*lines, *_wrapped(f"not saved: {find.problem}", width)]
+    return lines if find.path else [*lines, *_wrapped(f"not saved: {find.detail}", width)]
 
 
 def find_section(
@@ -134,7 +109,7 @@ def find_section(
     """
     lines = [*explanation.splitlines(), *details]
     lines += [f"note       {'; '.join(filter(None, (find.remark, advice)))}"] if find.remark else []
-    fitted = fitted_lines(map(ascii_text, lines if find.path else [*lines, f"not saved  {find.problem}"]), width)
+    fitted = fitted_lines(map(ascii_text, lines if find.path else [*lines, f"not saved  {find.detail}"]), width)
     fitted += [ascii_text(f"saved as   {find.path}")] if find.path else []
     if content:
         fitted += ["the file would be:", *(ascii_text(f"  {line}") for line in content.rstrip().splitlines())]
@@ -265,7 +240,7 @@ def _find_lines(search: SearchSummary) -> list[str]:
     if not search.finds and not search.unsaved:
         return []
     folders = dict.fromkeys(os.path.dirname(find.path) for find in search.finds if find.path)  # noqa: PTH120
-    problems = dict.fromkeys(find.problem for find in search.finds if find.problem)
+    problems = dict.fromkeys(find.detail for find in search.finds if find.detail)
     flaky = sum(find.is_flaky for find in search.finds)
     first = plural(len(search.finds) + len(search.unsaved), "new finding")
     first += f" ({flaky} flaky)" if flaky else ""
@@ -279,7 +254,7 @@ def _unsaved_lines(search: SearchSummary) -> list[str]:
     return [f"  {count} not saved ({flag('max_saved')}): {_listed(names)}"] if names else []
 
 
-def replay_lines(replays: Sequence[ReplaySummary], width: int = WIDTH) -> list[str]:
+def replay_lines(replays: Sequence[Find], width: int = WIDTH) -> list[str]:
     """Return the lines on all replays: a count by label, then the replays that a reader should look at."""
     if not replays:
         return []
@@ -308,7 +283,9 @@ def against_lines(session: SessionSummary, width: int = WIDTH) -> list[str]:
         introduced = plural(found + labels["introduced"], "failure")
         text = f"against {name}: introduces {introduced}, fixes {labels['fixed']}, {labels['common']} as before"
         lines += wrapped_to(text, width)
-        worse = [each.worse for each in session.replays if each.against == name and each.worse]
+        common = [each for each in session.replays if each.against == name and each.label == "common"]
+        changes = [(each.id, worsening(each.severity, each.severity_before)) for each in common]
+        worse = [f"{id_} {change}" for id_, change in changes if change]
         if worse:
             count = f"{len(worse)} of {plural(labels['common'], 'failure')} in common became worse"
             lines += wrapped_to(f"{count}: {'; '.join(worse[:MAX_REPLAYS])}", width)
@@ -320,26 +297,30 @@ def worst_lines(session: SessionSummary, width: int = WIDTH) -> list[str]:
 
     New failures are before known failures. Within both groups, failures for which the ego is responsible are first.
     """
-    listed: list[tuple[tuple[Any, ...], str]] = []
-    for find in (find for search in session.searches for find in search.finds):
-        worst = worst_first(find.responsible, find.severity)
-        listed.append(((0, *worst, -find.repeats, find.node_id), _measured("new", find)))
-    for replay in (replay for replay in session.replays if replay.id):
-        worst = worst_first(replay.responsible, replay.severity)
-        listed.append(((replay.label != "introduced", *worst, 0, replay.node_id), _measured(replay.label, replay)))
+    failing = [each for each in session.replays if each.headline and not each.is_accepted]
+    listed = sorted(
+        (
+            each.label not in (NEW, "introduced"),
+            *worst_first(each.responsible, each.severity),
+            -each.repeats,
+            each.node_id,
+            _measured(each),
+        )
+        for each in (*(find for search in session.searches for find in search.finds), *failing)
+    )
     if len(listed) < 2:
         return []
-    lines = [line for _, text in sorted(listed)[:MAX_FINDS] for line in wrapped_to(f"  {text}", width)]
+    lines = [line for *_, text in listed[:MAX_FINDS] for line in wrapped_to(f"  {text}", width)]
     more = [f"  ... and {len(listed) - MAX_FINDS} more"] if len(listed) > MAX_FINDS else []
     return ["failures, the worst first:", *lines, *more]
 
 
-def _measured(label: str, failure: Find | ReplaySummary) -> str:
+def _measured(find: Find) -> str:
     """Return a line with a failure's label and id, how bad the failure is, and who is responsible for it."""
-    if failure.severity is None:
-        return f"{label}: {failure.id} has no measure"
-    who = f", {failure.responsible} at fault" if failure.severity.is_fault(failure.responsible) else ""
-    return f"{label}: {failure.id} {failure.severity}{who}"
+    if find.severity is None:
+        return f"{find.label}: {find.id} has no measure"
+    who = f", {find.responsible} at fault" if find.severity.is_fault(find.responsible) else ""
+    return f"{find.label}: {find.id} {find.severity}{who}"
 
 
 def session_lines(session: SessionSummary, *, verbose: bool = False, width: int = WIDTH) -> list[str]:

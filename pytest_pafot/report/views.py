@@ -13,10 +13,12 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
-from pytest_pafot.attribution.lane_changes import stretches
+from pytest_pafot.attribution.manoeuvres import stretches
+from pytest_pafot.campaign.events import Judged, SearchEvent, SearchStarted
 from pytest_pafot.corpus.writer import text_of
 from pytest_pafot.criticality import Encounters, Passage, passages, time_advantage
 from pytest_pafot.criticality.signals import jerk
@@ -62,7 +64,6 @@ from pytest_pafot.searching.events import (
     CampaignFinished,
     CampaignStarted,
     Evaluated,
-    Event,
     GenerationFinished,
     LocalSearchFinished,
     Restarted,
@@ -566,6 +567,8 @@ class CampaignCounts:
     It grows by one small value for each generation, because a search may have hundreds of thousands of events.
     """
 
+    speed_limit: float = PAPER_SPEED_LIMIT  # the highest target speed [m/s], which determines the number of speed bins
+    responsibilities: Counter[str] = field(default_factory=Counter)  # number of runs by who was responsible
     started: CampaignStarted | None = None
     finished: CampaignFinished | None = None
     health: Health = field(default_factory=Health)
@@ -573,9 +576,13 @@ class CampaignCounts:
     generations: dict[int, GenerationView] = field(default_factory=dict)  # of the main search
     _restarts: set[int] = field(default_factory=set)
 
-    def see(self, event: Event) -> None:
+    def see(self, event: SearchEvent) -> None:
         """Count an event."""
         match event:
+            case SearchStarted():
+                self.speed_limit = event.speed_limit
+            case Judged():
+                self.responsibilities[event.run.responsibility or "none"] += 1
             case Evaluated():
                 self.health = self.health.counted(event.evaluation, reused=event.reused)
                 if not event.reused:
@@ -593,20 +600,11 @@ class CampaignCounts:
                 view = self.generations[event.generation]
                 self.generations[event.generation] = replace(view, local_best=best, local_replaced=event.replaced)
 
-    def view(
-        self,
-        node_id: str,
-        *,
-        speed_limit: float = PAPER_SPEED_LIMIT,
-        responsibilities: Mapping[str, int] | None = None,
-        cut_by: str = "",
-    ) -> CampaignView:
+    def view(self, node_id: str, *, cut_by: str = "") -> CampaignView:
         """Return the view of the search so far. A search that was cut short has a view, too.
 
         Args:
             node_id: node id of the search's item.
-            speed_limit: the highest target speed [m/s], which determines the number of speed bins.
-            responsibilities: the number of simulated runs by who was responsible.
             cut_by: ``error`` or ``interrupted`` if that ended the search, because no event reports it; otherwise empty.
         """
         coverage = self.health.coverage
@@ -620,28 +618,22 @@ class CampaignCounts:
             simulated=self.health.simulated,
             reused=self.health.reused,
             outcomes=_by_count(self.outcomes),
-            responsibilities=_by_count(responsibilities or {}),
+            responsibilities=_by_count(self.responsibilities),
             cells=_rows(coverage, ((f"{int(cell)} {cell.label}", key) for cell, key in zip(Cell, CELLS, strict=True))),
             steps=_rows(coverage, ((" to ".join(map(str, key[1:])), key) for key in STEPS)),
-            speeds=_rows(coverage, _speed_labels(speed_limit)),
+            speeds=_rows(coverage, _speed_labels(self.speed_limit)),
             zones=_rows(coverage, _zone_labels(coverage)),
             lanes=_rows(coverage, ((str(key[1]), key) for key in LANES if any(map(coverage.requested.get, LANES)))),
             warnings=tuple(self.health.warnings()),
         )
 
 
-def campaign_view(
-    node_id: str,
-    events: Iterable[Event],
-    *,
-    speed_limit: float = PAPER_SPEED_LIMIT,
-    responsibilities: Mapping[str, int] | None = None,
-) -> CampaignView:
-    """Build the view of a search from all of its events, see :meth:`CampaignCounts.view`."""
-    counts = CampaignCounts()
+def campaign_view(node_id: str, events: Iterable[SearchEvent], **known: Any) -> CampaignView:
+    """Build the view of a search from all of its events; ``known`` are attributes of :class:`CampaignCounts`."""
+    counts = CampaignCounts(**known)
     for event in events:
         counts.see(event)
-    return counts.view(node_id, speed_limit=speed_limit, responsibilities=responsibilities)
+    return counts.view(node_id)
 
 
 def _generation(event: GenerationFinished, is_restarted: bool) -> GenerationView:

@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from typing import Any
 
-from pytest_pafot.findings.replay import DRIVEN_ON
+from pytest_pafot.findings.finding import DRIVEN_ON
 from pytest_pafot.model.scenario import PAPER_SPEED_LIMIT, Scenario
 from pytest_pafot.model.sight import Sight
 from pytest_pafot.model.trace import Trace

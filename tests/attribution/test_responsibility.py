@@ -8,7 +8,7 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from pytest_pafot.attribution.needless_braking import Stop, hard_braking
+from pytest_pafot.attribution.manoeuvres import Stop, hard_braking
 from pytest_pafot.attribution.responses import DISTANCES
 from pytest_pafot.attribution.responsibility import Conflict, is_ego_responsible, position_rule, rss_rule
 from pytest_pafot.attribution.sentences import (

@@ -25,8 +25,7 @@ from highway_env.vehicle.behavior import IDMVehicle
 from highway_env.vehicle.controller import ControlledVehicle
 
 from pytest_pafot import Run, Scenario, World
-from pytest_pafot.findings.finding import of_failure
-from pytest_pafot.findings.replay import disagreement
+from pytest_pafot.findings.finding import disagreement, of_failure
 from pytest_pafot.model.trace import Outcome, Trace
 from pytest_pafot.searching import Evaluation, PafotSearch, run_campaign
 from pytest_pafot.searching.fitness import resolve

@@ -4,7 +4,7 @@ import pytest
 
 import pytest_pafot as pafot
 from pytest_pafot.campaign.verdict import PlainFailure
-from pytest_pafot.findings.replay import replay_label
+from pytest_pafot.findings.finding import replay_label
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.searching.space import MOST_ON_GRID
 from tests.helpers.road_cases import world_of

@@ -8,7 +8,7 @@ import pytest
 import pytest_pafot as pafot
 from pytest_pafot import Cell, Highway, PositionInstruction, Scenario
 from pytest_pafot.campaign.search_loop import FITNESS, read_ahead
-from pytest_pafot.execution import prefetching
+from pytest_pafot.execution import runner as execution_runner
 from pytest_pafot.searching.evaluation import Evaluation
 from pytest_pafot.searching.events import Evaluated
 from pytest_pafot.searching.fitness import resolve
@@ -35,7 +35,7 @@ def avoids_collisions(run):
     ],
 )
 def test_search_learns_the_same_wherever_runs_are_read(monkeypatch, settings):
-    monkeypatch.setattr(prefetching, "DEAR", 0.0)
+    monkeypatch.setattr(execution_runner, "DEAR", 0.0)
 
     def learnt(workers):
         found = pafot.explore(

@@ -22,14 +22,14 @@ import time
 
 def make():
     def drive(observation):
-        time.sleep(0.05)
+        time.sleep(0.01)
         return 0.0, 0.0
 
     return drive
 
 
 def other():
-    return lambda observation: (time.sleep(0.05), (1.0, 0.0))[1]
+    return lambda observation: (time.sleep(0.01), (1.0, 0.0))[1]
 """
 COMMANDS = {
     "search": ["search", "slow:make", "--runs", "100000", "--", "--pafot-workers=2"],

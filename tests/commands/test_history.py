@@ -8,7 +8,8 @@ import sys
 
 import pytest
 
-from pytest_pafot.commands.history import History, HistoryError, halved
+from pytest_pafot.commands.history import History, halved
+from pytest_pafot.support.errors import RequestError
 
 LOCAL = ("-c", "protocol.file.allow=always")
 """The option with which git clones a submodule from a folder."""
@@ -176,7 +177,7 @@ def test_revision_has_its_submodules_as_already_cloned(repository, tmp_path, mon
         assert not list((tree / "policy/sub").iterdir())
     (tmp_path / "clone/policy/sub/outer.py").write_text("3")
     expected = r"expected the submodule policy/sub to be cloned with its commit .*run `git -C policy/sub fetch` first"
-    with pytest.raises(HistoryError, match=expected), clone.revision(clone.named("main~1"), []):
+    with pytest.raises(RequestError, match=expected), clone.revision(clone.named("main~1"), []):
         pass
     assert state_of(repository)[3][1].count("\n") == 1
 
@@ -257,7 +258,7 @@ def test_policy_in_a_submodule_is_put_commit_by_commit(repository, tmp_path):
     git(tmp_path, "clone", "-q", str(repository), "clone")
     clone = History.of(["the policy"], tmp_path / "clone")
     expected = r"expected the submodule the policy to be cloned .*run `git submodule update --init 'the policy'` first"
-    with clone.worktree([]) as tree, pytest.raises(HistoryError, match=expected):
+    with clone.worktree([]) as tree, pytest.raises(RequestError, match=expected):
         clone.put(tree, "main")
     git(tmp_path / "clone", *LOCAL, "submodule", "--quiet", "update", "--init", "the policy")
     with clone.worktree([]) as tree:
@@ -267,9 +268,9 @@ def test_policy_in_a_submodule_is_put_commit_by_commit(repository, tmp_path):
 
 def test_object_that_is_no_commit_is_named(repository):
     history = History.of([], repository)
-    with pytest.raises(HistoryError, match=r"received 'HEAD\^\{tree\}', which is a tree; name the commit itself"):
+    with pytest.raises(RequestError, match=r"received 'HEAD\^\{tree\}', which is a tree; name the commit itself"):
         history.named("HEAD^{tree}")
-    with pytest.raises(HistoryError, match="received 'nothing', which does not exist in"):
+    with pytest.raises(RequestError, match="received 'nothing', which does not exist in"):
         history.named("nothing")
 
 
@@ -296,7 +297,7 @@ def test_repository_that_cannot_be_written_has_a_way_out(repository):
     history = History.of([], repository)
     (repository / ".git").chmod(0o500)
     try:
-        with pytest.raises(HistoryError, match="copy the repository to a folder that you can write, and run there"):
+        with pytest.raises(RequestError, match="copy the repository to a folder that you can write, and run there"):
             history.revision("main", []).__enter__()
     finally:
         (repository / ".git").chmod(0o700)
@@ -314,12 +315,12 @@ def test_the_worktree_is_removed_whatever_ends_the_search(repository, end):
 def test_what_is_no_history_is_told(repository, tmp_path, monkeypatch):
     history = History.of(["policy"], repository)
     for revision in ("nothing", "--help", "main:policy", "-"):
-        with pytest.raises(HistoryError, match="expected a commit, a branch or a tag, received"):
+        with pytest.raises(RequestError, match="expected a commit, a branch or a tag, received"):
             history.named(revision)
-    with pytest.raises(HistoryError, match=r"--policy: expected a path inside the repository .*, received \.\./x"):
+    with pytest.raises(RequestError, match=r"--policy: expected a path inside the repository .*, received \.\./x"):
         History.of(["../x"], repository)
-    with pytest.raises(HistoryError, match="not a git repository"):
+    with pytest.raises(RequestError, match="not a git repository"):
         History.of(["policy"], tmp_path)
     monkeypatch.setenv("PATH", os.fspath(tmp_path))
-    with pytest.raises(HistoryError, match="expected the program git, received none on the PATH"):
+    with pytest.raises(RequestError, match="expected the program git, received none on the PATH"):
         History.of(["policy"], repository)

@@ -16,7 +16,7 @@ import pytest
 
 from pytest_pafot.__main__ import main
 from pytest_pafot.campaign.request import SLICES
-from pytest_pafot.comparison import command
+from pytest_pafot.commands.policy_reference import BAD_USE
 from pytest_pafot.comparison.markdown import PAPER
 
 pytestmark = pytest.mark.processes
@@ -261,7 +261,7 @@ def test_one_algorithm_alone_is_reported_without_tests(tmp_path):
     ],
 )
 def test_wrong_arguments_are_one_line_and_write_nothing(tmp_path, capsys, arguments, message):
-    assert compare(tmp_path / "out", *arguments) == command.BAD_USE
+    assert compare(tmp_path / "out", *arguments) == BAD_USE
     error = capsys.readouterr().err
     assert re.match(f"compare: .*{message}", error, re.DOTALL), error
     assert error.count("\n") == 1
@@ -270,14 +270,14 @@ def test_wrong_arguments_are_one_line_and_write_nothing(tmp_path, capsys, argume
 
 @pytest.mark.parametrize("workers", ["1", "2"])
 def test_unfitting_scenario_is_reported_in_one_line(tmp_path, capsys, workers):
-    assert compare(tmp_path, "--ego-lane", "7", "--workers", workers) == command.BAD_USE
+    assert compare(tmp_path, "--ego-lane", "7", "--workers", workers) == BAD_USE
     assert "compare: ego_lane: expected a lane from 0 to 3, received 7" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("below", ["", "deep"])
 def test_impossible_folder_is_reported_with_the_way_out(tmp_path, capsys, below):
     (tmp_path / "taken").touch()
-    assert compare(tmp_path / "taken" / below) == command.BAD_USE
+    assert compare(tmp_path / "taken" / below) == BAD_USE
     error = capsys.readouterr().err
     assert error.startswith(
         f"compare: --out: expected a folder that can be written, received {tmp_path / 'taken' / below}"
@@ -292,7 +292,7 @@ def test_unwritable_result_is_reported_and_command_can_continue(tmp_path, capsys
     taken = tmp_path / name
     taken.touch() if name == "runs" else taken.mkdir()
     arguments = ("--algorithms", "pafot,random", "--runs", "1", "--generations", "2", "--workers", workers)
-    assert compare(tmp_path, *arguments) == command.BAD_USE
+    assert compare(tmp_path, *arguments) == BAD_USE
     told = capsys.readouterr().err.splitlines()[-1]
     assert told.startswith(f"compare: --out: expected a folder that can be written, received {taken}: ")
     assert told.endswith(": rename or delete it, then run the same command again: finished tasks are not repeated")
@@ -319,13 +319,13 @@ def test_two_budgets_are_refused(tmp_path, capsys):
 
 def test_missing_libraries_error_says_how_to_install_them(tmp_path, capsys, monkeypatch):
     monkeypatch.setitem(sys.modules, "pandas", None)
-    assert compare(tmp_path / "out") == command.BAD_USE
+    assert compare(tmp_path / "out") == BAD_USE
     assert "pip install 'pytest-pafot[compare]'" in capsys.readouterr().err
 
 
 def test_wrong_policy_is_reported_before_missing_libraries(tmp_path, capsys, monkeypatch):
     monkeypatch.setitem(sys.modules, "pandas", None)
-    assert compare(tmp_path / "out", "--ads", "constant_speedd") == command.BAD_USE
+    assert compare(tmp_path / "out", "--ads", "constant_speedd") == BAD_USE
     assert "did you mean 'constant_speed'?" in capsys.readouterr().err
 
 
@@ -334,7 +334,7 @@ def test_wrong_policy_is_reported_before_missing_libraries(tmp_path, capsys, mon
 def test_policy_failing_in_every_run_is_setup_error(tmp_path, capsys, workers):
     """The cause may be a policy for an environment without --env; the folder stays free for the right command."""
     arguments = ["--ads", "tests.comparison.test_command:of_an_environment", "--workers", workers, "--runs", "1"]
-    assert compare(tmp_path, *arguments) == command.BAD_USE
+    assert compare(tmp_path, *arguments) == BAD_USE
     said = capsys.readouterr()
     assert said.out == ""
     for part in (
@@ -362,7 +362,7 @@ def of_an_environment():
 
 
 def test_planner_given_an_environment_gets_a_hint(tmp_path, capsys):
-    assert compare(tmp_path, "--env", "highway-v0", "--runs", "1") == command.BAD_USE
+    assert compare(tmp_path, "--env", "highway-v0", "--runs", "1") == BAD_USE
     error = capsys.readouterr().err
     assert "received BadAction: expected a whole number from 0 to 4, received (0.0, 0.0)" in error
     assert "The ADS was given an array of shape (5, 5) and type float32" in error

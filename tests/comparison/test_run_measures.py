@@ -5,8 +5,8 @@ import math
 import pandas as pd
 import pytest
 
-from pytest_pafot.comparison import run_measures, statistics
-from pytest_pafot.comparison.algorithm_run import Row, text_of
+from pytest_pafot.comparison import run_measures
+from pytest_pafot.comparison.algorithm_run import text_of
 
 SAFE = {"outcome": "safe", "duration": 60.0, "responsibility": "none", "position_responsibility": "none"}
 
@@ -23,13 +23,10 @@ def rows(*runs, algorithm="pafot", run=0):
     """Return rows of one run; each argument gives the differences from a safe row of generation 0."""
     clock, made = 0.0, []
     for index, fields in enumerate(SAFE | each for each in runs):
-        clock += 0.0 if fields.get("duplicate") else fields["duration"]
-        plain = dict.fromkeys(
-            ("collision_time", "npc", "cell", "zone", "side", "closing_speed", "signature", "fitness")
-        )
+        clock += 0.0 if fields.get("reused") else fields["duration"]
         counted = {"seed": 1, "generation": 0, "local_generation": 0, "index": index, "scenario": "abcdef"}
-        rest = {"duplicate": False, "failing": False, "genes_started": 2, "genes_reached": 1, "executed": "[]"}
-        made.append(Row(**(plain | counted | rest | fields), algorithm=algorithm, run=run, clock=clock))
+        rest = {"reused": False, "failing": False, "genes_started": 2, "genes_reached": 1, "executed": "[]"}
+        made.append(counted | rest | fields | {"algorithm": algorithm, "run": run, "clock": clock})
     return made
 
 
@@ -53,7 +50,7 @@ def test_a_run_by_hand(frame):
             rows(
                 {},
                 hit(10.0),
-                hit(10.0, duplicate=True),
+                hit(10.0, reused=True),
                 hit(20.0, "ego", "front-2-bbbbbb", position_responsibility="ego", local_generation=1, generation=3),
                 hit(5.0, "both", "front-2-bbbbbb", local_generation=2, generation=3),
                 {"outcome": "invalid", "duration": 7.0},
@@ -96,7 +93,7 @@ def test_run_without_collision_has_no_collision_time(frame):
 def test_missing_first_failure_is_censored_at_run_end(frame):
     runs = run_measures.measured(frame(rows({}, hit(8.0, "ego")), rows({}, {}, run=1)))
     assert run_measures.first_failures(runs) == ([68.0, 120.0], [False, True])
-    assert statistics.survival(*run_measures.first_failures(runs)).median == 68.0
+    assert run_measures.survival(*run_measures.first_failures(runs)).median == 68.0
 
 
 def test_distinct_failures_of_all_runs_are_counted_once(frame):

@@ -15,7 +15,7 @@ import pytest
 from pytest_pafot.execution import executors
 from pytest_pafot.execution.executors import ExecutorPool, packed, versions_here
 from pytest_pafot.execution.pool import ProcessLostError
-from pytest_pafot.execution.prefetching import Isolated
+from pytest_pafot.execution.runner import Isolated
 from pytest_pafot.execution.scenario_pool import ExecutionError, Job, recovery_note
 from pytest_pafot.model.scenario import PositionInstruction, Scenario
 from pytest_pafot.model.trace import Outcome

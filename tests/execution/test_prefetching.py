@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 
 from pytest_pafot import Highway, explore
-from pytest_pafot.execution import prefetching
-from pytest_pafot.execution.captured_output import CapturedOutput
+from pytest_pafot.execution import runner as execution_runner
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.execution.runner import runner_for
-from pytest_pafot.execution.scenario_pool import ExecutionError, Job
+from pytest_pafot.execution.scenario_pool import CapturedOutput, ExecutionError, Job
 from tests.helpers.toy_world import scenario, trace_of
 
 SCENARIOS = [scenario(number) for number in range(8)]
@@ -62,7 +61,7 @@ def runner_of(tmp_path, monkeypatch):
     records = []
 
     def make(world, pool=None, workers=2, ads=object, **options):
-        monkeypatch.setattr(prefetching, "pool_for", lambda job, size: pool or pytest.fail("started processes"))
+        monkeypatch.setattr(execution_runner, "pool_for", lambda job, size: pool or pytest.fail("started processes"))
         job = Job(world=world, ads=ads, records=tmp_path, owner="test_it.py::test_it")
         records.append(job.crash_record())
         return runner_for(job, records[-1], workers=workers, clock=world.clock, **options)
@@ -172,7 +171,7 @@ class TestProcesses:
 
         world = World(0.02)
         with runner_of(world) as runner:
-            monkeypatch.setattr(prefetching, "pool_for", refuse)
+            monkeypatch.setattr(execution_runner, "pool_for", refuse)
             assert asked(runner) == list(range(8))
         assert world.ran == list(range(8))
         assert runner.notes == ["--pafot-workers is 1: the factory cannot be pickled"]

@@ -10,8 +10,8 @@ import pytest
 from pytest_pafot.execution import scenario_pool
 from pytest_pafot.execution.crash_records import leftovers
 from pytest_pafot.execution.pool import ProcessLostError
+from pytest_pafot.execution.runner import answers_apart, retry, run_apart
 from pytest_pafot.execution.scenario_pool import ExecutionError, Job
-from pytest_pafot.execution.separate_runs import answers_apart, retry, run_apart
 from tests.helpers.toy_world import Toy, scenario
 
 needs_fork = pytest.mark.skipif(sys.platform != "linux", reason="processes are forked on Linux alone")

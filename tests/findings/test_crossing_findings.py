@@ -2,8 +2,7 @@
 
 import pytest
 
-from pytest_pafot.findings.finding import Expect, Finding, Found, of_failure
-from pytest_pafot.findings.replay import replay_label
+from pytest_pafot.findings.finding import Expect, Finding, Found, of_failure, replay_label
 from pytest_pafot.findings.severity import severity_of
 from pytest_pafot.findings.signature import ZONES, Failure, Signature
 from pytest_pafot.findings.situation import ZoneSituation, missed, seconds_after
@@ -62,22 +61,22 @@ def test_its_file_is_named_by_fault_and_origin():
 )
 def test_collision_caused_by_npc_names_side_and_zone(zone, slug):
     fields = {"failure": "AssertionError", "assertion": "not run.collision", "outcome": Outcome.COLLISION}
-    signature = Signature(**fields, responsibility="npc", side="rear", zone=zone)
+    signature = Signature.of(**fields, responsibility="npc", side="rear", zone=zone)
     assert signature.slug == slug
-    assert signature != Signature(**fields, responsibility="npc", side="rear", zone="oncoming from ahead")
-    assert signature != Signature(**fields, responsibility="npc", side="rear", cell=Cell.REAR)
+    assert signature != Signature.of(**fields, responsibility="npc", side="rear", zone="oncoming from ahead")
+    assert signature != Signature.of(**fields, responsibility="npc", side="rear", cell=Cell.REAR)
 
 
 @table("fault", ["leader-unanswered", "cut-in-unanswered", "braked-for-nothing"])
 def test_fault_without_zone_is_same_in_all_zones(fault):
     fields = {"failure": "AssertionError", "assertion": "not run.collision", "outcome": Outcome.COLLISION}
-    signatures = {Signature(**fields, responsibility="ego", fault=fault, zone=zone) for zone in (None, *ZONES)}
+    signatures = {Signature.of(**fields, responsibility="ego", fault=fault, zone=zone) for zone in (None, *ZONES)}
     assert len(signatures) == 1
 
 
 def test_a_property_is_the_same_in_every_zone():
     fields = {"failure": "AssertionError", "assertion": "run.min_ttc > N", "outcome": Outcome.COLLISION}
-    assert len({Signature(**fields, responsibility="npc", zone=zone) for zone in (None, *ZONES)}) == 1
+    assert len({Signature.of(**fields, responsibility="npc", zone=zone) for zone in (None, *ZONES)}) == 1
 
 
 def test_how_bad_it_is_is_the_closing_speed():

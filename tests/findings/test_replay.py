@@ -2,8 +2,7 @@ from dataclasses import replace
 
 import pytest
 
-from pytest_pafot.findings.finding import Finding, Found, of_failure
-from pytest_pafot.findings.replay import has_time, is_same_failure, replay_label
+from pytest_pafot.findings.finding import Finding, Found, has_time, is_same_failure, of_failure, replay_label
 from pytest_pafot.findings.signature import Failure
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.trace import AdsError, Outcome

@@ -51,8 +51,8 @@ def test_collision_caused_by_ego_is_identified_by_mistake():
 def test_side_hit_does_not_matter_for_ego_fault():
     assert of_failure(crash(cell=Cell.FRONT_LEFT, side="left"), COLLIDES) == of_failure(crash(), COLLIDES)
     fields = {"failure": "", "assertion": "", "outcome": Outcome.COLLISION, "fault": "entered-lane"}
-    alone = Signature(**fields, responsibility="ego", cell=Cell.LEFT, ego_manoeuvre="lane-change")
-    assert alone == Signature(**fields, responsibility="both", side="rear", npc_manoeuvre="lane-keeping")
+    alone = Signature.of(**fields, responsibility="ego", cell=Cell.LEFT, ego_manoeuvre="lane-change")
+    assert alone == Signature.of(**fields, responsibility="both", side="rear", npc_manoeuvre="lane-keeping")
 
 
 def test_other_collisions_are_identified_by_side_and_cell():
@@ -109,10 +109,10 @@ def test_the_time_and_the_speeds_do_not_matter():
 
 def test_fault_names_a_failure_without_distinguishing_it():
     told = {"failure": "", "assertion": "", "outcome": Outcome.COLLISION, "responsibility": "ego"}
-    followed = Signature(**told, fault="leader-unanswered")
-    entered = Signature(**told, fault="entered-lane", mistake="kept-no-distance")
-    cut_in = Signature(**told, fault="cut-in-unanswered")
-    assert followed == entered == cut_in != Signature(**told, fault="braked-for-nothing")
+    followed = Signature.of(**told, fault="leader-unanswered")
+    entered = Signature.of(**told, fault="entered-lane", mistake="kept-no-distance")
+    cut_in = Signature.of(**told, fault="cut-in-unanswered")
+    assert followed == entered == cut_in != Signature.of(**told, fault="braked-for-nothing")
     assert [each.slug for each in (followed, entered, cut_in)] == [
         "leader-unanswered", "entered-behind", "cut-in-unanswered"
     ]  # fmt: skip

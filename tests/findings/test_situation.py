@@ -4,8 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from pytest_pafot.findings.finding import Expect, Finding, Found
-from pytest_pafot.findings.replay import replay_label, unhandled
+from pytest_pafot.findings.finding import Expect, Finding, Found, replay_label, unhandled
 from pytest_pafot.findings.signature import SLOW_DECISION, Failure
 from pytest_pafot.findings.situation import Situation, missed, seconds_after
 from pytest_pafot.model.grid import Cell

@@ -57,7 +57,7 @@ atexit.register(dump)
     assert "hypothesis" not in names
     own = {name for name in names if name.startswith("pytest_pafot.report")}
     assert own == {"pytest_pafot.report", "pytest_pafot.report.terminal"}
-    assert "pytest_pafot.plugin.page_messages" not in names
+    assert "pytest_pafot.report.views" not in names
 
 
 def test_the_plugin_uses_no_private_names_of_pytest():

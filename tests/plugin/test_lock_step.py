@@ -4,7 +4,7 @@ import re
 
 import pytest
 
-from pytest_pafot.execution import prefetching
+from pytest_pafot.execution import runner
 
 PLANNERS = """
 import os
@@ -72,7 +72,7 @@ def test_lock_step_search_finds_the_same_files(project, in_highway_env):
     ],
 )
 def test_a_search_tells_once_why_workers_are_idle(project, ads, workers, notes, monkeypatch):
-    monkeypatch.setattr(prefetching, "DEAR", 60.0)  # then every run counts as fast, even on a busy machine
+    monkeypatch.setattr(runner, "DEAR", 60.0)  # then every run counts as fast, even on a busy machine
     project.write(PLANNERS + f"@pafot.search(SHORT, ads={ads})\ndef test_drives(run):\n    pass\n")
     text = " ".join(project.run(f"--pafot-workers={workers}", generations=3).stdout.str().split())
     told = [note.partition(" ==")[0] for note in text.split("note: --pafot-workers=2: ")[1:]]

@@ -29,6 +29,7 @@ from tests.helpers.sessions import read_record
 from tests.helpers.tables import table
 
 TEXTS = st.text(CHARACTERS, max_size=20)
+FIND = Find(id="a", node_id="test_it.py::x")
 COUNTS = st.dictionaries(TEXTS, st.integers(0, 9), max_size=3)
 SUMMARIES = st.builds(
     SearchSummary,
@@ -46,7 +47,7 @@ RECORDS = st.builds(
     versions=st.dictionaries(TEXTS, TEXTS, max_size=2),
     searches=st.lists(SUMMARIES, max_size=2),
     findings=st.lists(
-        findings().map(lambda each: FindingRecord.of(each, node_id="test_it.py::x", status="new", file=None)),
+        findings().map(lambda each: FindingRecord.of(each, FIND)),
         max_size=1,
     ),
     merged=st.lists(TEXTS, max_size=1),
@@ -74,8 +75,8 @@ def test_every_record_is_read_as_it_was_written(record):
 def test_finding_names_the_traffic_it_was_driven_in():
     scenario = replace(plain_finding().scenario, traffic=Traffic("everyday", least_gap=4))
     told, finding = "everyday traffic (least_gap 4)", plain_finding(scenario=scenario)
-    assert FindingRecord.of(finding, node_id="x", status="new", file=None).traffic == told
-    assert FindingRecord.of(plain_finding(), node_id="x", status="new", file=None).traffic == ""
+    assert FindingRecord.of(finding, FIND).traffic == told
+    assert FindingRecord.of(plain_finding(), FIND).traffic == ""
     view = finding_view(None, finding, node_id="x")
     assert f"<li>{told}</li>" in finding_article(view, 0)
     trace = Highway(duration=1.0).rollout(scenario, lambda: lambda observation: (0.0, 0.0))
@@ -94,12 +95,12 @@ def test_keys_are_sorted_and_include_the_version():
 
 def test_a_finding_tells_what_its_file_does():
     finding = plain_finding(xfail="issue 12", xfail_until=date(2027, 1, 31))
-    record = FindingRecord.of(finding, node_id="test_it.py::x[saved-a]", status="fixed", file="a b.pafot.yaml")
+    record = FindingRecord.of(finding, Find(id="a", node_id="x", label="fixed", path="a b.pafot.yaml"))
     expect = finding.expect
     assert (record.id, record.test, record.time) == (finding.id, finding.test, expect.time)
     assert (record.outcome, record.responsible, record.kind) == ("collision", "ego", finding.signature.slug)
     assert record.xfail == {"reason": "issue 12", "until": "2027-01-31"}
-    assert FindingRecord.of(plain_finding(), node_id="", status="new", file=None).xfail is None
+    assert FindingRecord.of(plain_finding(), FIND).xfail is None
 
 
 def test_no_duration_is_in_it():

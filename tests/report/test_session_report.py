@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import pytest
 
+from pytest_pafot.campaign.events import Find
 from pytest_pafot.campaign.options import BY_NAME
 from pytest_pafot.findings.severity import Severity
 from pytest_pafot.report.animation import AnimationError
@@ -74,14 +75,14 @@ def test_findings_are_sorted_by_novelty_fault_and_severity(told):
 def test_telling_a_finding_again_replaces_what_was_told():
     draft = Draft(target="x")
     for label in ("new", "new (flaky: the outcome)"):
-        draft.take({}, shown(label=label), None)
+        draft.take(finding=shown(label=label))
     assert [finding.label for finding in draft.findings.values()] == ["new (flaky: the outcome)"]
 
 
 def test_facts_include_interrupt_replay_labels_and_versions():
     draft = Draft(target="x")
     for label in ("fixed", "still failing", "fixed"):
-        draft.take({"replayed": label}, None, None)
+        draft.take(Find(id="a", node_id="t", label=label))
     facts = dict(report_of(draft, is_interrupted=True).facts)
     assert facts["session"] == "interrupted; this report has what ran before that"
     assert facts["replayed"] == "3 saved scenarios: 2 fixed, 1 still failing"
@@ -125,7 +126,7 @@ MANY = [shown(f"{'ab'[number % 2]}{number}", closing=float(number % 37)) for num
 def test_worst_findings_are_whole_and_all_others_rows():
     draft = Draft(target="x")
     for each in MANY:
-        draft.take({}, each, None)
+        draft.take(finding=each)
     report = report_of(draft, draft.findings.values())
     assert len(report.findings) == WHOLE
     assert {each.node_id for each in (*report.findings, *report.further)} == {each.node_id for each in MANY}
@@ -155,7 +156,7 @@ def test_row_has_what_file_and_command_of_its_finding():
 
 def test_whole_finding_has_the_runs_and_label_of_the_end():
     draft = Draft(target="x")
-    draft.take({}, shown(runs=1), None)
+    draft.take(finding=shown(runs=1))
     (stored,) = draft.findings.values()
     (finding,) = report_of(draft, [replace(stored, runs=8, label="flaky")]).findings
     assert finding == shown(runs=8, label="flaky")

@@ -14,7 +14,7 @@ from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.scenario import PositionInstruction, Scenario
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.report import terminal
-from pytest_pafot.report.terminal import ReplaySummary, SessionSummary
+from pytest_pafot.report.terminal import SessionSummary
 from pytest_pafot.searching.plain import from_plain, plain
 from pytest_pafot.support.text import wrapped_to
 from tests.findings.builders import plain_finding
@@ -27,6 +27,13 @@ FIND = Find(
     path="tests/pafot_corpus/test_safety/test_it/front-2-1f3a9c.pafot.yaml",
     repeats=17,
 )
+
+
+def replay(name, label, **more):
+    """Return what a session saw of a saved scenario."""
+    return Find(**{"id": name, "node_id": f"t[{name}]", "label": label} | more)
+
+
 SEARCH = SearchSummary(
     algorithm="pafot",
     node_id="tests/test_safety.py::test_it[search]",
@@ -91,9 +98,9 @@ def test_failures_are_listed_new_first_then_worst_first():
         replace(FIND, id="fast", severity=replace(hit, value=12.1), responsible="npc"),
     ]
     replays = [
-        ReplaySummary(node_id="t[a]", label="fixed"),
-        ReplaySummary(node_id="t[b]", label="still failing", id="known", severity=replace(hit, value=30.0)),
-        ReplaySummary(node_id="t[c]", label="introduced", id="mine", severity=hit, responsible="ego"),
+        replay("a", "fixed"),
+        replay("b", "still failing", id="known", headline="hit", severity=replace(hit, value=30.0)),
+        replay("c", "introduced", id="mine", headline="hit", severity=hit, responsible="ego"),
     ]
     session = SessionSummary(searches=[replace(SEARCH, finds=tuple(finds))], replays=replays)
     assert terminal.worst_lines(session) == [
@@ -113,7 +120,7 @@ def test_a_search_survives_the_way_through_plain_data():
 
 def test_the_summary_of_a_session_reads_so(snapshot):
     flaky = replace(FIND, id="rear-6-222222", difference="running it again gave a different run", repeats=0)
-    lost = replace(FIND, id="left-8-333333", path="", problem="read-only file system")
+    lost = replace(FIND, id="left-8-333333", path="", detail="read-only file system")
     other = replace(
         SEARCH, node_id="tests/test_safety.py::test_other[search]", finds=(flaky, lost), unsaved={"front-2-aaaaaa": 3},
         shrink_runs=49, known={}, warnings=(), notes=(),
@@ -122,9 +129,9 @@ def test_the_summary_of_a_session_reads_so(snapshot):
         searches=[SEARCH, other],
         again="pytest FILE",
         replays=[
-            ReplaySummary(node_id="t[saved-a]", label="fixed"),
-            ReplaySummary(node_id="t[saved-b]", label="still failing"),
-            ReplaySummary(node_id="t[saved-c]", label="drifted", detail="numpy 1 then, 2 now"),
+            replay("saved-a", "fixed"),
+            replay("saved-b", "still failing"),
+            replay("saved-c", "drifted", detail="numpy 1 then, 2 now"),
         ],
         orphans=[
             ("corpus/test_a", ["a.pafot.yaml", "b.pafot.yaml"], "expected the test t.py::test_a, received no file t.py")
@@ -183,7 +190,7 @@ def test_the_failure_of_a_search_reads_so(snapshot):
 
 
 def test_the_section_of_a_find_reads_so(snapshot):
-    find = replace(FIND, path="", problem="read-only file system", is_timed=True)
+    find = replace(FIND, path="", detail="read-only file system", is_timed=True)
     explanation = "E     At 0.9 s the ego was 42.7 m (safe: 48.4 m) behind NPC 0, which was 9.9 m/s slower."
     text = terminal.find_section(
         find, explanation=explanation, advice="run it again", content="pafot: 1\ntest: t\n",
@@ -244,9 +251,9 @@ def test_finding_has_remark_when_reader_needs_it(flags, remark):
 
 def test_replays_are_counted_by_label_and_partly_listed():
     replays = [
-        ReplaySummary(node_id="t[saved-a]", label="fixed"),
-        ReplaySummary(node_id="t[saved-b]", label="still failing"),
-        ReplaySummary(node_id="t[saved-c]", label="drifted", detail="numpy 1 then, 2 now"),
+        replay("saved-a", "fixed"),
+        replay("saved-b", "still failing"),
+        replay("saved-c", "drifted", detail="numpy 1 then, 2 now"),
     ]
     assert terminal.replay_lines(replays) == [
         "replayed 3 saved scenarios: 1 drifted, 1 fixed, 1 still failing",
@@ -274,7 +281,7 @@ def test_what_is_no_ascii_is_escaped():
 
 def test_unsaved_finding_says_at_once_why():
     saved = Find(id="a", node_id="t", headline="h", path="p")
-    lost = replace(saved, path="", problem="p")
+    lost = replace(saved, path="", detail="p")
     assert terminal.found_lines(saved) == ["pafot: found t", "  h"]
     assert terminal.found_lines(lost) == ["pafot: found t", "  h", "  not saved: p"]
 

@@ -68,7 +68,7 @@ def test_visible_text_is_one_harmless_line(text, width):
 
 @given(TEXTS, TEXTS, WIDTHS)
 def test_no_line_of_the_terminal_is_obeyed(text, other, width):
-    find = Find(id="a", node_id=text, headline=other, path=text, problem=other, difference=text)
+    find = Find(id="a", node_id=text, headline=other, path=text, detail=other, difference=text)
     search = SearchSummary(
         node_id=text, generations=1, runs=3, seconds=1.0, failing=1, finds=[find], known={text: 1}, rejected=0,
         skipped=0, no_interaction=0, invalid=0, algorithm=other, seed=1, base_seed=1, profile="ci", reason=text,
@@ -76,7 +76,7 @@ def test_no_line_of_the_terminal_is_obeyed(text, other, width):
     )  # fmt: skip
     session = terminal.SessionSummary(
         searches=[search],
-        replays=[terminal.ReplaySummary(node_id=text, label="drifted", detail=other, against=text)],
+        replays=[Find(id=text, headline=text, node_id=text, label="drifted", detail=other, against=text)],
         orphans=[(text, [text], other)], way_out=other, strays=[(text, other)], unmerged=[(other, text)],
         problems=[text], written=[visible(text)], interrupted=[text], warnings=[text], notes=[text],
     )  # fmt: skip

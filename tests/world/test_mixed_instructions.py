@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from pytest_pafot import Highway, strategies
 from pytest_pafot.execution.runner import DecisionCache
-from pytest_pafot.findings.replay import disagreement
+from pytest_pafot.findings.finding import disagreement
 from pytest_pafot.model.driving_style import Traffic
 from pytest_pafot.model.scenario import CrossingInstruction, LaneInstruction, PositionInstruction, Scenario
 from pytest_pafot.model.trace import LANE, Outcome, Y

@@ -8,7 +8,7 @@ import pytest
 from highway_env.vehicle.behavior import IDMVehicle
 from highway_env.vehicle.kinematics import Vehicle
 
-from pytest_pafot.findings.replay import disagreement
+from pytest_pafot.findings.finding import disagreement
 from pytest_pafot.model.scenario import PositionInstruction, Scenario
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.oracle.run import Run

@@ -16,7 +16,7 @@ from highway_env.vehicle.behavior import IDMVehicle
 from highway_env.vehicle.controller import ControlledVehicle
 
 from pytest_pafot import criticality
-from pytest_pafot.findings.replay import disagreement
+from pytest_pafot.findings.finding import disagreement
 from pytest_pafot.model.driving_style import STYLES, Traffic
 from pytest_pafot.model.scenario import LaneInstruction, PositionInstruction, Scenario, ScenarioError
 from pytest_pafot.model.trace import ACCELERATION, ACROSS, ALONG, HEADING, LANE, OFFSET, SPEED, Outcome, Y
