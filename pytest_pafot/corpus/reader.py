@@ -84,14 +84,24 @@ MARKS: Mapping[str, type] = MappingProxyType(
 """The keys that tell the dataclasses of a union apart; the first of them decides. Without any, it is the union's first
 dataclass."""
 
-types_of = cache(get_type_hints)
-
 Read = Callable[[Field], Any]
+"""A function that reads a value; it raises a CorpusError for a value that does not fit."""
+
 T = TypeVar("T")
+
+types_of = cache(get_type_hints)
+_OUTCOMES = tuple(str(outcome) for outcome in Outcome if outcome is not Outcome.INVALID)
+_SIMPLE: Mapping[Any, Read] = MappingProxyType(
+    {
+        str: Field.text,
+        bool: Field.truth,
+        Cell: lambda field: Cell(field.whole(1, 8)),
+        Outcome: lambda field: Outcome(field.choice(_OUTCOMES)),
+    }
+)
 
 MAX_RECEIVED = 300
 _SCENARIO_FIELDS = {"seed": ("seed",), "ego_lane": ("ego", "lane"), "ego_speed": ("ego", "speed")}
-_OUTCOMES = tuple(str(outcome) for outcome in Outcome if outcome is not Outcome.INVALID)
 
 
 def load(path: str | os.PathLike[str]) -> Finding:
@@ -214,7 +224,8 @@ def _world(field: Field) -> dict[str, Any]:
 @cache
 def _keys_of(kind: Any) -> Keys:
     """Return the keys of the mapping that holds a dataclass, in the order in which errors list them."""
-    required, optional = list[str](), list[str]()
+    required: list[str] = []
+    optional: list[str] = []
     for each in fields_of(kind):
         has_default = each.default is not MISSING or each.default_factory is not MISSING
         (optional if has_default and each.name not in REQUIRED.get(kind, ()) else required).append(each.name)
@@ -227,8 +238,9 @@ def _record(field: Field, kind: Callable[..., T], **own: Read) -> T:
     A value is read by the function in ``own`` with the name of its key, which also applies to dataclasses inside. Any
     other value is read as the type of its field says.
     """
-    keys, types, fields = _keys_of(kind), types_of(kind), field.mapping(_keys_of(kind))
-    values = {
+    keys, types = _keys_of(kind), types_of(kind)
+    fields = field.mapping(keys)
+    values = {  # in the order of the keys, so that a function in ``own`` can rely on the values before its own
         key: own[key](fields[key]) if key in own else _value(fields[key], types[key], own)
         for key in (*keys.required, *keys.optional)
         if key in fields
@@ -296,16 +308,6 @@ def _traffic(field: Field) -> Traffic:
         expected = f"{one_of(STYLES)}, or a mapping with a style and parts"
         raise field.error(expected, "write such as `everyday`, or `{style: everyday, least_gap: 4.0}`")
     return _record(field, Traffic)
-
-
-_SIMPLE: Mapping[Any, Read] = MappingProxyType(
-    {
-        str: Field.text,
-        bool: Field.truth,
-        Cell: lambda field: Cell(field.whole(1, 8)),
-        Outcome: lambda field: Outcome(field.choice(_OUTCOMES)),
-    }
-)
 
 
 def _rule_broken(field: Field, error: Exception) -> CorpusError:
