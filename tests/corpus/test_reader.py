@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pytest_pafot.corpus import yaml_document
-from pytest_pafot.corpus.file_format import text_of
 from pytest_pafot.corpus.reader import load, located, parsed
+from pytest_pafot.corpus.writer import text_of
 from pytest_pafot.findings.finding import Perceived
 from pytest_pafot.findings.shrink import Shrunk, SpeedInterval
 from pytest_pafot.model.scenario import Scenario, ScenarioError
