@@ -12,13 +12,15 @@ from dataclasses import dataclass
 from typing import Any
 
 from pytest_pafot.campaign.verdict import PlainFailure, Verdict, assertions
-from pytest_pafot.findings.finding import Cause, first_decision_cause
 from pytest_pafot.model.trace import Trace
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.world.driving.ads import is_vehicle_class
 from pytest_pafot.world.kernel.action import Drive, possible_acceleration, possible_steering
 from pytest_pafot.world.limits import TOP_SPEED
 from pytest_pafot.world.protocol import first_decision
+
+Cause = tuple[str, str]
+"""The class of an exception, and where it was raised."""
 
 NO_STEERING = math.pi / 2
 """A steering angle beyond which the units of an action are doubtful [rad]: no car reaches it."""
@@ -118,7 +120,12 @@ def cause_of(run: Run, verdict: Verdict) -> Cause | None:
     failure = verdict.failure
     if failure is None or failure.kind == AssertionError.__name__ or isinstance(verdict.exception, assertions()):
         return None
-    return first_decision_cause(run.ads_error) if verdict.is_ads else (failure.kind, failure.assertion)
+    if not verdict.is_ads:
+        return failure.kind, failure.assertion
+    error = run.ads_error
+    if error is None or error.tick > 0 or error.interrupted:
+        return None
+    return error.kind, next((line for line in reversed(error.traceback.splitlines()) if "File " in line), "")
 
 
 def unit_doubt(trace: Trace) -> str:

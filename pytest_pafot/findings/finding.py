@@ -33,7 +33,7 @@ from pytest_pafot.findings.situation import BEFORE, Situation, ZoneSituation, mi
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.sight import Sight
-from pytest_pafot.model.trace import AdsError, Outcome, Side, Trace, Y
+from pytest_pafot.model.trace import Outcome, Side, Trace, Y
 from pytest_pafot.oracle.checks import Check, CheckFailed
 from pytest_pafot.oracle.run import ReferenceOutcome, Run, preventing
 from pytest_pafot.support.errors import plain_number
@@ -442,17 +442,6 @@ def ads_failure(run: Run) -> Failure | None:
         message = f"a decision took {run.max_decision_time:.3f} s, allowed are {run.decision_limit:g} s"
         return Failure(kind=SLOW_DECISION, message=message)
     return None
-
-
-Cause = tuple[str, str]
-"""The class of an exception, and where it was raised."""
-
-
-def first_decision_cause(error: AdsError | None) -> Cause | None:
-    """Return why an ADS raised at its first decision; None if the first decision succeeded, or the ADS hung."""
-    if error is None or error.tick > 0 or error.interrupted:
-        return None
-    return error.kind, next((line for line in reversed(error.traceback.splitlines()) if "File " in line), "")
 
 
 def raised_failure(exception: BaseException, test_file: str) -> Failure:

@@ -13,13 +13,13 @@ from pytest_pafot.campaign.events import Find
 from pytest_pafot.campaign.recorder import cause
 from pytest_pafot.campaign.replays import BESIDE, FLAKY, Replays, happened, was_lost
 from pytest_pafot.campaign.request import Request
-from pytest_pafot.campaign.setup_fault import SetupFaultError, cause_of
+from pytest_pafot.campaign.setup_fault import Cause, SetupFaultError, cause_of
 from pytest_pafot.campaign.verdict import Verdict, headline
 from pytest_pafot.corpus.layout import relative
 from pytest_pafot.corpus.saved import Saved
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.execution.scenario_pool import LostRun
-from pytest_pafot.findings.finding import Cause, Finding, of_failure, unhandled
+from pytest_pafot.findings.finding import Finding, of_failure, unhandled
 from pytest_pafot.findings.severity import worsening
 from pytest_pafot.oracle.checks import CheckFailed
 from pytest_pafot.oracle.run import Run
