@@ -160,13 +160,11 @@ def _scenario_lines(key: str, scenario: Scenario) -> Iterator[str]:
 
 def _expect_lines(expect: Expect) -> Iterator[str]:
     """Yield the lines of ``expect``: a flow mapping in braces, or a block if one of its texts has several lines."""
-    values = asdict(expect)
+    values = asdict(expect)  # in the order of the dataclass
     if expect.check is not None:
         values["check"] = {name: value for name, value in values["check"].items() if value not in (None, "")}
-    for last in ("situation", "traceback"):
+    for last in ("situation", "traceback"):  # the longest ones
         values[last] = values.pop(last)
-    first = ("failure", "assertion", "check", "message", "outcome", "time", "npc", "cell", "zone", "side")
-    values = {name: values[name] for name in (*first, "responsibility", *values)}
     entries = {name: value for name, value in values.items() if value not in (None, "", {}) or name == "failure"}
     if not any(isinstance(value, str) and "\n" in value for value in entries.values()):
         yield from _filled("expect: ", entries)

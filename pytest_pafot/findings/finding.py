@@ -93,6 +93,8 @@ class Bounded:
 class Expect:
     """The expected result of running the scenario while the failure is not fixed.
 
+    A corpus file has the fields in this order.
+
     Attributes:
         failure: name of the exception class.
         assertion: the assertion, normalised as in :class:`~pytest_pafot.findings.signature.Signature`.
@@ -127,11 +129,11 @@ class Expect:
     """
 
     failure: str
-    outcome: Outcome
-    time: float
     assertion: str = ""
     check: Bounded | None = None
     message: str = ""
+    outcome: Outcome
+    time: float
     npc: int | None = None
     cell: Cell | None = None
     zone: str | None = None

@@ -650,6 +650,21 @@ def test_error_in_a_later_section_names_its_field(path, old, new, field):
     assert fault(path, text_of(SHRUNK).replace(old, new)).field == field
 
 
+@pytest.mark.parametrize(
+    ("left_out", "key", "field"),
+    [
+        ("responsibility: ego, ", "responsibility", "expect"),
+        (",\n        versions: {pytest-pafot: 0.1.0, highway-env: 1.12.1, numpy: 2.4.6}", "versions", "found"),
+        ("is_minimal: false, ", "is_minimal", "shrunk"),
+        (", speeds: [{npc: 0, gene: 1, low: 3.0, high: 11.2}]", "speeds", "shrunk"),
+    ],
+)
+def test_key_with_a_default_only_in_code_is_required(path, left_out, key, field):
+    assert text_of(SHRUNK).count(left_out) == 1
+    error = fault(path, text_of(SHRUNK).replace(left_out, ""))
+    assert (error.field, error.expected) == (field, f"the key '{key}'")
+
+
 @pytest.mark.parametrize("received", ["[]", "3", "null"])
 def test_invalid_traffic_error_shows_both_valid_forms(path, received):
     error = fault(path, TEXT.replace("seed: 7", f"seed: 7\n  traffic: {received}"))
