@@ -19,7 +19,7 @@ from pytest_pafot.__main__ import main
 from pytest_pafot.campaign.options import BY_NAME, OPTIONS
 from pytest_pafot.commands.search_command import add_arguments
 from pytest_pafot.export.exporter import EXTRAS
-from pytest_pafot.support.ways_out import OF_SEARCH, command, flag, install, page, rerun
+from pytest_pafot.support.errors import OF_SEARCH, command, flag, install, page, rerun
 
 ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "pytest_pafot"
@@ -61,7 +61,7 @@ def calls(name):
 def test_messages_name_ways_out_only_by_the_functions():
     texts = [(place, text) for place, is_document, text in facts().texts if not is_document]
     found = [(place, said) for place, text in texts for said in SAID.findall(text)]
-    assert {place for place, _ in found} == {"__main__.py", "campaign/options.py", "support/ways_out.py"}
+    assert {place for place, _ in found} == {"__main__.py", "campaign/options.py", "support/errors.py"}
     assert [said for place, said in found if place == "__main__.py"] == ["python -m pytest"]  # the name of the program
     flags = {option.flag for option in OPTIONS}
     assert {said for place, said in found if place == "campaign/options.py"} <= flags  # the help of options

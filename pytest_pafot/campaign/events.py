@@ -11,8 +11,8 @@ from pytest_pafot.findings.finding import Finding
 from pytest_pafot.findings.severity import Severity
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.searching.events import Event
+from pytest_pafot.support.errors import flag
 from pytest_pafot.support.text import ascii_text
-from pytest_pafot.support.ways_out import flag
 
 # Reports of a search: its progress, each new finding, and its summary.
 #

@@ -22,10 +22,9 @@ from pytest_pafot.corpus.layout import folder_of_test, link_below
 from pytest_pafot.corpus.saved import refusal
 from pytest_pafot.findings.finding import Finding
 from pytest_pafot.oracle.run import Run
-from pytest_pafot.support.errors import RequestError
+from pytest_pafot.support.errors import RequestError, command
 from pytest_pafot.support.shown import Shown
 from pytest_pafot.support.versions import installed_versions
-from pytest_pafot.support.ways_out import command
 from pytest_pafot.world import Highway
 from pytest_pafot.world.driving.ads import AdsFactory
 

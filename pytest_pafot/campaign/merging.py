@@ -18,9 +18,8 @@ from pytest_pafot.execution.scenario_pool import expectation
 from pytest_pafot.findings.finding import Finding, of_failure
 from pytest_pafot.findings.shrink import sort_key
 from pytest_pafot.findings.signature import Signature
-from pytest_pafot.support.errors import RequestError
+from pytest_pafot.support.errors import RequestError, flag
 from pytest_pafot.support.text import plural, visible
-from pytest_pafot.support.ways_out import flag
 
 # The result of merging the corpora of several machines is the simplest finding of each kind.
 #

@@ -15,8 +15,7 @@ from pathlib import Path, PurePath
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 from pytest_pafot.corpus.layout import CORPUS
-from pytest_pafot.support.errors import RequestError
-from pytest_pafot.support.ways_out import flag
+from pytest_pafot.support.errors import RequestError, flag
 
 if TYPE_CHECKING:
     from pytest_pafot.searching.ask_tell import Algorithm

@@ -23,8 +23,7 @@ from pytest_pafot.findings.signature import PROCESS_CRASH
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.oracle.run import Run
-from pytest_pafot.support.errors import OutOfTime
-from pytest_pafot.support.ways_out import flag
+from pytest_pafot.support.errors import OutOfTime, flag
 from pytest_pafot.world import codec
 from pytest_pafot.world.driving.ads import weights_digest
 from pytest_pafot.world.driving.perception import sight_of

@@ -18,10 +18,9 @@ from pytest_pafot.searching.algorithms.catalogue import AlgorithmClass, resolve_
 from pytest_pafot.searching.ask_tell import Algorithm
 from pytest_pafot.searching.fitness import Weights
 from pytest_pafot.searching.space import MOST_ON_GRID, SearchSpace, sample, space_on
-from pytest_pafot.support.errors import RequestError, plain_number
+from pytest_pafot.support.errors import RequestError, flag, plain_number
 from pytest_pafot.support.references import factory_named
 from pytest_pafot.support.text import shown
-from pytest_pafot.support.ways_out import flag
 from pytest_pafot.world import Highway, World, WorldError, protocol
 from pytest_pafot.world.driving.ads import hint_at_object
 from pytest_pafot.world.validation import OTHER_KIND

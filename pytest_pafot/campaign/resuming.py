@@ -24,11 +24,10 @@ from pytest_pafot.searching.ask_tell import Algorithm, ResumableSearch
 from pytest_pafot.searching.campaign import Checkpoint
 from pytest_pafot.searching.events import Evaluated
 from pytest_pafot.searching.space import SearchSpace
-from pytest_pafot.support.errors import RequestError
+from pytest_pafot.support.errors import RequestError, flag
 from pytest_pafot.support.references import referred_to
 from pytest_pafot.support.source_files import source_digests
 from pytest_pafot.support.text import plural
-from pytest_pafot.support.ways_out import flag
 from pytest_pafot.world import codec
 from pytest_pafot.world.driving.ads import weights_digest
 from pytest_pafot.world.driving.perception import sight_of

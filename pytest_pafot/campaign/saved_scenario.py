@@ -11,10 +11,9 @@ from pytest_pafot.corpus import reader
 from pytest_pafot.findings.finding import Expect, Finding, is_same_event
 from pytest_pafot.model.scenario import Scenario, ScenarioError
 from pytest_pafot.oracle.run import Run
-from pytest_pafot.support.errors import CorpusError
+from pytest_pafot.support.errors import CorpusError, command
 from pytest_pafot.support.shown import Shown
 from pytest_pafot.support.text import visible
-from pytest_pafot.support.ways_out import command
 from pytest_pafot.world import WorldError, WorldLike, codec, protocol
 from pytest_pafot.world.driving.ads import AdsFactory
 from pytest_pafot.world.guard.own_worlds import rollout_of

@@ -36,8 +36,7 @@ from pytest_pafot.searching import run_campaign
 from pytest_pafot.searching.ask_tell import Algorithm
 from pytest_pafot.searching.campaign import CheckpointError
 from pytest_pafot.searching.fitness import FitnessError, is_built_in, resolve
-from pytest_pafot.support.errors import OutOfTime, RequestError
-from pytest_pafot.support.ways_out import flag
+from pytest_pafot.support.errors import OutOfTime, RequestError, flag
 from pytest_pafot.world import WorldError, codec, protocol
 from pytest_pafot.world.driving.ads import loading_hint
 from pytest_pafot.world.driving.perception import sight_of

@@ -28,9 +28,8 @@ from pytest_pafot.searching.evaluation import Evaluation, Remembered
 from pytest_pafot.searching.events import CampaignFinished
 from pytest_pafot.searching.health import Health
 from pytest_pafot.searching.plain import from_plain, plain
-from pytest_pafot.support.errors import FieldError, RequestError
+from pytest_pafot.support.errors import FieldError, RequestError, flag
 from pytest_pafot.support.files import hold, open_regular, way_out, write_whole
-from pytest_pafot.support.ways_out import flag
 from pytest_pafot.world import codec
 
 VERSION = 4

@@ -19,10 +19,9 @@ from pytest_pafot.campaign.saved_scenario import load
 from pytest_pafot.commands.history import History, copied, halved, inside
 from pytest_pafot.corpus.saved import named_file
 from pytest_pafot.execution.revision_policy import mapped
-from pytest_pafot.support.errors import RequestError
+from pytest_pafot.support.errors import RequestError, command
 from pytest_pafot.support.interrupts import undisturbed
 from pytest_pafot.support.text import one_line, plural, visible
-from pytest_pafot.support.ways_out import command
 
 TOLD = "PYTEST_PAFOT_BISECT"
 """The environment variable that passes paths to the pytest session in which a commit is tried."""

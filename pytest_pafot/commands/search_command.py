@@ -24,11 +24,10 @@ from pytest_pafot.campaign.request import BLAMES
 from pytest_pafot.commands.policy_reference import ABOUT_POLICIES, BAD_USE, ads_factory, check_function, whole_name
 from pytest_pafot.corpus.layout import CORPUS, files_below
 from pytest_pafot.model.driving_style import STYLES
-from pytest_pafot.support.errors import RequestError
+from pytest_pafot.support.errors import OF_SEARCH, RequestError, flag
 from pytest_pafot.support.files import way_out, write_if_free
 from pytest_pafot.support.interrupts import Ended, undisturbed
 from pytest_pafot.support.text import one_line, visible
-from pytest_pafot.support.ways_out import OF_SEARCH, flag
 
 CONFTEST, TEST = "conftest.py", "test_safety.py"
 PAGE = "pafot.html"

@@ -19,9 +19,8 @@ from pytest_pafot.model.driving_style import STYLES
 from pytest_pafot.model.scenario import PAPER_SPEED_LIMIT
 from pytest_pafot.searching.algorithms.catalogue import ALGORITHMS
 from pytest_pafot.searching.space import space_on
-from pytest_pafot.support.errors import RequestError
+from pytest_pafot.support.errors import RequestError, install
 from pytest_pafot.support.files import write_whole
-from pytest_pafot.support.ways_out import install
 from pytest_pafot.world import Highway, World
 from pytest_pafot.world.protocol import road_start
 

@@ -8,9 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from pytest_pafot.corpus.layout import SUFFIX, files_below, files_in
-from pytest_pafot.support.errors import CorpusError
+from pytest_pafot.support.errors import CorpusError, command
 from pytest_pafot.support.text import visible
-from pytest_pafot.support.ways_out import command
 
 if TYPE_CHECKING:  # sessions without saved scenarios do not import findings
     from pytest_pafot.findings.finding import Finding

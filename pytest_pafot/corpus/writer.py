@@ -21,9 +21,8 @@ from pytest_pafot.corpus.yaml_document import MAX_BYTES, VERSION
 from pytest_pafot.findings.finding import Expect, Finding
 from pytest_pafot.model.driving_style import PAPERS
 from pytest_pafot.model.scenario import PositionInstruction, Scenario
-from pytest_pafot.support.errors import CorpusError
+from pytest_pafot.support.errors import CorpusError, flag
 from pytest_pafot.support.files import way_out, write_if_free, write_whole
-from pytest_pafot.support.ways_out import flag
 
 
 class CorpusWriteError(RuntimeError):

@@ -45,13 +45,12 @@ from pytest_pafot.findings.severity import WORSE_BY, worsening
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.searching.space import sample, space_on
-from pytest_pafot.support.errors import RequestError
+from pytest_pafot.support.errors import RequestError, command
 from pytest_pafot.support.files import way_out, write_whole
 from pytest_pafot.support.proportions import difference, holm, mcnemar
 from pytest_pafot.support.references import described
 from pytest_pafot.support.text import ascii_text, csv_text, markdown_table, plural
 from pytest_pafot.support.versions import installed_versions
-from pytest_pafot.support.ways_out import command
 from pytest_pafot.world import AdsFactoryError, Highway, World, WorldError
 from pytest_pafot.world.protocol import first_decision, reference_world, road_start
 

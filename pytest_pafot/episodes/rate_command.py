@@ -22,12 +22,11 @@ from pytest_pafot.model.trace import Outcome
 from pytest_pafot.report.animation import AnimationError, animate
 from pytest_pafot.report.page_data import EventView, FindingView, LaneView, RoadView, VehicleView
 from pytest_pafot.report.views import FRAMES_PER_SECOND
-from pytest_pafot.support.errors import RequestError
+from pytest_pafot.support.errors import RequestError, command
 from pytest_pafot.support.files import write_whole
 from pytest_pafot.support.proportions import CONFIDENCE, interval, percent
 from pytest_pafot.support.text import capitalised, markdown_table, plural, quiet_json
 from pytest_pafot.support.versions import installed_versions
-from pytest_pafot.support.ways_out import command
 from pytest_pafot.world.driving.ads import loading_hint
 
 if TYPE_CHECKING:

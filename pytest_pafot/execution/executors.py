@@ -38,8 +38,8 @@ from pytest_pafot.execution.scenario_pool import (
     timed,
 )
 from pytest_pafot.model.scenario import Scenario
+from pytest_pafot.support.errors import flag, install
 from pytest_pafot.support.versions import installed_versions
-from pytest_pafot.support.ways_out import flag, install
 from pytest_pafot.world import protocol
 from pytest_pafot.world.guard.hang_guard import check_time
 

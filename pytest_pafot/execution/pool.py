@@ -28,8 +28,7 @@ from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from typing import Any, Generic, Self, TypeAlias, TypeVar
 
-from pytest_pafot.support.errors import OutOfTime
-from pytest_pafot.support.ways_out import flag
+from pytest_pafot.support.errors import OutOfTime, flag
 from pytest_pafot.world.guard.hang_guard import LastResort, check_time, last_resort
 
 TaskT = TypeVar("TaskT", bound=Hashable)

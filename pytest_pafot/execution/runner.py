@@ -38,8 +38,8 @@ from pytest_pafot.execution.scenario_pool import (
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Outcome, Trace
 from pytest_pafot.searching.evaluation import Chains, plain_chains
+from pytest_pafot.support.errors import flag
 from pytest_pafot.support.text import plural
-from pytest_pafot.support.ways_out import flag
 from pytest_pafot.world import Highway, protocol
 from pytest_pafot.world.driving.ads import is_vehicle_class, wants_env
 from pytest_pafot.world.guard.own_worlds import rollout_of, simulate_batch

@@ -11,8 +11,7 @@ import numpy as np
 
 from pytest_pafot.findings.finding import Finding
 from pytest_pafot.model.trace import HEADING, STEERING, FloatArray, Lane, Trace, Y
-from pytest_pafot.support.errors import FieldError
-from pytest_pafot.support.ways_out import install
+from pytest_pafot.support.errors import FieldError, install
 
 # A trace in the coordinates of the formats: x ahead, y to the left, headings anticlockwise.
 

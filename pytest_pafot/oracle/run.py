@@ -44,10 +44,9 @@ from pytest_pafot.model.trace import (
     Outcome,
     Trace,
 )
-from pytest_pafot.support.errors import driven_by
+from pytest_pafot.support.errors import driven_by, install
 from pytest_pafot.support.shown import Shown
 from pytest_pafot.support.text import ascii_text
-from pytest_pafot.support.ways_out import install
 
 if TYPE_CHECKING:
     from pandas import DataFrame

@@ -20,7 +20,7 @@ from pytest_pafot.oracle.run import Run
 from pytest_pafot.plugin import messages
 from pytest_pafot.plugin.session_records import is_asked_for
 from pytest_pafot.searching.plain import plain
-from pytest_pafot.support.ways_out import rerun
+from pytest_pafot.support.errors import rerun
 
 
 def is_on_page(config: pytest.Config, settings: Settings) -> bool:

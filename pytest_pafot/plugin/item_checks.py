@@ -18,9 +18,8 @@ from pytest_pafot.plugin.messages import set_of_saved
 from pytest_pafot.plugin.node_ids import SEARCH_PART, base_id
 from pytest_pafot.plugin.option_sources import request_of_mark
 from pytest_pafot.plugin.session import SHARED, records_folder
-from pytest_pafot.support.errors import RequestError
+from pytest_pafot.support.errors import RequestError, flag
 from pytest_pafot.support.text import wrapped_to
-from pytest_pafot.support.ways_out import flag
 
 REQUEST: pytest.StashKey[Request] = pytest.StashKey()
 

@@ -30,8 +30,8 @@ from pytest_pafot.corpus.layout import (
 )
 from pytest_pafot.corpus.saved import Saved, saved_in
 from pytest_pafot.plugin.option_sources import option_value
+from pytest_pafot.support.errors import command
 from pytest_pafot.support.text import plural, visible
-from pytest_pafot.support.ways_out import command
 
 # Only a node id matches: the name is also printed for broken files, and a broken file may contain anything.
 _TEST_LINE = re.compile(rb"^test:[ \t]*([^\n:]*\.py::[^\n]+?)\s*$", re.MULTILINE)

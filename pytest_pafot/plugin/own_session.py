@@ -23,8 +23,7 @@ from pytest_pafot.execution.scenario_pool import Job
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.plugin.session import HERE, is_worker
 from pytest_pafot.plugin.terminal_reporter import uncaptured
-from pytest_pafot.support.errors import RequestError
-from pytest_pafot.support.ways_out import flag
+from pytest_pafot.support.errors import RequestError, flag
 from pytest_pafot.world.guard.hang_guard import LastResort, last_resort
 
 # The end of a session whose ADS ignores interrupts: the findings so far are reported, and the process ends.

@@ -30,8 +30,8 @@ from pytest_pafot.plugin.messages import OF_ONE_RUN, set_properties, severity_te
 from pytest_pafot.plugin.own_session import replay_in_own_session
 from pytest_pafot.plugin.search_item import harness_of, shown
 from pytest_pafot.plugin.session import SHARED
+from pytest_pafot.support.errors import flag
 from pytest_pafot.support.text import ascii_text, fitted_lines, visible
-from pytest_pafot.support.ways_out import flag
 
 SET_UP_FAULTS = pytest.StashKey[dict[tuple[str, Cause], str]]()
 """The node id of the item that has explained an error of the set-up, by test and cause."""

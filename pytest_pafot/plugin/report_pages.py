@@ -17,7 +17,7 @@ from pytest_pafot.campaign.options import BY_NAME, is_page_file
 from pytest_pafot.plugin import messages
 from pytest_pafot.plugin.marks import SEARCH_MARK
 from pytest_pafot.plugin.session import SUMMARY_LINES, exit_code, not_written
-from pytest_pafot.support.ways_out import flag, rerun
+from pytest_pafot.support.errors import flag, rerun
 
 if TYPE_CHECKING:
     from pytest_pafot.report.page import Draft

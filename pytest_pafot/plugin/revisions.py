@@ -21,9 +21,8 @@ from pytest_pafot.execution.revision_policy import RevisionError, RevisionPolicy
 from pytest_pafot.plugin import messages
 from pytest_pafot.plugin.node_ids import base_id, qualified_name
 from pytest_pafot.searching.space import sample
-from pytest_pafot.support.errors import OutOfTime, RequestError
+from pytest_pafot.support.errors import OutOfTime, RequestError, flag
 from pytest_pafot.support.source_files import source_digests
-from pytest_pafot.support.ways_out import flag
 
 REVISIONS: pytest.StashKey[Revisions] = pytest.StashKey()
 COPY = flag("copy")

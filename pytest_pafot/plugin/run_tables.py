@@ -23,7 +23,7 @@ import pytest
 from pytest_pafot.campaign.options import BY_NAME
 from pytest_pafot.plugin import messages
 from pytest_pafot.plugin.session import SUMMARY_LINES, not_written
-from pytest_pafot.support.ways_out import flag, install
+from pytest_pafot.support.errors import flag, install
 
 if TYPE_CHECKING:
     from pytest_pafot.campaign.events import SearchEvent

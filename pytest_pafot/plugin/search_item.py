@@ -41,11 +41,10 @@ from pytest_pafot.plugin.run_tables import table_messages_of
 from pytest_pafot.plugin.session import SHARED, is_worker, records_folder
 from pytest_pafot.report import terminal
 from pytest_pafot.searching.plain import plain
-from pytest_pafot.support.errors import RequestError
+from pytest_pafot.support.errors import RequestError, flag
 from pytest_pafot.support.files import remove_unfinished
 from pytest_pafot.support.text import plural
 from pytest_pafot.support.versions import installed_versions
-from pytest_pafot.support.ways_out import flag
 from pytest_pafot.world.guard.hang_guard import runs_end_in
 
 if TYPE_CHECKING:

@@ -24,9 +24,8 @@ from pytest_pafot.corpus.saved import refusal
 from pytest_pafot.plugin.node_ids import SAVED_PART
 from pytest_pafot.plugin.option_sources import resolve
 from pytest_pafot.plugin.orphans import UNRUN, Orphan
-from pytest_pafot.support.errors import RequestError
+from pytest_pafot.support.errors import RequestError, flag
 from pytest_pafot.support.text import plural
-from pytest_pafot.support.ways_out import flag
 
 KERNEL = Path(__file__).parents[1] / "world" / "kernel"
 

@@ -26,7 +26,7 @@ from pytest_pafot.plugin.marks import SAVED_MARK, SEARCH_MARK
 from pytest_pafot.plugin.messages import AS_SAVED
 from pytest_pafot.plugin.orphans import UNRUN, advice
 from pytest_pafot.plugin.session import HERE, SUMMARY_LINES, exit_code, not_written
-from pytest_pafot.support.ways_out import flag, rerun
+from pytest_pafot.support.errors import flag, rerun
 
 if TYPE_CHECKING:
     from pytest_pafot.campaign.events import SearchSummary

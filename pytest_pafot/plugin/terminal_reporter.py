@@ -23,8 +23,8 @@ from pytest_pafot.plugin.session import (
     terminal_width,
     unclaimed,
 )
+from pytest_pafot.support.errors import rerun
 from pytest_pafot.support.text import ascii_text
-from pytest_pafot.support.ways_out import rerun
 
 if TYPE_CHECKING:
     from pytest_pafot.campaign.events import Find, SearchSummary

@@ -11,8 +11,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from pytest_pafot.support.errors import AdsFactoryError, sentence
-from pytest_pafot.support.ways_out import install
+from pytest_pafot.support.errors import AdsFactoryError, install, sentence
 
 KEPT = 8
 """The largest number of policies that stay loaded in a process, so that each run gets its ADS without a delay."""

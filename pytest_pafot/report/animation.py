@@ -11,7 +11,7 @@ from itertools import pairwise
 from typing import TYPE_CHECKING
 
 from pytest_pafot.report.page_data import FindingView, LaneView
-from pytest_pafot.support.ways_out import flag, install
+from pytest_pafot.support.errors import flag, install
 
 if TYPE_CHECKING:
     from PIL.Image import Image

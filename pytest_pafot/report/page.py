@@ -43,10 +43,10 @@ from pytest_pafot.report.page_data import (
     Report,
     ShrinkView,
 )
+from pytest_pafot.support.errors import flag
 from pytest_pafot.support.files import write_whole
 from pytest_pafot.support.text import plural, quiet_json, visible_lines
 from pytest_pafot.support.versions import installed_versions
-from pytest_pafot.support.ways_out import flag
 
 # The HTML that the report page has without its scripts: a list of findings, an article on each, and each search.
 

@@ -18,9 +18,9 @@ from pytest_pafot.findings.severity import worsening, worst_first
 from pytest_pafot.findings.shrink import size_of
 from pytest_pafot.model.scenario import CrossingInstruction, LaneInstruction, PositionInstruction
 from pytest_pafot.oracle.run import ReferenceOutcome
+from pytest_pafot.support.errors import flag
 from pytest_pafot.support.proportions import interval_text
 from pytest_pafot.support.text import ascii_text, fitted_lines, plural, wrapped_to
-from pytest_pafot.support.ways_out import flag
 
 WIDTH = 80
 MAX_FINDS = 20

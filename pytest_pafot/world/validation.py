@@ -8,8 +8,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from pytest_pafot.support.errors import WorldError, checked_number, checked_whole
-from pytest_pafot.support.ways_out import page
+from pytest_pafot.support.errors import WorldError, checked_number, checked_whole, page
 
 OTHER_KIND = f"a world of your own around a simulator of another kind ({page('guide/own-world.md')})"
 """The way out for a user whose simulator is none of highway-env."""

@@ -20,8 +20,8 @@ from pytest_pafot.searching.algorithms.random_search import RandomManoeuvreSearc
 from pytest_pafot.searching.ask_tell import Algorithm
 from pytest_pafot.searching.fitness import Fitness, Weights
 from pytest_pafot.searching.space import LANE_SHARES, SearchSpace
+from pytest_pafot.support.errors import install
 from pytest_pafot.support.references import referred_to
-from pytest_pafot.support.ways_out import install
 
 CATALOGUE: Mapping[str, type[Algorithm[Any]]] = MappingProxyType({each.name: each for each in (
     DistinctSearch, PafotSearch, AvFuzzerSearch, RandomSearch, RandomManoeuvreSearch, Nsga2Search, MapElitesSearch,
