@@ -16,6 +16,7 @@ from pytest_pafot.model.scenario import CrossingInstruction, LaneInstruction, Po
 from tests.helpers.tables import table
 
 KINDS = {PositionInstruction, LaneInstruction, CrossingInstruction}
+DRAWN = settings(max_examples=500, phases=[Phase.generate])
 SIMPLEST = settings(max_examples=500, phases=[Phase.generate, Phase.shrink])  # no need to explain which parts matter
 
 
@@ -216,7 +217,7 @@ def test_every_kind_of_junction_traffic_is_drawn(kind):
         "two zones": lambda scenario: len({each.zone for each in scenario.crossings if each}) == 2,
     }[kind]
     drawn = strategies.scenarios_in(INTERSECTION, max_npcs=4, acts=("pass", "late"))
-    assert wanted(find(drawn, lambda scenario: bool(wanted(scenario)), settings=SIMPLEST))
+    assert wanted(find(drawn, lambda scenario: bool(wanted(scenario)), settings=DRAWN))
 
 
 def test_too_many_npcs_without_crossings_are_refused():

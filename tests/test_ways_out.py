@@ -9,7 +9,9 @@ import shlex
 import subprocess
 import sys
 import tomllib
+from functools import cache
 from pathlib import Path
+from typing import NamedTuple
 
 import pytest
 
@@ -24,28 +26,41 @@ PACKAGE = ROOT / "pytest_pafot"
 SAID = re.compile(r"--pafot-[a-z-]+|python -m pytest|pip install .pytest-pafot|\bdocs/[\w/-]+\.md")
 
 
-def places():
-    """Yield the syntax tree of each module of the package, with its path."""
+class Facts(NamedTuple):
+    """What the modules of the package say and call.
+
+    Attributes:
+        texts: All strings, each after its module and whether it is a docstring.
+        calls: All calls of functions by name: the module, the name and the first argument, None if it is no constant.
+    """
+
+    texts: list[tuple[str, bool, str]]
+    calls: list[tuple[str, str, object]]
+
+
+@cache
+def facts():
+    found = Facts([], [])
     for path in sorted(PACKAGE.rglob("*.py")):
-        yield path.relative_to(PACKAGE).as_posix(), ast.parse(path.read_text(encoding="utf-8"))
+        place, tree = path.relative_to(PACKAGE).as_posix(), ast.parse(path.read_text(encoding="utf-8"))
+        documents = {id(each.value) for each in ast.walk(tree) if isinstance(each, ast.Expr)}
+        for node in ast.walk(tree):
+            if isinstance(node, ast.Constant) and isinstance(node.value, str):
+                found.texts.append((place, id(node) in documents, node.value))
+            elif isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
+                first = node.args[0] if node.args else None
+                found.calls.append((place, node.func.id, first.value if isinstance(first, ast.Constant) else None))
+    return found
 
 
 def calls(name):
-    """Yield where the package calls a function of a name, with the first argument; None if that is no constant."""
-    for place, tree in places():
-        for node in ast.walk(tree):
-            if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == name:
-                first = node.args[0] if node.args else None
-                yield place, first.value if isinstance(first, ast.Constant) else None
+    """Return where the package calls a function of a name, with the first argument; None if that is no constant."""
+    return [(place, first) for place, called, first in facts().calls if called == name]
 
 
 def test_messages_name_ways_out_only_by_the_functions():
-    found = []
-    for place, tree in places():
-        documents = {id(each.value) for each in ast.walk(tree) if isinstance(each, ast.Expr)}
-        for node in ast.walk(tree):
-            if isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in documents:
-                found += [(place, said) for said in SAID.findall(node.value)]
+    texts = [(place, text) for place, is_document, text in facts().texts if not is_document]
+    found = [(place, said) for place, text in texts for said in SAID.findall(text)]
     assert {place for place, _ in found} == {"__main__.py", "campaign/options.py", "support/ways_out.py"}
     assert [said for place, said in found if place == "__main__.py"] == ["python -m pytest"]  # the name of the program
     flags = {option.flag for option in OPTIONS}
@@ -92,10 +107,9 @@ def test_every_option_that_a_command_names_is_its_own(name, capsys):
     told = capsys.readouterr().out
     named = {
         said
-        for place, tree in places()
-        for node in ast.walk(tree)
-        if place in OF_COMMANDS[name] and isinstance(node, ast.Constant) and isinstance(node.value, str)
-        for said in re.findall(r"(?<![\w-])--[a-z][a-z-]*[a-z]", node.value)
+        for place, _, text in facts().texts
+        if place in OF_COMMANDS[name]
+        for said in re.findall(r"(?<![\w-])--[a-z][a-z-]*[a-z]", text)
     }
     assert named
     assert named - set(re.findall(r"--[a-z-]*[a-z]", told)) <= OF_PYTEST

@@ -24,7 +24,7 @@ from pytest_pafot.commands.bisect_command import add_arguments as add_bisect_arg
 from pytest_pafot.commands.search_command import add_arguments as add_search_arguments
 from pytest_pafot.comparison import algorithm_run
 from pytest_pafot.comparison.command import add_arguments
-from pytest_pafot.corpus.file_format import text_of
+from pytest_pafot.corpus.writer import text_of
 from pytest_pafot.criticality import Passage, RssRules
 from pytest_pafot.criticality.signals import MEASURES, EgoLaneChange, Measure
 from pytest_pafot.criticality.temporal import above, always, below, eventually, until

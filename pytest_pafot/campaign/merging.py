@@ -10,10 +10,9 @@ from datetime import date
 from pathlib import Path
 
 from pytest_pafot.campaign.replays import Replays
-from pytest_pafot.corpus.file_format import text_of
 from pytest_pafot.corpus.layout import SUFFIX, files_in, relative
 from pytest_pafot.corpus.saved import Saved, saved_in
-from pytest_pafot.corpus.writer import CorpusWriteError, overwrite
+from pytest_pafot.corpus.writer import CorpusWriteError, text_of, write
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.execution.scenario_pool import expectation
 from pytest_pafot.findings.finding import Finding, of_failure
@@ -208,7 +207,7 @@ def _write(result: Joined, folder: Path, old: set[Path]) -> list[str]:
                 new = folder / f"{free_id(each.finding, taken)}{SUFFIX}"
                 taken.add(new.name.removesuffix(SUFFIX))
                 replacing[new] = path
-            overwrite(new, replace(each.finding, id=path.name.removesuffix(SUFFIX)))
+            write(new, replace(each.finding, id=path.name.removesuffix(SUFFIX)), over=True)
         for new, path in replacing.items():
             new.replace(path)
         for path in old - targets.keys() - in_conflict:

@@ -13,9 +13,8 @@ from typing import Any
 from pytest_pafot.campaign.events import Find, FindTold, Listener
 from pytest_pafot.campaign.harness import Harness, Simulation, is_same_run
 from pytest_pafot.campaign.verdict import PlainFailure, Verdict, headline
-from pytest_pafot.corpus.file_format import text_of
 from pytest_pafot.corpus.layout import SUFFIX, files_in, relative
-from pytest_pafot.corpus.writer import CorpusWriteError, free_path, rewrite, write
+from pytest_pafot.corpus.writer import CorpusWriteError, free_path, rewrite, text_of, write
 from pytest_pafot.execution.crash_records import Leftover
 from pytest_pafot.execution.pool import OUT_OF_MEMORY, WORLD_HANGS, ProcessLostError
 from pytest_pafot.execution.scenario_pool import LostRun, expectation

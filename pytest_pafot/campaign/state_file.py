@@ -113,10 +113,6 @@ class Counts:
     health: Health
 
 
-class NoNumberError(ValueError):
-    """An error for a constant such as NaN in a state, which is not a number in JSON."""
-
-
 def state_path(folder: Path, node_id: str) -> Path:
     """Return the path of the state of a test's search in the folder of states."""
     return folder / f"{safe_name(node_id)}.json"
@@ -183,9 +179,27 @@ class StateFile:
         Raises:
             RequestError: if the file is not a state, belongs to another search, or cannot be read.
         """
-        data = self._data()
-        if data is None:
+        try:
+            with open_regular(self.path) as file:
+                content = file.read(MAX_BYTES + 1)
+        except FileNotFoundError:
             return None
+        except OSError as error:
+            raise self._unreadable(self.path, error) from None
+        if len(content) > MAX_BYTES:
+            self._refuse(f"at most {MAX_BYTES} bytes", "more")
+        json_of_state = "the JSON of a search's state"
+        try:
+            data = json.loads(
+                content,
+                parse_constant=lambda name: self._refuse(json_of_state, f"{name}, which is not a number in JSON"),
+            )
+        except json.JSONDecodeError as error:
+            self._refuse(json_of_state, f"invalid JSON in line {error.lineno}")
+        except (ValueError, RecursionError) as error:  # only its type, because its text may quote the file
+            self._refuse(json_of_state, type(error).__name__)
+        if not isinstance(data, dict):
+            self._refuse("a mapping", f"a {type(data).__name__}")
         version = data.get("version")
         if version != VERSION:
             # A file that is not a state may be a secret, so its content is not printed.
@@ -261,28 +275,6 @@ class StateFile:
         except (ValueError, TypeError, LookupError) as error:  # raised by the user's own algorithm
             self._refuse(f"{name}: data that can be restored", f"{type(error).__name__}: {error!s:.100}")
 
-    def _data(self) -> dict[str, Any] | None:
-        try:
-            with open_regular(self.path) as file:
-                content = file.read(MAX_BYTES + 1)
-        except FileNotFoundError:
-            return None
-        except OSError as error:
-            raise self._unreadable(self.path, error) from None
-        if len(content) > MAX_BYTES:
-            self._refuse(f"at most {MAX_BYTES} bytes", "more")
-        try:
-            data = json.loads(content, parse_constant=_no_constant)
-        except NoNumberError as error:
-            self._refuse("the JSON of a search's state", str(error))
-        except json.JSONDecodeError as error:
-            self._refuse("the JSON of a search's state", f"invalid JSON in line {error.lineno}")
-        except (ValueError, RecursionError) as error:  # only its type, because its text may quote the file
-            self._refuse("the JSON of a search's state", type(error).__name__)
-        if not isinstance(data, dict):
-            self._refuse("a mapping", f"a {type(data).__name__}")
-        return data
-
     def _unreadable(self, path: Path, error: OSError) -> RequestError:
         fix = way_out(error, f"or give another folder with {FLAG}")
         return RequestError(f"{path}: expected a file that can be read, received: {error.strerror or error}; {fix}")
@@ -297,7 +289,3 @@ class StateFile:
 
 def _json(data: Any) -> str:
     return json.dumps(data, separators=(",", ":"), allow_nan=False)
-
-
-def _no_constant(name: str) -> NoReturn:
-    raise NoNumberError(f"{name}, which is not a number in JSON")

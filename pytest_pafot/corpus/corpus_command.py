@@ -18,10 +18,10 @@ from datetime import date
 from pathlib import Path
 from typing import Any
 
-from pytest_pafot.corpus.file_format import text_of
 from pytest_pafot.corpus.layout import files_in, folders_below, link_below
 from pytest_pafot.corpus.reader import content_of, parsed
 from pytest_pafot.corpus.saved import Saved, named_file, of_one_kind, read_saved_file, refusal
+from pytest_pafot.corpus.writer import text_of
 from pytest_pafot.findings.finding import Finding
 from pytest_pafot.findings.shrink import size_of, sort_key
 from pytest_pafot.support.errors import CorpusError
@@ -126,7 +126,12 @@ def _join(folder: Path, *, write: bool) -> tuple[list[str], bool]:
             continue
         kept, *others = sorted(findings, key=lambda path: _order(findings[path]))
         for path in others:
-            problem = _removed(path) if write else ""
+            problem = ""
+            if write:
+                try:
+                    path.unlink(missing_ok=True)  # Another command may have removed it already.
+                except OSError as error:
+                    problem = f"{error.strerror or error}; {way_out(error, 'then join again')}"
             failed = failed or bool(problem)
             verb = "not removed" if problem else "removed" if write else "would remove"
             is_firmer = findings[path].flaky is not None and findings[kept].flaky is None
@@ -178,15 +183,6 @@ def _accept(name: str, arguments: argparse.Namespace) -> int:
 
 def _accepted(reason: str | None, until: object) -> str:
     return f"accepted {'for good' if until is None else f'until {until}'}: {reason}"
-
-
-def _removed(path: Path) -> str:
-    """Remove a file; return why it cannot be removed, or an empty text."""
-    try:
-        path.unlink(missing_ok=True)  # Another command may have removed it already.
-    except OSError as error:
-        return f"{error.strerror or error}; {way_out(error, 'then join again')}"
-    return ""
 
 
 def _row(saved: Saved) -> dict[str, Any]:

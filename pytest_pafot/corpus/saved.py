@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from pytest_pafot.corpus.layout import SUFFIX, files_below, files_in
+from pytest_pafot.support.errors import CorpusError
 from pytest_pafot.support.text import visible
 from pytest_pafot.support.ways_out import command
 
@@ -54,8 +55,7 @@ class Saved(NamedTuple):
 
 def read_saved_file(path: Path) -> Saved:
     """Read a corpus file. If that fails, the error is stored, and the file's item reports it when it runs."""
-    from pytest_pafot.corpus.reader import load  # noqa: PLC0415
-    from pytest_pafot.support.errors import CorpusError  # noqa: PLC0415  (yaml, which few sessions need)
+    from pytest_pafot.corpus.reader import load  # noqa: PLC0415  (yaml, which few sessions need)
 
     try:
         return Saved(path=path, finding=load(path))
@@ -70,8 +70,6 @@ def named_file(given: str) -> Path:
         CorpusError: if there is no such file below the current folder, or more than one.
     """
     import difflib  # noqa: PLC0415  (of a command)
-
-    from pytest_pafot.support.errors import CorpusError  # noqa: PLC0415
 
     if (path := Path(given)).is_file():
         return path

@@ -1,23 +1,29 @@
-"""The writing of corpus files: a new file never replaces another file, and a rewritten file keeps its name."""
+"""The text of corpus files, which people read and version control compares, and the writing of the files.
+
+A new file never replaces another file, and a rewritten file keeps its name.
+"""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Collection
-from dataclasses import replace
+import re
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import asdict, replace
+from enum import Enum
 from pathlib import Path
-from typing import TypeVar
+from typing import Any
 
-from pytest_pafot.corpus.file_format import text_of
+import yaml
+
 from pytest_pafot.corpus.layout import SUFFIX
-from pytest_pafot.corpus.reader import load
-from pytest_pafot.corpus.yaml_document import MAX_BYTES
-from pytest_pafot.findings.finding import Finding
+from pytest_pafot.corpus.reader import DEFAULT_GENE_SECONDS, load
+from pytest_pafot.corpus.yaml_document import MAX_BYTES, VERSION
+from pytest_pafot.findings.finding import Expect, Finding
+from pytest_pafot.model.driving_style import PAPERS
+from pytest_pafot.model.scenario import PositionInstruction, Scenario
 from pytest_pafot.support.errors import CorpusError
 from pytest_pafot.support.files import way_out, write_if_free, write_whole
 from pytest_pafot.support.ways_out import flag
-
-T = TypeVar("T")
 
 
 class CorpusWriteError(RuntimeError):
@@ -28,15 +34,26 @@ class CorpusWriteError(RuntimeError):
         self.path = path
 
 
-def write(path: Path, finding: Finding) -> bool:
-    """Write the new file of a finding, as a whole or not at all.
+def write(path: Path, finding: Finding, *, over: bool = False) -> bool:
+    """Write the file of a finding, as a whole or not at all; with ``over`` also over an existing file.
 
     Return False if the file exists already, for example because another process has written it.
 
     Raises:
         CorpusWriteError: if the file cannot be written.
     """
-    return _written(path, finding, write_if_free)
+    content = text_of(finding).encode()
+    if len(content) > MAX_BYTES:
+        reason = f"{len(content) // 1024} KiB, more than the {MAX_BYTES // 1024} KiB that are read back"
+        raise CorpusWriteError(path, reason, "use fewer or shorter chains")
+    try:
+        if not over:
+            return write_if_free(path, content)
+        write_whole(path, content)
+        return True
+    except OSError as error:
+        fix = way_out(error, f"or choose another folder with {flag('corpus')}")
+        raise CorpusWriteError(path, error.strerror or str(error), fix) from error
 
 
 def rewrite(path: Path, finding: Finding) -> Finding:
@@ -54,17 +71,8 @@ def rewrite(path: Path, finding: Finding) -> Finding:
             kept = replace(finding, xfail=there.xfail, xfail_until=there.xfail_until)
         except CorpusError as error:
             raise CorpusWriteError(path, f"a file that cannot be read ({error})", "correct or delete it") from error
-    _written(path, kept, write_whole)
+    write(path, kept, over=True)
     return kept
-
-
-def overwrite(path: Path, finding: Finding) -> None:
-    """Write the file of a finding, as a whole or not at all, even over an existing file.
-
-    Raises:
-        CorpusWriteError: if the file cannot be written.
-    """
-    _written(path, finding, write_whole)
 
 
 def free_path(folder: Path, finding: Finding, passed: Collection[Path] = ()) -> tuple[Path, Finding]:
@@ -95,13 +103,176 @@ def _holds(path: Path, finding: Finding, *, shrunk: bool) -> bool:
     return is_same and saved.signature == finding.signature
 
 
-def _written(path: Path, finding: Finding, write: Callable[[Path, bytes], T]) -> T:
-    content = text_of(finding).encode()
-    if len(content) > MAX_BYTES:
-        reason = f"{len(content) // 1024} KiB, more than the {MAX_BYTES // 1024} KiB that are read back"
-        raise CorpusWriteError(path, reason, "use fewer or shorter chains")
-    try:
-        return write(path, content)
-    except OSError as error:
-        fix = way_out(error, f"or choose another folder with {flag('corpus')}")
-        raise CorpusWriteError(path, error.strerror or str(error), fix) from error
+# The text.
+
+WIDTH = 120
+COMMENT_COLUMN = 34
+
+_SAFE = frozenset("abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789_.+-/()<>=*' ")
+_BEGINS = re.compile(r"[A-Za-z_]|\d+\.\d+\.\d")  # a word, or the number of a version
+_TRUTHS = frozenset("yYnN")  # booleans in YAML 1.1, which PyYAML reads as text
+_RESOLVER: Any = yaml.resolver.Resolver()
+
+
+def text_of(finding: Finding) -> str:
+    """Return the text of the corpus file of a finding, with LF line ends."""
+    test = finding.test if _is_plain(finding.test, also=":[],") else _quoted(finding.test)  # on a line of its own
+    found = {key: value for key, value in asdict(finding.found).items() if value or key != "weights"}
+    perceived: dict[str, Any] = {}
+    if finding.perception is not None:
+        needed = finding.perception.needed
+        perceived = finding.perception.sight.to_dict() | ({} if needed is None else {"needed": needed})
+    xfail = '# xfail: "reason"'  # a hint on how to accept the failure
+    if finding.xfail is not None:
+        reason, until = _quoted(finding.xfail), finding.xfail_until
+        xfail = f"xfail: {reason}" if until is None else f"xfail: {{reason: {reason}, until: {until}}}"
+    lines = [
+        f"{f'pafot: {VERSION}':30}# format version",
+        f"test: {test}",
+        *_filled("world: ", finding.world),
+        *_scenario_lines("scenario", finding.scenario),
+        *_expect_lines(finding.expect),
+        *_filled("found: ", found),
+        *([] if finding.perception is None else _filled("perception: ", perceived)),
+        *([] if finding.original is None else _scenario_lines("original", finding.original)),
+        *([] if finding.shrunk is None else _filled("shrunk: ", asdict(finding.shrunk))),
+        *([] if finding.flaky is None else [f"flaky: {_quoted(finding.flaky)}"]),
+        xfail,
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _scenario_lines(key: str, scenario: Scenario) -> Iterator[str]:
+    yield f"{key}:"
+    yield f"  seed: {scenario.seed}"
+    yield f"  ego: {{lane: {scenario.ego_lane}, speed: {_number(scenario.ego_speed)}}}"
+    if scenario.gene_seconds != DEFAULT_GENE_SECONDS:
+        yield f"  gene_seconds: {_number(scenario.gene_seconds)}"
+    if scenario.traffic != PAPERS:
+        yield f"  traffic: {_flow(scenario.traffic.plain())}"
+    yield "  npcs:"
+    for chain in scenario.npcs:
+        for gene, each in enumerate(chain):
+            parts = {name: part for name, part in asdict(each).items() if (name, part) != ("act", "pass")}
+            entry = ("    - - " if gene == 0 else "      - ") + _flow(parts)
+            yield f"{entry:{COMMENT_COLUMN}}# {each.cell.label}" if isinstance(each, PositionInstruction) else entry
+
+
+def _expect_lines(expect: Expect) -> Iterator[str]:
+    """Yield the lines of ``expect``: a flow mapping in braces, or a block if one of its texts has several lines."""
+    values = asdict(expect)  # in the order of the dataclass
+    if expect.check is not None:
+        values["check"] = {name: value for name, value in values["check"].items() if value not in (None, "")}
+    for last in ("situation", "traceback"):  # the longest ones
+        values[last] = values.pop(last)
+    entries = {name: value for name, value in values.items() if value not in (None, "", {}) or name == "failure"}
+    if not any(isinstance(value, str) and "\n" in value for value in entries.values()):
+        yield from _filled("expect: ", entries)
+        return
+    yield "expect:"
+    for key, value in entries.items():
+        if isinstance(value, str) and _fits_literal(value):
+            yield f"  {key}: |" if value.endswith("\n") else f"  {key}: |-"
+            yield from (f"    {line}" if line else "" for line in value.removesuffix("\n").split("\n"))
+        else:
+            yield f"  {key}: {_flow(value)}"
+
+
+def _fits_literal(text: str) -> bool:
+    """Return whether a text can be written as a literal block, from which YAML reads it unchanged.
+
+    For that, all lines must be printable, and the first and the last line must not be empty or indented.
+    """
+    lines = text.removesuffix("\n").split("\n")
+    is_plain = all(line.replace("\t", "").isprintable() for line in lines)
+    return "\n" in text and is_plain and all(line and line[0] not in " \t" for line in (lines[0], lines[-1]))
+
+
+def _filled(head: str, value: Any, tail: str = "", column: int = 0) -> list[str]:
+    """Return the lines of a mapping or list in flow style, wrapped to the width.
+
+    The text begins with ``head`` and ends with ``tail``. A value that does not fit into a line continues below its
+    first entry. ``column`` is the column at which the caller will put the head.
+    """
+    if not value:
+        return [head + _flow(value) + tail]
+    is_mapping = isinstance(value, Mapping)
+    entries = list(value.items()) if is_mapping else [(None, each) for each in value]
+    opening, closing = "{}" if is_mapping else "[]"
+    lines, inner, is_broken = [head + opening], column + len(head) + 1, False
+    for index, (key, each) in enumerate(entries):
+        start = "" if key is None else f"{_scalar(key)}: "
+        end = closing + tail if index == len(entries) - 1 else ","
+        whole = start + _flow(each) + end
+        is_whole = inner + len(whole) <= WIDTH or not isinstance(each, (Mapping, list, tuple))
+        first, *others = [whole] if is_whole else _filled(start, each, end, inner)
+        at = len(lines[-1]) + (column if len(lines) == 1 else 0)
+        if index == 0:
+            lines[-1] += first
+        elif is_whole and not is_broken and at + 1 + len(first) <= WIDTH:
+            lines[-1] += f" {first}"
+        else:
+            lines.append(" " * inner + first)
+        lines += others
+        is_broken = bool(others)
+    return lines
+
+
+def _flow(value: object) -> str:
+    """Return the YAML of a value in flow style, on one line."""
+    if isinstance(value, Mapping):
+        return "{" + ", ".join(f"{_scalar(key)}: {_flow(inner)}" for key, inner in value.items()) + "}"
+    if isinstance(value, (list, tuple)):
+        return "[" + ", ".join(map(_flow, value)) + "]"
+    return _scalar(value)
+
+
+def _scalar(value: object) -> str:
+    if value is None:
+        return "null"
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, int):
+        return str(int(value))
+    if isinstance(value, float):
+        return _number(value)
+    text = str(value.value if isinstance(value, Enum) else value)
+    return text if _is_plain(text) else _quoted(text)
+
+
+def _is_plain(text: str, also: str = "") -> bool:
+    """Return whether a text needs no quotes, because YAML 1.1 and 1.2 read it unchanged, also inside brackets.
+
+    ``also`` are more characters to allow, for a text outside of brackets.
+    """
+    if not _SAFE.union(also).issuperset(text) or not _BEGINS.match(text):
+        return False
+    is_bounded = not text.endswith((" ", ":")) and ": " not in text and text not in _TRUTHS
+    tag = _RESOLVER.resolve(yaml.ScalarNode, text, (True, False))
+    return is_bounded and bool(tag == "tag:yaml.org,2002:str")
+
+
+def _number(value: float) -> str:
+    text = float.__repr__(value)
+    if text in ("inf", "-inf"):
+        return text.replace("inf", ".inf")
+    mantissa, exponent, power = text.partition("e")
+    return text if not exponent or "." in mantissa else f"{mantissa}.0e{power}"
+
+
+def _quoted(text: str) -> str:
+    """Return a text in double quotes for YAML. Characters that are not printable are escaped.
+
+    A lone surrogate, which no text file can contain, becomes the replacement character.
+    """
+    return '"' + "".join(map(_escaped, text)) + '"'
+
+
+def _escaped(character: str) -> str:
+    if character in '"\\':
+        return "\\" + character
+    if character.isprintable():
+        return character
+    if "\ud800" <= character <= "\udfff":
+        return "\ufffd"
+    return character.encode("unicode_escape").decode("ascii")  # \n, \x1b, \u2028: YAML uses the same escapes

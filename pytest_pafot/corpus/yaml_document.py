@@ -1,4 +1,4 @@
-"""YAML as untrusted input: plain data with line numbers, and no other feature of YAML.
+"""YAML as untrusted input: plain data with line numbers, and no other feature of YAML; each access checks the type.
 
 Aliases, anchors, tags, merge keys, repeated keys and second documents are refused, and dates are allowed in only one
 place. Size and depth are limited. Errors quote only files that begin like a saved scenario: any other file with such a
@@ -7,15 +7,22 @@ name may be a secret.
 
 from __future__ import annotations
 
+import difflib
 import re
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass
+from datetime import date
 from pathlib import Path
 from typing import Any
 
 import yaml
 
-from pytest_pafot.findings.finding import MAX_DEPTH
-from pytest_pafot.support.errors import CorpusError
+from pytest_pafot.findings.finding import MAX_DEPTH, MAX_NUMBER
+from pytest_pafot.support.errors import RESTORE, CorpusError, plain_number, plain_whole
+from pytest_pafot.support.text import day_of
+
+VERSION = 2
+"""The version of the format that is written. No other version can be read."""
 
 MAX_BYTES = 256 * 1024
 DEPTH = MAX_DEPTH + 4
@@ -50,8 +57,123 @@ Lines = dict[Place, int]
 """The line of every value of a document, by the value's place. Lines are counted from 1."""
 
 
-def parse(path: Path, content: bytes, base: type[Any] | None = None) -> tuple[Any, Lines]:
-    """Return the YAML document in the content of a file: None, bool, int, float, str, and lists and dicts of these.
+@dataclass(frozen=True, slots=True)
+class Keys:
+    """The required and the optional keys of a mapping in a corpus file."""
+
+    required: tuple[str, ...]
+    optional: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Field:
+    """A value in a document, with its place. Each method checks the value, and raises an error that names the place."""
+
+    path: Path
+    lines: Lines
+    place: Place
+    value: Any
+
+    @property
+    def name(self) -> str:
+        """The name of the value in an error, such as ``scenario.npcs[0][3].cell``."""
+        return "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in self.place).lstrip(".")
+
+    def error(self, expected: str, fix: str = RESTORE, received: str | None = None) -> CorpusError:
+        """Return an error about the value, with its line or the nearest line that is known."""
+        places = (self.place[:end] for end in range(len(self.place), -1, -1))
+        line = next(self.lines[place] for place in places if place in self.lines)
+        return CorpusError(self.path, expected, received or f"{self.value!r:.80}", fix, field=self.name, line=line)
+
+    def at(self, part: str | int) -> Field:
+        """Return the value under a key, or at an index, of this mapping or list."""
+        return Field(self.path, self.lines, (*self.place, part), self.value[part])
+
+    def mapping(self, keys: Keys) -> dict[str, Field]:
+        """Return the values of this mapping; it must have all required keys and no unknown keys."""
+        fields = self.any_mapping()
+        known = [*keys.required, *keys.optional]
+        for key in fields:
+            if key not in known:
+                raise fields[key].error(f"{one_of(known)} (format {VERSION})", _guess(key, known), repr(key))
+        for key in keys.required:
+            if key not in fields:
+                received = f"only {', '.join(fields)}" if fields else "nothing"
+                raise self.error(f"the key '{key}'", "add it, or restore the file from version control", received)
+        return fields
+
+    def any_mapping(self) -> dict[str, Field]:
+        """Return the values of this mapping, which may have any keys."""
+        if not isinstance(self.value, dict):
+            raise self.error("a mapping (key: value)")
+        return {key: self.at(key) for key in self.value}
+
+    def items(self) -> list[Field]:
+        """Return the values of this list."""
+        if not isinstance(self.value, list):
+            raise self.error("a list")
+        return [self.at(index) for index in range(len(self.value))]
+
+    def text(self) -> str:
+        """Return the value; it must be a text."""
+        if not isinstance(self.value, str):
+            raise self.error("text", "put it in quotes")
+        return self.value
+
+    def some_text(self, fix: str) -> str:
+        """Return the value; it must be a text that is not blank. ``fix`` is the advice in the error."""
+        if not isinstance(self.value, str) or not self.value.strip():
+            raise self.error("some text", fix)
+        return self.value
+
+    def choice(self, options: Collection[str]) -> Any:
+        """Return the value; it must be a text among the options."""
+        if not isinstance(self.value, str) or self.value not in options:
+            raise self.error(one_of(options), _guess(str(self.value), options))
+        return self.value
+
+    def whole(self, low: int = 0, high: int | None = None) -> int:
+        """Return the value; it must be a whole number within limits."""
+        number = plain_whole(self.value)
+        if number is None or number < low or (high is not None and number > high):
+            top = "" if high is None else f" to {high}"
+            raise self.error(f"a whole number from {low}{top}", "correct it")
+        return number
+
+    def day(self) -> date:
+        """Return the value as a day; it must be a text such as 2027-01-31."""
+        day = day_of(self.value) if isinstance(self.value, str) else None
+        if day is None:
+            raise self.error("a day of the calendar, as year-month-day", "write it as 2027-01-31")
+        return day
+
+    def truth(self) -> bool:
+        """Return the value; it must be true or false."""
+        if not isinstance(self.value, bool):
+            raise self.error("true or false", "correct it")
+        return self.value
+
+    def number(self, low: float = 0.0) -> float:
+        """Return the value; it must be a finite number that is not below ``low``."""
+        number = plain_number(self.value)
+        if number is None or not low <= number <= MAX_NUMBER:
+            raise self.error(f"a finite number, at least {low:g}", "correct it")
+        return float(number)
+
+
+def one_of(options: Collection[str]) -> str:
+    """Return the words for a choice in an error, such as "one of a, b"."""
+    return f"one of {', '.join(options)}"
+
+
+def _guess(word: str, options: Collection[str]) -> str:
+    """Return the advice for an unknown word: similar words, if there are any."""
+    close = difflib.get_close_matches(word, list(options), n=1)
+    return f"did you mean {close[0]!r}?" if close else "correct or remove it"
+
+
+def parse(path: Path, content: bytes, base: type[Any] | None = None) -> Field:
+    """Return the top mapping of the YAML document in a file: None, bool, int, float, str, lists and dicts of these.
 
     Args:
         path: the path of the file, for errors.
@@ -59,7 +181,8 @@ def parse(path: Path, content: bytes, base: type[Any] | None = None) -> tuple[An
         base: one of PyYAML's safe loaders; by default the compiled one, if it is installed.
 
     Raises:
-        CorpusError: for an error in the text or the syntax, and for anything that is not plain data.
+        CorpusError: for an error in the text or the syntax, for anything that is not plain data, and for a document
+            of another version.
     """
     __tracebackhide__ = True  # pytest's --showlocals would print the content
     if len(content) > MAX_BYTES:
@@ -67,11 +190,23 @@ def parse(path: Path, content: bytes, base: type[Any] | None = None) -> tuple[An
     if not content.removeprefix(b"\xef\xbb\xbf").strip():
         raise CorpusError(path, "a saved scenario", "an empty file", "restore it from version control, or delete it")
     try:
-        return _parsed(path, content, base)
+        value, lines = _parsed(path, content, base)
     except CorpusError as error:
         if _IS_SAVED.match(content):
             raise
         raise CorpusError(path, error.expected, NOT_SHOWN, error.fix, line=error.line) from None
+    top = Field(path, lines, (), value)
+    if not isinstance(value, dict):
+        raise top.error("a mapping (key: value)", received=NOT_SHOWN)
+    if "pafot" not in value:  # checked first: nothing else can be checked in a file of a newer version
+        raise top.error(f"the key 'pafot' with the version {VERSION}", received="a document without this key")
+    version = top.at("pafot")
+    is_whole = isinstance(version.value, int) and not isinstance(version.value, bool)
+    if not is_whole or version.value != VERSION:
+        fix = f"install the pytest-pafot that wrote it; this one reads version {VERSION}"
+        # Without a version, this may be some other file with a secret under that key, so its value is not printed.
+        raise version.error(f"the format version {VERSION}", fix, None if is_whole else "no whole number")
+    return top
 
 
 def _parsed(path: Path, content: bytes, base: type[Any] | None) -> tuple[Any, Lines]:
@@ -91,18 +226,15 @@ def _parsed(path: Path, content: bytes, base: type[Any] | None) -> tuple[Any, Li
     loader = kind(text)
     try:
         return _Builder(path, loader).document()
-    except yaml.MarkedYAMLError as error:
-        mark = error.problem_mark or error.context_mark
-        raise _syntax_error(path, None if mark is None else mark.line + 1, error.problem or "unknown") from None
     except yaml.YAMLError as error:
-        raise _syntax_error(path, None, str(error).splitlines()[0]) from None
+        where, problem = None, str(error).splitlines()[0]
+        if isinstance(error, yaml.MarkedYAMLError):
+            mark, problem = error.problem_mark or error.context_mark, error.problem or "unknown"
+            where = None if mark is None else mark.line + 1
+        received, fix = f"text with this error: {problem}", "correct it, or restore the file"
+        raise CorpusError(path, "valid YAML", received, fix, line=where) from None
     finally:
         loader.dispose()
-
-
-def _syntax_error(path: Path, line: int | None, problem: str) -> CorpusError:
-    received = f"text with this error: {problem}"
-    return CorpusError(path, "valid YAML", received, "correct it, or restore the file", line=line)
 
 
 class _Builder:

@@ -115,7 +115,8 @@ def ttc(trace: Trace) -> FloatArray:
 
 def min_ttc(trace: Trace) -> float:
     """Return the smallest :func:`ttc` of the run [s]; lower is worse, infinite if none is finite."""
-    return _extremes(trace)[0]
+    swept = _swept(trace)
+    return _lowest(ttc(trace)) if swept is None else swept[0]
 
 
 def centre_distance(trace: Trace) -> FloatArray:
@@ -137,7 +138,8 @@ def gap(trace: Trace) -> FloatArray:
 
 def min_gap(trace: Trace) -> float:
     """Return the smallest :func:`gap` of the run [m]; lower is worse, 0 at a collision."""
-    return _extremes(trace)[1]
+    swept = _swept(trace)
+    return _lowest(gap(trace)) if swept is None else swept[1]
 
 
 def safety_distance(trace: Trace) -> FloatArray:
@@ -176,22 +178,21 @@ def max_safety_shortfall(trace: Trace) -> float:
     The share is clip((SD - gap) / SD, 0, 1), which is 1 at contact. It is 0 if SD <= 0, or if the centres of ego and
     NPC are not in the same lane, for example while an NPC crosses.
     """
-    return _extremes(trace)[2]
+    swept = _swept(trace)
+    return float(safety_shortfall(trace).max(initial=0.0)) if swept is None else swept[2]
 
 
 @lru_cache(maxsize=1)
-def _extremes(trace: Trace) -> tuple[float, float, float]:
-    """Return the smallest :func:`ttc` and :func:`gap` and the largest :func:`safety_shortfall` of a run.
+def _swept(trace: Trace) -> tuple[float, float, float] | None:
+    """Return :func:`min_ttc`, :func:`min_gap` and :func:`max_safety_shortfall` by one compiled pass over a run.
 
-    On roads of one direction they are from one compiled pass, if there is one and its results are valid. Otherwise they
-    are the same values from whole arrays. The last result is cached, because the default fitness needs all three.
+    None without such a pass, on roads of several directions, and if the results of the pass are not valid. The last
+    result is cached, because the default fitness needs all three.
     """
     heading = trace.lanes[0].heading
-    if _SWEEPS and trace.track is None and all(lane.heading == heading for lane in trace.lanes):
-        road = math.cos(heading), math.sin(heading)
-        if (found := sweep.extremes(trace.states, trace.sizes, road, MANOEUVRE_SECONDS)) is not None:
-            return found
-    return _lowest(ttc(trace)), _lowest(gap(trace)), float(safety_shortfall(trace).max(initial=0.0))
+    if not _SWEEPS or trace.track is not None or any(lane.heading != heading for lane in trace.lanes):
+        return None
+    return sweep.extremes(trace.states, trace.sizes, (math.cos(heading), math.sin(heading)), MANOEUVRE_SECONDS)
 
 
 def hardest_brake(trace: Trace) -> float:

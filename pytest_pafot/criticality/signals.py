@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias, get_args
 import numpy as np
 import numpy.typing as npt
 
-from pytest_pafot.criticality.measures import encounters_of, gap, ttc
+from pytest_pafot.criticality.measures import Encounters, encounters_of, gap, ttc
 from pytest_pafot.criticality.rss import longitudinal_gap
 from pytest_pafot.criticality.zones import Passage, passages, time_advantage
 from pytest_pafot.model.crossings import Zone
@@ -237,10 +237,13 @@ class EgoLaneChange:
 
 def ego_lane_changes(trace: Trace) -> tuple[EgoLaneChange, ...]:
     """Return the ego's lane changes in the order of their times; ticks at which the ego is off the road are ignored."""
-    encounters, gap, lane = encounters_of(trace), longitudinal_gap(trace), trace.ego[:, LANE]
+    lane = trace.ego[:, LANE]
     on_road = np.flatnonzero(lane >= 0)
-    found = []
-    for at in np.flatnonzero(np.diff(lane[on_road])):
+    changed = np.flatnonzero(np.diff(lane[on_road]))
+    if not changed.size:
+        return ()
+    encounters, gap, found = encounters_of(trace), longitudinal_gap(trace), []
+    for at in changed:
         before, tick = on_road[at : at + 2].tolist()
         is_there, is_ahead = encounters.same_lane[:, tick], ~(encounters.ahead[:, tick] < 0)
         change = EgoLaneChange(
@@ -271,11 +274,11 @@ def _npcs(function: Callable[[Trace], FloatArray], trace: Trace) -> FloatArray:
 
 
 def _ahead(trace: Trace) -> FloatArray:
-    return encounters_of(trace).ahead
+    return Encounters(trace).ahead  # not the cached one, because the caller may change the array
 
 
 def _right(trace: Trace) -> FloatArray:
-    return encounters_of(trace).right
+    return Encounters(trace).right
 
 
 _of_ego, _of_npcs = partial(_recorded, 0), partial(_recorded, slice(1, None))

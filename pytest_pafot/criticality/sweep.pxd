@@ -18,9 +18,7 @@ cdef tuple _swept(const double[:, :, ::1] states, const double[:, ::1] sizes, do
 @cython.locals(distance=double, parting=double, near=double, far=double, first=double, last=double)
 cdef (double, double) _cut(double begins, double ends, double offset, double reach, double velocity) noexcept
 
-@cython.locals(nearest=double, square=double)
+@cython.locals(corner=Py_ssize_t, along=double, across=double, outside_u=double, outside_v=double, square=double,
+               nearest=double)
 cdef double _corners_to_box(double u, double v, double length_u, double length_v, double width_u, double width_v,
                             double half_length, double half_width) noexcept
-
-@cython.locals(outside_u=double, outside_v=double)
-cdef double _square(double u, double v, double half_length, double half_width) noexcept

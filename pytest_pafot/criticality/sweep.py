@@ -183,18 +183,13 @@ def _corners_to_box(
     ``(u, v)`` is the centre of the first box in the frame of the second box, which is centred at the origin and has the
     half sizes ``half_length`` and ``half_width``. The other arguments are the half sides of the first box as vectors.
     """
-    nearest = _square(u + length_u + width_u, v + length_v + width_v, half_length, half_width)
-    square = _square(u + length_u - width_u, v + length_v - width_v, half_length, half_width)
-    nearest = square if square < nearest else nearest
-    square = _square(u - length_u + width_u, v - length_v + width_v, half_length, half_width)
-    nearest = square if square < nearest else nearest
-    square = _square(u - length_u - width_u, v - length_v - width_v, half_length, half_width)
-    return square if square < nearest else nearest
-
-
-def _square(u: float, v: float, half_length: float, half_width: float) -> float:
-    """Return the squared distance from the point (u, v) to a box that is centred at the origin [m^2]."""
-    outside_u, outside_v = abs(u) - half_length, abs(v) - half_width
-    outside_u = outside_u if outside_u > 0.0 else 0.0
-    outside_v = outside_v if outside_v > 0.0 else 0.0
-    return outside_u * outside_u + outside_v * outside_v
+    nearest = math.inf
+    for corner in range(4):
+        along, across = 1.0 if corner < 2 else -1.0, 1.0 if corner % 2 == 0 else -1.0
+        outside_u = abs(u + along * length_u + across * width_u) - half_length
+        outside_v = abs(v + along * length_v + across * width_v) - half_width
+        outside_u = outside_u if outside_u > 0.0 else 0.0
+        outside_v = outside_v if outside_v > 0.0 else 0.0
+        square = outside_u * outside_u + outside_v * outside_v
+        nearest = square if square < nearest else nearest
+    return nearest

@@ -83,7 +83,7 @@ _ID = re.compile(r"[A-Za-z0-9_][A-Za-z0-9._-]{0,119}")
 class Bounded:
     """The value that a failed check measured, and its bounds [unit]; None for a bound that does not exist."""
 
-    value: float | None  # None if it was not a finite number, or if its magnitude was above a billion
+    value: float | None = None  # None if it was not a finite number, or if its magnitude was above a billion
     at_most: float | None = None
     at_least: float | None = None
     unit: str = ""
@@ -92,6 +92,8 @@ class Bounded:
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Expect:
     """The expected result of running the scenario while the failure is not fixed.
+
+    A corpus file has the fields in this order.
 
     Attributes:
         failure: name of the exception class.
@@ -127,21 +129,21 @@ class Expect:
     """
 
     failure: str
-    outcome: Outcome
-    time: float
     assertion: str = ""
     check: Bounded | None = None
     message: str = ""
+    outcome: Outcome
+    time: float
     npc: int | None = None
     cell: Cell | None = None
     zone: str | None = None
     side: Side | None = None
-    situation: Situation | ZoneSituation | None = None
     responsibility: Responsibility = "none"
     fault: Fault | None = None
     mistake: Mistake | None = None
     npc_manoeuvre: Manoeuvre | None = None
     ego_manoeuvre: Manoeuvre | None = None
+    situation: Situation | ZoneSituation | None = None
     reference_drivers: Mapping[str, ReferenceOutcome] = field(default_factory=dict)
     last_chance: LastChance | None = None
     avoided_by: Avoidance | None = None

@@ -32,10 +32,11 @@ SLOT_STEPS_PER_SECOND = 10
 PAPER_SPEED_LIMIT = 26.8
 """The speed limit on the paper's motorway, 60 mph [m/s]."""
 EGO_LANE, EGO_SPEED, GENE_SECONDS = 1, 22.0, 10.0
-LONGEST_GENE = 86400.0
-"""The longest duration of a gene [s], a day. It is longer than any run, and its ticks still fit a C integer."""
 """The defaults of a scenario: the ego's first lane, counted from 0 at the left; the first speed of all vehicles [m/s];
 the duration of an instruction, as in the paper [s]."""
+
+LONGEST_GENE = 86400.0
+"""The longest duration of a gene [s], a day. It is longer than any run, and its ticks still fit a C integer."""
 
 MAX_SPEED = 1000.0
 """The largest speed that a scenario can give to a vehicle [m/s]; each world has a much lower limit."""
@@ -73,7 +74,7 @@ class PositionInstruction:
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle as a cached constructor call, because runs travel between processes with dozens of equal genes."""
-        return _known_position, (int(self.cell), self.speed)
+        return _known_gene, (int(self.cell), self.speed)
 
     @property
     def target(self) -> int:
@@ -84,11 +85,6 @@ class PositionInstruction:
     def goal(self) -> str:
         """The target in words: ``2 front``."""
         return f"{int(self.cell)} {self.cell.label}"
-
-
-@lru_cache(maxsize=1 << 14)
-def _known_position(cell: int, speed: float) -> PositionInstruction:
-    return PositionInstruction(Cell(cell), speed)
 
 
 Shift = Literal["keep", "left", "right"]
@@ -297,13 +293,8 @@ class Scenario:
         A cell is invalid if it is no ring neighbour of the previous cell, or if two NPCs occupy it in the same gene.
         Lane-Instructions need no repair.
         """
-        chains = _checked_chains(npcs)
-        seed = _checked_whole("seed", seed, MAX_SEED)
-        wanted = [[gene.cell for gene in chain] for chain in positions_of(chains)]
-        cells = repair_chains(wanted, seed)
-        npcs = chains if [list(row) for row in cells] == wanted else with_targets(chains, on_grid(chains, cells))
         return cls(
-            npcs=npcs,
+            npcs=_repaired(npcs, seed),
             seed=seed,
             ego_lane=ego_lane,
             ego_speed=ego_speed,
@@ -312,24 +303,11 @@ class Scenario:
         )
 
     @classmethod
-    def trusted(
-        cls,
-        *,
-        npcs: tuple[Chromosome, ...],
-        seed: int,
-        ego_lane: int,
-        ego_speed: float,
-        gene_seconds: float,
-        traffic: Traffic,
-    ) -> Scenario:
+    def trusted(cls, **fields: Any) -> Scenario:
         """Make a scenario without the constructor's checks, for a search whose children consist of checked genes."""
         scenario = object.__new__(cls)
-        object.__setattr__(scenario, "npcs", npcs)
-        object.__setattr__(scenario, "seed", seed)
-        object.__setattr__(scenario, "ego_lane", ego_lane)
-        object.__setattr__(scenario, "ego_speed", ego_speed)
-        object.__setattr__(scenario, "gene_seconds", gene_seconds)
-        object.__setattr__(scenario, "traffic", traffic)
+        for name, value in fields.items():
+            object.__setattr__(scenario, name, value)
         return scenario
 
     def __hash__(self) -> int:
@@ -392,14 +370,8 @@ class Scenario:
 
     def rechained(self, npcs: Sequence[Sequence[Gene]], gene_seconds: float | None = None) -> Scenario:
         """Return this scenario with other chains, which are repaired, and if given a new duration of a gene [s]."""
-        return Scenario.repaired(
-            npcs,
-            seed=self.seed,
-            ego_lane=self.ego_lane,
-            ego_speed=self.ego_speed,
-            gene_seconds=self.gene_seconds if gene_seconds is None else gene_seconds,
-            traffic=self.traffic,
-        )
+        seconds = self.gene_seconds if gene_seconds is None else gene_seconds
+        return replace(self, npcs=_repaired(npcs, self.seed), gene_seconds=seconds)
 
     def truncated(self, genes: int) -> Scenario:
         """Return this scenario with only the first ``genes`` genes of each NPC."""
@@ -488,6 +460,14 @@ def _checked_chains(npcs: object) -> tuple[Chromosome, ...]:
                 continue
             raise ScenarioError(field=f"npcs[{npc}][{gene}]", expected=expected, received=repr(each), fix=fix)
     return chains
+
+
+def _repaired(npcs: Sequence[Sequence[Gene]], seed: int) -> tuple[Chromosome, ...]:
+    """Return chains with valid cells. Random choices of the repair depend only on the seed, the NPC and the gene."""
+    chains = _checked_chains(npcs)
+    wanted = [[gene.cell for gene in chain] for chain in positions_of(chains)]
+    cells = repair_chains(wanted, _checked_whole("seed", seed, MAX_SEED))
+    return chains if [list(row) for row in cells] == wanted else with_targets(chains, on_grid(chains, cells))
 
 
 def positions_of(npcs: Sequence[Sequence[Gene]]) -> tuple[tuple[PositionInstruction, ...], ...]:

@@ -188,13 +188,12 @@ class Trace(Shown):
             object.__setattr__(self, name, array)
         if self.states.ndim != 3 or self.states.shape[2] != 7:
             raise ValueError(f"states: expected shape [ticks + 1, vehicles, 7], received {self.states.shape}")
-        if self.sizes.shape != (self.states.shape[1], 2):
-            raise ValueError(f"sizes: expected shape {(self.states.shape[1], 2)}, received {self.sizes.shape}")
-        if self.track is not None and self.track.shape != (*self.states.shape[:2], 5):
-            raise ValueError(f"track: expected shape {(*self.states.shape[:2], 5)}, received {self.track.shape}")
-        npcs = self.states.shape[1] - 1
-        if self.on_way is not None and self.on_way.shape != (len(self.states), npcs):
-            raise ValueError(f"on_way: expected shape {(len(self.states), npcs)}, received {self.on_way.shape}")
+        rows, vehicles, _ = self.states.shape
+        shapes = {"sizes": (vehicles, 2), "track": (rows, vehicles, 5), "on_way": (rows, vehicles - 1)}
+        for name, shape in shapes.items():
+            array = getattr(self, name)
+            if array is not None and array.shape != shape:
+                raise ValueError(f"{name}: expected shape {shape}, received {array.shape}")
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Restore a pickled trace and make its arrays read-only again: pickling makes them writeable."""

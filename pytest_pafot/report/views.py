@@ -19,7 +19,7 @@ import numpy as np
 
 from pytest_pafot.attribution.manoeuvres import stretches
 from pytest_pafot.campaign.events import Judged, SearchEvent, SearchStarted
-from pytest_pafot.corpus.file_format import text_of
+from pytest_pafot.corpus.writer import text_of
 from pytest_pafot.criticality import Encounters, Passage, gap, passages, time_advantage, ttc
 from pytest_pafot.criticality.signals import jerk
 from pytest_pafot.findings.finding import Expect, Finding

@@ -50,23 +50,19 @@ def plain(value: Any) -> Any:
     if isinstance(value, Enum):
         return value.value
     try:
-        return _composed(value)
+        if isinstance(value, Scenario):
+            return value.plain()
+        if is_dataclass(value) and not isinstance(value, type):
+            return [plain(getattr(value, name)) for name in _hints(type(value))]
+        if isinstance(value, Mapping):
+            return [[plain(key), plain(each)] for key, each in value.items()]
+        if isinstance(value, AbstractSet):
+            return sorted(map(plain, value), key=json.dumps)  # the order of a set differs from process to process
+        return operator.index(value)
     except TypeError:
         raise ValueError(
             f"expected a value that JSON can hold, or a dataclass of such values, received {value!r:.100}; convert it"
         ) from None
-
-
-def _composed(value: Any) -> Any:
-    if isinstance(value, Scenario):
-        return value.plain()
-    if is_dataclass(value) and not isinstance(value, type):
-        return [plain(getattr(value, name)) for name in _hints(type(value))]
-    if isinstance(value, Mapping):
-        return [[plain(key), plain(each)] for key, each in value.items()]
-    if isinstance(value, AbstractSet):
-        return sorted(map(plain, value), key=json.dumps)  # the order of a set differs from process to process
-    return operator.index(value)
 
 
 def from_plain(kind: type[T], data: Any) -> T:

@@ -89,13 +89,8 @@ def test_waiting_before_the_situation_counts_as_drifted(found):
             assert replay_label(each, run, None, each.found.versions) == "drifted"
 
 
-def test_corpus_does_not_change_what_is_found(found):
-    again = pafot.explore(Steady, holds=holds, world=world_of("intersection-v0"), **RUNS)
-    assert again.findings == found.findings
-
-
 @pytest.mark.processes
-def test_two_processes_find_the_same(found):
+def test_neither_processes_nor_a_missing_corpus_change_what_is_found(found):
     again = pafot.explore(Steady, holds=holds, world=world_of("intersection-v0"), workers=2, **RUNS)
     assert again.findings == found.findings
 

@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pytest_pafot.corpus.file_format import text_of
 from pytest_pafot.corpus.reader import parsed
+from pytest_pafot.corpus.writer import text_of
 from pytest_pafot.execution.crash_records import CrashRecord, leftovers
 from pytest_pafot.findings.shrink import shrink, size_of, sort_key
 from pytest_pafot.model.grid import Cell

@@ -9,8 +9,8 @@ import pytest
 import yaml
 from hypothesis import settings
 
-from pytest_pafot.corpus.file_format import text_of
 from pytest_pafot.corpus.reader import load, parsed
+from pytest_pafot.corpus.writer import text_of
 from pytest_pafot.support.errors import CorpusError
 from tests.helpers.mutations import MUTATIONS, UnclearError, misread, says
 from tests.helpers.tables import table

@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pytest_pafot.corpus import yaml_document
-from pytest_pafot.corpus.file_format import text_of
 from pytest_pafot.corpus.reader import load, located, parsed
+from pytest_pafot.corpus.writer import text_of
 from pytest_pafot.findings.finding import Perceived
 from pytest_pafot.findings.shrink import Shrunk, SpeedInterval
 from pytest_pafot.model.scenario import Scenario, ScenarioError
@@ -648,6 +648,21 @@ def test_file_contains_original_perception_shrinking_and_flakiness(path):
 def test_error_in_a_later_section_names_its_field(path, old, new, field):
     assert text_of(SHRUNK).count(old) == 1
     assert fault(path, text_of(SHRUNK).replace(old, new)).field == field
+
+
+@pytest.mark.parametrize(
+    ("left_out", "key", "field"),
+    [
+        ("responsibility: ego, ", "responsibility", "expect"),
+        (",\n        versions: {pytest-pafot: 0.1.0, highway-env: 1.12.1, numpy: 2.4.6}", "versions", "found"),
+        ("is_minimal: false, ", "is_minimal", "shrunk"),
+        (", speeds: [{npc: 0, gene: 1, low: 3.0, high: 11.2}]", "speeds", "shrunk"),
+    ],
+)
+def test_key_with_a_default_only_in_code_is_required(path, left_out, key, field):
+    assert text_of(SHRUNK).count(left_out) == 1
+    error = fault(path, text_of(SHRUNK).replace(left_out, ""))
+    assert (error.field, error.expected) == (field, f"the key '{key}'")
 
 
 @pytest.mark.parametrize("received", ["[]", "3", "null"])

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from pytest_pafot.corpus.file_format import LIMITS, WORLDS, text_of
-from pytest_pafot.corpus.reader import load
+from pytest_pafot.corpus.reader import LIMITS, WORLDS, load
+from pytest_pafot.corpus.writer import text_of
 from pytest_pafot.world import Highway, NpcLimits, World, from_dict
 
 FILES = sorted(Path(__file__).with_name("saved").glob("*.pafot.yaml"))

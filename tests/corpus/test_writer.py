@@ -7,9 +7,8 @@ from datetime import date
 
 import pytest
 
-from pytest_pafot.corpus.file_format import text_of
 from pytest_pafot.corpus.reader import load
-from pytest_pafot.corpus.writer import CorpusWriteError, free_path, rewrite, write
+from pytest_pafot.corpus.writer import CorpusWriteError, free_path, rewrite, text_of, write
 from pytest_pafot.findings.finding import Bounded
 from pytest_pafot.model.scenario import PositionInstruction, Scenario
 from pytest_pafot.support.errors import CorpusError

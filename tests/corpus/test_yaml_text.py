@@ -6,9 +6,8 @@ import yaml
 from hypothesis import given, settings
 
 from pytest_pafot.attribution.last_chance import Avoidance, Escape, LastChance
-from pytest_pafot.corpus.file_format import text_of
 from pytest_pafot.corpus.reader import load, parsed
-from pytest_pafot.corpus.writer import write
+from pytest_pafot.corpus.writer import text_of, write
 from pytest_pafot.findings.finding import Expect
 from pytest_pafot.findings.situation import Situation
 from pytest_pafot.model.driving_style import Traffic

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from pytest_pafot.attribution.last_chance import Avoidance, Escape, LastChance
 from pytest_pafot.attribution.mistakes import LANE_CHANGES, Manoeuvre
-from pytest_pafot.corpus.file_format import LIMITS, WORLDS
+from pytest_pafot.corpus.reader import LIMITS, WORLDS
 from pytest_pafot.findings.finding import MAX_KEY, MAX_NUMBER, Bounded, Expect, Finding, Found, Perceived
 from pytest_pafot.findings.shrink import Shrunk, SpeedInterval
 from pytest_pafot.findings.signature import ZONES

@@ -24,13 +24,18 @@ def moved(state, seconds):
     return state
 
 
-def polygon_distance(p, q):
-    """Return the distance of two convex polygons: 0 if a corner is inside the other or two edges cross."""
+def polygons_meet(p, q):
+    """Return whether a corner of a convex polygon is inside another, or two of their edges cross."""
     if contains(p, q[0]) or contains(q, p[0]):
+        return True
+    return any(cross_each_other(*a, *b) for a in edges_of(p) for b in edges_of(q))
+
+
+def polygon_distance(p, q):
+    """Return the distance of two convex polygons."""
+    if polygons_meet(p, q):
         return 0.0
     edges = [(a, b) for a in edges_of(p) for b in edges_of(q)]
-    if any(cross_each_other(*a, *b) for a, b in edges):
-        return 0.0
     return min(min(point_to_segment(end, *b) for end in a) for a, b in [*edges, *((b, a) for a, b in edges)])
 
 

@@ -29,7 +29,7 @@ from tests.helpers.crossings import junction
 from tests.helpers.tables import table
 
 JUNCTION = junction()
-EACH = 0.002
+EACH = 0.005
 """The duration of a step of the oracle [s]."""
 
 crossings = st.builds(
@@ -182,10 +182,13 @@ class TestScenarios:
 
 
 def driven(way, instruction, start, seconds):
-    """Return an NPC's place every few milliseconds, if it drives at its speed, or as fast as bends allow."""
-    places, points = [start], np.arange(len(way.speeds)) * STEP
+    """Return an NPC's place at each step of the oracle, if it drives at its speed, or as fast as bends allow."""
+    speeds = np.minimum(way.speeds, instruction.speed).tolist()  # every `STEP` metres, and linear between these
+    last, places = len(speeds) - 1, [start]
     while len(places) * EACH < seconds:
-        speed = float(np.interp(places[-1], points, np.minimum(way.speeds, instruction.speed)))
+        steps = min(max(places[-1] / STEP, 0.0), last)
+        index = min(int(steps), last - 1)
+        speed = speeds[index] + (steps - index) * (speeds[index + 1] - speeds[index])
         places.append(places[-1] + speed * EACH)
     return np.array(places)
 

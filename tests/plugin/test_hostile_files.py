@@ -10,8 +10,8 @@ from xml.etree import ElementTree
 
 import pytest
 
-from pytest_pafot.corpus.file_format import text_of
 from pytest_pafot.corpus.reader import load
+from pytest_pafot.corpus.writer import text_of
 from tests.helpers.hostile import WORST, obeyed
 from tests.plugin.conftest import CONFTEST
 

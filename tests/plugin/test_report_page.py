@@ -42,7 +42,8 @@ def page(project):
 
 def test_the_page_has_the_find_and_its_search(failing, page):
     result = failing.run_once("--pafot-report=report.html")
-    data = data_of(page)
+    result.assert_outcomes(failed=2)
+    data, text = data_of(page), page.read_text(encoding="utf-8")
     (finding,), (campaign,) = data["findings"], data["campaigns"]
     assert finding["id"] == failing.only_id
     assert finding["node_id"] == f"test_it.py::test_fails[saved-{failing.only_id}]"
@@ -52,19 +53,9 @@ def test_the_page_has_the_find_and_its_search(failing, page):
     assert campaign["node_id"] == "test_it.py::test_fails[search]"
     assert (campaign["simulated"], campaign["reason"]) == (1, "stopped")
     assert sum(row["reached"] for row in campaign["cells"]) > 0
+    assert html.escape(failing.only_file.read_text()) in text
+    assert '<article class="error"' not in text
     result.stdout.fnmatch_lines(["report: report.html (1 finding)"])
-
-
-def test_the_page_counts_the_runs_of_a_find(project, page):
-    project.write("@pafot.search(SHORT)\ndef test_fails(run):\n    assert run.duration < 1\n")
-    project.run("--pafot-report=report.html", generations=2)
-    data = data_of(page)
-    assert sum(finding["runs"] for finding in data["findings"]) == data["campaigns"][0]["simulated"] > 2
-
-
-def test_page_contains_the_text_of_the_file(failing, page):
-    failing.run_once("--pafot-report=report.html")
-    assert html.escape(failing.only_file.read_text()) in page.read_text(encoding="utf-8")
 
 
 def test_page_contains_saved_scenarios_that_still_fail(saved, page):
@@ -76,13 +67,13 @@ def test_page_contains_saved_scenarios_that_still_fail(saved, page):
     assert "1 saved scenario: 1 still failing" in page.read_text(encoding="utf-8")
 
 
-def test_known_failure_shows_number_of_covered_runs(project, page):
+def test_page_counts_runs_of_new_and_known_findings(project, page):
     project.write("@pafot.search(SHORT)\ndef test_fails(run):\n    assert run.duration < 1\n")
-    project.run_once(generations=2)
-    project.run("--pafot-report=report.html", generations=2)
-    data = data_of(page)
-    assert set(labels_of(data)) == {"still failing"}
-    assert sum(finding["runs"] for finding in data["findings"]) == data["campaigns"][0]["simulated"] > 2
+    for label in ("new", "still failing"):
+        project.run("--pafot-report=report.html", generations=2)
+        data = data_of(page)
+        assert set(labels_of(data)) == {label}
+        assert sum(finding["runs"] for finding in data["findings"]) == data["campaigns"][0]["simulated"] > 2
 
 
 def test_accepted_failure_is_shown_with_its_reason(saved, page):
@@ -230,11 +221,6 @@ def test_fixture_error_appears_on_the_page_of_others(project, page):
     text = page.read_text(encoding="utf-8")
     assert "OSError: no map" in text
     assert KEPT not in text
-
-
-def test_page_shows_no_error_for_ordinary_findings(failing, page):
-    failing.run_once("--pafot-report=report.html").assert_outcomes(failed=2)
-    assert '<article class="error"' not in page.read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize(

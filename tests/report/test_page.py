@@ -130,17 +130,6 @@ def test_an_empty_report_says_that_nothing_was_found():
     assert "Searches" not in " ".join(Reader(page).words)
 
 
-def test_a_finding_without_frames_says_so():
-    finding = replace(real_report().findings[0], times=(), vehicles=())
-    assert "There is no run to draw" in render_page(Report(title="t", findings=(finding,)))
-
-
-def test_reference_drivers_are_told():
-    finding = real_report().findings[0]
-    told = replace(finding, prevention="preventable by idm-aeb")
-    assert "<li>preventable by idm-aeb</li>" in render_page(Report(title="t", findings=(told,)))
-
-
 def test_the_page_itself_is_below_100_kilobytes():
     assert len(render_page(Report(title="t")).encode()) < 100_000
 

@@ -6,7 +6,7 @@ The texts are in ``__snapshots__``. ``--snapshot-update`` rewrites them; read th
 import re
 from dataclasses import replace
 
-from pytest_pafot.corpus.file_format import text_of
+from pytest_pafot.corpus.writer import text_of
 from pytest_pafot.findings.shrink import Shrunk
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.report.page import campaign_article, finding_article, finding_list, render_page

@@ -3,7 +3,6 @@
 Long texts are in ``__snapshots__``. ``--snapshot-update`` rewrites them; read the differences before you commit them.
 """
 
-import json
 from dataclasses import replace
 
 from pytest_pafot.campaign.events import Find, Progress, SearchSummary
@@ -15,7 +14,6 @@ from pytest_pafot.model.scenario import PositionInstruction, Scenario
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.report import terminal
 from pytest_pafot.report.terminal import SessionSummary
-from pytest_pafot.searching.plain import from_plain, plain
 from pytest_pafot.support.text import wrapped_to
 from tests.findings.builders import plain_finding
 from tests.helpers.tables import table
@@ -112,10 +110,6 @@ def test_failures_are_listed_new_first_then_worst_first():
         "  still failing: known hits at 30.0 m/s",
     ]
     assert terminal.worst_lines(SessionSummary(searches=[SEARCH])) == []
-
-
-def test_a_search_survives_the_way_through_plain_data():
-    assert from_plain(SearchSummary, json.loads(json.dumps(plain(SEARCH)))) == SEARCH
 
 
 def test_the_summary_of_a_session_reads_so(snapshot):

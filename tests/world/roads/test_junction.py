@@ -14,7 +14,7 @@ from highway_env.road.road import Road, RoadNetwork
 
 from pytest_pafot import World
 from pytest_pafot.world.roads.junction import WIDER
-from tests.helpers.polygons import corners, polygon_distance
+from tests.helpers.polygons import corners, polygons_meet
 from tests.helpers.road_cases import ROADS, world_of, wrapped
 from tests.helpers.stages import oracle
 from tests.helpers.tables import table
@@ -132,10 +132,10 @@ def posed(line, lean, places):
 def touching(first, second, wider):
     """Return which poses of two rows touch as boxes, by their corners and edges."""
     near = np.hypot(*(first[:, None, :2] - second[None, :, :2]).transpose(2, 0, 1)) < math.hypot(LENGTH, WIDTH + wider)
+    boxes, others = ([corners(pose, LENGTH, WIDTH + wider) for pose in poses.tolist()] for poses in (first, second))
     found = np.zeros(near.shape, dtype=bool)
     for a, b in np.argwhere(near):
-        boxes = (corners([*pose, 0.0], LENGTH, WIDTH + wider) for pose in (first[a], second[b]))
-        found[a, b] = polygon_distance(*boxes) == 0.0
+        found[a, b] = polygons_meet(boxes[a], others[b])
     return found
 
 
