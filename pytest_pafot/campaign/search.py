@@ -36,6 +36,7 @@ from pytest_pafot.searching import run_campaign
 from pytest_pafot.searching.ask_tell import Algorithm
 from pytest_pafot.searching.campaign import CheckpointError
 from pytest_pafot.searching.fitness import FitnessError, is_built_in, resolve
+from pytest_pafot.searching.space import SearchSpace
 from pytest_pafot.support.errors import OutOfTime, RequestError, flag
 from pytest_pafot.world import WorldError, codec, protocol
 from pytest_pafot.world.driving.ads import loading_hint
@@ -102,17 +103,20 @@ class SearchResult:
 
 
 @contextmanager
-def prepared(harness: Harness, listener: Listener, *, is_steered: bool = True) -> Iterator[Sessions]:
+def prepared(
+    harness: Harness, listener: Listener, *, space: SearchSpace | None = None, is_steered: bool = True
+) -> Iterator[Sessions]:
     """Build the parts of a search that run scenarios, record findings and count. Stop their processes at the end.
 
-    Unless ``blame="any"`` or ``is_steered`` is False, the search is steered towards collisions for which the ego is
-    responsible.
+    The search has the space that its request describes, unless one is given. It is steered towards collisions for which
+    the ego is responsible, unless ``blame="any"`` or ``is_steered`` is False.
 
     Raises:
         RequestError: for a fitness that does not exist, or a world that cannot be used.
     """
     request, seed = harness.request, search_seed(harness.request.settings.seed, harness.node_id)
-    space = build_space(request, harness.world) if request.settings.is_search else None
+    if space is None and request.settings.is_search:
+        space = build_space(request, harness.world)
     is_for_ego = is_steered and request.blame != "any"
     try:
         fitness = resolve(request.fitness, responsible=is_ego_responsible if is_for_ego else None)

@@ -105,7 +105,8 @@ def run_rows(plan: Plan, algorithm: str, run: int, tick: Tick = lambda share: No
     Raises:
         RequestError: if the ADS fails for the same reason at its first decision in the whole first generation.
     """
-    (world, _), chosen, seed = plan.setting(algorithm), plan.entrant(algorithm).algorithm, plan.run_seed(algorithm, run)
+    (world, space), chosen = plan.setting(algorithm), plan.entrant(algorithm).algorithm
+    seed = plan.run_seed(algorithm, run)
     generations, budget = plan.generations or UNBOUNDED, math.inf if plan.seconds is None else plan.seconds
     given = {"ads": ads_factory(plan.ads), "world": world, "algorithm": chosen.made_by}
     request = request_of({**given, "fitness": plan.fitness, "blame": plan.blame})
@@ -133,7 +134,7 @@ def run_rows(plan: Plan, algorithm: str, run: int, tick: Tick = lambda share: No
     with tempfile.TemporaryDirectory(prefix="pafot-") as scratch:
         harness = replays_of(request, partial(never_collides, plan.blame), "compare", Path(scratch)).harness
         # Blame affects all fitnesses except AV-Fuzzer's, which its authors used without it.
-        with prepared(harness, listen, is_steered=request.fitness != "av-fuzzer") as sessions:
+        with prepared(harness, listen, space=space, is_steered=request.fitness != "av-fuzzer") as sessions:
             events = run_campaign(
                 plan.made(algorithm),
                 sessions.loop.evaluate,
