@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pytest_pafot.findings.shrink import SpeedInterval, _furthest, instructions, shrink, size_of, sort_key
+from pytest_pafot.findings.shrink import SpeedInterval, instructions, shrink, size_of, sort_key
 from pytest_pafot.model.driving_style import PAPERS, Traffic
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.scenario import SHIFTS, Scenario, gene_of
@@ -86,22 +86,10 @@ def test_run_begins_later_if_ego_state_suffices():
     assert written(simplest) == ("2@0",)
 
 
-def test_npcs_that_do_not_matter_are_dropped():
-    assert minimal(BUSY, has(Cell.FRONT)) == ("2@0",)
-
-
-def test_an_npc_that_matters_stays():
-    assert len(minimal(BUSY, lambda each: len(each.npcs) == 2)) == 2
-
-
 def test_of_many_npcs_those_that_matter_together_stay():
     given = scenario("1@20", "2@20", "3@20", "4@20", "5@20", "6@20", "7@20", "8@20")
     needed = {Cell(2), Cell(7)}
     assert minimal(given, lambda each: needed <= {chain[0].cell for chain in each.npcs}) == ("2@0", "7@0")
-
-
-def test_the_tail_is_cut():
-    assert minimal(scenario("4@20 3@20 2@20 3@20 4@20"), lambda each: written(each)[0][:1] == "4") == ("4@0",)
 
 
 def test_run_that_must_be_long_has_one_instruction():
@@ -174,13 +162,6 @@ def test_instructions_below_the_least_speed_get_no_slower():
     assert min(gene.speed for chain in shrunk(given, lambda each: True)[0].npcs for gene in chain) == 15.0
 
 
-def test_what_is_minimal_is_tried_and_stays():
-    given = scenario("2@0")
-    simplest, how = shrunk(given, lambda each: each == given)
-    assert simplest == given
-    assert how.is_minimal
-
-
 def test_the_scenario_as_driven_is_what_comes_out():
     driven = scenario("1@10")
 
@@ -204,13 +185,6 @@ def test_run_that_is_no_simpler_is_not_accepted():
 def test_without_rollouts_nothing_is_tried():
     simplest, how = shrunk(BUSY, lambda each: True, rollouts=0)
     assert (simplest, how.rollouts, how.is_minimal) == (BUSY, 0, False)
-
-
-def test_spent_budget_leaves_the_best_so_far():
-    simplest, how = shrunk(BUSY, has(Cell.FRONT), rollouts=2)
-    assert how.rollouts == 2
-    assert not how.is_minimal
-    assert len(simplest.npcs) == 1
 
 
 def test_small_unrelated_scenario_is_found():
@@ -251,11 +225,6 @@ def test_genes_last_as_long_as_in_default_search(least_genes, seconds):
     given = scenario("4@20 4@20 3@20", gene_seconds=5.0)
     simplest, _ = shrunk(given, lambda each: each.genes >= least_genes and has(4)(each), plain_seconds=10.0)
     assert simplest.gene_seconds == seconds
-
-
-def test_ego_with_plain_start_retains_odd_speed():
-    simplest, _ = shrunk(scenario("4@22", ego_lane=2, ego_speed=18.0), lambda each: True, plain=(2, 18.0))
-    assert (simplest.ego_lane, simplest.ego_speed) == (2, 18.0)
 
 
 def test_two_steps_are_combined_if_neither_helps_alone():
@@ -444,12 +413,6 @@ def test_minimal_result_is_repeatable_and_cannot_be_reduced(failure):
         smaller += [Scenario(npcs=each, ego_lane=best.ego_lane, ego_speed=best.ego_speed) for each in chains]
     assert not any(fails(each) for each in smaller)
     assert instructions(best) <= instructions(given)
-
-
-def test_the_furthest_step_is_found_exactly():
-    steps = [(reach, most, direction) for reach in range(40) for most in (0, 1, 7, 10, 33) for direction in (1, -1)]
-    found = [_furthest(lambda step: step * direction <= reach, direction, most) for reach, most, direction in steps]  # noqa: B023
-    assert found == [min(reach, most) for reach, most, _ in steps]
 
 
 def test_runs_are_reserved_for_speeds_that_still_fail():

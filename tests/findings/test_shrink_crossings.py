@@ -83,11 +83,6 @@ def test_one_passing_npc_remains_with_round_values(test, slot, speeds, act):
     assert found.speed in speeds
 
 
-def test_crossing_speeds_become_round_and_not_slow():
-    simplest, _ = shrunk(scenario(crosses(speed=8.6)), some(lambda each: each.speed > 1))
-    assert told(simplest)[0].speed in (5.0, 10.0)
-
-
 def test_needed_npc_on_grid_stays_and_becomes_short():
     def fails(each):
         return some(lambda gene: gene.slot > 0)(each) and any(chain[0].cell == 2 for chain in each.positions)
@@ -96,12 +91,6 @@ def test_needed_npc_on_grid_stays_and_becomes_short():
     assert how.is_minimal
     assert [[(gene.cell, gene.speed) for gene in chain] for chain in simplest.positions] == [[(2, 0.0)]]
     assert [(each.slot, each.act) for each in told(simplest)] == [(1.0, "pass")]
-
-
-def test_both_crossing_npcs_stay_if_both_are_needed():
-    simplest, _ = shrunk(BUSY, lambda each: len({gene.zone for gene in told(each)}) == 2)
-    assert sorted(gene.zone for gene in told(simplest)) == ["o1>o3", "o3>o1"]
-    assert len(simplest.npcs) == 2
 
 
 def test_instruction_without_room_on_its_way_is_rejected():

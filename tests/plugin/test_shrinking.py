@@ -52,9 +52,10 @@ def run(project, *args, **kwargs):
     return project.run_once(*args, **{"generations": 10, "seed": 2, **kwargs})
 
 
-def test_shrunk_finding_is_announced_only_once(collides):
+def test_shrunk_finding_is_announced_once_and_nothing_is_left_to_shrink(collides):
     result = run(collides)
     result.assert_outcomes(failed=2)
+    result.stdout.no_fnmatch_line("*ended before*")
     lines = result.stdout.str().splitlines()
     assert [line for line in lines if line.startswith("pafot: found ")] == [
         f"pafot: found test_it.py::test_collides[saved-{collides.only_id}]"
@@ -151,10 +152,6 @@ def test_interrupted_search_says_how_to_shrink_later(project, save, first, limit
     result = run(project, f"--pafot-save={save}", no_reraise_ctrlc=True)
     told = f"  note: ended before 1 new finding was shrunk: {first}search again with --pafot-seed=2"
     result.stdout.fnmatch_lines(["*ended: interrupted", told])
-
-
-def test_completed_search_leaves_nothing_to_shrink(collides):
-    run(collides).stdout.no_fnmatch_line("*ended before*")
 
 
 def test_an_interrupt_while_shrinking_loses_nothing(project):
