@@ -46,188 +46,226 @@ from pytest_pafot.world.guard.own_worlds import rollout_of, simulate_batch
 from pytest_pafot.world.protocol import WorldLike, lock_stepping, resumable
 
 
-@dataclass(frozen=True, slots=True)
-class _OtherRuns:
-    """A stand-in for a world, with a different ``rollout``, which guards the ADS."""
-
-    guards_ads = True
-
-    hang_limit: float
-    rollout: Callable[[Scenario, Callable[..., Any]], Trace]
-
-
-def answers_apart(
-    job: Job, scenarios: Sequence[Scenario], judge: Callable[[Trace], object], *, isolate: bool
-) -> dict[Scenario, Answer] | None:
-    """Run and evaluate each scenario by itself in a separate process; return the answers, or None if impossible.
-
-    If a process dies, the answer is a ``ProcessLostError`` even if a second attempt succeeds, because a process has
-    already died in this scenario before.
+def runner_for(
+    job: Job,
+    record: CrashRecord,
+    *,
+    workers: int = 1,
+    isolate: bool = False,
+    executor: Executor | None = None,
+    times_decisions: bool = False,
+    clock: Callable[[], float] = time.perf_counter,
+) -> Runner:
+    """Return the runner of a job.
 
     Args:
         job: everything that a run needs.
-        scenarios: the scenarios, run one after the other.
-        judge: evaluates a trace. It needs the fixtures of the test function, which only forked processes have. Its
-            output and its exceptions are ignored, because the session evaluates the run again.
-        isolate: True if the run must be in a separate process, without the evaluation if processes cannot be forked.
+        record: the open crash record of this process; the caller clears it after each verdict, and closes it.
+        workers: the largest number of other processes; with 1, all runs are made in this process, unless ``isolate`` is
+            set.
+        isolate: True if the ADS must never run in this process.
+        executor: an executor that makes the announced runs, and with ``isolate`` all runs; None for no executor.
+        times_decisions: True if the duration of each decision matters. No decision is then cached or made for many runs
+            at once.
+        clock: a monotonic clock [s].
 
     Raises:
-        ExecutionError: with ``isolate``, if no other process can be started.
+        WorldError: if the world cannot be used.
     """
-    world = job.world
+    if isinstance(job.ads, RevisionPolicy):  # Its runs are in a process of its own already.
+        job, workers, isolate, executor = replace(job, world=Elsewhere(job.world, job.ads)), 1, False, None
+    if isolate:
+        return Runner(job=job, record=record, processes=Isolated(job, workers=workers, executor=executor), clock=clock)
+    is_asked = not (times_decisions or is_vehicle_class(job.ads) or wants_env(job.ads))
+    can_lock_step = is_asked and executor is None and lock_stepping(job.world) is not None
+    # This process makes the first runs, which show what the ADS can do and how long a run takes. Then the announced
+    # runs are made in lock step if the ADS decides for many runs at once, or else in other processes if runs are slow.
+    # Runs that were not announced, or that cannot be made elsewhere, are always made in this process.
+    return Runner(
+        job=job,
+        record=record,
+        processes=Processes(job, workers=workers, executor=executor),
+        lock_step=LockStep(job, record, workers=workers) if can_lock_step else None,
+        can_resume=not times_decisions and resumable(job.world) is not None,
+        clock=clock,
+    )
 
-    def judged(scenario: Scenario, ads: Callable[..., Any]) -> Trace:
-        trace = rollout_of(world)(scenario, ads)
-        with capture_output(), suppress(BaseException):
-            judge(trace)
+
+@contextmanager
+def runner_here(world: WorldLike, ads: Callable[..., Any]) -> Iterator[Runner]:
+    """Provide a runner for a command, which makes all runs in this process and writes only temporary crash records."""
+    with tempfile.TemporaryDirectory(prefix="pafot-") as records:
+        job = Job(world=world, ads=ads, records=Path(records), owner="command")
+        with job.crash_record() as record, runner_for(job, record) as runner:
+            yield runner
+
+
+@dataclass(eq=False, kw_only=True)
+class Runner:
+    """A runner, which returns runs that were made in advance, and makes all other runs in this process.
+
+    The end of a ``with`` statement ends the processes that the runner has started, at once after an exception, and
+    drops the announced scenarios. The runner can still be used after that, also in a second ``with`` statement.
+
+    If runs begin with the same situations, a pure ADS decides in them only once. Physics is always simulated, so a
+    trace is the same to the last bit. That the ADS is pure is only a promise of the user, so the runs that decide on a
+    finding are made without cached decisions.
+
+    ``processes`` makes announced runs in advance. As soon as the ADS shows that it has ``batch``, ``lock_step`` makes
+    them instead. With ``can_resume``, decisions are cached as soon as the ADS shows that it is pure.
+    """
+
+    job: Job
+    record: CrashRecord
+    processes: Processes
+    lock_step: LockStep | None = None
+    can_resume: bool = False
+    clock: Callable[[], float]
+    is_alone: bool = field(default=True, init=False)
+    """True if the last run was made by itself, and not in lock step with other runs."""
+
+    def __post_init__(self) -> None:
+        self._prefetching: Processes | LockStep = self.processes
+        self._decisions: DecisionCache | None = None
+        is_of_interest = (self.lock_step is not None or self.can_resume) and not is_vehicle_class(self.job.ads)
+        self._factory = self._showing(self.job.ads) if is_of_interest else self.job.ads
+
+    @property
+    def notes(self) -> list[str]:
+        """Notes on how the runs were made; complete after the processes have ended."""
+        return self._prefetching.notes
+
+    @property
+    def decides_for_many(self) -> bool:
+        """True if the ADS has shown that it decides for many runs at once."""
+        return self._prefetching is self.lock_step
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *rest: object) -> None:
+        self._prefetching.announce(())
+        self.processes.close(at_once=kind is not None)
+
+    def announce(self, scenarios: Iterable[Scenario]) -> None:
+        """Announce the next scenarios in the order in which they will be requested; earlier ones are dropped."""
+        self._prefetching.announce(scenarios)
+
+    def run(self, scenario: Scenario, *, afresh: bool = False) -> Trace:
+        """Return the trace of a run of a scenario.
+
+        The crash record of the scenario stays on disk, because the evaluation of the run may end the process, too.
+
+        Args:
+            scenario: the scenario to run, announced or not.
+            afresh: True if the ADS must make every decision of this run, without cached or common decisions.
+
+        Raises:
+            ProcessLostError: if the run was in a different process, which died or hung.
+            ExecutionError: if the run must be in a different process, and none can be started.
+            Exception: any exception of the world, the factory or the ADS's ``batch``.
+        """
+        __tracebackhide__ = True
+        trace = self._prefetching.take(scenario, afresh=afresh)
+        self.is_alone = trace is None or self._prefetching is not self.lock_step
+        self.record.write(scenario, reference=self.job.reference)
+        if trace is None:
+            decisions = () if afresh or self._decisions is None else self._decisions.recall(scenario)
+            started = self.clock()
+            given = {"decisions": decisions} if decisions else {}  # the user's own world need not have this argument
+            trace = rollout_of(self.job.world)(scenario, self._factory, **given)
+            if not self.decides_for_many:
+                self.processes.ran_here(self.clock() - started)
+        if self._decisions is not None and self.is_alone:  # decisions of a batch may differ, so they are not cached
+            self._decisions.remember(trace)
         return trace
 
-    if scenario_pool.METHOD == "fork":
-        job = replace(job, world=_OtherRuns(protocol.hang_limit(world), judged))
-    elif not isolate:
-        return None
-    with pool_for(job, 1) as pool:
-        pool.expect(scenarios)
-        answers = {scenario: pool.fetch(scenario) for scenario in scenarios}
-    if pool.failure and isolate:
-        raise ExecutionError(f"{flag('isolate')}: expected processes to run the ADS in, received: {pool.failure}")
-    return None if pool.failure else answers | {lost.task: lost for lost in pool.recovered}
+    def _showing(self, factory: Callable[..., Any]) -> Callable[..., Any]:
+        """Return a factory that inspects its first ADS, because the user's factory must be called only for runs."""
+
+        def make(*arguments: Any, **named: Any) -> Any:
+            __tracebackhide__ = True
+            ads = factory(*arguments, **named)
+            self._factory = factory
+            if self.can_resume and getattr(ads, "pure", False) is True:
+                self._decisions = DecisionCache()
+            if self.lock_step is not None and callable(getattr(ads, "batch", None)):
+                self.lock_step.announce(self.processes.announced)
+                self._prefetching = self.lock_step
+            return ads
+
+        make.__wrapped__ = factory  # type: ignore[attr-defined]  # for inspect.signature
+        return make
 
 
-def run_apart(
-    job: Job,
-    scenario: Scenario,
-    judge: Callable[[Trace], object],
-    *,
-    isolate: bool,
-    in_own_session: Callable[[], object],
-) -> Trace | None:
-    """Return the trace of a scenario that was run and evaluated in a separate process.
+# The decisions of an ADS in earlier runs, for runs that begin in the same way.
 
-    The session then evaluates the trace again. Return None if the scenario must be run in this process, because no
-    other process can be started. In that case, ``in_own_session`` has first replayed the scenario in a separate
-    session, which has survived. For the other arguments see :func:`answers_apart`.
+DECISIONS = 100_000
+"""The largest number of cached decisions, which are about 300 runs of a minute at 5 Hz and take about 15 MB."""
 
-    Raises:
-        ProcessLostError: if the separate process died or hung.
-        ExecutionError: with ``isolate``, if no other process can be started; without, if the ADS does not work in one.
-        Exception: with ``isolate``, any exception of the separate process.
-    """
-    __tracebackhide__ = True
-    answers = answers_apart(job, [scenario], judge, isolate=isolate)
-    if answers is None:
-        in_own_session()
-        return None
-    try:
-        return trace_apart(answers[scenario])
-    except ProcessLostError:
-        raise
-    except Exception as error:
-        if isolate:
-            raise
-        raise ExecutionError(
-            "expected a scenario that has ended a process to run in a separate process, received from there "
-            f"{type(error).__name__}: {error}. {NOT_REPEATED} Or delete the file; a search may then find it again"
-        ) from None
+_Key = tuple[object, ...]
+_Actions = tuple[Any, ...]
 
 
-def replay_in_gym_apart(job: Job, record: CrashRecord, scenario: Scenario) -> Trace:
-    """Run a scenario with ``env.step`` of highway-env's own environment in a separate process.
+class DecisionCache:
+    """A cache of the decisions in the last runs of one ADS in one world, by the genes on which the decisions depended.
 
-    Raises:
-        ProcessLostError: if the separate process died or hung.
-        ExecutionError: if no other process can be started.
-        Exception: any exception of the separate process.
-    """
-    __tracebackhide__ = True
-    in_gym = replace(job, world=_OtherRuns(protocol.hang_limit(job.world), job.world.rollout_in_gym))
-    with runner_for(in_gym, record, isolate=True) as runner:
-        return runner.run(scenario)
+    Until the end of gene ``g``, a run depends only on the start and on the first ``g`` genes of each NPC. The last
+    decision that depends only on these genes is at the tick at which the next gene begins. Two scenarios share
+    decisions if their chains as driven are the same, or if their requested chains and their seeds are the same (see
+    :class:`~pytest_pafot.searching.evaluation.EvaluationCache`).
 
-
-# A scenario in which a process died runs again in a separate process before it is called a finding.
-#
-# A process may also be killed from outside: a job is cancelled, or the system is short of memory. Then the scenario
-# says nothing about the ADS, however many sessions are killed in a row. But if two processes died in the same scenario,
-# the cause is probably something that builds up from run to run, such as memory of the test function. Then the scenario
-# is called a finding after all, or this would never be reported.
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Retried:
-    """The result of a second attempt to run the scenarios of a process that died."""
-
-    notes: tuple[str, ...] = ()
-    """Notes for the user on scenarios that did not cause the death of the process."""
-    pending: Leftover | None = None
-    """The crash record to remove at the end of the search, or None. If this session dies, the next one reads it."""
-
-
-def retry(
-    leftover: Leftover,
-    job: Job,
-    judge: Callable[[Trace], object],
-    *,
-    isolate: bool,
-    has_died_twice: bool,
-    keep: Callable[[Leftover, Scenario, LostRun | None], object],
-    run_here: Callable[[Leftover], object],
-) -> Retried:
-    """Try the scenarios of a process that died a second time, and save the scenarios that caused its death.
-
-    If a reference was driving when the process died, the reference is the cause, and nothing is run again. A scenario
-    that ran by itself is saved although a second attempt survives, or is impossible, in two cases: two processes died
-    in it, or no separate process can be started.
+    The cache is valid only for an ADS that decides only from its observation.
 
     Args:
-        leftover: the crash record of the process; it is removed unless the result contains it as ``pending``.
-        job: everything that a run of the scenarios needs.
-        judge, isolate: see :func:`answers_apart`.
-        has_died_twice: whether another process died in the same scenarios.
-        keep: saves a scenario in which a process died; its last argument is the second death, or None if unknown.
-        run_here: runs the scenarios of a batch in this process, one by one, each with a crash record on disk. If this
-            process dies, the next session reads that record.
+        decisions: the largest number of cached decisions; the oldest runs are removed first.
     """
-    if leftover.reference:
-        note = (
-            f"a process (pid {leftover.pid}) died while the reference {leftover.reference} drove in "
-            f"{leftover.scenario!r}, which says nothing about the ADS: correct the reference, or search with "
-            f"{flag('isolate')}, so that it can die without harm"
-        )
-        return Retried(notes=(note,), pending=leftover)
-    # Try all of them again, each in a process of its own if there can be one.
-    answers: dict[Scenario, Answer] | None = None
-    with suppress(ExecutionError):  # The first run of the search reports it.
-        answers = answers_apart(job, leftover.scenarios, judge, isolate=isolate)
-    if answers is None and leftover.is_lock_step:
-        run_here(leftover)
-        return Retried()
-    # The guilty ones are saved. Of a batch in lock step nobody knows which one it was, so only a second death counts.
-    is_build_up = has_died_twice and not leftover.is_lock_step
-    guilty = [
-        each for each in leftover.scenarios if answers is None or is_build_up or not _came_to_its_end(answers[each])
-    ]
-    for scenario in guilty:
-        answer = None if answers is None else answers[scenario]
-        lost = answer if isinstance(answer, ProcessLostError) else None
-        if lost is not None or not leftover.is_lock_step:
-            keep(leftover, scenario, lost)
-    if guilty:
-        leftover.discard()
-        return Retried()
-    ran = f"{leftover.scenario!r},"
-    if leftover.is_lock_step:
-        ran = f"{len(leftover.scenarios)} scenarios in lock step, each of"
-    note = (
-        f"a process (pid {leftover.pid}) died while it ran {ran} which ran to its end when it was tried again: the "
-        "process was killed from outside, or there was too little memory"
-    )
-    return Retried(notes=(note,), pending=leftover)
+
+    def __init__(self, decisions: int = DECISIONS) -> None:
+        self._room = decisions
+        self._kept = 0
+        self._known: dict[_Key, tuple[_Actions, int]] = {}
+        self._runs: deque[tuple[_Actions, list[_Key]]] = deque()
+
+    def remember(self, trace: Trace) -> None:
+        """Cache the decisions of a run; they replace older decisions after the same genes."""
+        actions, scenario = trace.actions, trace.scenario
+        if not actions or len(actions) > self._room:
+            return
+        gene_ticks, every = round(scenario.gene_seconds * trace.physics_hz), trace.physics_hz // trace.ads_hz
+        asked, driven = plain_chains(scenario), plain_chains(trace.executed)
+        keys = []
+        for genes in range(1, min(-(-trace.ticks // max(gene_ticks, 1)), scenario.genes) + 1):
+            count = min(genes * gene_ticks // every + 1, len(actions))
+            by_chains, by_seed = _key(scenario, driven, genes, None), _key(scenario, asked, genes, scenario.seed)
+            by_both = [by_chains] if by_chains[-1] == by_seed[-1] else [by_chains, by_seed]
+            for key in by_both:
+                self._known[key] = (actions, count)
+                keys.append(key)
+        self._runs.append((actions, keys))
+        self._kept += len(actions)
+        while self._kept > self._room:
+            oldest, keys = self._runs.popleft()
+            self._kept -= len(oldest)
+            for key in keys:
+                if key in self._known and self._known[key][0] is oldest:  # unless a later run has replaced it
+                    del self._known[key]
+
+    def recall(self, scenario: Scenario) -> _Actions:
+        """Return the cached decisions with which a run of a scenario begins; empty if there are none."""
+        chains = plain_chains(scenario)
+        for genes in range(scenario.genes, 0, -1):
+            for seed in (None, scenario.seed):
+                known = self._known.get(_key(scenario, chains, genes, seed))
+                if known is not None:
+                    actions, count = known
+                    return actions[:count]
+        return ()
 
 
-def _came_to_its_end(answer: Answer) -> bool:
-    """Return whether a run succeeded, without an error of the ADS, which may occur only in the separate process."""
-    return not isinstance(answer, Exception) and answer[0].outcome not in (Outcome.ADS_ERROR, Outcome.HANG)
+def _key(scenario: Scenario, chains: Chains, genes: int, seed: int | None) -> _Key:
+    shared = tuple([chain[:genes] for chain in chains])
+    return scenario.ego_lane, scenario.ego_speed, scenario.gene_seconds, scenario.traffic, seed, shared
 
 
 # Simulation of runs before a search requests them: many at once in lock step, or in other processes.
@@ -426,223 +464,188 @@ class Isolated(Processes):
         return trace_apart(answer)
 
 
-# The decisions of an ADS in earlier runs, for runs that begin in the same way.
-
-DECISIONS = 100_000
-"""The largest number of cached decisions, which are about 300 runs of a minute at 5 Hz and take about 15 MB."""
-
-_Key = tuple[object, ...]
-_Actions = tuple[Any, ...]
+# Runs in a separate process, for scenarios in which the run or its evaluation may end this process.
 
 
-class DecisionCache:
-    """A cache of the decisions in the last runs of one ADS in one world, by the genes on which the decisions depended.
+@dataclass(frozen=True, slots=True)
+class _OtherRuns:
+    """A stand-in for a world, with a different ``rollout``, which guards the ADS."""
 
-    Until the end of gene ``g``, a run depends only on the start and on the first ``g`` genes of each NPC. The last
-    decision that depends only on these genes is at the tick at which the next gene begins. Two scenarios share
-    decisions if their chains as driven are the same, or if their requested chains and their seeds are the same (see
-    :class:`~pytest_pafot.searching.evaluation.EvaluationCache`).
+    guards_ads = True
 
-    The cache is valid only for an ADS that decides only from its observation.
-
-    Args:
-        decisions: the largest number of cached decisions; the oldest runs are removed first.
-    """
-
-    def __init__(self, decisions: int = DECISIONS) -> None:
-        self._room = decisions
-        self._kept = 0
-        self._known: dict[_Key, tuple[_Actions, int]] = {}
-        self._runs: deque[tuple[_Actions, list[_Key]]] = deque()
-
-    def remember(self, trace: Trace) -> None:
-        """Cache the decisions of a run; they replace older decisions after the same genes."""
-        actions, scenario = trace.actions, trace.scenario
-        if not actions or len(actions) > self._room:
-            return
-        gene_ticks, every = round(scenario.gene_seconds * trace.physics_hz), trace.physics_hz // trace.ads_hz
-        asked, driven = plain_chains(scenario), plain_chains(trace.executed)
-        keys = []
-        for genes in range(1, min(-(-trace.ticks // max(gene_ticks, 1)), scenario.genes) + 1):
-            count = min(genes * gene_ticks // every + 1, len(actions))
-            by_chains, by_seed = _key(scenario, driven, genes, None), _key(scenario, asked, genes, scenario.seed)
-            by_both = [by_chains] if by_chains[-1] == by_seed[-1] else [by_chains, by_seed]
-            for key in by_both:
-                self._known[key] = (actions, count)
-                keys.append(key)
-        self._runs.append((actions, keys))
-        self._kept += len(actions)
-        while self._kept > self._room:
-            oldest, keys = self._runs.popleft()
-            self._kept -= len(oldest)
-            for key in keys:
-                if key in self._known and self._known[key][0] is oldest:  # unless a later run has replaced it
-                    del self._known[key]
-
-    def recall(self, scenario: Scenario) -> _Actions:
-        """Return the cached decisions with which a run of a scenario begins; empty if there are none."""
-        chains = plain_chains(scenario)
-        for genes in range(scenario.genes, 0, -1):
-            for seed in (None, scenario.seed):
-                known = self._known.get(_key(scenario, chains, genes, seed))
-                if known is not None:
-                    actions, count = known
-                    return actions[:count]
-        return ()
+    hang_limit: float
+    rollout: Callable[[Scenario, Callable[..., Any]], Trace]
 
 
-def _key(scenario: Scenario, chains: Chains, genes: int, seed: int | None) -> _Key:
-    shared = tuple([chain[:genes] for chain in chains])
-    return scenario.ego_lane, scenario.ego_speed, scenario.gene_seconds, scenario.traffic, seed, shared
+def answers_apart(
+    job: Job, scenarios: Sequence[Scenario], judge: Callable[[Trace], object], *, isolate: bool
+) -> dict[Scenario, Answer] | None:
+    """Run and evaluate each scenario by itself in a separate process; return the answers, or None if impossible.
 
-
-def runner_for(
-    job: Job,
-    record: CrashRecord,
-    *,
-    workers: int = 1,
-    isolate: bool = False,
-    executor: Executor | None = None,
-    times_decisions: bool = False,
-    clock: Callable[[], float] = time.perf_counter,
-) -> Runner:
-    """Return the runner of a job.
+    If a process dies, the answer is a ``ProcessLostError`` even if a second attempt succeeds, because a process has
+    already died in this scenario before.
 
     Args:
         job: everything that a run needs.
-        record: the open crash record of this process; the caller clears it after each verdict, and closes it.
-        workers: the largest number of other processes; with 1, all runs are made in this process, unless ``isolate`` is
-            set.
-        isolate: True if the ADS must never run in this process.
-        executor: an executor that makes the announced runs, and with ``isolate`` all runs; None for no executor.
-        times_decisions: True if the duration of each decision matters. No decision is then cached or made for many runs
-            at once.
-        clock: a monotonic clock [s].
+        scenarios: the scenarios, run one after the other.
+        judge: evaluates a trace. It needs the fixtures of the test function, which only forked processes have. Its
+            output and its exceptions are ignored, because the session evaluates the run again.
+        isolate: True if the run must be in a separate process, without the evaluation if processes cannot be forked.
 
     Raises:
-        WorldError: if the world cannot be used.
+        ExecutionError: with ``isolate``, if no other process can be started.
     """
-    if isinstance(job.ads, RevisionPolicy):  # Its runs are in a process of its own already.
-        job, workers, isolate, executor = replace(job, world=Elsewhere(job.world, job.ads)), 1, False, None
-    if isolate:
-        return Runner(job=job, record=record, processes=Isolated(job, workers=workers, executor=executor), clock=clock)
-    is_asked = not (times_decisions or is_vehicle_class(job.ads) or wants_env(job.ads))
-    can_lock_step = is_asked and executor is None and lock_stepping(job.world) is not None
-    # This process makes the first runs, which show what the ADS can do and how long a run takes. Then the announced
-    # runs are made in lock step if the ADS decides for many runs at once, or else in other processes if runs are slow.
-    # Runs that were not announced, or that cannot be made elsewhere, are always made in this process.
-    return Runner(
-        job=job,
-        record=record,
-        processes=Processes(job, workers=workers, executor=executor),
-        lock_step=LockStep(job, record, workers=workers) if can_lock_step else None,
-        can_resume=not times_decisions and resumable(job.world) is not None,
-        clock=clock,
-    )
+    world = job.world
 
-
-@contextmanager
-def runner_here(world: WorldLike, ads: Callable[..., Any]) -> Iterator[Runner]:
-    """Provide a runner for a command, which makes all runs in this process and writes only temporary crash records."""
-    with tempfile.TemporaryDirectory(prefix="pafot-") as records:
-        job = Job(world=world, ads=ads, records=Path(records), owner="command")
-        with job.crash_record() as record, runner_for(job, record) as runner:
-            yield runner
-
-
-@dataclass(eq=False, kw_only=True)
-class Runner:
-    """A runner, which returns runs that were made in advance, and makes all other runs in this process.
-
-    The end of a ``with`` statement ends the processes that the runner has started, at once after an exception, and
-    drops the announced scenarios. The runner can still be used after that, also in a second ``with`` statement.
-
-    If runs begin with the same situations, a pure ADS decides in them only once. Physics is always simulated, so a
-    trace is the same to the last bit. That the ADS is pure is only a promise of the user, so the runs that decide on a
-    finding are made without cached decisions.
-
-    ``processes`` makes announced runs in advance. As soon as the ADS shows that it has ``batch``, ``lock_step`` makes
-    them instead. With ``can_resume``, decisions are cached as soon as the ADS shows that it is pure.
-    """
-
-    job: Job
-    record: CrashRecord
-    processes: Processes
-    lock_step: LockStep | None = None
-    can_resume: bool = False
-    clock: Callable[[], float]
-    is_alone: bool = field(default=True, init=False)
-    """True if the last run was made by itself, and not in lock step with other runs."""
-
-    def __post_init__(self) -> None:
-        self._prefetching: Processes | LockStep = self.processes
-        self._decisions: DecisionCache | None = None
-        is_of_interest = (self.lock_step is not None or self.can_resume) and not is_vehicle_class(self.job.ads)
-        self._factory = self._showing(self.job.ads) if is_of_interest else self.job.ads
-
-    @property
-    def notes(self) -> list[str]:
-        """Notes on how the runs were made; complete after the processes have ended."""
-        return self._prefetching.notes
-
-    @property
-    def decides_for_many(self) -> bool:
-        """True if the ADS has shown that it decides for many runs at once."""
-        return self._prefetching is self.lock_step
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, *rest: object) -> None:
-        self._prefetching.announce(())
-        self.processes.close(at_once=kind is not None)
-
-    def announce(self, scenarios: Iterable[Scenario]) -> None:
-        """Announce the next scenarios in the order in which they will be requested; earlier ones are dropped."""
-        self._prefetching.announce(scenarios)
-
-    def run(self, scenario: Scenario, *, afresh: bool = False) -> Trace:
-        """Return the trace of a run of a scenario.
-
-        The crash record of the scenario stays on disk, because the evaluation of the run may end the process, too.
-
-        Args:
-            scenario: the scenario to run, announced or not.
-            afresh: True if the ADS must make every decision of this run, without cached or common decisions.
-
-        Raises:
-            ProcessLostError: if the run was in a different process, which died or hung.
-            ExecutionError: if the run must be in a different process, and none can be started.
-            Exception: any exception of the world, the factory or the ADS's ``batch``.
-        """
-        __tracebackhide__ = True
-        trace = self._prefetching.take(scenario, afresh=afresh)
-        self.is_alone = trace is None or self._prefetching is not self.lock_step
-        self.record.write(scenario, reference=self.job.reference)
-        if trace is None:
-            decisions = () if afresh or self._decisions is None else self._decisions.recall(scenario)
-            started = self.clock()
-            given = {"decisions": decisions} if decisions else {}  # the user's own world need not have this argument
-            trace = rollout_of(self.job.world)(scenario, self._factory, **given)
-            if not self.decides_for_many:
-                self.processes.ran_here(self.clock() - started)
-        if self._decisions is not None and self.is_alone:  # decisions of a batch may differ, so they are not cached
-            self._decisions.remember(trace)
+    def judged(scenario: Scenario, ads: Callable[..., Any]) -> Trace:
+        trace = rollout_of(world)(scenario, ads)
+        with capture_output(), suppress(BaseException):
+            judge(trace)
         return trace
 
-    def _showing(self, factory: Callable[..., Any]) -> Callable[..., Any]:
-        """Return a factory that inspects its first ADS, because the user's factory must be called only for runs."""
+    if scenario_pool.METHOD == "fork":
+        job = replace(job, world=_OtherRuns(protocol.hang_limit(world), judged))
+    elif not isolate:
+        return None
+    with pool_for(job, 1) as pool:
+        pool.expect(scenarios)
+        answers = {scenario: pool.fetch(scenario) for scenario in scenarios}
+    if pool.failure and isolate:
+        raise ExecutionError(f"{flag('isolate')}: expected processes to run the ADS in, received: {pool.failure}")
+    return None if pool.failure else answers | {lost.task: lost for lost in pool.recovered}
 
-        def make(*arguments: Any, **named: Any) -> Any:
-            __tracebackhide__ = True
-            ads = factory(*arguments, **named)
-            self._factory = factory
-            if self.can_resume and getattr(ads, "pure", False) is True:
-                self._decisions = DecisionCache()
-            if self.lock_step is not None and callable(getattr(ads, "batch", None)):
-                self.lock_step.announce(self.processes.announced)
-                self._prefetching = self.lock_step
-            return ads
 
-        make.__wrapped__ = factory  # type: ignore[attr-defined]  # for inspect.signature
-        return make
+def run_apart(
+    job: Job,
+    scenario: Scenario,
+    judge: Callable[[Trace], object],
+    *,
+    isolate: bool,
+    in_own_session: Callable[[], object],
+) -> Trace | None:
+    """Return the trace of a scenario that was run and evaluated in a separate process.
+
+    The session then evaluates the trace again. Return None if the scenario must be run in this process, because no
+    other process can be started. In that case, ``in_own_session`` has first replayed the scenario in a separate
+    session, which has survived. For the other arguments see :func:`answers_apart`.
+
+    Raises:
+        ProcessLostError: if the separate process died or hung.
+        ExecutionError: with ``isolate``, if no other process can be started; without, if the ADS does not work in one.
+        Exception: with ``isolate``, any exception of the separate process.
+    """
+    __tracebackhide__ = True
+    answers = answers_apart(job, [scenario], judge, isolate=isolate)
+    if answers is None:
+        in_own_session()
+        return None
+    try:
+        return trace_apart(answers[scenario])
+    except ProcessLostError:
+        raise
+    except Exception as error:
+        if isolate:
+            raise
+        raise ExecutionError(
+            "expected a scenario that has ended a process to run in a separate process, received from there "
+            f"{type(error).__name__}: {error}. {NOT_REPEATED} Or delete the file; a search may then find it again"
+        ) from None
+
+
+def replay_in_gym_apart(job: Job, record: CrashRecord, scenario: Scenario) -> Trace:
+    """Run a scenario with ``env.step`` of highway-env's own environment in a separate process.
+
+    Raises:
+        ProcessLostError: if the separate process died or hung.
+        ExecutionError: if no other process can be started.
+        Exception: any exception of the separate process.
+    """
+    __tracebackhide__ = True
+    in_gym = replace(job, world=_OtherRuns(protocol.hang_limit(job.world), job.world.rollout_in_gym))
+    with runner_for(in_gym, record, isolate=True) as runner:
+        return runner.run(scenario)
+
+
+# A scenario in which a process died runs again in a separate process before it is called a finding.
+#
+# A process may also be killed from outside: a job is cancelled, or the system is short of memory. Then the scenario
+# says nothing about the ADS, however many sessions are killed in a row. But if two processes died in the same scenario,
+# the cause is probably something that builds up from run to run, such as memory of the test function. Then the scenario
+# is called a finding after all, or this would never be reported.
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Retried:
+    """The result of a second attempt to run the scenarios of a process that died."""
+
+    notes: tuple[str, ...] = ()
+    """Notes for the user on scenarios that did not cause the death of the process."""
+    pending: Leftover | None = None
+    """The crash record to remove at the end of the search, or None. If this session dies, the next one reads it."""
+
+
+def retry(
+    leftover: Leftover,
+    job: Job,
+    judge: Callable[[Trace], object],
+    *,
+    isolate: bool,
+    has_died_twice: bool,
+    keep: Callable[[Leftover, Scenario, LostRun | None], object],
+    run_here: Callable[[Leftover], object],
+) -> Retried:
+    """Try the scenarios of a process that died a second time, and save the scenarios that caused its death.
+
+    If a reference was driving when the process died, the reference is the cause, and nothing is run again. A scenario
+    that ran by itself is saved although a second attempt survives, or is impossible, in two cases: two processes died
+    in it, or no separate process can be started.
+
+    Args:
+        leftover: the crash record of the process; it is removed unless the result contains it as ``pending``.
+        job: everything that a run of the scenarios needs.
+        judge, isolate: see :func:`answers_apart`.
+        has_died_twice: whether another process died in the same scenarios.
+        keep: saves a scenario in which a process died; its last argument is the second death, or None if unknown.
+        run_here: runs the scenarios of a batch in this process, one by one, each with a crash record on disk. If this
+            process dies, the next session reads that record.
+    """
+    if leftover.reference:
+        note = (
+            f"a process (pid {leftover.pid}) died while the reference {leftover.reference} drove in "
+            f"{leftover.scenario!r}, which says nothing about the ADS: correct the reference, or search with "
+            f"{flag('isolate')}, so that it can die without harm"
+        )
+        return Retried(notes=(note,), pending=leftover)
+    # Try all of them again, each in a process of its own if there can be one.
+    answers: dict[Scenario, Answer] | None = None
+    with suppress(ExecutionError):  # The first run of the search reports it.
+        answers = answers_apart(job, leftover.scenarios, judge, isolate=isolate)
+    if answers is None and leftover.is_lock_step:
+        run_here(leftover)
+        return Retried()
+    # The guilty ones are saved. Of a batch in lock step nobody knows which one it was, so only a second death counts.
+    is_build_up = has_died_twice and not leftover.is_lock_step
+    guilty = [
+        each for each in leftover.scenarios if answers is None or is_build_up or not _came_to_its_end(answers[each])
+    ]
+    for scenario in guilty:
+        answer = None if answers is None else answers[scenario]
+        lost = answer if isinstance(answer, ProcessLostError) else None
+        if lost is not None or not leftover.is_lock_step:
+            keep(leftover, scenario, lost)
+    if guilty:
+        leftover.discard()
+        return Retried()
+    ran = f"{leftover.scenario!r},"
+    if leftover.is_lock_step:
+        ran = f"{len(leftover.scenarios)} scenarios in lock step, each of"
+    note = (
+        f"a process (pid {leftover.pid}) died while it ran {ran} which ran to its end when it was tried again: the "
+        "process was killed from outside, or there was too little memory"
+    )
+    return Retried(notes=(note,), pending=leftover)
+
+
+def _came_to_its_end(answer: Answer) -> bool:
+    """Return whether a run succeeded, without an error of the ADS, which may occur only in the separate process."""
+    return not isinstance(answer, Exception) and answer[0].outcome not in (Outcome.ADS_ERROR, Outcome.HANG)
