@@ -22,6 +22,7 @@ from pytest_pafot.searching.space import space_on
 from pytest_pafot.support.errors import RequestError, install
 from pytest_pafot.support.files import write_whole
 from pytest_pafot.world import Highway, World
+from pytest_pafot.world.highway import LANE_COUNTS
 from pytest_pafot.world.protocol import road_start
 
 LIBRARIES = ("matplotlib", "pandas", "scipy")
@@ -71,7 +72,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--env", metavar="ID", help="a highway-env environment such as highway-v0, for its policies")
     for name, number, metavar, meaning in (
-        ("--lanes", int, "N", "number of lanes, 3 to 6 (default: 4)"),
+        ("--lanes", int, "N", "number of lanes, {} to {} (default: 4)".format(*LANE_COUNTS)),
         ("--speed-limit", float, "V", f"speed limit [m/s] (default: {PAPER_SPEED_LIMIT})"),
         ("--duration", float, "S", "duration of a scenario [s] (default: 60, or the environment's)"),
         ("--clearance", float, "D", "clearance of the grid [m]; the paper has 0 (default: 3)"),

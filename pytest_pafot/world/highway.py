@@ -25,6 +25,8 @@ from pytest_pafot.world.validation import ADS_HZ, PHYSICS_HZ, check_divides, che
 
 LANE_WIDTH = 4.0
 """The lane width of highway-env [m]."""
+LANE_COUNTS = (3, 6)
+"""The smallest and the largest number of lanes."""
 ENGINES = ("auto", "kernel", "highway-env")
 """The engines that can simulate a run; ``auto`` uses the kernel if the kernel can drive the ego, else highway-env."""
 
@@ -70,7 +72,7 @@ class Highway(BuiltInWorld):
     guards_ads = True
 
     def __post_init__(self) -> None:
-        for name, bounds in (("lanes", (3, 6)), ("physics_hz", PHYSICS_HZ), ("ads_hz", ADS_HZ)):
+        for name, bounds in (("lanes", LANE_COUNTS), ("physics_hz", PHYSICS_HZ), ("ads_hz", ADS_HZ)):
             object.__setattr__(self, name, whole_within(name, getattr(self, name), *bounds))
         for name, low, high in (("speed_limit", 5.0, TOP_SPEED), ("duration", 1 / self.physics_hz, 3600.0)):
             object.__setattr__(self, name, number_within(name, getattr(self, name), low, high))

@@ -9,7 +9,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from pytest_pafot.attribution.avoidance import ALIKE, HORIZON, Braking, Emergency, Pursuit
-from tests.helpers.polygons import corners, polygon_distance
+from tests.helpers.polygons import corners, polygons_meet
 from tests.helpers.tables import table
 
 HZ = 15
@@ -162,7 +162,7 @@ def test_it_agrees_with_stepping_through_time(gap, own, leader, braking, right, 
         leads = float(run.speeds[1][min(tick, end)])
         side, turned = (right, angle) if tick <= end else (0.0, 0.0)
         boxes = corners((place, 0.0, 0.0)), corners((other, side, turned))
-        touched |= abs(other - place) < 6.0 and polygon_distance(*boxes) == 0
+        touched |= abs(other - place) < 6.0 and polygons_meet(*boxes)
         if touched or (tick >= end and speed <= leads):
             break
         place, other = place + speed / HZ, other + leads / HZ

@@ -138,15 +138,6 @@ def test_resumed_sessions_write_the_same_files_as_one(clock, tmp_path, holds, li
     assert {name: saved[name] for name in expected} == expected
 
 
-def test_shrunk_finding_is_not_reported_again(clock):
-    first = searched(clock, fails_in_three_ways, runs=12, max_time=24, resume="states")
-    assert any(unshrunk(first))
-    second = searched(clock, fails_in_three_ways, runs=1, resume="states")
-    assert [find.id for find in second.summary.finds] == [find.id for find in first.summary.finds if find.unshrunk]
-    third = searched(clock, fails_in_three_ways, runs=1, resume="states")
-    assert not third.findings
-
-
 def test_session_continues_open_findings_as_time_allows(clock, tmp_path):
     first = searched(clock, fails_in_three_ways, runs=18, max_time=33, shrink_rollouts=30, resume="states")
     assert len(first.findings) == sum(map(bool, unshrunk(first))) == 3

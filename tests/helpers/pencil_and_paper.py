@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 from pytest_pafot.model.trace import ACROSS, ALONG, ANGLE, HEADING, LANE, OFFSET, SPEED, STRETCH, X, Y
-from tests.helpers.polygons import corners, point_to_segment, polygon_distance
+from tests.helpers.polygons import corners, point_to_segment, polygons_meet
 
 STANDS = 0.1
 MOVES_SIDEWAYS = 0.3
@@ -935,7 +935,7 @@ class Response:
         if abs(places[1][0]) > (math.hypot(own.length, own.width) + math.hypot(other.length, other.width)) / 2:
             return False
         boxes = corners(places[0], own.length, own.width), corners(places[1], other.length, other.width)
-        return polygon_distance(*boxes) == 0
+        return polygons_meet(*boxes)
 
     def straight_gap(self, tick):
         """Return the gap at a tick, as if the boxes were straight [m]."""
@@ -1138,7 +1138,7 @@ class Crossing:
     def last_to_stop_short(self, one):
         """Return the last tick at which it could see that the other is in the way, and still stop, or None."""
         other, touches = self.other(one), self.impact
-        while touches > 0 and polygon_distance(one.boxes[touches - 1], other.boxes[self.impact]) == 0:
+        while touches > 0 and polygons_meet(one.boxes[touches - 1], other.boxes[self.impact]):
             touches -= 1
         chances = [
             one.last_to_stop_before(one.place[touches], touches, is_braking=is_braking) for is_braking in (False, True)

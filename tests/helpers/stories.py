@@ -13,7 +13,7 @@ from itertools import pairwise
 import numpy as np
 
 from pytest_pafot.model.trace import HEADING, LANE, SPEED, X, Y
-from tests.helpers.polygons import corners, polygon_distance
+from tests.helpers.polygons import corners, polygons_meet
 
 WHO = r"(?P<who>[Tt]he ego|NPC \d+)"
 TIME, FIGURE = r"(\d+\.\d) s", r"(\d+\.\d) m/s"
@@ -172,13 +172,14 @@ class Story:
         """
         own, other = self.trace.states[:, self.vehicle], self.trace.states[:, self.other]
         driven = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(own[:, [X, Y]], axis=0).T))))
+        turned = np.unwrap(own[:, HEADING])
         place, speed, at = float(driven[tick]), float(own[tick, SPEED]), tick
         slowing = max(float(other[-2, SPEED] - other[-1, SPEED]) * self.hz, 0.0)
         while speed > 0.0 or at < self.end:
             at += 1
             place, speed = place + speed / self.hz, max(speed - rate / self.hz, 0.0)
             mine = [float(np.interp(place, driven, own[:, column])) for column in (X, Y)]
-            heading = float(np.interp(place, driven, np.unwrap(own[:, HEADING])))
+            heading = float(np.interp(place, driven, turned))
             beyond = max(place - float(driven[-1]), 0.0)
             mine = [mine[0] + beyond * math.cos(heading), mine[1] + beyond * math.sin(heading), heading]
             late = max(at - self.end, 0) / self.hz
@@ -191,7 +192,7 @@ class Story:
                 continue
             boxes = (mine, self.trace.sizes[self.vehicle]), ((x, y, theirs[HEADING]), self.trace.sizes[self.other])
             rows = [corners({X: pose[0], Y: pose[1], HEADING: pose[2]}, *map(float, size)) for pose, size in boxes]
-            if polygon_distance(*rows) == 0.0:
+            if polygons_meet(*rows):
                 return False
         return True
 

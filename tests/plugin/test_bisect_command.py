@@ -336,7 +336,7 @@ def test_slow_session_is_ended_without_a_verdict(real, capfd):
 @pytest.mark.skipif(os.name == "nt", reason="threads have no signals there")
 def test_a_session_has_ended_when_an_interrupt_goes_on(tmp_path):
     main_thread = threading.main_thread().ident
-    interrupt = threading.Timer(0.5, signal.pthread_kill, [main_thread, signal.SIGINT])
+    interrupt = threading.Timer(0.1, signal.pthread_kill, [main_thread, signal.SIGINT])
     command = [sys.executable, "-c", "import time; time.sleep(100)"]
     before = signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background jobs ignore SIGINT
     try:

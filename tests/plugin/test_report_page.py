@@ -126,11 +126,6 @@ def test_page_without_pillow_reports_the_missing_package(failing, monkeypatch):
     result.stdout.re_match_lines([r"report: report/index.html \(1 finding\)", r".*problem: --pafot-report=report/: .*"])
 
 
-def test_parent_folders_are_made(failing):
-    failing.run("--pafot-report=a/b/report.html")
-    assert (failing.path / "a" / "b" / "report.html").is_file()
-
-
 def test_unwritable_page_is_one_problem_and_changes_nothing(failing):
     (failing.path / "taken").write_text("a file")
     result = failing.run("--pafot-report=taken/report.html")

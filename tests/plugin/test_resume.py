@@ -119,13 +119,6 @@ def test_resume_folder_may_be_ini_key_or_argument(project):
     assert len(list(project.path.glob("kept/*.json"))) == len(list(project.path.glob("other/*.json"))) == 1
 
 
-def test_an_algorithm_that_cannot_go_on_is_refused(project):
-    project.write(SOURCE)
-    result = night(project, "--pafot-algorithm=pafot", runs=4)
-    result.assert_outcomes(failed=1)
-    result.stdout.fnmatch_lines(["*expected an algorithm that can be resumed*received 'pafot'*"])
-
-
 @pytest.mark.processes
 def test_workers_resume_each_search_with_same_files(project):
     project.write(SOURCE + SOURCE.replace("test_it", "test_other"))

@@ -60,6 +60,13 @@ def test_search_command_saves_a_finding_and_writes_tests(here):
     assert last.startswith(f"keep it as a test: python -m pytest_pafot {again}")
 
     assert main(["search", "a_planner:Planner", "--write-test"]) == 0
+    assert {"conftest.py", "test_safety.py"} <= {path.name for path in here.iterdir()}
+
+
+@pytest.mark.processes
+def test_a_written_test_replays_what_the_search_has_saved(here):
+    assert python("pytest_pafot", "search", "a_planner:Planner", "--runs", "4", "--seed", "2")[0] == 1
+    assert main(["search", "a_planner:Planner", "--write-test"]) == 0
     code, told = python("pytest", "-q", "--pafot-generations=0")
     assert code == 1
     assert "replayed 1 saved scenario: 1 still failing" in told

@@ -134,13 +134,6 @@ def test_a_real_search_adds_up(real):
     assert all(row.reached <= row.driven <= row.requested for row in shown.speeds)
 
 
-def test_a_real_search_shows_its_restarts(real):
-    events, shown = real
-    restarts = {event.generation for event in events if isinstance(event, Restarted)}
-    assert restarts
-    assert {row.generation for row in shown.generations if row.restarted} == restarts
-
-
 def test_page_of_search_in_lanes_counts_lanes_without_cells():
     asked, driven = (
         Scenario(npcs=[[LaneInstruction(lane, 8.0), LaneInstruction("keep", 8.0)]]) for lane in ("left", "keep")

@@ -15,7 +15,7 @@ from pytest_pafot.report.page_data import Report
 from pytest_pafot.report.views import run_view, shrink_view
 from tests.helpers.browser import Browser, find_chromium
 from tests.helpers.crossing_traces import CROSSES, MERGES, ZONES, junction_trace
-from tests.helpers.picture import instruction_at, picture_at
+from tests.helpers.picture import picture_at
 from tests.report.builders import HOSTILE, bend_trace, finding_of
 
 
@@ -133,13 +133,6 @@ def test_where_all_cross_there_is_no_grid():
     assert len(mixed().grid) == len(mixed().times)
     assert not any(cell.exists for cell in picture_at(crash(), 3.0).cells)
     assert picture_at(mixed(), 3.0).cells[1].exists
-
-
-def test_an_instruction_at_a_zone_does_not_end():
-    assert instruction_at(mixed(), 0, 3.0)[1] == "approach"
-    assert instruction_at(mixed(), 0, 7.9)[1] == "arrived"
-    late = replace(mixed(), instructions=tuple(replace(row, end=1.0) for row in mixed().instructions))
-    assert [instruction_at(late, npc, 3.0)[1] for npc in (0, 2)] == ["approach", "ended"]
 
 
 def test_picture_is_large_enough_for_the_crossing_npc():

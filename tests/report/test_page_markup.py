@@ -1,4 +1,4 @@
-"""The words of a page, and the file of a finding on it, as a whole text for a run made by hand.
+"""The words of a page, as a whole text for a run made by hand.
 
 The texts are in ``__snapshots__``. ``--snapshot-update`` rewrites them; read the differences before you commit them.
 """
@@ -6,14 +6,12 @@ The texts are in ``__snapshots__``. ``--snapshot-update`` rewrites them; read th
 import re
 from dataclasses import replace
 
-from pytest_pafot.corpus.writer import text_of
-from pytest_pafot.findings.shrink import Shrunk
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.report.page import campaign_article, finding_article, finding_list, render_page
 from pytest_pafot.report.page_data import CampaignView, CoverageRow, GenerationView, Report
 from pytest_pafot.report.views import shrink_view
 from tests.helpers.traces import trace_of, vehicle
-from tests.report.builders import CUT_IN, TEST, finding_of, scenario, view_of
+from tests.report.builders import TEST, scenario, view_of
 
 
 def hand_made_trace():
@@ -99,12 +97,3 @@ def test_page_with_only_an_error_matches_its_snapshot(snapshot):
     )
     body = re.search('<div class="session">.*(?=<script type)', render_page(report), re.DOTALL)[0]
     assert lines_of(body) == snapshot
-
-
-def test_the_file_of_a_finding_reads_so(snapshot):
-    assert text_of(finding_of(hand_made_trace())) == snapshot
-
-
-def test_flaky_shrunk_accepted_finding_file_matches_its_snapshot(snapshot):
-    changes = {"shrunk": Shrunk(rollouts=41), "flaky": "another run", "xfail": "known: no fix planned"}
-    assert text_of(replace(finding_of(hand_made_trace()), original=CUT_IN, **changes)) == snapshot

@@ -72,13 +72,6 @@ def test_findings_are_sorted_by_novelty_fault_and_severity(told):
     assert [finding.node_id for finding in report.findings] == [name for name, *_ in RANKED]
 
 
-def test_telling_a_finding_again_replaces_what_was_told():
-    draft = Draft(target="x")
-    for label in ("new", "new (flaky: the outcome)"):
-        draft.take(finding=shown(label=label))
-    assert [finding.label for finding in draft.findings.values()] == ["new (flaky: the outcome)"]
-
-
 def test_facts_include_interrupt_replay_labels_and_versions():
     draft = Draft(target="x")
     for label in ("fixed", "still failing", "fixed"):
@@ -112,12 +105,6 @@ def test_page_is_written_if_pictures_cannot_be_drawn(tmp_path, monkeypatch):
     assert written == "report: x/index.html (1 finding)"
     assert problem == "--pafot-report=x/: the page was written, but not all pictures: install Pillow"
     assert [path.name for path in (tmp_path / "x").iterdir()] == ["index.html"]
-
-
-def test_unwritable_report_is_an_error_of_its_file(tmp_path):
-    (tmp_path / "x").write_text("a file")
-    with pytest.raises(OSError, match=str(tmp_path)):
-        write_report("x/", tmp_path / "x", Report(title="t"))
 
 
 MANY = [shown(f"{'ab'[number % 2]}{number}", closing=float(number % 37)) for number in range(WHOLE + 7)]

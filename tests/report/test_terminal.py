@@ -273,13 +273,6 @@ def test_what_is_no_ascii_is_escaped():
     assert terminal.found_lines(Find(id="a", node_id="té", headline="→"))[:2] == ["pafot: found t\\xe9", "  \\u2192"]
 
 
-def test_unsaved_finding_says_at_once_why():
-    saved = Find(id="a", node_id="t", headline="h", path="p")
-    lost = replace(saved, path="", detail="p")
-    assert terminal.found_lines(saved) == ["pafot: found t", "  h"]
-    assert terminal.found_lines(lost) == ["pafot: found t", "  h", "  not saved: p"]
-
-
 def test_search_summary_line_names_some_of_its_findings():
     finds = tuple(replace(FIND, id=f"front-2-{n}") for n in range(5))
     assert terminal.failure_line(replace(SEARCH, finds=finds[:1])) == "1 new finding: front-2-0"
