@@ -20,8 +20,7 @@ from pytest_pafot.corpus.saved import Saved, refusal
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.findings.finding import of_failure
 from pytest_pafot.model.scenario import Scenario
-from pytest_pafot.searching.ask_tell import Algorithm, ResumableSearch
-from pytest_pafot.searching.campaign import Checkpoint
+from pytest_pafot.searching.ask_tell import Algorithm, Checkpoint, ResumableSearch
 from pytest_pafot.searching.events import Evaluated
 from pytest_pafot.searching.space import SearchSpace
 from pytest_pafot.support.errors import RequestError, flag

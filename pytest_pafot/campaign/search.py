@@ -18,11 +18,10 @@ from pytest_pafot.attribution.responsibility import is_ego_responsible
 from pytest_pafot.campaign.events import FindTold, Listener, Progress, SearchStarted, SearchSummary
 from pytest_pafot.campaign.harness import Harness, Simulation, refusals
 from pytest_pafot.campaign.options import FULL, LOCAL, PROFILES, Settings
-from pytest_pafot.campaign.recorder import Recorder, difference
 from pytest_pafot.campaign.replays import Replays
 from pytest_pafot.campaign.request import build_space
 from pytest_pafot.campaign.resuming import RandomBeginning, Sessions
-from pytest_pafot.campaign.search_loop import SearchLoop, read_ahead
+from pytest_pafot.campaign.search_loop import Recorder, SearchLoop, difference, read_ahead
 from pytest_pafot.campaign.setup_fault import SetupFaultError
 from pytest_pafot.campaign.simplification import Simplification
 from pytest_pafot.campaign.verdict import no_skip, skips
@@ -33,8 +32,7 @@ from pytest_pafot.execution.runner import Retried, retry, runner_for
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.sight import Sight
 from pytest_pafot.searching import run_campaign
-from pytest_pafot.searching.ask_tell import Algorithm
-from pytest_pafot.searching.campaign import CheckpointError
+from pytest_pafot.searching.ask_tell import Algorithm, CheckpointError
 from pytest_pafot.searching.fitness import FitnessError, is_built_in, resolve
 from pytest_pafot.searching.space import SearchSpace
 from pytest_pafot.support.errors import OutOfTime, RequestError, flag

@@ -22,8 +22,7 @@ from pytest_pafot.corpus.layout import safe_name
 from pytest_pafot.findings.shrink import Start
 from pytest_pafot.findings.signature import Signature
 from pytest_pafot.model.scenario import Scenario
-from pytest_pafot.searching.ask_tell import ResumableSearch
-from pytest_pafot.searching.campaign import Checkpoint
+from pytest_pafot.searching.ask_tell import Checkpoint, ResumableSearch
 from pytest_pafot.searching.evaluation import Evaluation, Remembered
 from pytest_pafot.searching.events import CampaignFinished
 from pytest_pafot.searching.health import Health

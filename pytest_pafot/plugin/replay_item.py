@@ -10,9 +10,9 @@ from typing import NoReturn
 import pytest
 
 from pytest_pafot.campaign.events import Find
-from pytest_pafot.campaign.recorder import cause
 from pytest_pafot.campaign.replays import BESIDE, FLAKY, Replays, happened, was_lost
 from pytest_pafot.campaign.request import Request
+from pytest_pafot.campaign.search_loop import cause
 from pytest_pafot.campaign.setup_fault import Cause, SetupFaultError, cause_of
 from pytest_pafot.campaign.verdict import Verdict, headline
 from pytest_pafot.corpus.layout import relative

@@ -19,11 +19,11 @@ import pytest
 from pytest_pafot.campaign.events import FindTold, Listener, Progress, SearchEvent, SearchStarted, SearchSummary
 from pytest_pafot.campaign.harness import Harness, checked_factory, reference_of, source_file
 from pytest_pafot.campaign.options import Settings
-from pytest_pafot.campaign.recorder import NOT_REPEATED
 from pytest_pafot.campaign.replays import Replays
 from pytest_pafot.campaign.request import Request, build_world
 from pytest_pafot.campaign.resuming import check_states
 from pytest_pafot.campaign.search import AFTER_A_DEATH, Search, isolated_after_a_death, prepared, time_limit
+from pytest_pafot.campaign.search_loop import NOT_REPEATED
 from pytest_pafot.campaign.verdict import PlainFailure, Test
 from pytest_pafot.corpus.layout import SUFFIX, chosen_folder, files_in, folder_of_test, link_below
 from pytest_pafot.corpus.saved import refusal

@@ -10,8 +10,16 @@ from pytest_pafot.searching.algorithms.catalogue import ALGORITHMS, AlgorithmCla
 from pytest_pafot.searching.algorithms.distinct import DistinctSearch
 from pytest_pafot.searching.algorithms.pafot import PafotSearch
 from pytest_pafot.searching.algorithms.random_search import RandomManoeuvreSearch, RandomSearch
-from pytest_pafot.searching.ask_tell import Algorithm, GenerationalSearch, GenerationState, ResumableSearch, SearchState
-from pytest_pafot.searching.campaign import Checkpoint, Evaluate, run_campaign
+from pytest_pafot.searching.ask_tell import (
+    Algorithm,
+    Checkpoint,
+    Evaluate,
+    GenerationalSearch,
+    GenerationState,
+    ResumableSearch,
+    SearchState,
+    run_campaign,
+)
 from pytest_pafot.searching.evaluation import Evaluation
 from pytest_pafot.searching.health import Health
 from pytest_pafot.searching.operators import crossover, mutate, tournament

@@ -253,7 +253,7 @@ def test_taken_finding_name_gets_the_next_number(exploration, tmp_path, monkeypa
             write(path, other)
         return write(path, finding)
 
-    monkeypatch.setattr("pytest_pafot.campaign.recorder.write", late)
+    monkeypatch.setattr("pytest_pafot.campaign.search_loop.write", late)
     corpus = tmp_path / "saved"
     found = pafot.explore(
         constant_speed.make, holds=never_collides, seed=5, corpus=corpus, stop_after=1, **SHORT

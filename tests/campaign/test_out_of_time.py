@@ -8,7 +8,7 @@ import pytest
 
 import pytest_pafot as pafot
 from example_ads import constant_speed
-from pytest_pafot.campaign import explore, recorder, search, state_file
+from pytest_pafot.campaign import explore, search, search_loop, state_file
 from pytest_pafot.campaign.events import FindTold, Progress
 from pytest_pafot.searching.events import Evaluated
 from pytest_pafot.support.errors import OutOfTime
@@ -254,7 +254,7 @@ def confirming(monkeypatch):
         calls.append(run)
         if len(calls) <= 3:
             raise OutOfTime
-        return recorder.difference(run, simulation)
+        return search_loop.difference(run, simulation)
 
     monkeypatch.setattr(search, "difference", difference)
     return calls

@@ -23,7 +23,7 @@ from pytest_pafot.searching import (
     run_campaign,
 )
 from pytest_pafot.searching.algorithms.catalogue import CATALOGUE
-from pytest_pafot.searching.campaign import CheckpointError
+from pytest_pafot.searching.ask_tell import CheckpointError
 from pytest_pafot.searching.evaluation import Evaluation, EvaluationCache, Remembered
 from pytest_pafot.searching.events import CampaignFinished, CampaignStarted, GenerationFinished
 from pytest_pafot.searching.operators import mutate

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.searching import DistinctSearch, PafotSearch, RandomSearch, run_campaign
-from pytest_pafot.searching.campaign import generation_rng
+from pytest_pafot.searching.ask_tell import generation_rng
 from pytest_pafot.searching.events import (
     CampaignFinished,
     CampaignStarted,
