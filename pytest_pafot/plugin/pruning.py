@@ -15,6 +15,7 @@ from pytest_pafot.corpus.layout import files_in, relative
 from pytest_pafot.plugin.orphans import UNRUN
 from pytest_pafot.plugin.session import SUMMARY_LINES
 from pytest_pafot.support.files import way_out
+from pytest_pafot.support.text import visible
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -31,7 +32,7 @@ def pytest_sessionfinish(session: pytest.Session, exitstatus: int) -> None:
     lines, is_removed = session.config.stash[SUMMARY_LINES], session.config.getoption("remove_orphans")
     for folder, orphan in session.config.stash[UNRUN].orphans.items():
         for file in files_in(folder):
-            name = relative(file, session.config.rootpath)
+            name = visible(relative(file, session.config.rootpath))  # else a line break in it would begin a new line
             if str(file) not in orphan.removable:
                 lines.reports.append(f"left as it is: {name}")
             elif not is_removed:

@@ -143,6 +143,15 @@ def test_files_naming_a_test_elsewhere_stay(orphaned):
     assert orphaned.contents == before
 
 
+@pytest.mark.skipif(os.name == "nt", reason="Windows has no such names")
+def test_a_name_with_a_line_break_begins_no_line_of_its_own(orphaned):
+    file = gone(orphaned)
+    file.rename(file.with_name("a\nremoved: all.pafot.yaml"))
+    result = prune(orphaned, write=False)
+    result.stdout.fnmatch_lines(["would remove: *a\\nremoved: all.pafot.yaml"])
+    result.stdout.no_fnmatch_line("removed: *")
+
+
 def test_a_broken_file_that_names_the_test_goes(orphaned):
     file = gone(orphaned)
     file.write_text("pafot: 99\ntest: test_it.py::test_gone\n")
