@@ -7,19 +7,20 @@ from pytest_pafot.world.guard.hang_guard import HangGuard
 
 
 class StoppedClock:
-    """The clock of every guard that is made while the patch lasts.
-
-    It stands still for the thread that watches the guards: that thread would interrupt a second time, at any moment.
-    """
+    """The clock of every guard that is made while the patch lasts."""
 
     def __init__(self, monkeypatch):
         self.now = 0.0
-        watching = hang_guard._WATCHDOG
-        clock = lambda: 0.0 if threading.current_thread() is watching._thread else self.now  # noqa: E731
-        monkeypatch.setattr(HangGuard.__init__, "__defaults__", (clock,))
+        self.slept = 0.0
+        monkeypatch.setattr(HangGuard.__init__, "__defaults__", (self.read,))
+
+    def read(self):
+        """Return the time. A sleep is none for the thread that watches, which would interrupt it a second time."""
+        is_watching = threading.current_thread() is hang_guard._WATCHDOG._thread
+        return self.now if is_watching else self.now + self.slept
 
     def sleep(self, seconds):
         """Advance the clock and let the guards look: an overdue decision is interrupted."""
-        self.now += seconds
+        self.slept += seconds
         for guard in list(hang_guard._WATCHDOG._guards):
             guard.look()
