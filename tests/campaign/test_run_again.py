@@ -13,6 +13,7 @@ from pytest_pafot.campaign import search_loop
 from pytest_pafot.campaign.run_table import COLUMNS
 from pytest_pafot.campaign.simplification import Simplification
 from pytest_pafot.searching.fitness import resolve
+from tests.helpers.stages import mostly_oracle
 
 NUMBERS = (
     "scenario_seed", "ego_lane", "ego_speed", "gene_seconds", "fitness", "duration", "collision_time", "npc",
@@ -63,7 +64,7 @@ SEARCHES = {
 }
 
 
-@pytest.mark.parametrize("name", SEARCHES)
+@pytest.mark.parametrize("name", mostly_oracle(SEARCHES, "highway", "imperfect sight", "junction"))
 def test_each_row_is_enough_to_run_its_run_again(name, monkeypatch):
     # What a search does with its findings adds no row, and takes longer than its runs.
     monkeypatch.setattr(search_loop, "_difference_in_gym", lambda run, simulation: "")

@@ -36,6 +36,7 @@ def test_search_ends_when_only_defective_policy_fails(plant):
     assert (less.found, less.runs) == (False, first.runs - 1)
 
 
+@pytest.mark.oracle
 def test_failures_shared_with_the_twin_do_not_count(plant):
     plant(BROKEN)
     search = searched("nudges", "default", 0, 60, 100.0)
@@ -55,6 +56,7 @@ def test_what_is_saved_is_loaded_once(tmp_path):
     assert loaded([path, path]) == searches
 
 
+@pytest.mark.oracle
 def test_ratios_use_only_seeds_of_both_searches():
     searches = [made_up("default", seed, runs) for seed, runs in enumerate([10, 20, 30])]
     searches += [made_up("random", seed, 2 * runs) for seed, runs in enumerate([10, 20, 30, 500])]

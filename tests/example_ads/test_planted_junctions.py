@@ -33,6 +33,7 @@ def test_driver_repeats_itself_and_twin_is_careful(name):
     assert (careful.states == twin.states).all()
 
 
+@pytest.mark.oracle
 def test_search_finds_defect_but_not_its_twin():
     found = planted_junctions.search("slow-ones-leave", 1, 60, twins=False)
     assert found.found
