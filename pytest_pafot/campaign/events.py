@@ -40,7 +40,7 @@ NEW = "new"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Find:
-    """What this session saw of a finding, new or replayed: all that the controller needs for terminal and summary.
+    """A finding as this session saw it, new or replayed: all that the controller needs for terminal and summary.
 
     Attributes:
         id: name of its file without the suffix.

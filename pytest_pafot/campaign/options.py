@@ -102,7 +102,7 @@ class Option(NamedTuple):
 
 def option(kind: Kind, text: str, default: object = None, **known: Any) -> Any:
     """Return the field of :class:`Settings` for an option; further keyword arguments are fields of :class:`Option`."""
-    return field(default=default, metadata={"kind": kind, "help": text, "default": default, **known})
+    return field(default=default, metadata={"kind": kind, "help": text, **known})
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -299,7 +299,9 @@ class Settings:
         return [flag(name, value) for name in (*BUDGETS, "seed") if (value := getattr(self, name)) is not None]
 
 
-OPTIONS: tuple[Option, ...] = tuple(Option(each.name, **each.metadata) for each in fields(Settings))
+OPTIONS: tuple[Option, ...] = tuple(
+    Option(each.name, default=each.default, **each.metadata) for each in fields(Settings)
+)
 
 BY_NAME: Mapping[str, Option] = {each.name: each for each in OPTIONS}
 

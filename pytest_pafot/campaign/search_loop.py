@@ -263,9 +263,8 @@ class SearchLoop:
             self.finds[signature] = keep()
 
 
-# The recorder of new findings: it saves each finding, runs it again to confirm it, and reports it.
-
-# Confirmation of a finding: the same run once more, and once in highway-env's own environment.
+# The recorder of new findings: it saves each finding, confirms it, and reports it. To confirm a finding, its run is
+# made once more, and once in highway-env's own environment.
 
 NOT_REPEATED = "running it again gave a different run"
 

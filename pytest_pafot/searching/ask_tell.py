@@ -294,7 +294,7 @@ def check_parameters(search: Any, *, rates: tuple[str, ...] = (), factors: tuple
             raise ValueError(f"{name}: expected {expected}, received {getattr(search, name)!r}")
 
 
-# The loop of a search: in each generation an algorithm proposes scenarios, and learns from their evaluations.
+# The loop around an algorithm.
 
 Evaluate = Callable[[Scenario], Evaluation]
 """A function that simulates a scenario and evaluates the run."""
