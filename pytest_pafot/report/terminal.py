@@ -198,11 +198,14 @@ def failure_message(search: SearchSummary) -> str:
 
 def search_lines(search: SearchSummary, *, verbose: bool = False, width: int = WIDTH) -> list[str]:
     """Summarise a search: three lines if all is well, more if there is something to report."""
-    done = [f"{search.generations} of {plural(search.asked, 'generation')}"] if search.asked is not None else []
-    done += [f"{search.runs} of {plural(search.budget, 'run')}"] if search.budget is not None else []
+    # A search that made all that was asked needs no counts here: its runs are in the line before, its end says the rest.
+    asked = ((search.generations, search.asked, "generation"), (search.runs, search.budget, "run"))
+    short = [
+        f"{done} of {plural(wanted, what)}, " for done, wanted, what in asked if wanted is not None and done < wanted
+    ]
     origin = (
-        f"{search.algorithm}, seed {search.seed} from {flag('seed', search.base_seed)} (profile {search.profile}), "
-        f"{', '.join(done)}, ended: {search.reason}"
+        f"{search.algorithm}, seed {search.seed} from {flag('seed', search.base_seed)}, "
+        f"{''.join(short)}ended: {search.reason}"
     )
     texts = [_figures(search), *_find_lines(search), origin, *([search.drawn] if search.drawn else [])]
     failing, random = search.random_failing, search.random_runs
