@@ -197,12 +197,11 @@ def failure_message(search: SearchSummary) -> str:
 
 
 def search_lines(search: SearchSummary, *, verbose: bool = False, width: int = WIDTH) -> list[str]:
-    """Summarise a search: three lines if all is well, more if there is something to report."""
-    # A search that made all that was asked needs no counts here: its runs are in the line before, its end says the rest.
+    """Summarise a search in a few lines; more if there is something to report."""
+    # A search that made all that was asked for needs no counts here: the line of its runs and its end say them.
     asked = ((search.generations, search.asked, "generation"), (search.runs, search.budget, "run"))
-    short = [
-        f"{done} of {plural(wanted, what)}, " for done, wanted, what in asked if wanted is not None and done < wanted
-    ]
+    left = [(done, wanted, what) for done, wanted, what in asked if wanted is not None and done < wanted]
+    short = [f"{done} of {plural(wanted, what)}, " for done, wanted, what in left]
     origin = (
         f"{search.algorithm}, seed {search.seed} from {flag('seed', search.base_seed)}, "
         f"{''.join(short)}ended: {search.reason}"
