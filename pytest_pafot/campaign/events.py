@@ -5,10 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any, Self
 
 from pytest_pafot.campaign.verdict import Verdict
 from pytest_pafot.findings.finding import Finding
 from pytest_pafot.findings.severity import Severity
+from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.searching.events import Event
 from pytest_pafot.support.errors import flag
@@ -199,10 +201,29 @@ class SearchStarted:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Judged:
-    """The event of a run of the search, with the verdict of the test function on the run."""
+    """The event of a run of the search, with the verdict of the test function on the run.
 
-    run: Run
+    Attributes:
+        scenario: the scenario that was run.
+        executed: the scenario as it was driven.
+        verdict: the verdict; without the checks if another process judged the run.
+        responsibility: who is responsible for the run's collision: ego, npc, both or none; None without a collision.
+        run: the run; None if another process judged it, and sent only a digest of it.
+        columns: the values of the run for the table of runs, from the process that judged it; None if there is ``run``.
+    """
+
+    scenario: Scenario
+    executed: Scenario
     verdict: Verdict
+    responsibility: str | None
+    run: Run | None = None
+    columns: Mapping[str, Any] | None = None
+
+    @classmethod
+    def here(cls, run: Run, verdict: Verdict) -> Self:
+        """Make the event of a run that this process has judged."""
+        trace, responsible = run.trace, run.responsibility
+        return cls(scenario=trace.scenario, executed=run.scenario, verdict=verdict, responsibility=responsible, run=run)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -16,7 +16,7 @@ from pytest_pafot.campaign.options import BY_NAME, LOCAL, OPTIONS, PROFILES, Set
 from pytest_pafot.campaign.replays import Replays
 from pytest_pafot.campaign.request import Request, SearchArguments, build_world, check_names, checked_request
 from pytest_pafot.campaign.resuming import check_states
-from pytest_pafot.campaign.run_table import RunTable
+from pytest_pafot.campaign.run_table import RunTable, columns_of
 from pytest_pafot.campaign.search import Search, prepared, time_limit
 from pytest_pafot.corpus.layout import folder_of_test, link_below
 from pytest_pafot.corpus.saved import refusal
@@ -111,8 +111,9 @@ def explore(
             on_event(event)
 
     with tempfile.TemporaryDirectory(prefix="pafot-") as scratch:
-        replays, now = replays_of(request, holds, name, Path(scratch), executor), time.monotonic()
-        with prepared(replays.harness, listen) as sessions:
+        replays = replays_of(request, holds, name, Path(scratch), executor, needs_only_run=on_event is None)
+        now = time.monotonic()
+        with prepared(replays.harness, listen, columns=columns_of) as sessions:
             limit = time_limit(request.settings, now=now, began=now, left=1)
             search = Search(node_id=name, sessions=sessions, replays=replays, limit=limit, progress_seconds=0.5)
             result = search.run()
@@ -147,9 +148,17 @@ def request_of(given: dict[str, Any]) -> Request:
 
 
 def replays_of(
-    request: Request, holds: Callable[[Run], None], node_id: str, scratch: Path, executor: Executor | None = None
+    request: Request,
+    holds: Callable[[Run], None],
+    node_id: str,
+    scratch: Path,
+    executor: Executor | None = None,
+    *,
+    needs_only_run: bool = False,
 ) -> Replays:
     """Return what :func:`explore` needs to run scenarios: a harness, and the replays of saved scenarios.
+
+    For ``needs_only_run`` see :class:`Harness`.
 
     Raises:
         RequestError: if the search cannot be run with these arguments.
@@ -182,6 +191,7 @@ def replays_of(
         versions=installed_versions(),
         against=reference_of(settings.against, fixture, request.ads),
         executor=executor,
+        needs_only_run=needs_only_run,
         states=None if settings.resume is None else Path.cwd() / settings.resume,
     )
     return Replays(harness=harness, in_own_session=_no_session)

@@ -22,7 +22,7 @@ from pytest_pafot.execution.crash_records import CrashRecord, Leftover, left_by
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.execution.revision_policy import RevisionError, RevisionPolicy, rolled
 from pytest_pafot.execution.runner import Runner, replay_in_gym_apart, runner_for
-from pytest_pafot.execution.scenario_pool import ExecutionError, Job
+from pytest_pafot.execution.scenario_pool import Digest, ExecutionError, Job
 from pytest_pafot.findings.signature import PROCESS_CRASH, Failure
 from pytest_pafot.model.scenario import Scenario, ScenarioError
 from pytest_pafot.model.trace import Outcome, Trace
@@ -156,6 +156,8 @@ class Harness:
     versions: dict[str, str]  # versions of the packages on which a run depends
     against: Reference | None = None  # the reference that must pass, so that a failure counts
     executor: Executor | None = None  # the user's executor for the runs of a search, if any
+    # True if the test function takes only the run, so that a process that was forked from this one can call it, too
+    needs_only_run: bool = False
     states: Path | None = None  # the folder of states for searches that are resumed in other sessions, if any
 
     def job(self, world: Any = None, owner: str = "") -> Job:
@@ -350,6 +352,13 @@ class Simulation:
     runner: Runner
     record: CrashRecord
     reference: Runner | None = None  # the runner of the reference
+
+    def made(self, scenario: Scenario) -> Run | Digest:
+        """Run a scenario as :meth:`run` does, or return the digest of its run if another process has judged it."""
+        __tracebackhide__ = True
+        with self._recorded(), refusals():
+            made = self.runner.made(scenario)
+        return made if isinstance(made, Digest) else self.harness.seen(made)
 
     def run(self, scenario: Scenario, *, afresh: bool = False) -> Run:
         """Run a scenario. The caller must call :meth:`judge` next, which also clears the crash record.

@@ -77,14 +77,14 @@ class RandomBeginning:
         if self.is_whole:
             return
         if isinstance(event, Judged):
-            self._judged[event.run.trace.scenario] = event
+            self._judged[event.scenario] = event
         elif isinstance(event, Evaluated):
             self._evaluated += 1
             judged = self._judged.pop(event.evaluation.scenario, None)
             if judged is not None and not (judged.verdict.discarded or judged.verdict.kind == "invalid"):
                 self.runs += 1
                 if judged.verdict.kind in FAILING:
-                    is_at_fault = is_ego_responsible(judged.run.trace)
+                    is_at_fault = judged.run is not None and is_ego_responsible(judged.run.trace)
                     self.at_fault += is_at_fault
                     self.otherwise += not is_at_fault
 

@@ -11,7 +11,7 @@ from typing import Any
 
 from pytest_pafot.attribution.responsibility import rss_rule
 from pytest_pafot.campaign.events import Judged, SearchEvent, SearchStarted
-from pytest_pafot.campaign.verdict import worst_margins
+from pytest_pafot.campaign.verdict import Verdict, worst_margins
 from pytest_pafot.findings.signature import Signature
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.searching.evaluation import EVALUATIONS
@@ -76,9 +76,12 @@ class RunTable:
             case SearchStarted():
                 self.test, self.seed = event.node_id, event.seed
             case Judged():
-                id_ = event.run.scenario.id
+                id_ = event.executed.id
                 self._judged.pop(id_, None)  # so that the order is that of the last runs
-                self._judged[id_] = _of_run(event) | self.more(event.run)
+                known, run = event.columns, event.run
+                self._judged[id_] = (
+                    dict(known or {}) if run is None else columns_of(run, event.verdict) | self.more(run)
+                )
             case Evaluated():
                 self.number += 1
                 self.rows.append(self._row(event))
@@ -125,8 +128,8 @@ class RunTable:
         return row | self._judged.get(evaluation.executed.id, {})  # a run knows its scenario as it was driven
 
 
-def _of_run(event: Judged) -> Row:
-    run, verdict = event.run, event.verdict
+def columns_of(run: Run, verdict: Verdict) -> Row:
+    """Return the columns of a row that only the run itself and its verdict show."""
     blame = None if run.collision is None else rss_rule(run.trace)
     return {
         "verdict": verdict.kind,

@@ -8,7 +8,7 @@ from __future__ import annotations
 import hashlib
 import math
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -21,16 +21,17 @@ from pytest_pafot.campaign.options import FULL, LOCAL, PROFILES, Settings
 from pytest_pafot.campaign.replays import Replays
 from pytest_pafot.campaign.request import build_space
 from pytest_pafot.campaign.resuming import RandomBeginning, Sessions
-from pytest_pafot.campaign.search_loop import Recorder, SearchLoop, difference, read_ahead
+from pytest_pafot.campaign.search_loop import Reader, Recorder, SearchLoop, difference
 from pytest_pafot.campaign.setup_fault import SetupFaultError
 from pytest_pafot.campaign.simplification import Simplification
-from pytest_pafot.campaign.verdict import no_skip, skips
+from pytest_pafot.campaign.verdict import Verdict, no_skip, skips
 from pytest_pafot.corpus.saved import Saved, saved_in
 from pytest_pafot.execution import scenario_pool
 from pytest_pafot.execution.crash_records import Leftover
 from pytest_pafot.execution.runner import Retried, retry, runner_for
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.sight import Sight
+from pytest_pafot.oracle.run import Run
 from pytest_pafot.searching import run_campaign
 from pytest_pafot.searching.ask_tell import Algorithm, CheckpointError
 from pytest_pafot.searching.fitness import FitnessError, is_built_in, resolve
@@ -102,12 +103,18 @@ class SearchResult:
 
 @contextmanager
 def prepared(
-    harness: Harness, listener: Listener, *, space: SearchSpace | None = None, is_steered: bool = True
+    harness: Harness,
+    listener: Listener,
+    *,
+    space: SearchSpace | None = None,
+    is_steered: bool = True,
+    columns: Callable[[Run, Verdict], Mapping[str, Any]] | None = None,
 ) -> Iterator[Sessions]:
     """Build the parts of a search that run scenarios, record findings and count. Stop their processes at the end.
 
     The search has the space that its request describes, unless one is given. It is steered towards collisions for which
-    the ego is responsible, unless ``blame="any"`` or ``is_steered`` is False.
+    the ego is responsible, unless ``blame="any"`` or ``is_steered`` is False. ``columns`` computes what a table of runs
+    needs of a run that another process judges.
 
     Raises:
         RequestError: for a fitness that does not exist, or a world that cannot be used.
@@ -122,7 +129,14 @@ def prepared(
         raise request.error("fitness=...", error) from None
     job, settings = harness.job(), request.settings
     # The user's own fitness runs only in this process, where its errors are reported.
-    job = replace(job, read=partial(read_ahead, fitness if is_built_in(request.fitness) else None))
+    is_steered_by_checks = request.fitness == "default"
+    reader = Reader(
+        harness=harness,
+        fitness=fitness if is_built_in(request.fitness) else None,
+        is_steered_by_checks=is_steered_by_checks,
+        columns=columns,
+    )
+    job = replace(job, read=reader, remark=_who_judges(reader))
     with ExitStack() as stack:
         record = stack.enter_context(harness.recording(job))
         with refusals():
@@ -147,11 +161,19 @@ def prepared(
             space=space,
             fitness=fitness,
             listener=beginning,
-            is_steered_by_checks=request.fitness == "default",
+            is_steered_by_checks=is_steered_by_checks,
         )
         sessions = Sessions(harness=harness, seed=seed, loop=loop, beginning=beginning, clock=time.monotonic)
         stack.callback(sessions.close)
         yield sessions
+
+
+def _who_judges(reader: Reader) -> str:
+    """Return which process calls the test function, for the note on the use of processes."""
+    if reader.judges:
+        return ", which also judge their runs"
+    why = "the fitness is your own" if reader.fitness is None else "the test function takes more than the run"
+    return f"; this process judges all runs, since {why}"
 
 
 @dataclass(slots=True, kw_only=True)

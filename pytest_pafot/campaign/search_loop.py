@@ -20,7 +20,7 @@ from pytest_pafot.corpus.layout import SUFFIX, files_in, relative
 from pytest_pafot.corpus.writer import CorpusWriteError, free_path, rewrite, text_of, write
 from pytest_pafot.execution.crash_records import Leftover
 from pytest_pafot.execution.pool import OUT_OF_MEMORY, WORLD_HANGS, ProcessLostError
-from pytest_pafot.execution.scenario_pool import LostRun, expectation
+from pytest_pafot.execution.scenario_pool import Digest, LostRun, expectation
 from pytest_pafot.findings.finding import (
     Expect,
     Finding,
@@ -63,6 +63,75 @@ def read_ahead(fitness: Callable[[Trace], float] | None, trace: Trace) -> None:
     mistake_of(trace)
     if fitness is not None:
         trace.reading(FITNESS, fitness)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Passed:
+    """All that a search needs of a run in which nothing failed, from the process that made the run and judged it."""
+
+    evaluation: Evaluation
+    event: Judged
+    caught: tuple[str, ...]  # the names of checks that failed although the test function passed
+    doubt: str  # see :func:`unit_doubt`
+
+
+UNREMARKABLE = ("passed", "npc", "invalid", "rejected")
+"""The kinds of verdicts for which a digest is enough. All other runs are judged in the session, with their traces."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Reader:
+    """What a process that made a run reads from its trace, so that the process of the session need not.
+
+    If the test function needs only the run, that process judges the run, too, and if nothing failed it sends a digest.
+    Otherwise it sends the trace, which stores the values that the search will need.
+
+    Attributes:
+        harness: has the test function.
+        fitness: the fitness of a trace; None if it is the user's own function, which runs only in the session.
+        is_steered_by_checks: as in :class:`SearchLoop`.
+        columns: computes the columns of a run for the table of runs; None without a table.
+    """
+
+    harness: Harness
+    fitness: Callable[[Trace], float] | None
+    is_steered_by_checks: bool
+    columns: Callable[[Run, Verdict], Mapping[str, Any]] | None
+
+    @property
+    def judges(self) -> bool:
+        """True if the process that made a run also judges it."""
+        return self.harness.needs_only_run and self.fitness is not None
+
+    def __call__(self, trace: Trace) -> Digest | None:
+        """Read a trace; return its digest, or None if the trace must be sent."""
+        read_ahead(self.fitness, trace)
+        if self.fitness is None or not self.judges:
+            return None
+        run = self.harness.seen(trace)
+        verdict = self.harness.judge(run)
+        if verdict.kind not in UNREMARKABLE:
+            return None
+        evaluation = Evaluation.of(
+            trace,
+            fitness=trace.reading(FITNESS, self.fitness),
+            failing=False,
+            discarded=verdict.discarded,
+            margins=worst_margins(verdict) if self.is_steered_by_checks else (),
+        )
+        event = Judged(
+            scenario=trace.scenario,
+            executed=trace.executed,
+            verdict=replace(verdict, checks=()),
+            responsibility=run.responsibility,
+            columns=None if self.columns is None else self.columns(run, verdict),
+        )
+        return Digest(Passed(evaluation=evaluation, event=event, caught=_caught(verdict), doubt=unit_doubt(trace)))
+
+
+def _caught(verdict: Verdict) -> tuple[str, ...]:
+    """Return the names of the checks that failed in a run that passed, because the test function caught the error."""
+    return tuple({check.name for check in verdict.checks if not check.holds}) if verdict.kind == "passed" else ()
 
 
 @dataclass(slots=True, kw_only=True)
@@ -149,9 +218,11 @@ class SearchLoop:
         with runs_end_in(self.seconds_left()):
             if scenario not in self.fatal:
                 try:
-                    run = self.simulation.run(scenario)
+                    run = self.simulation.made(scenario)
                 except ProcessLostError as error:
                     lost = error
+            if isinstance(run, Digest):
+                return self._taken(run.content)
             if run is not None:
                 return self._judged(run)
         self.first.is_alike = False
@@ -211,21 +282,32 @@ class SearchLoop:
         self._count(expectation(lost).signature, lambda: self.recorder.keep_lost(lost, self.generation, self.runs + 1))
         return True
 
+    def _taken(self, passed: Passed) -> Evaluation:
+        """Count a run that another process has judged, as :meth:`_judged` counts a run that passes."""
+        self.listener(passed.event)
+        self.verdicts[passed.event.verdict.kind] += 1
+        self.caught.update(passed.caught)
+        self.doubt = self.doubt or passed.doubt
+        if self.first.is_alike:
+            self.first.see(None, passed.event.verdict)
+        if not self.first.is_alike:
+            self.recorder.release()
+        return passed.evaluation
+
     def _judged(self, run: Run) -> Evaluation:
         is_alone = self.simulation.runner.is_alone
         verdict = self.simulation.judge(run)
-        judged = [Judged(run=run, verdict=verdict)]
+        judged = [Judged.here(run, verdict)]
         if verdict.failed and not is_alone:  # Run it alone as its replay will, in case a batch mixes up its rows.
             run = self.simulation.run(run.trace.scenario, afresh=True)
             verdict = self.simulation.judge(run)
-            judged.append(Judged(run=run, verdict=verdict))
+            judged.append(Judged.here(run, verdict))
         for event in judged:  # After both runs, because the time limit may end the second one, and then none counts.
             self.listener(event)
         self.verdicts[verdict.kind] += 1
         # What says that the set-up is wrong: a check that the function catches, units, the same error in all runs. As
         # soon as two runs differ, the findings that were held back are no fault of the set-up.
-        if verdict.kind == "passed":
-            self.caught.update({check.name for check in verdict.checks if not check.holds})
+        self.caught.update(_caught(verdict))
         self.doubt = self.doubt or unit_doubt(run.trace)
         if self.first.is_alike:
             self.first.see(run, verdict)

@@ -25,6 +25,7 @@ from pytest_pafot.execution.revision_policy import Elsewhere, RevisionPolicy
 from pytest_pafot.execution.scenario_pool import (
     NOT_REPEATED,
     Answer,
+    Digest,
     ExecutionError,
     Job,
     LostRun,
@@ -152,9 +153,18 @@ class Runner:
         self._prefetching.announce(scenarios)
 
     def run(self, scenario: Scenario, *, afresh: bool = False) -> Trace:
-        """Return the trace of a run of a scenario.
+        """Return the trace of a run of a scenario that was not announced; arguments and errors as :meth:`made`."""
+        __tracebackhide__ = True
+        trace = self.made(scenario, afresh=afresh)
+        if isinstance(trace, Digest):
+            raise TypeError(f"scenario: expected one that no other process has judged, received {scenario!r}")
+        return trace
 
-        The crash record of the scenario stays on disk, because the evaluation of the run may end the process, too.
+    def made(self, scenario: Scenario, *, afresh: bool = False) -> Trace | Digest:
+        """Return the trace of a run of a scenario, or the digest of an announced run that another process has judged.
+
+        With a trace, the crash record of the scenario stays on disk, because the evaluation of the run may end the
+        process, too.
 
         Args:
             scenario: the scenario to run, announced or not.
@@ -167,6 +177,9 @@ class Runner:
         """
         __tracebackhide__ = True
         trace = self._prefetching.take(scenario, afresh=afresh)
+        if isinstance(trace, Digest):
+            self.is_alone = True
+            return trace
         self.is_alone = trace is None or self._prefetching is not self.lock_step
         self.record.write(scenario, reference=self.job.reference)
         if trace is None:
@@ -357,7 +370,7 @@ class Processes:
             return self._pool.notes
         option = flag("workers", self._workers)
         if self._pool is not None:
-            used = f"{option}: in use after {plural(self._runs_before, 'run')} of this process"
+            used = f"{option}: in use after {plural(self._runs_before, 'run')} of this process{self._job.remark}"
             if self._pool.failure:
                 used = f"{flag('workers')}: this process ran the scenarios; no other one could: {self._pool.failure}"
             return [used, *map(recovery_note, self._pool.recovered)]
@@ -379,8 +392,8 @@ class Processes:
             self.announced.append(scenario)
             yield scenario
 
-    def take(self, scenario: Scenario, *, afresh: bool) -> Trace | None:
-        """Return the trace of an announced scenario; None if the scenario must be run in this process.
+    def take(self, scenario: Scenario, *, afresh: bool) -> Trace | Digest | None:
+        """Return the trace or digest of an announced scenario; None if the scenario must be run in this process.
 
         Each trace can be taken once. With ``afresh`` the result is always None.
         """
@@ -648,4 +661,5 @@ def retry(
 
 def _came_to_its_end(answer: Answer) -> bool:
     """Return whether a run succeeded, without an error of the ADS, which may occur only in the separate process."""
-    return not isinstance(answer, Exception) and answer[0].outcome not in (Outcome.ADS_ERROR, Outcome.HANG)
+    trace = None if isinstance(answer, Exception) else answer[0]
+    return isinstance(trace, Trace) and trace.outcome not in (Outcome.ADS_ERROR, Outcome.HANG)

@@ -43,6 +43,15 @@ class CapturedOutput:
     records: list[logging.LogRecord] = field(default_factory=list)
     warned: list[tuple[str, type[Warning], str, int]] = field(default_factory=list)
 
+    def followed_by(self, other: CapturedOutput) -> CapturedOutput:
+        """Return this output and a later one as one."""
+        return CapturedOutput(
+            out=self.out + other.out,
+            err=self.err + other.err,
+            records=self.records + other.records,
+            warned=self.warned + other.warned,
+        )
+
     def repeat(self) -> None:
         """Print the texts, handle the log records and issue the warnings in this process."""
         for stream, text in ((sys.stdout, self.out), (sys.stderr, self.err)):
@@ -105,8 +114,17 @@ LEAST_MEMORY = 2 << 30
 """The lowest default memory limit of a process [bytes]: libraries reserve some memory before they need it."""
 
 LostRun: TypeAlias = ProcessLostError[Scenario]
-Timed: TypeAlias = tuple[Trace, CapturedOutput, float]
-"""A run, its captured output, and its duration in wall-clock time [s]."""
+
+
+@dataclass(frozen=True, slots=True)
+class Digest:
+    """All that a search needs of a run that another process has judged. It replaces the trace, which is far larger."""
+
+    content: Any
+
+
+Timed: TypeAlias = tuple[Trace | Digest, CapturedOutput, float]
+"""A run or its digest, its captured output, and its duration in wall-clock time [s]."""
 Answer: TypeAlias = Timed | Exception
 """The answer to a scenario: a run, or an exception. This process may repeat the run after any exception, except after a
 :class:`~pytest_pafot.execution.pool.ProcessLostError`."""
@@ -114,7 +132,7 @@ ScenarioPool: TypeAlias = WorkerPool[Scenario, Timed]
 
 
 def _read_nothing(trace: Trace) -> None:
-    """Do nothing with a trace; the default of ``Job.read`` for runs outside of a search."""
+    """Read nothing; the default of ``Job.read`` for runs outside of a search."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -133,8 +151,11 @@ class Job:
     world_data: Mapping[str, Any] | None = None
     root: Path = Path()
     """The folder of the project, whose modules are sent with the ADS to other machines."""
-    read: Callable[[Trace], None] = _read_nothing
-    """A function that computes values from a trace in the process that made the run; the trace stores these values."""
+    read: Callable[[Trace], Digest | None] = _read_nothing
+    """A function that reads a trace in the process that made the run. It returns the digest that is sent instead of the
+    trace. Without a digest the trace is sent, with the values that it stores by then."""
+    remark: str = ""
+    """What the note on the use of processes says in addition."""
     memory: int | None = None
     """The additional memory that a process may use after its start [MB]; 0 for no limit, None for an equal share."""
     reference: str = ""
@@ -193,12 +214,14 @@ def _memory(job: Job, size: int) -> int | None:
 
 def _run_recorded(job: Job, record: CrashRecord, scenario: Scenario, tell: object) -> Timed:
     """Run a scenario in a process of the pool; its crash record is on disk during the run."""
-    with record, capture_output() as output:  # closed after each run, since nothing would remove it after the session
+    digest = None
+    with record:  # closed after each run, since nothing would remove it after the session
         record.write(scenario, reference=job.reference)
-        trace, seconds = timed(job.world, scenario, job.ads)
-    with suppress(Exception):  # it is raised again in the session, when the value is read there
-        job.read(trace)
-    return trace, output, seconds
+        with capture_output() as output:
+            trace, seconds = timed(job.world, scenario, job.ads)
+        with capture_output() as said, suppress(Exception):  # it is raised again in the session, which reads the trace
+            digest = job.read(trace)
+    return (trace, output, seconds) if digest is None else (digest, output.followed_by(said), seconds)
 
 
 def timed(world: Any, scenario: Scenario, ads: Callable[..., Any]) -> tuple[Trace, float]:
@@ -215,8 +238,8 @@ def _forget(job: Job, pid: int) -> None:
             leftover.discard()
 
 
-def trace_from(answer: Answer) -> Trace | None:
-    """Return the trace of an answer and repeat its output in this process; None if the scenario must be run here.
+def trace_from(answer: Answer) -> Trace | Digest | None:
+    """Return the trace or digest of an answer and repeat its output here; None if the scenario must be run here.
 
     Raises:
         ProcessLostError: if the process died or hung.
@@ -239,7 +262,7 @@ def trace_apart(answer: Answer) -> Trace:
     """
     __tracebackhide__ = True
     trace = trace_from(answer)
-    if trace is not None:
+    if isinstance(trace, Trace):
         return trace
     if isinstance(answer, Exception):
         answer.add_note(NOT_REPEATED)

@@ -22,6 +22,7 @@ from pytest_pafot.campaign.options import Settings
 from pytest_pafot.campaign.replays import Replays
 from pytest_pafot.campaign.request import Request, build_world
 from pytest_pafot.campaign.resuming import check_states
+from pytest_pafot.campaign.run_table import columns_of
 from pytest_pafot.campaign.search import AFTER_A_DEATH, Search, isolated_after_a_death, prepared, time_limit
 from pytest_pafot.campaign.search_loop import NOT_REPEATED
 from pytest_pafot.campaign.verdict import PlainFailure, Test
@@ -116,6 +117,7 @@ def harness_of(item: pytest.Function, request: Request, *, writes: bool = True) 
         versions=installed_versions(),
         against=reference_of(given, lambda name: checked_factory(item.funcargs[name], name), factory),
         executor=_checked_executor(item.funcargs[EXECUTOR_FIXTURE]),
+        needs_only_run=_needs_only_run(item, request.arg),
         states=None if resume is None else here / resume,
     )
 
@@ -169,6 +171,15 @@ def bound_test(item: pytest.Function, arg: str) -> Test:
     return test
 
 
+def _needs_only_run(item: pytest.Function, arg: str) -> bool:
+    """Return whether a process that was forked from this one can judge runs: the test function takes only the run.
+
+    With a debugger, and with pytest-check, which collects failures, this process judges all runs.
+    """
+    is_plain = set(inspect.signature(item.obj).parameters) <= {arg} and "pytest_check" not in sys.modules
+    return is_plain and not item.config.getoption("usepdb", False)
+
+
 def _once(record: Any) -> Callable[[str, object], None]:
     """Return pytest's function that records a property of the session, without equal properties of later calls."""
     recorded: set[tuple[str, str]] = set()
@@ -195,7 +206,8 @@ def run_search(item: pytest.Function, request: Request) -> None:
     # If this policy has killed a process before, it runs in processes that may die of it.
     chosen = isolated_after_a_death(harness, replays)
     listener = SearchMessages(item, settings, page_counts(item, settings), table_messages_of(item))
-    with prepared(chosen, listener) as sessions:
+    columns = None if listener.table is None else columns_of
+    with prepared(chosen, listener, columns=columns) as sessions:
         result = Search(
             node_id=item.nodeid,
             sessions=sessions,

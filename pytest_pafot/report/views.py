@@ -582,7 +582,7 @@ class CampaignCounts:
             case SearchStarted():
                 self.speed_limit = event.speed_limit
             case Judged():
-                self.responsibilities[event.run.responsibility or "none"] += 1
+                self.responsibilities[event.responsibility or "none"] += 1
             case Evaluated():
                 self.health = self.health.counted(event.evaluation, reused=event.reused)
                 if not event.reused:

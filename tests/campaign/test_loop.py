@@ -83,6 +83,8 @@ class Simulation:
     def run(self, scenario, *, afresh=False):
         return self.simulate(scenario)
 
+    made = run
+
     def judge(self, run):
         return self.verdicts(next(self.numbers))
 
