@@ -130,13 +130,15 @@ def prepared(
     job, settings = harness.job(), request.settings
     # The user's own fitness runs only in this process, where its errors are reported.
     is_steered_by_checks = request.fitness == "default"
+    why_here = _why_judged_here(harness)
     reader = Reader(
-        harness=harness,
+        harness=None if why_here else harness,
         fitness=fitness if is_built_in(request.fitness) else None,
         is_steered_by_checks=is_steered_by_checks,
-        columns=columns,
+        columns=None if why_here else columns,
     )
-    job = replace(job, read=reader, remark=_who_judges(reader))
+    remark = f"; this process judges all runs, since {why_here}" if why_here else ", which also judge their runs"
+    job = replace(job, read=reader, remark=remark)
     with ExitStack() as stack:
         record = stack.enter_context(harness.recording(job))
         with refusals():
@@ -168,12 +170,15 @@ def prepared(
         yield sessions
 
 
-def _who_judges(reader: Reader) -> str:
-    """Return which process calls the test function, for the note on the use of processes."""
-    if reader.judges:
-        return ", which also judge their runs"
-    why = "the fitness is your own" if reader.fitness is None else "the test function takes more than the run"
-    return f"; this process judges all runs, since {why}"
+def _why_judged_here(harness: Harness) -> str:
+    """Return why the processes that make runs do not judge them, too; empty if they do."""
+    if not is_built_in(harness.request.fitness):
+        return "the fitness is your own"
+    if not harness.needs_only_run:
+        return "the test function needs more than the run"
+    # Workers of an executor may be on other machines, and isolated processes also make the runs that confirm findings.
+    is_apart = harness.executor is not None or harness.request.settings.isolate
+    return "they were not forked from it" if is_apart or scenario_pool.METHOD != "fork" else ""
 
 
 @dataclass(slots=True, kw_only=True)

@@ -83,30 +83,25 @@ UNREMARKABLE = ("passed", "npc", "invalid", "rejected")
 class Reader:
     """What a process that made a run reads from its trace, so that the process of the session need not.
 
-    If the test function needs only the run, that process judges the run, too, and if nothing failed it sends a digest.
-    Otherwise it sends the trace, which stores the values that the search will need.
+    With a harness, that process judges the run, too, and if nothing failed it sends a digest. Otherwise it sends the
+    trace, which stores the values that the search will need.
 
     Attributes:
-        harness: has the test function.
+        harness: has the test function; None if only the process of the session may call it.
         fitness: the fitness of a trace; None if it is the user's own function, which runs only in the session.
         is_steered_by_checks: as in :class:`SearchLoop`.
         columns: computes the columns of a run for the table of runs; None without a table.
     """
 
-    harness: Harness
+    harness: Harness | None
     fitness: Callable[[Trace], float] | None
     is_steered_by_checks: bool
     columns: Callable[[Run, Verdict], Mapping[str, Any]] | None
 
-    @property
-    def judges(self) -> bool:
-        """True if the process that made a run also judges it."""
-        return self.harness.needs_only_run and self.fitness is not None
-
     def __call__(self, trace: Trace) -> Digest | None:
         """Read a trace; return its digest, or None if the trace must be sent."""
         read_ahead(self.fitness, trace)
-        if self.fitness is None or not self.judges:
+        if self.fitness is None or self.harness is None:
             return None
         run = self.harness.seen(trace)
         verdict = self.harness.judge(run)

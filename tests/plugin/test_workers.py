@@ -20,7 +20,7 @@ pytestmark = [
     pytest.mark.skipif(sys.platform != "linux", reason="processes are forked on Linux alone"),
 ]
 
-IN_USE = "*note: --pafot-workers=2: in use after 1 run of this process"
+IN_USE = "*note: --pafot-workers=2: in use after 1 run of this process*"
 
 DEAR = """
 import os
