@@ -329,7 +329,7 @@ def test_invalid_world_fixture_suggests_the_right_world(project):
 
 
 def test_first_generation_error_counts_only_evaluated_runs():
-    first, run = FirstGeneration(), None
+    first, run = FirstGeneration(), object()  # of a run in which the function failed, nothing is read
     broken = Verdict(kind="failed", exception=KeyError("x"), failure=Failure(kind="KeyError", assertion="run['x']"))
     for verdict in (Verdict(kind="npc"), broken, Verdict(kind="invalid"), broken):
         first.see(run, verdict)
