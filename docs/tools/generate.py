@@ -124,9 +124,9 @@ FILE_TEXTS: Mapping[str, str] = {
     "expect.last_chance": "[The last chance](../explanation/findings.md#who-could-have-prevented-it): `time` [s], the "
     "`driver`, and its `action` and the ego's, `ego_action`: acceleration [m/s^2] and steering [rad].",
     "expect.avoided_by": "The last decision from which `braking` [m/s^2] avoids the collision, and its `time` [s].",
-    "expect.escaped_by": "How a `driver` that takes over at `time` avoids a collision for which the ego is excused: its "
-    "hardest `braking` [m/s^2], and `braking_from` when it brakes [s]; and what the rules would require: `required` "
-    "[m/s^2] from `due` on [s].",
+    "expect.escaped_by": "How a `driver` that takes over at `time` avoids a collision for which the ego is excused: "
+    "its hardest `braking` [m/s^2], and `braking_from` when it brakes [s]; and what the rules would require: "
+    "`required` [m/s^2] from `due` on [s].",
     "perception": "The arguments of [`pafot.Perception`](ads.md), if the ADS saw imperfectly, and `needed`: the "
     "imperfections without which the test passes. A replay uses the sight that the test gives now, and reports a "
     "difference.",
@@ -136,8 +136,8 @@ FILE_TEXTS: Mapping[str, str] = {
     "tried.",
     "shrunk.speeds": "For each instruction, by `npc` and by the `gene` with which it begins, the speeds from `low` to "
     "`high` [m/s] at which the scenario still fails. Not all speeds between them were tried.",
-    "flaky": "What differed when the scenario was run again. Remove the line when the ADS drives a scenario in the same "
-    "way each time.",
+    "flaky": "What differed when the scenario was run again. Remove the line when the ADS drives a scenario in the "
+    "same way each time.",
     "xfail": "[Your reason to accept the failure](../guide/triage.md#accept-a-failure-for-a-while); the only line that "
     "you write by hand. With `{reason: ..., until: 2027-01-31}` it is accepted up to that day.",
 }
