@@ -80,13 +80,10 @@ BENCHMARKS: Mapping[str, tuple[str, str | None]] = {
         "progress --seeds {20|1} --scenarios {200|20} --redraws {200|5} --workers WORKERS",
         "docs/guide/what-broke.md",
     ),
-    "shrinking": ("shrinking --runs {400|30} --workers WORKERS", "docs/explanation/findings.md"),
+    "shrinking": ("shrinking --runs {400|30} --workers WORKERS", None),
     "endings": ("endings --runs {2000|100} --workers WORKERS", "docs/explanation/traffic.md"),
     "every-road": ("every_road --seeds {5|1} --generations {10|1} --workers WORKERS", "docs/explanation/roads.md"),
-    "distinctness": (
-        "distinctness --of second --seeds {10|1} --runs {400|30} --workers WORKERS",
-        "docs/explanation/findings.md",
-    ),
+    "distinctness": ("distinctness --of second --seeds {10|1} --runs {400|30} --workers WORKERS", None),
     "speed": ("speed --rounds {9|1} --parts {engines ads npcs search batch pure start memory|npcs}", None),
     "training": ("training --seconds {8|1}", "docs/reference/training.md"),
     "positive-controls": (

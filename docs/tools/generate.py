@@ -99,73 +99,49 @@ MARKER_DEFAULTS: Mapping[str, str] = {
 
 FILE_TEXTS: Mapping[str, str] = {
     "pafot": "Version of the format, `2`. Files of a different version are refused.",
-    "test": "Node id of the test, with its parameters. The folder of the file, and not this line, decides which test "
-    "replays it.",
-    "world": "The world that the scenario fails in. `kind` is `highway` or `gym`; the other keys are all fields of "
-    "`Highway` or `World`. `config` of a `World` also has the defaults of its environment. The replay uses "
-    "this world, not the world that the test names now, and no default of a later version. If the world is "
-    "code, the replay uses the world that the test names: kind `own`, with the `class` of [a world of your "
-    "own](../guide/own-world.md) and the `data` of its `to_dict`; and `gym` with the names of `wrappers`. A "
-    "world that a package has [registered](../guide/own-world.md#a-simulator-of-your-own) has its own kind "
-    "and its `data`.",
+    "test": "Node id of the test. The folder of the file, and not this line, decides which test replays it.",
+    "world": "The world of the replay. `kind` is `highway` or `gym`, with all fields of `Highway` or `World`. For a "
+    "world that is code (`own`, or with `wrappers`), the replay uses the test's world. A "
+    "[registered](../guide/own-world.md) world has its own kind and its `data`.",
     "scenario.seed": "Seed of the repair inside the run.",
     "scenario.ego": "`lane`, counted from 0 at the left, and `speed` [m/s], at which the ego and "
     "all NPCs that do not cross start.",
     "scenario.gene_seconds": "Duration of one gene [s]; `10.0` if it is not given.",
-    "scenario.traffic": "How the NPCs drive within their instructions: `hostile`, `assertive` or `everyday` "
-    "([what they "
-    "mean](../explanation/traffic.md)); with separate parts, `{style: everyday, least_gap: 4.0}`. If it is "
-    "not given, they drive as in the paper.",
-    "scenario.npcs": "One list per NPC. It has Position-Instructions `{cell, speed}`: cell 1 to 8, speed [m/s]. "
-    "Or it has Lane-Instructions `{lane, speed}`: lane `keep`, `left` or `right`, as seen from the NPC's lane when the "
-    "gene begins. Such an NPC starts in the first free cell of 1, 2, 3, 8, 4, 6, 7 and 5 that has a lane. "
-    "An NPC that meets the ego where ways cross has one Crossing-Instruction `{zone, slot, speed, act}`: the "
-    "entry and exit of its way, the slot [s] after the ego (negative: before it), and the act, `pass` if it "
-    "is not given.",
-    "expect.assertion": "The failing assertion without its message, with `N` for each number.",
-    "expect.reference_drivers": "The outcome of each reference driver in the ego's place: `avoids`, `hit`, "
-    "`at-fault` or `fails` ([their "
-    "meaning](../explanation/responsibility.md#who-could-have-prevented-it)). Absent if it means nothing.",
-    "expect.check": "The value that the failed check measured, and its bounds, in its unit: `value`, `at_most`, "
-    "`at_least`, "
-    "`unit`. The assertion is then the name of the check.",
-    "expect.situation": "Where the NPC of the failure was shortly before the ego's mistake, relative to the "
-    "ego: the `npc`, the "
-    "`time` [s], how far `ahead` its centre was [m] (negative: behind), its `lane`, counted from the ego's to "
-    "the right, and both speeds, `ego_speed` and `npc_speed` [m/s]; for a leader the lowest speed from then "
-    "on. A replay that passes is a [fix](../explanation/findings.md#what-a-replay-means) only if the "
-    "situation occurs again. An NPC that crosses has, in place of `ahead` and `lane`, the times until it and "
-    "the ego reach the beginning of their zone, `npc_enters` and `ego_enters` [s]. Absent if no NPC took "
-    "part.",
-    "expect.last_chance": "The last time at which a reference driver in the ego's place would have stayed free "
-    "of fault, or for a failed check would have kept it: `time` "
-    "[s], the `driver`, and its `action` and the ego's, `ego_action`: acceleration [m/s^2] and steering "
-    "[rad]. Absent if there is no such moment.",
-    "expect.avoided_by": "The last decision of the ego after which braking in its lane avoids the collision, by "
-    "simulation: `time` "
-    "[s] and `braking` [m/s^2], with which it slows down to a standstill. Absent if no braking does, and if "
-    "the `fault` is not an unanswered leader or cut-in, a failure to give way, or the entry into a taken zone.",
-    "expect.escaped_by": "How a reference driver avoids a collision for which the rules left the ego too little "
-    "time, by simulation: the `time` [s] at which the `driver` takes over, its hardest `braking` [m/s^2] until the "
-    "time of the impact, the time `braking_from` which it brakes, the time from which the rules would require "
-    "braking, `due` [s], and the deceleration that they would require unless in an emergency, `required` [m/s^2]. "
-    "Absent for all other verdicts, and if the driver does not avoid the collision.",
-    "perception": "How the ADS saw the others, if that was not perfect: the arguments of [`pafot.Perception`](ads.md), "
-    "without the perfect ones. Once it is known, also the list `needed` of the imperfections without which "
-    "the test does not fail; it is empty if the test also fails with perfect sight. A replay uses the sight "
-    "that the test gives now, and reports a difference.",
-    "original": "The scenario as first found, like `scenario`, if shrinking has replaced it by a simpler one.",
+    "scenario.traffic": "[The style](../explanation/traffic.md) in which the NPCs drive, or a mapping with changed "
+    "parts, `{style: everyday, least_gap: 4.0}`. If it is not given, they drive as in the paper.",
+    "scenario.npcs": "One list of [instructions](scenarios.md) per NPC: Position-Instructions `{cell, speed}`, "
+    "Lane-Instructions `{lane, speed}`, or one Crossing-Instruction `{zone, slot, speed, act}`. Speeds are in m/s.",
+    "expect.assertion": "The failing assertion without its message, with `N` for each number; for a failed check, the "
+    "name of the check.",
+    "expect.reference_drivers": "[The outcome](../explanation/findings.md#who-could-have-prevented-it) of each "
+    "reference driver: `avoids`, `hit`, `at-fault` or `fails`.",
+    "expect.check": "The `value` that the failed check measured, its bounds `at_most` and `at_least`, and its `unit`.",
+    "expect.situation": "Where the NPC of the failure was shortly before it, and how fast both were: the "
+    "[situation](../explanation/findings.md#what-a-replay-means) that must come up again for a pass to be a fix. "
+    "`npc`, `time` [s], `ahead` [m] (negative: behind), `lane` (counted from the ego's to the right), `ego_speed` and "
+    "`npc_speed` [m/s]. Where ways meet, the times to the zone `npc_enters` and `ego_enters` [s] replace `ahead` and "
+    "`lane`.",
+    "expect.last_chance": "[The last chance](../explanation/findings.md#who-could-have-prevented-it): `time` [s], the "
+    "`driver`, and its `action` and the ego's, `ego_action`: acceleration [m/s^2] and steering [rad].",
+    "expect.avoided_by": "The last decision from which `braking` [m/s^2] avoids the collision, and its `time` [s].",
+    "expect.escaped_by": "How a `driver` that takes over at `time` avoids a collision for which the ego is excused: "
+    "its hardest `braking` [m/s^2], and `braking_from` when it brakes [s]; and what the rules would require: "
+    "`required` [m/s^2] from `due` on [s].",
+    "perception": "The arguments of [`pafot.Perception`](ads.md), if the ADS saw imperfectly, and `needed`: the "
+    "imperfections without which the test passes. A replay uses the sight that the test gives now, and reports a "
+    "difference.",
+    "original": "The scenario as first found, if shrinking has replaced it by a simpler one.",
     "shrunk.rollouts": "The number of runs that shrinking took.",
-    "shrunk.is_minimal": "True if all simpler scenarios on the lists were tried; false if the budget was spent first.",
-    "shrunk.speeds": "For each instruction, by `npc` and by the `gene` with which it begins, the speeds from "
-    "`low` to `high` "
-    "[m/s] at which the scenario still fails, everything else being equal. All tried speeds in between fail; "
-    "not all speeds were tried.",
-    "flaky": "What differed when the scenario was run again. Such a file is never called fixed. Remove the line when "
-    "the ADS drives a scenario in the same way each time.",
-    "xfail": "Your reason to accept the failure. Optional; the only line that you write by hand. With `{reason: ..., "
-    "until: 2027-01-31}` it is accepted up to that day, and counts from the next day on.",
+    "shrunk.is_minimal": "True if [all simpler candidates](../explanation/findings.md#how-a-finding-is-shrunk) were "
+    "tried.",
+    "shrunk.speeds": "For each instruction, by `npc` and by the `gene` with which it begins, the speeds from `low` to "
+    "`high` [m/s] at which the scenario still fails. Not all speeds between them were tried.",
+    "flaky": "What differed when the scenario was run again. Remove the line when the ADS drives a scenario in the "
+    "same way each time.",
+    "xfail": "[Your reason to accept the failure](../guide/triage.md#accept-a-failure-for-a-while); the only line that "
+    "you write by hand. With `{reason: ..., until: 2027-01-31}` it is accepted up to that day.",
 }
+"""Meanings of keys that no docstring explains for a reader of files, or only at length."""
 
 AT_THE_END = ("perception", "original", "shrunk", "flaky", "xfail")
 """Keys of a file that follow the keys of dataclasses. All are optional."""
