@@ -234,7 +234,7 @@ def _fields_table(cls: type[Any]) -> str:
     rows = [
         [
             _code(names),
-            *([", ".join(defaults.get(name, "") for name in names.split(", "))] if has_defaults else []),
+            *([", ".join(filter(None, map(defaults.get, names.split(", "))))] if has_defaults else []),
             text,
         ]
         for names, text in _attributes(cls)
