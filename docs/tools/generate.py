@@ -494,7 +494,8 @@ def _ready_table() -> str:
         defaults = [each for each in inspect.signature(function).parameters.values() if each.name != "run"]
         arguments = ", ".join(f"`{each.name}={_stated(each.default)}`" for each in defaults)
         paragraphs = [_plain(" ".join(each.split())) for each in inspect.cleandoc(function.__doc__ or "").split("\n\n")]
-        rows.append([f"`pafot.properties.{name}(run)`", " ".join(paragraphs), arguments])
+        text = " ".join(each for each in paragraphs if not each.startswith("Raises:"))
+        rows.append([f"`pafot.properties.{name}(run)`", text, arguments])
     return _table(["Property", "What it checks, and its source", "Arguments, all by keyword"], rows)
 
 
