@@ -58,7 +58,8 @@ from pytest_pafot.world import (
     WorldLike,
 )
 
-REFERENCE = sorted((Path(__file__).parents[1] / "reference").glob("*.md"))
+DOCS = Path(__file__).parents[1]
+REFERENCE = [*sorted((DOCS / "reference").glob("*.md")), DOCS / "guide" / "hypothesis.md"]
 
 _SECTION = re.compile(r"(<!-- generated: ([a-z-]+) -->\n).*?(<!-- end of generated -->)", re.DOTALL)
 _ROLE = re.compile(r":(?:class|func|attr|meth|data|mod):`~?\.?([^`]+)`")
@@ -324,6 +325,11 @@ def _first_paragraph(docstring: str | None) -> str:
     return _plain(" ".join(inspect.cleandoc(docstring or "").split("\n\n")[0].split()))
 
 
+def _value(function: Callable[..., Any]) -> str:
+    """Return the description of what a function returns."""
+    return _capital(_first_paragraph(function.__doc__).removeprefix("Return "))
+
+
 def _options_table() -> str:
     header = ["Command line, ini or toml key, variable, argument of the mark", "Default", "Meaning"]
     return _table(header, map(_option_row, OPTIONS))
@@ -442,7 +448,7 @@ def _example() -> Finding:
 def _measures_table() -> str:
     functions = [getattr(criticality, name) for name in criticality.__all__]
     measures = [each for each in functions if inspect.isfunction(each) and next(iter(_parameters(each))) == "trace"]
-    return _table(["Measure", "Meaning"], [[f"`{each.__name__}`", _first_paragraph(each.__doc__)] for each in measures])
+    return _table(["Measure", "Meaning"], [[f"`{each.__name__}`", _value(each)] for each in measures])
 
 
 def _signals_table() -> str:
@@ -481,8 +487,7 @@ def _arguments(function: Callable[..., Any]) -> list[list[str]]:
 def _temporal_table() -> str:
     functions = (above, below, always, eventually, until)
     rows = [
-        [f"`pafot.{each.__name__}({', '.join(_parameters(each))})`", _first_paragraph(each.__doc__)]
-        for each in functions
+        [f"`pafot.{each.__name__}({', '.join(_parameters(each))})`", _value(each)] for each in functions
     ]
     return _table(["Function", "Margin"], rows)
 
@@ -508,7 +513,7 @@ def _strategies_table() -> str:
     for name in strategies.__all__:
         function: Callable[..., Any] = getattr(strategies, name)
         arguments = ", ".join(f"`{parameter}`" for parameter in _parameters(function))
-        rows.append([f"`pafot.strategies.{name}()`", _first_paragraph(function.__doc__), arguments])
+        rows.append([f"`pafot.strategies.{name}()`", _capital(_value(function).removeprefix("A strategy for ")), arguments])
     return _table(["Strategy", "Generates", "Arguments, all by keyword"], rows)
 
 
