@@ -76,12 +76,12 @@ def no_fault(run: Run) -> None:
 def rss_distance(run: Run, *, rules: RssRules = DISTANCES) -> None:
     """Check that the ego keeps the safe distance of Responsibility-Sensitive Safety to NPCs ahead and side by side.
 
-    The value is the gap minus the safe distance [m] of the worst NPC, and must be at least 0. It is measured across the
-    road for an NPC side by side, and along the road for an NPC ahead, for which a safe gap across the road is enough,
-    too. NPCs behind are not checked, nor crossing NPCs before they are on the ego's way.
+    The value is the gap minus the safe distance [m] of the worst NPC, and must be at least 0: across the road for an
+    NPC side by side, along the road for an NPC ahead, unless it is safe across the road. Crossing NPCs are checked once
+    they are on the ego's way.
 
     Source: Shalev-Shwartz and others, arXiv:1708.06374 (second hand). The default parameters are those of attribution,
-    a choice with which a headway of two seconds is enough behind a leader of equal speed, up to 48 m/s.
+    a choice with which two seconds are enough behind a leader of equal speed, up to 48 m/s.
     ``pytest_pafot.criticality.RssRules()`` has the parameters that Intel suggests (read).
     """
     if not isinstance(rules, RssRules):
@@ -273,8 +273,8 @@ def answers_cut_ins(run: Run) -> None:
     lane, or when the NPC has slowed down so much that its new speed would not meet the second condition. An NPC that
     merges from its own way, as at a junction, does not cut in.
 
-    Source: UN R157, 5.2.5.2 (formula read). Choices of this project are the end of the check for an NPC that slows
-    down, the side of the NPC's box instead of its tyre, visibility from a lateral speed of 0.3 m/s on, and the 0.1 m.
+    Source: UN R157, 5.2.5.2 (formula read). The end for an NPC that slows down, its box instead of its tyre, visibility
+    from a lateral speed of 0.3 m/s on, and the 0.1 m are choices.
     """
     trace, frame = run.trace, RoadFrame(run.trace)
     lane = trace.ego[:, LANE].astype(np.intp)

@@ -9,6 +9,7 @@ import argparse
 import ast
 import inspect
 import re
+import textwrap
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import MISSING, Field, fields, is_dataclass
 from pathlib import Path
@@ -186,7 +187,7 @@ def sections() -> dict[str, str]:
         "signals": _signals_table(),
         "check": _table(["Argument", "Meaning"], _arguments(check)),
         "temporal": _temporal_table(),
-        "properties": _ready_table(),
+        "properties": _ready_list(),
         "measure": _fields_table(Measure),
         "lane-change": _fields_table(EgoLaneChange),
         "passage": _fields_table(Passage),
@@ -486,22 +487,23 @@ def _arguments(function: Callable[..., Any]) -> list[list[str]]:
 
 def _temporal_table() -> str:
     functions = (above, below, always, eventually, until)
-    rows = [
-        [f"`pafot.{each.__name__}({', '.join(_parameters(each))})`", _value(each)] for each in functions
-    ]
+    rows = [[f"`pafot.{each.__name__}({', '.join(_parameters(each))})`", _value(each)] for each in functions]
     return _table(["Function", "Margin"], rows)
 
 
-def _ready_table() -> str:
-    rows = []
+def _ready_list() -> str:
+    entries = []
     for name in properties.__all__:
         function: Callable[..., Any] = getattr(properties, name)
         defaults = [each for each in inspect.signature(function).parameters.values() if each.name != "run"]
-        arguments = ", ".join(f"`{each.name}={_stated(each.default)}`" for each in defaults)
+        arguments = ", ".join(["run", *(f"{each.name}={_stated(each.default)}" for each in defaults)])
         paragraphs = [_plain(" ".join(each.split())) for each in inspect.cleandoc(function.__doc__ or "").split("\n\n")]
-        text = " ".join(each for each in paragraphs if not each.startswith("Raises:"))
-        rows.append([f"`pafot.properties.{name}(run)`", text, arguments])
-    return _table(["Property", "What it checks, and its source", "Arguments, all by keyword"], rows)
+        paragraphs = [each for each in paragraphs if not each.startswith("Raises:")]
+        text = re.sub(r"docs/([\w/]+/)([\w-]+)\.md", r"[\2](../\1\2.md)", " ".join(paragraphs))
+        lines = textwrap.wrap(text, 120, break_on_hyphens=False)
+        lines = [f"**`pafot.properties.{name}({arguments})`**", "", *lines]
+        entries.append("\n".join(lines))
+    return "\n" + "\n\n".join(entries) + "\n\n"
 
 
 def _stated(default: object) -> str:
@@ -513,7 +515,8 @@ def _strategies_table() -> str:
     for name in strategies.__all__:
         function: Callable[..., Any] = getattr(strategies, name)
         arguments = ", ".join(f"`{parameter}`" for parameter in _parameters(function))
-        rows.append([f"`pafot.strategies.{name}()`", _capital(_value(function).removeprefix("A strategy for ")), arguments])
+        what = _capital(_value(function).removeprefix("A strategy for "))
+        rows.append([f"`pafot.strategies.{name}()`", what, arguments])
     return _table(["Strategy", "Generates", "Arguments, all by keyword"], rows)
 
 
