@@ -68,7 +68,7 @@ CONTACT = 0.1
 def no_fault(run: Run) -> None:
     """Assert that the ego is not responsible for a collision, neither alone nor with the NPC; without a margin.
 
-    ``run.attribution`` decides the responsibility; docs/explanation/verdicts.md has its rules and their sources.
+    ``run.attribution`` decides the responsibility, by the rules of docs/explanation/verdicts.md.
     """
     assert run.responsibility not in ("ego", "both"), run.explain()  # noqa: S101
 
@@ -237,9 +237,8 @@ def brakes_for_a_reason(run: Run) -> None:
     """Check that the ego never brakes hard, more than 5 m/s^2 for 0.4 s, without a reason, even without a collision.
 
     The value is the deceleration that lasts for 0.4 s from a tick on [m/s^2], and must be at most 5. It is 0 if there
-    is a reason to brake between 1.6 s before the braking began and 0.4 s after that. docs/explanation/verdicts.md,
-    rule 7, lists the reasons. A further reason is a crossing NPC that would miss the ego in their zone by less than
-    four seconds.
+    is a reason to brake between 1.6 s before the braking began and 0.4 s after that. The reasons are those of rule 7 of
+    docs/explanation/verdicts.md, and a crossing NPC that would miss the ego in their zone by less than four seconds.
 
     Source: Vienna Convention on Road Traffic, Art. 17 (1) (read); 5 m/s^2 is UN R157, 5.3.1.1 (second hand).
     """
