@@ -9,6 +9,7 @@ import argparse
 import ast
 import inspect
 import re
+import textwrap
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import MISSING, Field, fields, is_dataclass
 from pathlib import Path
@@ -58,7 +59,8 @@ from pytest_pafot.world import (
     WorldLike,
 )
 
-REFERENCE = sorted((Path(__file__).parents[1] / "reference").glob("*.md"))
+DOCS = Path(__file__).parents[1]
+REFERENCE = [*sorted((DOCS / "reference").glob("*.md")), DOCS / "guide" / "hypothesis.md"]
 
 _SECTION = re.compile(r"(<!-- generated: ([a-z-]+) -->\n).*?(<!-- end of generated -->)", re.DOTALL)
 _ROLE = re.compile(r":(?:class|func|attr|meth|data|mod):`~?\.?([^`]+)`")
@@ -161,7 +163,7 @@ def sections() -> dict[str, str]:
         "signals": _signals_table(),
         "check": _table(["Argument", "Meaning"], _arguments(check)),
         "temporal": _temporal_table(),
-        "properties": _ready_table(),
+        "properties": _ready_list(),
         "measure": _fields_table(Measure),
         "lane-change": _fields_table(EgoLaneChange),
         "passage": _fields_table(Passage),
@@ -300,6 +302,11 @@ def _first_paragraph(docstring: str | None) -> str:
     return _plain(" ".join(inspect.cleandoc(docstring or "").split("\n\n")[0].split()))
 
 
+def _value(function: Callable[..., Any]) -> str:
+    """Return the description of what a function returns."""
+    return _capital(_first_paragraph(function.__doc__).removeprefix("Return "))
+
+
 def _options_table() -> str:
     header = ["Command line, ini or toml key, variable, argument of the mark", "Default", "Meaning"]
     return _table(header, map(_option_row, OPTIONS))
@@ -418,7 +425,7 @@ def _example() -> Finding:
 def _measures_table() -> str:
     functions = [getattr(criticality, name) for name in criticality.__all__]
     measures = [each for each in functions if inspect.isfunction(each) and next(iter(_parameters(each))) == "trace"]
-    return _table(["Measure", "Meaning"], [[f"`{each.__name__}`", _first_paragraph(each.__doc__)] for each in measures])
+    return _table(["Measure", "Meaning"], [[f"`{each.__name__}`", _value(each)] for each in measures])
 
 
 def _signals_table() -> str:
@@ -456,22 +463,23 @@ def _arguments(function: Callable[..., Any]) -> list[list[str]]:
 
 def _temporal_table() -> str:
     functions = (above, below, always, eventually, until)
-    rows = [
-        [f"`pafot.{each.__name__}({', '.join(_parameters(each))})`", _first_paragraph(each.__doc__)]
-        for each in functions
-    ]
+    rows = [[f"`pafot.{each.__name__}({', '.join(_parameters(each))})`", _value(each)] for each in functions]
     return _table(["Function", "Margin"], rows)
 
 
-def _ready_table() -> str:
-    rows = []
+def _ready_list() -> str:
+    entries = []
     for name in properties.__all__:
         function: Callable[..., Any] = getattr(properties, name)
         defaults = [each for each in inspect.signature(function).parameters.values() if each.name != "run"]
-        arguments = ", ".join(f"`{each.name}={_stated(each.default)}`" for each in defaults)
+        arguments = ", ".join(["run", *(f"{each.name}={_stated(each.default)}" for each in defaults)])
         paragraphs = [_plain(" ".join(each.split())) for each in inspect.cleandoc(function.__doc__ or "").split("\n\n")]
-        rows.append([f"`pafot.properties.{name}(run)`", " ".join(paragraphs), arguments])
-    return _table(["Property", "What it checks, and its source", "Arguments, all by keyword"], rows)
+        paragraphs = [each for each in paragraphs if not each.startswith("Raises:")]
+        text = re.sub(r"docs/([\w/]+/)([\w-]+)\.md", r"[\2](../\1\2.md)", " ".join(paragraphs))
+        lines = textwrap.wrap(text, 120, break_on_hyphens=False)
+        lines = [f"**`pafot.properties.{name}({arguments})`**", "", *lines]
+        entries.append("\n".join(lines))
+    return "\n" + "\n\n".join(entries) + "\n\n"
 
 
 def _stated(default: object) -> str:
@@ -483,7 +491,8 @@ def _strategies_table() -> str:
     for name in strategies.__all__:
         function: Callable[..., Any] = getattr(strategies, name)
         arguments = ", ".join(f"`{parameter}`" for parameter in _parameters(function))
-        rows.append([f"`pafot.strategies.{name}()`", _first_paragraph(function.__doc__), arguments])
+        what = _capital(_value(function).removeprefix("A strategy for "))
+        rows.append([f"`pafot.strategies.{name}()`", what, arguments])
     return _table(["Strategy", "Generates", "Arguments, all by keyword"], rows)
 
 
