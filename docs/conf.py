@@ -61,7 +61,7 @@ _PICTURE = re.compile(
 )
 _LIVE = re.compile(r"<!-- live -->.*?<!-- end of live -->", re.DOTALL)
 _FIRST_FIND = DOCS / "start" / "five-minutes.md"
-_SEARCHED = {"explanation/severity": "severity", "guide/junctions": "intersection", "explanation/traffic": "aggressive"}
+_SEARCHED = {"explanation/severity": "severity", "guide/roads": "intersection", "explanation/traffic": "aggressive"}
 """Words that readers search for, by the page that answers them."""
 _LISTED = re.compile(r"^- \[([^\]]*)\]\(([\w/.-]+)\.(?:md|rst)\)", re.MULTILINE)
 

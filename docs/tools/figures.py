@@ -82,13 +82,13 @@ BENCHMARKS: Mapping[str, tuple[str, str | None]] = {
     ),
     "shrinking": ("shrinking --runs {400|30} --workers WORKERS", "docs/explanation/findings.md"),
     "endings": ("endings --runs {2000|100} --workers WORKERS", "docs/explanation/traffic.md"),
-    "every-road": ("every_road --seeds {5|1} --generations {10|1} --workers WORKERS", "docs/explanation/roads.md"),
+    "every-road": ("every_road --seeds {5|1} --generations {10|1} --workers WORKERS", None),
     "distinctness": (
         "distinctness --of second --seeds {10|1} --runs {400|30} --workers WORKERS",
         "docs/explanation/findings.md",
     ),
     "speed": ("speed --rounds {9|1} --parts {engines ads npcs search batch pure start memory|npcs}", None),
-    "training": ("training --seconds {8|1}", "docs/reference/training.md"),
+    "training": ("training --seconds {8|1}", "docs/guide/training.md"),
     "positive-controls": (
         "positive_controls --first-seed 200 --seeds {3|1} --runs {400|30} --workers WORKERS",
         None,
