@@ -58,7 +58,8 @@ from pytest_pafot.world import (
     WorldLike,
 )
 
-REFERENCE = sorted((Path(__file__).parents[1] / "reference").glob("*.md"))
+DOCS = Path(__file__).parents[1]
+REFERENCE = [*sorted(DOCS.glob("reference/*.md")), DOCS / "guide" / "training.md"]
 
 _SECTION = re.compile(r"(<!-- generated: ([a-z-]+) -->\n).*?(<!-- end of generated -->)", re.DOTALL)
 _ROLE = re.compile(r":(?:class|func|attr|meth|data|mod):`~?\.?([^`]+)`")
