@@ -81,7 +81,7 @@ BENCHMARKS: Mapping[str, tuple[str, str | None]] = {
         "docs/guide/what-broke.md",
     ),
     "shrinking": ("shrinking --runs {400|30} --workers WORKERS", "docs/explanation/findings.md"),
-    "endings": ("endings --runs {2000|100} --workers WORKERS", "docs/explanation/traffic.md"),
+    "endings": ("endings --runs {2000|100} --workers WORKERS", None),
     "every-road": ("every_road --seeds {5|1} --generations {10|1} --workers WORKERS", None),
     "distinctness": (
         "distinctness --of second --seeds {10|1} --runs {400|30} --workers WORKERS",
