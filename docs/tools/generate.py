@@ -201,7 +201,6 @@ def sections() -> dict[str, str]:
         "instruction": _fields_table(PositionInstruction),
         "crossing-instruction": _fields_table(CrossingInstruction),
         "lane-instruction": _fields_table(LaneInstruction),
-        "cells": _cells_table(),
         "highway": _fields_table(Highway),
         "world": _fields_table(World),
         "limits": _fields_table(NpcLimits),
@@ -391,11 +390,6 @@ def _outcomes_table() -> str:
     texts = [value.value for value in after if isinstance(value, ast.Constant)]
     rows = [[f"`{outcome}`", str(text)] for outcome, text in zip(Outcome, texts, strict=True)]
     return _table(["Outcome", "Meaning"], rows)
-
-
-def _cells_table() -> str:
-    rows = [[str(int(cell)), cell.label, f"`pafot.Cell.{cell.name}`"] for cell in Cell]
-    return _table(["Number", "Place", "In code"], rows)
 
 
 def _file_table() -> str:

@@ -134,8 +134,7 @@ class LaneInstruction:
 
 
 Act = Literal["pass", "hold", "stop", "late"]
-"""What an NPC does at its zone. ``"pass"``: drive through it. ``"hold"``: wait at the line before it until the ego has
-passed. ``"stop"``: stop in it. ``"late"``: wait at the line, and drive in at the time that the slot says."""
+"""What an NPC does at its zone; see :class:`CrossingInstruction`."""
 
 ACTS: tuple[Act, ...] = get_args(Act)
 
@@ -161,7 +160,9 @@ class CrossingInstruction:
             same time.
         speed: speed of the NPC up to the zone and in it, lower if a bend requires it [m/s], more than 0, in steps of
             0.1.
-        act: what the NPC does at the zone.
+        act: what the NPC does at the zone. ``"pass"``: drive through it. ``"hold"``: wait at the line before it until
+            the ego has passed. ``"stop"``: stop in it. ``"late"``: wait at the line, and drive in at the time that the
+            slot says.
     """
 
     zone: str
