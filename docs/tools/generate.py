@@ -60,7 +60,7 @@ from pytest_pafot.world import (
 )
 
 DOCS = Path(__file__).parents[1]
-REFERENCE = [*sorted((DOCS / "reference").glob("*.md")), DOCS / "guide" / "hypothesis.md"]
+REFERENCE = [*sorted(DOCS.glob("reference/*.md")), *sorted(DOCS.glob("guide/*.md"))]
 
 _SECTION = re.compile(r"(<!-- generated: ([a-z-]+) -->\n).*?(<!-- end of generated -->)", re.DOTALL)
 _ROLE = re.compile(r":(?:class|func|attr|meth|data|mod):`~?\.?([^`]+)`")
@@ -178,7 +178,6 @@ def sections() -> dict[str, str]:
         "instruction": _fields_table(PositionInstruction),
         "crossing-instruction": _fields_table(CrossingInstruction),
         "lane-instruction": _fields_table(LaneInstruction),
-        "cells": _cells_table(),
         "highway": _fields_table(Highway),
         "world": _fields_table(World),
         "limits": _fields_table(NpcLimits),
@@ -373,11 +372,6 @@ def _outcomes_table() -> str:
     texts = [value.value for value in after if isinstance(value, ast.Constant)]
     rows = [[f"`{outcome}`", str(text)] for outcome, text in zip(Outcome, texts, strict=True)]
     return _table(["Outcome", "Meaning"], rows)
-
-
-def _cells_table() -> str:
-    rows = [[str(int(cell)), cell.label, f"`pafot.Cell.{cell.name}`"] for cell in Cell]
-    return _table(["Number", "Place", "In code"], rows)
 
 
 def _file_table() -> str:
