@@ -1,4 +1,4 @@
-"""Write the tables of reference/ from the docstrings and options in the code.
+"""Write the tables of guide/ and reference/ from the docstrings and options in the code.
 
 Run it after a change of the code or of the tables: ``python docs/tools/generate.py``.
 """
@@ -58,7 +58,7 @@ from pytest_pafot.world import (
     WorldLike,
 )
 
-REFERENCE = sorted((Path(__file__).parents[1] / "reference").glob("*.md"))
+REFERENCE = sorted(page for room in ("guide", "reference") for page in (Path(__file__).parents[1] / room).glob("*.md"))
 
 _SECTION = re.compile(r"(<!-- generated: ([a-z-]+) -->\n).*?(<!-- end of generated -->)", re.DOTALL)
 _ROLE = re.compile(r":(?:class|func|attr|meth|data|mod):`~?\.?([^`]+)`")
