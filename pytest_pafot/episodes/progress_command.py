@@ -485,8 +485,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     of_old = f"the old version: {of_whom}; or {REVISION}REVISION, such as {REVISION}main: NEW as it is there"
     parser.add_argument("old", metavar="OLD", help=of_old)
     parser.add_argument("new", metavar="NEW", help="the new version, in the same form")
-    of_world = "a highway-env environment in which its policies drive, also in its ordinary traffic; for planners in SI "
-    of_world += f"units write {PLANNER} after both names (default: a highway in SI units, without ordinary traffic)"
+    of_world = "a highway-env environment in which its policies drive, also in its ordinary traffic; for planners in "
+    of_world += f"SI units write {PLANNER} after both names (default: a highway in SI units, without ordinary traffic)"
     parser.add_argument("--world", default="", metavar="ID", help=of_world)
     parser.add_argument("--config", metavar="JSON", help="options of the environment, as for gymnasium.make")
     of_copy = f"with {REVISION}REVISION, files and folders that the policy needs and git ignores, such as weights"
