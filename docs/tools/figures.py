@@ -78,7 +78,7 @@ BENCHMARKS: Mapping[str, tuple[str, str | None]] = {
     ),
     "progress": (
         "progress --seeds {20|1} --scenarios {200|20} --redraws {200|5} --workers WORKERS",
-        "docs/guide/what-broke.md",
+        None,
     ),
     "shrinking": ("shrinking --runs {400|30} --workers WORKERS", None),
     "endings": ("endings --runs {2000|100} --workers WORKERS", None),

@@ -1,4 +1,4 @@
-"""Write the tables of reference/ from the docstrings and options in the code.
+"""Write the tables of guide/ and reference/ from the docstrings and options in the code.
 
 Run it after a change of the code or of the tables: ``python docs/tools/generate.py``.
 """
