@@ -334,10 +334,11 @@ def _option_row(option: Option) -> list[str]:
     argument = f"{option.name}=" if option.is_argument else ""
     elsewhere = (option.key, option.variable, argument) if option.everywhere else ("", "", "")
     choices = f" One of {_code(', '.join(option.choices))}." if option.choices else ""
+    place = f'<a id="{option.flag.removeprefix("--")}"></a>'
     return [
-        "<br>".join(f"`{name}`" for name in (flag, *elsewhere) if name),
+        place + "<br>".join(f"`{name}`" for name in (flag, *elsewhere) if name),
         _option_default(option),
-        option.help + choices,
+        " ".join(filter(None, [option.help, option.details])) + choices,
     ]
 
 
@@ -346,7 +347,13 @@ def _option_default(option: Option) -> str:
     if len(profiles) == len(PROFILES):
         return ", ".join(profiles)
     plain = "none" if option.default is None else f"`{option.default}`"
-    stated = {"seed": "fresh", "shrink_rollouts": "by the ADS", "population": "by the algorithm"}
+    stated = {
+        "seed": "random",
+        "shrink_rollouts": "by the ADS",
+        "population": "by the algorithm",
+        "memory": "by the machine",
+        "profile": "by the variable `CI`",
+    }
     return ", ".join([stated.get(option.name, plain), *profiles])
 
 
