@@ -65,35 +65,34 @@ _ROLE = re.compile(r":(?:class|func|attr|meth|data|mod):`~?\.?([^`]+)`")
 _ENTRY = re.compile(r"^(\w+(?:, \w+)*): (.*)$")
 
 MARKER_TEXTS: Mapping[str, str] = {
-    "world": "A whole world, `pafot.Highway(...)` or `pafot.World(...)`. The default is the value of the fixture "
-    "`pafot_world`.",
+    "world": "A whole world, `pafot.Highway(...)` or `pafot.World(...)`.",
     "ads": "The name of the fixture that gives the ADS factory; or the factory, or its `module:factory[:argument]`.",
     "arg": "The parameter of the test function that receives the run.",
-    "fitness": '`"default"`, `"paper"`, `"av-fuzzer"`, a measure such as `"headway"` or `pafot.Measure(...)`, '
-    "`pafot.Weights(...)`, a function `Trace -> float` (higher is worse), or its `module:function`. By "
-    'default each algorithm uses its own: `av-fuzzer` has one, all others use `"default"`.',
+    "fitness": '[The fitness](fitness.md): `"default"`, `"paper"`, `"av-fuzzer"`, a measure such as `"headway"` or '
+    "`pafot.Measure(...)`, `pafot.Weights(...)`, a function `Trace -> float` (higher is worse), or its "
+    '`module:function`. The default of the algorithm `av-fuzzer` is its own.',
     "blame": '`"any"`: the function is called for every run. `"ego"`: it is not called for collisions that only an '
-    'NPC is responsible for. `"preventable"`: like '
-    '`"ego"`, and a failed assertion is a failure only if a reference driver would have prevented it.',
+    'NPC is responsible for. `"preventable"`: like `"ego"`, and a failed assertion counts only if a reference driver '
+    "would have prevented it.",
     "traffic": "[How the others drive](../explanation/traffic.md) in all scenarios: "
     '`"hostile"`, `"assertive"`, `"everyday"`, `"paper"`, or `pafot.Traffic(...)` for separate parts.',
     "instructions": "[The kind of instructions](../explanation/default-search.md#why-both-kinds) of NPCs that do not "
-    'cross: `"cells"` (Position-Instructions), `"lanes"` (Lane-Instructions), or `"both"`, in which each NPC has '
-    "either kind with equal probability.",
+    'cross: `"cells"` (Position-Instructions), `"lanes"` (Lane-Instructions), or `"both"` (either kind with equal '
+    "probability).",
     "decision_limit": "Slowest decision of the ADS that is no finding [s]. Depends on wall-clock time.",
 }
 """Meanings of arguments that no docstring explains."""
 
 MARKER_DEFAULTS: Mapping[str, str] = {
     "ads": '`"ads"`',
-    "world": "-",
+    "world": "the fixture `pafot_world`",
     "genes": "as many as fill the run",
-    "npcs": "sampled, or `2`",
-    "gene_seconds": "sampled, `3.0`, `10.0`, or by the length of a run",
+    "npcs": "[sampled](#what-is-sampled)",
+    "gene_seconds": "sampled",
     "traffic": '`"hostile"`, or `"paper"`',
     "instructions": '`"both"`, or `"cells"`',
-    "ego_lane": "sampled, `1`, or as in the environment",
-    "ego_speed": "sampled, `22.0`, or as in the environment",
+    "ego_lane": "sampled",
+    "ego_speed": "sampled",
 }
 """Defaults that no dataclass contains."""
 
