@@ -101,7 +101,7 @@ class SearchSummary:
 
     Attributes:
         node_id: node id of its item.
-        result: result of its item, with the same values as for a finding.
+        result: result of its item, as for a finding.
         message: why the item failed, in one line; empty if it did not.
         reason: why the search ended; empty if it did not begin, or its process died.
         algorithm: name of the algorithm.
@@ -113,29 +113,28 @@ class SearchSummary:
         budget: number of requested runs; null if the number of generations is the limit.
         runs: number of simulated scenarios.
         shrink_runs: number of runs that simplified the findings, in addition to `runs`.
-        known_runs: scenarios that were not run, because an earlier run showed what they do.
+        known_runs: scenarios that were not run again.
         failing: runs in which the test failed.
         invalid: runs in which two NPCs touched.
-        npc: runs that are not failures because the NPC is at fault.
+        npc: runs that `blame` excludes because only an NPC is at fault.
         unpreventable: runs that are not failures because no reference driver avoids them.
         common: runs that are not failures because the reference fails as well.
         rejected: runs that the test function declined with `pafot.reject()`.
         skipped: runs in which the test function skipped.
-        no_interaction: runs in which no NPC came near the ego.
+        no_interaction: runs without interaction, as in the summary.
         reached: share of instructions whose cell, lane or zone was reached; null if no run shows it.
         finds: ids of its new findings.
-        unsaved: number of runs by id of further findings, which were not saved because of the limit.
-        known: number of failing runs by id of the saved scenario that shows the same failure.
-        random_failing: number of the random scenarios at the beginning that failed by the ego's fault, which is a
-            collision for which the ego is responsible, alone or together with the NPC.
-        random_otherwise: number of the random scenarios that failed in any other way, such as by a check or an error of
-            the ADS.
-        random_runs: number of all random scenarios whose run says something about the ego.
+        unsaved: number of runs by id of further findings, beyond `--pafot-max-saved`.
+        known: number of failing runs by id of the saved scenario with the same failure.
+        random_failing: random scenarios at the beginning that failed by a collision for which the ego is responsible,
+            alone or with the NPC.
+        random_otherwise: random scenarios that failed in any other way.
+        random_runs: all random scenarios whose run says something about the ego.
         drawn: the range of scenarios from which the search sampled, in one line.
         coverage: one line on the share of instructions that the runs reached.
-        against: the reference that failures were compared with; empty without a reference.
+        against: the reference that failures were compared with; empty without one.
         warnings: warnings about its health.
-        notes: any other remarks, except those on processes, which only the terminal shows.
+        notes: all other remarks, except those on processes.
     """
 
     node_id: str

@@ -25,9 +25,8 @@ COLUMNS: Mapping[str, str] = {
     "local_generation": "number of the generation in a local search, from 1; 0 outside of a local search",
     "scenario": "id of the scenario, six hexadecimal digits",
     "scenario_seed": "seed of the scenario's own random choices, such as the repair of its instructions",
-    "reused": "True if the result of an earlier run was reused, so the scenario was not simulated; `verdict`, "
-    "`responsibility`, `fault` and the measures are then those of the same scenario, or empty if only a different "
-    "scenario has this result, or if the same one ran more than 10,000 runs before",
+    "reused": "True if the scenario was not simulated, because an earlier run showed its result; `verdict`, "
+    "`responsibility`, `fault` and the measures may then be empty",
     "ego_lane": "the ego's first lane, from 0 at the left",
     "ego_speed": "the ego's first speed [m/s]",
     "npcs": "number of NPCs",
@@ -37,7 +36,7 @@ COLUMNS: Mapping[str, str] = {
     "genes": "JSON: the instructions of each NPC, as cell or lane and speed [m/s], or as zone, speed, slot [s], act",
     "outcome": "how the run ended, such as `collision`",
     "verdict": "verdict of the test: passed, failed, npc (an NPC's fault, which blame excludes), unpreventable, "
-    "common (the reference fails, too), invalid, rejected, skipped",
+    "common (the reference fails, too), invalid, rejected or skipped",
     "failing": "True if the run counts as a failure",
     "fitness": "number that the search maximises; higher is worse for the ego",
     "duration": "simulated time [s]",
