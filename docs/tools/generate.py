@@ -38,7 +38,7 @@ from pytest_pafot.model.crossings import Zone
 from pytest_pafot.model.driving_style import PARTS, STYLES, Traffic
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.scenario import CrossingInstruction, LaneInstruction, PositionInstruction, Scenario
-from pytest_pafot.model.trace import AdsError, Collision, Outcome, Trace
+from pytest_pafot.model.trace import AdsError, Collision, Outcome
 from pytest_pafot.oracle.checks import check
 from pytest_pafot.oracle.run import Moment, Run
 from pytest_pafot.plugin import fixtures
@@ -190,10 +190,9 @@ def sections() -> dict[str, str]:
         "passage": _fields_table(Passage),
         "last-chance": _properties_table(LastChance),
         "moment": _fields_table(Moment),
-        "collision": _fields_table(Collision),
-        "ads-error": _fields_table(AdsError),
+        "collision": _fields_table(Collision, is_brief=True),
+        "ads-error": _fields_table(AdsError, is_brief=True),
         "outcomes": _outcomes_table(),
-        "trace": _fields_table(Trace),
         "scenario": _fields_table(Scenario),
         "traffic": _traffic_table(),
         "instruction": _fields_table(PositionInstruction),
@@ -250,15 +249,16 @@ def _columns_table(columns: Mapping[str, str]) -> str:
     return _table(["Column", "Meaning"], ([_code(name), text] for name, text in columns.items()))
 
 
-def _fields_table(cls: type[Any]) -> str:
-    defaults = _defaults(cls)
+def _fields_table(cls: type[Any], *, is_brief: bool = False) -> str:
+    """Return the table of a class's fields; a brief one has only the first sentence on each, and no defaults."""
+    defaults = {} if is_brief else _defaults(cls)
     has_defaults = any(defaults.values())
     header = ["Name", *(["Default"] if has_defaults else []), "Meaning"]
     rows = [
         [
             _code(names),
             *([", ".join(defaults.get(name, "") for name in names.split(", "))] if has_defaults else []),
-            text,
+            re.split(r"(?<=\.) (?=[A-Zy])", text)[0] if is_brief else text,
         ]
         for names, text in _attributes(cls)
     ]
