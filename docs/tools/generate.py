@@ -70,7 +70,7 @@ MARKER_TEXTS: Mapping[str, str] = {
     "arg": "The parameter of the test function that receives the run.",
     "fitness": '[The fitness](fitness.md): `"default"`, `"paper"`, `"av-fuzzer"`, a measure such as `"headway"` or '
     "`pafot.Measure(...)`, `pafot.Weights(...)`, a function `Trace -> float` (higher is worse), or its "
-    '`module:function`. The default of the algorithm `av-fuzzer` is its own.',
+    "`module:function`. The default of the algorithm `av-fuzzer` is its own.",
     "blame": '`"any"`: the function is called for every run. `"ego"`: it is not called for collisions that only an '
     'NPC is responsible for. `"preventable"`: like `"ego"`, and a failed assertion counts only if a reference driver '
     "would have prevented it.",
@@ -190,8 +190,8 @@ def sections() -> dict[str, str]:
         "passage": _fields_table(Passage),
         "last-chance": _properties_table(LastChance),
         "moment": _fields_table(Moment),
-        "collision": _fields_table(Collision, is_brief=True),
-        "ads-error": _fields_table(AdsError, is_brief=True),
+        "collision": _fields_table(Collision),
+        "ads-error": _fields_table(AdsError),
         "outcomes": _outcomes_table(),
         "scenario": _fields_table(Scenario),
         "traffic": _traffic_table(),
@@ -249,16 +249,15 @@ def _columns_table(columns: Mapping[str, str]) -> str:
     return _table(["Column", "Meaning"], ([_code(name), text] for name, text in columns.items()))
 
 
-def _fields_table(cls: type[Any], *, is_brief: bool = False) -> str:
-    """Return the table of a class's fields; a brief one has only the first sentence on each, and no defaults."""
-    defaults = {} if is_brief else _defaults(cls)
+def _fields_table(cls: type[Any]) -> str:
+    defaults = _defaults(cls)
     has_defaults = any(defaults.values())
     header = ["Name", *(["Default"] if has_defaults else []), "Meaning"]
     rows = [
         [
             _code(names),
             *([", ".join(defaults.get(name, "") for name in names.split(", "))] if has_defaults else []),
-            re.split(r"(?<=\.) (?=[A-Zy])", text)[0] if is_brief else text,
+            text,
         ]
         for names, text in _attributes(cls)
     ]

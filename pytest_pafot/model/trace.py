@@ -82,8 +82,8 @@ class Collision:
         cell: cell of the NPC's centre at the impact, or before it if the centre was already in the ego's own cell. None
             if an NPC that crosses was not on the ego's way.
         ego_speed, npc_speed: speeds at the impact [m/s].
-        closing_speed: magnitude of the difference of the two velocities [m/s]. The velocities include the slip of a
-            turning vehicle, which does not move exactly along its heading.
+        closing_speed: magnitude of the difference of the two velocities [m/s], which include the slip of a turning
+            vehicle.
     """
 
     tick: int
@@ -105,12 +105,12 @@ class AdsError:
     """An error of the ADS, which did not return an action.
 
     Attributes:
-        kind: name of the exception class; ``BadAction`` if the action was not valid, ``Hang`` if the decision took too
-            long.
+        kind: name of the exception class; ``BadAction`` for an action that is not valid, ``Hang`` for a decision that
+            took too long.
         message: message of the error, one line.
         traceback: traceback through the user's code; empty for a bad action.
         tick: physics tick of the decision.
-        interrupted: whether the ADS hung and was interrupted instead of raising by itself.
+        interrupted: whether the ADS hung and was interrupted.
     """
 
     kind: str

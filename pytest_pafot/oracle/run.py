@@ -73,8 +73,8 @@ class Moment:
         npc: index of the NPC in the scenario.
         tick: physics tick.
         time: time of that tick [s].
-        cell: cell of the NPC's centre, or if the centre is in the ego's own cell, the last cell before. None if there
-            is no such cell, and for an NPC that crosses while it is not on the ego's way.
+        cell: cell of the NPC's centre, or the last one before if the centre is in the ego's own cell. None if there is
+            no such cell, and for an NPC that crosses while it is not on the ego's way.
     """
 
     npc: int
