@@ -146,7 +146,7 @@ class Settings:
     algorithm: str | type[Algorithm[Any]] = option(  # noqa: RUF009  (it returns a field)
         "text",
         "Search algorithm, such as distinct, pafot or random; or module:Class for your own algorithm.",
-        "`pafot` is the paper's: genetic, with local fuzzer and restarts. `distinct` is the same, but searches for "
+        "`pafot` is the paper's: genetic, with local fuzzer and restarts. `distinct` is genetic, too, and searches for "
         "other failures after it has found one. The others are baselines, the last three of which need "
         "`pytest-pafot[search]`.",
         default="distinct",
