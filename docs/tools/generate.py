@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import Any
 
 from pytest_pafot import criticality, policies, properties, strategies
-from pytest_pafot.attribution.last_chance import LastChance
 from pytest_pafot.campaign import run_table
 from pytest_pafot.campaign.events import SearchSummary
 from pytest_pafot.campaign.options import BY_NAME, OPTIONS, PROFILES, Option
@@ -38,9 +37,9 @@ from pytest_pafot.model.crossings import Zone
 from pytest_pafot.model.driving_style import PARTS, STYLES, Traffic
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.scenario import CrossingInstruction, LaneInstruction, PositionInstruction, Scenario
-from pytest_pafot.model.trace import AdsError, Collision, Outcome
+from pytest_pafot.model.trace import Collision, Outcome
 from pytest_pafot.oracle.checks import check
-from pytest_pafot.oracle.run import Moment, Run
+from pytest_pafot.oracle.run import Run
 from pytest_pafot.plugin import fixtures
 from pytest_pafot.report.session_record import FindingRecord, OrphanRecord, SessionRecord
 from pytest_pafot.searching.fitness import Weights
@@ -188,10 +187,7 @@ def sections() -> dict[str, str]:
         "measure": _fields_table(Measure),
         "lane-change": _fields_table(EgoLaneChange),
         "passage": _fields_table(Passage),
-        "last-chance": _properties_table(LastChance),
-        "moment": _fields_table(Moment),
         "collision": _fields_table(Collision),
-        "ads-error": _fields_table(AdsError),
         "outcomes": _outcomes_table(),
         "scenario": _fields_table(Scenario),
         "traffic": _traffic_table(),

@@ -22,9 +22,9 @@ COLUMNS: Mapping[str, str] = {
     "seed": "seed of the search",
     "run": "number of the row in its search, from 1",
     "generation": "number of the generation, from 0",
-    "local_generation": "number of the generation in a local search, from 1; 0 outside of a local search",
+    "local_generation": "number of the generation in a local search, from 1; otherwise 0",
     "scenario": "id of the scenario, six hexadecimal digits",
-    "scenario_seed": "seed of the scenario's own random choices, such as the repair of its instructions",
+    "scenario_seed": "seed of the scenario's own random choices",
     "reused": "True if the scenario was not simulated, because an earlier run showed its result; `verdict`, "
     "`responsibility`, `fault` and the measures may then be empty",
     "ego_lane": "the ego's first lane, from 0 at the left",
@@ -33,7 +33,7 @@ COLUMNS: Mapping[str, str] = {
     "gene_seconds": "duration of an instruction [s]",
     "traffic": "style of the traffic; `paper` in a world without styles",
     "traffic_parts": "JSON: the parts of the traffic that differ from its style",
-    "genes": "JSON: the instructions of each NPC, as cell or lane and speed [m/s], or as zone, speed, slot [s], act",
+    "genes": "JSON: each NPC's instructions: cell or lane and speed [m/s], or zone, speed, slot [s], act",
     "outcome": "how the run ended, such as `collision`",
     "verdict": "verdict of the test: passed, failed, npc (an NPC's fault, which blame excludes), unpreventable, "
     "common (the reference fails, too), invalid, rejected or skipped",
