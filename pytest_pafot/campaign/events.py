@@ -112,7 +112,7 @@ class SearchSummary:
         shrink_runs: number of runs that simplified the findings, in addition to `runs`.
         known_runs: number of scenarios that were not run again.
         failing, invalid, npc, unpreventable, common, rejected, skipped, no_interaction: numbers of runs, as in the
-            summary: `npc` with an NPC at fault, `unpreventable` not preventable, and `common` failing with both.
+            summary; there `npc` is npc at fault, `unpreventable` is not preventable, `common` is failing with both.
         reached: share of instructions whose cell, lane or zone was reached; null if no run shows it.
         finds: ids of its new findings.
         unsaved: number of runs by id of further findings, beyond `--pafot-max-saved`.

@@ -46,9 +46,9 @@ COLUMNS: Mapping[str, str] = {
     "closing_speed": "closing speed at the impact [m/s]",
     "responsibility": "who is responsible for the collision: ego, npc, both or none",
     "fault": "fault of the ego, such as `leader-unanswered`",
-    "kind": "kind of the failure; all failures of one kind are one finding",
-    "least_gap": "smallest gap between the ego and any NPC, bumper to bumper [m]",
-    "least_time_to_contact": "smallest time to contact with any NPC [s]",
+    "kind": "short name of the failure; different failures may have the same",
+    "least_gap": "least distance between the ego's box and an NPC's [m]",
+    "least_time_to_contact": "least time to contact with an NPC [s]",
     "hardest_braking": "hardest braking of the ego [m/s^2]",
     "margins": "JSON: the worst margin of each check that the test made, negative if it failed",
 }

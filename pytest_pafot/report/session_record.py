@@ -59,7 +59,7 @@ class FindingRecord:
         outcome, time: how the run in the file ended, and the time of its event [s].
         responsible: `ego`, `npc`, `both` or `none`.
         preventable_by: reference drivers that avoid it.
-        size, traffic: size of the scenario and how the NPCs drive, in words; empty for the paper's traffic.
+        size, traffic: size of the scenario, and how the NPCs drive, which is empty for the paper's traffic, in words.
         runs: number of runs that failed in this way; 0 for a saved scenario, whose runs are in `known` of the search.
         seed, algorithm: seed (not the base seed) and algorithm of the search that found it.
         against: the reference that passed in this scenario when it was found; empty without one.
