@@ -39,8 +39,8 @@ def add_options(parser: pytest.Parser) -> None:
         # The link has its own line, since the help's lines are otherwise broken at the hyphens of its flag.
         group.addoption(option.flag, dest=option.key, default=None, help=f"{option.help}\n{option.link}", **value)
         if option.everywhere:
-            kind = _INI_TYPES.get(option.kind, "string")
-            parser.addini(option.key, f"Same as {option.flag}.", type=kind, default=None)
+            text = f"Same as {option.flag}."
+            parser.addini(option.key, text, type=_INI_TYPES.get(option.kind, "string"), default=None)
 
 
 def corpus_name(config: pytest.Config, marker: Mapping[str, object]) -> str | None:
