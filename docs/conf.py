@@ -60,6 +60,7 @@ _PICTURE = re.compile(
     r'<picture>\n<source media="[^"]*dark[^"]*" srcset="([^"]*)">\n<img src="([^"]*)" (.*)>\n</picture>'
 )
 _LIVE = re.compile(r"<!-- live -->.*?<!-- end of live -->", re.DOTALL)
+_PLACE = re.compile(r'<a id="([^"]+)"></a>')
 _FIRST_FIND = DOCS / "start" / "tutorial.md"
 _SEARCHED = {"explanation/findings": "severity", "guide/roads": "intersection", "explanation/traffic": "aggressive"}
 """Words that readers search for, by the page that answers them."""
@@ -89,6 +90,13 @@ def indexed(app: Sphinx, docname: str, content: list[str]) -> None:
     """
     if word := _SEARCHED.get(docname):
         content[0] = content[0].replace("\n", f"\n\n```{{index}} ! {word}\n```\n", 1)
+
+
+def placed(app: Sphinx, doctree: nodes.document) -> None:
+    """Let pages link to places that HTML names, such as the rows of options; MyST itself knows headings alone."""
+    places = app.env.metadata[app.env.docname].setdefault("myst_slugs", {})
+    for place in _PLACE.findall("".join(node.astext() for node in doctree.findall(nodes.raw))):
+        places.setdefault(place, (None, place, place))
 
 
 def contributing(app: Sphinx, docname: str, content: list[str]) -> None:
@@ -192,6 +200,7 @@ def setup(app: Sphinx) -> None:
         raise ExtensionError(f"_SEARCHED: expected pages of {DOCS}, received {', '.join(gone)}; was a page renamed?")
     for change in (contributing, navigated, themed, indexed):
         app.connect("source-read", change)
+    app.connect("doctree-read", placed)
     app.connect("autodoc-skip-member", skipped)
     app.connect("autodoc-process-docstring", linked, priority=400)  # before napoleon
     app.connect("missing-reference", closest)

@@ -413,6 +413,16 @@ def test_reference_has_a_row_for_every_option():
         assert option.flag in row
 
 
+def test_help_of_every_option_leads_to_its_row():
+    for option in OPTIONS:
+        page, _, place = option.link.partition("#")
+        (row,) = [line for line in text_of(ROOT / page).splitlines() if f'<a id="{place}"></a>' in line]
+        assert row.startswith(f'| <a id="{place}"></a>`{option.flag}')
+        assert leads_somewhere(ROOT / "README.md", option.link)
+        assert option.help.endswith(".")
+        assert ". " not in option.help, "the terminal has one sentence; write what else there is into the details"
+
+
 def test_example_of_a_corpus_file_can_be_read():
     (example,) = (
         block
@@ -468,7 +478,9 @@ def anchor(heading):
 
 @cache
 def anchors(document):
-    return {anchor(heading) for heading in re.findall(r"^#+ (.*)$", FENCE.sub("", text_of(document)), re.MULTILINE)}
+    text = FENCE.sub("", text_of(document))
+    headings = {anchor(heading) for heading in re.findall(r"^#+ (.*)$", text, re.MULTILINE)}
+    return headings | set(re.findall(r'<a id="([^"]+)"></a>', text))
 
 
 def links():
@@ -498,6 +510,8 @@ def test_links_to_missing_pages_or_sections_are_detected():
     assert not leads_somewhere(readme, "absent.md")
     assert not leads_somewhere(readme, "#absent")
     assert not leads_somewhere(readme, "docs/index.md#absent")
+    assert leads_somewhere(readme, "docs/reference/options.md#pafot-runs")
+    assert not leads_somewhere(readme, "docs/reference/options.md#pafot-absent")
 
 
 def test_every_option_in_the_documents_exists():

@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import Any
 
 from pytest_pafot import criticality, policies, properties, strategies
-from pytest_pafot.attribution.last_chance import LastChance
 from pytest_pafot.campaign import run_table
 from pytest_pafot.campaign.events import SearchSummary
 from pytest_pafot.campaign.options import BY_NAME, OPTIONS, PROFILES, Option
@@ -39,9 +38,9 @@ from pytest_pafot.model.crossings import Zone
 from pytest_pafot.model.driving_style import PARTS, STYLES, Traffic
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.scenario import CrossingInstruction, LaneInstruction, PositionInstruction, Scenario
-from pytest_pafot.model.trace import AdsError, Collision, Outcome, Trace
+from pytest_pafot.model.trace import Collision, Outcome
 from pytest_pafot.oracle.checks import check
-from pytest_pafot.oracle.run import Moment, Run
+from pytest_pafot.oracle.run import Run
 from pytest_pafot.plugin import fixtures
 from pytest_pafot.report.session_record import FindingRecord, OrphanRecord, SessionRecord
 from pytest_pafot.searching.fitness import Weights
@@ -67,35 +66,34 @@ _ROLE = re.compile(r":(?:class|func|attr|meth|data|mod):`~?\.?([^`]+)`")
 _ENTRY = re.compile(r"^(\w+(?:, \w+)*): (.*)$")
 
 MARKER_TEXTS: Mapping[str, str] = {
-    "world": "A whole world, `pafot.Highway(...)` or `pafot.World(...)`. The default is the value of the fixture "
-    "`pafot_world`.",
+    "world": "A whole world, `pafot.Highway(...)` or `pafot.World(...)`.",
     "ads": "The name of the fixture that gives the ADS factory; or the factory, or its `module:factory[:argument]`.",
     "arg": "The parameter of the test function that receives the run.",
-    "fitness": '`"default"`, `"paper"`, `"av-fuzzer"`, a measure such as `"headway"` or `pafot.Measure(...)`, '
-    "`pafot.Weights(...)`, a function `Trace -> float` (higher is worse), or its `module:function`. By "
-    'default each algorithm uses its own: `av-fuzzer` has one, all others use `"default"`.',
+    "fitness": '[The fitness](fitness.md): `"default"`, `"paper"`, `"av-fuzzer"`, a measure such as `"headway"` or '
+    "`pafot.Measure(...)`, `pafot.Weights(...)`, a function `Trace -> float` (higher is worse), or its "
+    "`module:function`. The default of the algorithm `av-fuzzer` is its own.",
     "blame": '`"any"`: the function is called for every run. `"ego"`: it is not called for collisions that only an '
-    'NPC is responsible for. `"preventable"`: like '
-    '`"ego"`, and a failed assertion is a failure only if a reference driver would have prevented it.',
+    'NPC is responsible for. `"preventable"`: like `"ego"`, and a failed assertion counts only if a reference driver '
+    "would have prevented it.",
     "traffic": "[How the others drive](../explanation/traffic.md) in all scenarios: "
     '`"hostile"`, `"assertive"`, `"everyday"`, `"paper"`, or `pafot.Traffic(...)` for separate parts.',
     "instructions": "[The kind of instructions](../explanation/default-search.md#why-both-kinds) of NPCs that do not "
-    'cross: `"cells"` (Position-Instructions), `"lanes"` (Lane-Instructions), or `"both"`, in which each NPC has '
-    "either kind with equal probability.",
+    'cross: `"cells"` (Position-Instructions), `"lanes"` (Lane-Instructions), or `"both"` (either kind with equal '
+    "probability).",
     "decision_limit": "Slowest decision of the ADS that is no finding [s]. Depends on wall-clock time.",
 }
 """Meanings of arguments that no docstring explains."""
 
 MARKER_DEFAULTS: Mapping[str, str] = {
     "ads": '`"ads"`',
-    "world": "-",
+    "world": "the fixture `pafot_world`",
     "genes": "as many as fill the run",
-    "npcs": "sampled, or `2`",
-    "gene_seconds": "sampled, `3.0`, `10.0`, or by the length of a run",
+    "npcs": "[sampled](#what-is-sampled)",
+    "gene_seconds": "sampled",
     "traffic": '`"hostile"`, or `"paper"`',
     "instructions": '`"both"`, or `"cells"`',
-    "ego_lane": "sampled, `1`, or as in the environment",
-    "ego_speed": "sampled, `22.0`, or as in the environment",
+    "ego_lane": "sampled",
+    "ego_speed": "sampled",
 }
 """Defaults that no dataclass contains."""
 
@@ -167,12 +165,8 @@ def sections() -> dict[str, str]:
         "measure": _fields_table(Measure),
         "lane-change": _fields_table(EgoLaneChange),
         "passage": _fields_table(Passage),
-        "last-chance": _properties_table(LastChance),
-        "moment": _fields_table(Moment),
         "collision": _fields_table(Collision),
-        "ads-error": _fields_table(AdsError),
         "outcomes": _outcomes_table(),
-        "trace": _fields_table(Trace),
         "scenario": _fields_table(Scenario),
         "traffic": _traffic_table(),
         "instruction": _fields_table(PositionInstruction),
@@ -316,10 +310,11 @@ def _option_row(option: Option) -> list[str]:
     argument = f"{option.name}=" if option.is_argument else ""
     elsewhere = (option.key, option.variable, argument) if option.everywhere else ("", "", "")
     choices = f" One of {_code(', '.join(option.choices))}." if option.choices else ""
+    place = f'<a id="{option.flag.removeprefix("--")}"></a>'
     return [
-        "<br>".join(f"`{name}`" for name in (flag, *elsewhere) if name),
+        place + "<br>".join(f"`{name}`" for name in (flag, *elsewhere) if name),
         _option_default(option),
-        option.help + choices,
+        " ".join(filter(None, [option.help, option.details])) + choices,
     ]
 
 
@@ -328,7 +323,13 @@ def _option_default(option: Option) -> str:
     if len(profiles) == len(PROFILES):
         return ", ".join(profiles)
     plain = "none" if option.default is None else f"`{option.default}`"
-    stated = {"seed": "fresh", "shrink_rollouts": "by the ADS", "population": "by the algorithm"}
+    stated = {
+        "seed": "random",
+        "shrink_rollouts": "by the ADS",
+        "population": "by the algorithm",
+        "memory": "by the machine",
+        "profile": "by the variable `CI`",
+    }
     return ", ".join([stated.get(option.name, plain), *profiles])
 
 
