@@ -48,8 +48,6 @@ REPORTS = {
 }
 """Arguments of the comparisons, by name. Of two values in braces, ``--quick`` uses the second."""
 
-DEFAULT_SEARCH = "docs/explanation/default-search.md"
-
 BENCHMARKS: Mapping[str, tuple[str, str | None]] = {
     "paper-collisions": (
         "paper_differences --tables collisions --scenarios {1000|20} --careless {200|2}",
@@ -66,18 +64,18 @@ BENCHMARKS: Mapping[str, tuple[str, str | None]] = {
         None,
     ),
     "junction-control": ("junction_control --runs {2000|20} --workers WORKERS", None),
-    "margins": ("margins --seeds {40|1} --runs {240|12} --workers WORKERS", DEFAULT_SEARCH),
+    "margins": ("margins --seeds {40|1} --runs {240|12} --workers WORKERS", None),
     "margins-of-others": (
         "margins --policies OneSpeedNear OneResumes OneCentred --seeds {40|1} --runs {240|12} --workers WORKERS",
-        DEFAULT_SEARCH,
+        None,
     ),
     "collisions": (
         "ablation --tables collisions --runs {20|1} --hours {3|0.1} --workers WORKERS",
-        DEFAULT_SEARCH,
+        None,
     ),
     "failures": (
         "ablation --tables failures --runs {24|1} --hours {6|0.1} --workers WORKERS",
-        DEFAULT_SEARCH,
+        "docs/explanation/default-search.md",
     ),
     "progress": (
         "progress --seeds {20|1} --scenarios {200|20} --redraws {200|5} --workers WORKERS",
@@ -119,6 +117,9 @@ STATISTICS_COLUMNS = "report,measure,at equal,first,second,median of first,media
 STORED = {
     "planted-defects": ("planted-defects.csv", "planted-defects-of-each.csv"),
     "planted-junctions": ("planted-junctions.csv",),
+    "collisions": ("ablation-collisions.csv",),
+    "margins": ("margins.csv",),
+    "margins-of-others": ("margins-of-others.csv",),
 }
 """Files in docs/comparisons for the tables of a benchmark, in their order."""
 PICTURES = {"paper/figures/collisions-over-time.png": "paper.png", "planted-defects.png": "planted-defects.png"}
