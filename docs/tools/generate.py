@@ -1,4 +1,4 @@
-"""Write the tables of reference/ from the docstrings and options in the code.
+"""Write the tables of guide/ and reference/ from the docstrings and options in the code.
 
 Run it after a change of the code or of the tables: ``python docs/tools/generate.py``.
 """
@@ -58,7 +58,7 @@ from pytest_pafot.world import (
     WorldLike,
 )
 
-REFERENCE = sorted((Path(__file__).parents[1] / "reference").glob("*.md"))
+REFERENCE = sorted(path for room in ("guide", "reference") for path in (Path(__file__).parents[1] / room).glob("*.md"))
 
 _SECTION = re.compile(r"(<!-- generated: ([a-z-]+) -->\n).*?(<!-- end of generated -->)", re.DOTALL)
 _ROLE = re.compile(r":(?:class|func|attr|meth|data|mod):`~?\.?([^`]+)`")
@@ -223,7 +223,9 @@ def sections() -> dict[str, str]:
         "compare": _command_table(add_arguments),
         "search-command": _command_table(add_search_arguments),
         "run-table": _columns_table(run_table.COLUMNS),
-        "results": _columns_table(algorithm_run.COLUMNS),
+        "results": _columns_table(
+            {name: text for name, text in algorithm_run.COLUMNS.items() if run_table.COLUMNS.get(name) != text}
+        ),
         "bisect": _command_table(add_bisect_arguments),
         "progress": _command_table(add_progress_arguments),
         "export": _command_table(add_export_arguments),
