@@ -75,7 +75,7 @@ BENCHMARKS: Mapping[str, tuple[str, str | None]] = {
     ),
     "failures": (
         "ablation --tables failures --runs {24|1} --hours {6|0.1} --workers WORKERS",
-        "docs/explanation/default-search.md",
+        None,
     ),
     "progress": (
         "progress --seeds {20|1} --scenarios {200|20} --redraws {200|5} --workers WORKERS",
@@ -118,6 +118,7 @@ STORED = {
     "planted-defects": ("planted-defects.csv", "planted-defects-of-each.csv"),
     "planted-junctions": ("planted-junctions.csv",),
     "collisions": ("ablation-collisions.csv",),
+    "failures": ("ablation-failures.csv",),
     "margins": ("margins.csv",),
     "margins-of-others": ("margins-of-others.csv",),
 }
@@ -224,18 +225,10 @@ def overview_of_planted(folder: Path) -> Iterator[list[str]]:
         yield [search, *units["runs"], *units["wall clock [s]"][1:]]
 
 
-def overview_of_junctions(folder: Path) -> Iterator[list[str]]:
-    """Yield rows of how soon the default search finds planted defects at junctions."""
-    yield ["driver", "where", "found", "in the run (median, least to most)"]
-    for driver, where, _, found, run, _ in rows_of(folder / "planted-junctions.csv"):
-        yield [driver, where, found, run]
-
-
 OVERVIEWS: Mapping[str, Callable[[Path], Iterator[list[str]]]] = {
     "overview-of-the-paper": overview_of_the_paper,
     "overview-of-failures": overview_of_failures,
     "planted-defects": overview_of_planted,
-    "planted-junctions": overview_of_junctions,
 }
 """Tables of the page of comparisons, made from its CSV files."""
 
