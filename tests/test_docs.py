@@ -54,7 +54,7 @@ from tests.helpers.tables import table
 
 ROOT = Path(__file__).parents[1]
 DOCUMENTS = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted(ROOT.glob("docs/**/*.md"))]
-OVERVIEW, OVERVIEWS = ROOT / "docs" / "comparisons" / "README.md", ("overview-of-the-paper", "overview-of-failures")
+COMPARISONS = ROOT / "docs" / "comparisons"
 RUN = {"python", "console", "yaml", "toml"}
 NOT_RUN = {"sh", "text"}
 COMMANDS = {
@@ -382,9 +382,10 @@ def test_every_generated_section_is_in_the_reference():
 
 
 def test_every_measured_table_has_one_place():
-    measured = tool("figures").BENCHMARKS
+    figures = tool("figures")
+    measured, made = figures.BENCHMARKS, figures.OVERVIEWS
     places = re.findall(r"<!-- measured: ([a-z-]+) -->", "".join(map(text_of, DOCUMENTS)))
-    assert sorted(places) == sorted([*(name for name, (_, document) in measured.items() if document), *OVERVIEWS])
+    assert sorted(places) == sorted([*(name for name, (_, document) in measured.items() if document), *made])
     for name, (_, document) in measured.items():
         assert document is None or f"<!-- measured: {name} -->\n| " in text_of(ROOT / document)
 
@@ -395,12 +396,46 @@ def test_every_program_that_measures_can_be_imported():
         assert importlib.import_module(f"tests.benchmarks.{command.split()[0]}").main
 
 
-def test_comparison_overview_agrees_with_its_reports():
+def test_tables_of_comparisons_agree_with_their_files():
     figures = tool("figures")
-    reports = {name: text_of(OVERVIEW.parent / name / "report.md") for name in figures.REPORTS}
-    for name, overview in zip(OVERVIEWS, (figures.overview_of_the_paper, figures.overview_of_failures), strict=True):
-        table = figures.markdown(overview(reports))
-        assert f"<!-- measured: {name} -->\n{table}<!-- end of measured -->" in text_of(OVERVIEW)
+    page = text_of(COMPARISONS / "README.md")
+    for name, overview in figures.OVERVIEWS.items():
+        table = figures.markdown(overview(COMPARISONS))
+        assert f"<!-- measured: {name} -->\n{table}<!-- end of measured -->" in page
+
+
+REPORT = """
+## How many collisions
+
+|  | scenarios | paper | share |
+| --- | --- | --- | --- |
+| pafot | 12 | 4945 | 50.0 % |
+| random | 20 |  | 5.0 % |
+
+## Statistics
+
+| measure | at equal |  |  | median | median | A12 [95 %] | p | p, Holm | test |
+| --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |
+| share | seconds | pafot | random | 0.5 | 0.05 | 1.00 [0.80, 1.00] | 0.00018 | 0.0057 | Mann-Whitney U |
+"""
+
+
+def test_values_of_a_report_replace_its_rows_in_the_files(tmp_path):
+    figures = tool("figures")
+    head, path = ["report", "search", "measure", "value"], tmp_path / "searches.csv"
+    rows = [["idm", "pafot", "scenarios", "7"], ["paper", "pafot", "scenarios", "1"]]
+    figures.write_rows(path, head, rows)
+    figures.replace_report(path, head, "paper", figures.searches_of("paper", REPORT))
+    assert figures.rows_of(path) == [
+        ["paper", "pafot", "scenarios", "12"],
+        ["paper", "pafot", "scenarios, paper", "4945"],
+        ["paper", "pafot", "share", "50.0 %"],
+        ["paper", "random", "scenarios", "20"],
+        ["paper", "random", "share", "5.0 %"],
+        ["idm", "pafot", "scenarios", "7"],
+    ]
+    (test,) = figures.statistics_of("paper", REPORT)
+    assert dict(zip(figures.STATISTICS_COLUMNS.split(","), test, strict=True))["Holm's p"] == "0.0057"
 
 
 def test_reference_has_a_row_for_every_option():

@@ -194,7 +194,9 @@ def sections() -> dict[str, str]:
         "compare": _command_table(add_arguments),
         "search-command": _command_table(add_search_arguments),
         "run-table": _columns_table(run_table.COLUMNS),
-        "results": _columns_table(algorithm_run.COLUMNS),
+        "results": _columns_table(
+            {name: text for name, text in algorithm_run.COLUMNS.items() if run_table.COLUMNS.get(name) != text}
+        ),
         "bisect": _command_table(add_bisect_arguments),
         "progress": _command_table(add_progress_arguments),
         "export": _command_table(add_export_arguments),
