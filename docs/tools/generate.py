@@ -119,7 +119,8 @@ FILE_TEXTS: Mapping[str, str] = {
     "expect.situation": "Where the NPC of the failure was shortly before it, and how fast both were: the "
     "[situation](../explanation/findings.md#what-a-replay-means) that must come up again for a pass to be a fix. "
     "`npc`, `time` [s], `ahead` [m] (negative: behind), `lane` (counted from the ego's to the right), `ego_speed` and "
-    "`npc_speed` [m/s]. Where ways meet, the times to the zone `npc_enters` and `ego_enters` [s] replace `ahead` and "
+    "`npc_speed` [m/s]; of a leader ahead in the ego's lane, `npc_speed` is the lowest speed from then to the failure. "
+    "Where ways meet, the times to the zone `npc_enters` and `ego_enters` [s] replace `ahead` and "
     "`lane`.",
     "expect.last_chance": "[The last chance](../explanation/findings.md#who-could-have-prevented-it): `time` [s], the "
     "`driver`, and its `action` and the ego's, `ego_action`: acceleration [m/s^2] and steering [rad].",

@@ -103,7 +103,8 @@ class SearchSummary:
         node_id: node id of its item.
         result: result of its item, as for a finding.
         message: why the item failed, in one line; empty if it did not.
-        reason: why the search ended; empty if it did not begin, or its process died.
+        reason: why the search ended; empty if it did not begin, its process died, or a decision of the ADS could not be
+            interrupted.
         algorithm, profile: names of the algorithm and of the profile of defaults.
         base_seed, seed: seed that repeats the search, with `--pafot-seed`, and the seed derived from it.
         generations: number of finished generations.
