@@ -243,7 +243,7 @@ class Scenario:
             Crossing-Instruction.
         seed: seed of all random choices in the run, 0 to 2**63 - 1.
         ego_lane: the ego's first lane, counted from 0 at the left.
-        ego_speed: first speed of the ego and of all NPCs that do not cross [m/s].
+        ego_speed: first speed of the ego, and of all NPCs that do not cross unless a bend makes them slower [m/s].
         gene_seconds: duration of one gene [s].
         traffic: driving style of the NPCs; the paper's by default.
 
