@@ -60,8 +60,9 @@ _PICTURE = re.compile(
     r'<picture>\n<source media="[^"]*dark[^"]*" srcset="([^"]*)">\n<img src="([^"]*)" (.*)>\n</picture>'
 )
 _LIVE = re.compile(r"<!-- live -->.*?<!-- end of live -->", re.DOTALL)
-_FIRST_FIND = DOCS / "start" / "five-minutes.md"
-_SEARCHED = {"explanation/severity": "severity", "guide/junctions": "intersection", "explanation/traffic": "aggressive"}
+_PLACE = re.compile(r'<a id="([^"]+)"></a>')
+_FIRST_FIND = DOCS / "start" / "tutorial.md"
+_SEARCHED = {"explanation/findings": "severity", "guide/roads": "intersection", "explanation/traffic": "aggressive"}
 """Words that readers search for, by the page that answers them."""
 _LISTED = re.compile(r"^- \[([^\]]*)\]\(([\w/.-]+)\.(?:md|rst)\)", re.MULTILINE)
 
@@ -91,11 +92,18 @@ def indexed(app: Sphinx, docname: str, content: list[str]) -> None:
         content[0] = content[0].replace("\n", f"\n\n```{{index}} ! {word}\n```\n", 1)
 
 
+def placed(app: Sphinx, doctree: nodes.document) -> None:
+    """Let pages link to places that HTML names, such as the rows of options; MyST itself knows headings alone."""
+    places = app.env.metadata[app.env.docname].setdefault("myst_slugs", {})
+    for place in _PLACE.findall("".join(node.astext() for node in doctree.findall(nodes.raw))):
+        places.setdefault(place, (None, place, place))
+
+
 def contributing(app: Sphinx, docname: str, content: list[str]) -> None:
     """Fill the contributors' page with the file from the root of the repository."""
     if docname == "maintain/contributing":
         text = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
-        content[0] = text.replace("](docs/", "](../").replace("](README.md#try-it)", "](../start/five-minutes.md)")
+        content[0] = text.replace("](docs/", "](../").replace("](README.md#try-it)", "](../start/tutorial.md)")
 
 
 def skipped(app: Sphinx, what: str, name: str, thing: object, skip: bool, options: object) -> bool | None:
@@ -139,7 +147,7 @@ def copied(app: Sphinx, exception: Exception | None) -> None:
 
 
 def found(app: Sphinx, exception: Exception | None) -> None:
-    """Make the report page of the first finding, with the files and the command on that page.
+    """Make the report page of the first finding, with the first command on that page and the files before it.
 
     Raises:
         ExtensionError: if the command makes no report page.
@@ -147,14 +155,14 @@ def found(app: Sphinx, exception: Exception | None) -> None:
     if exception is not None:
         return
     text = _FIRST_FIND.read_text(encoding="utf-8")
-    (command, *_) = re.findall(r"^\$ pytest (.*)$", text, re.MULTILINE)
+    before, command, _ = re.split(r"^\$ pytest (.*)$", text, maxsplit=1, flags=re.MULTILINE)
     python = [sys.executable, "-m", "pytest", *shlex.split(command)]
     plugins = {"PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1", "PYTEST_PLUGINS": "pytest_pafot.plugin", "PYTEST_ADDOPTS": ""}
     variables = {**os.environ, "PYTHONPATH": str(ROOT), **plugins}
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch, "my-planner")  # the page names it
         folder.mkdir()
-        for name, content in re.findall(r"^```python\n# (\S+)\n(.*?)^```$", text, re.MULTILINE | re.DOTALL):
+        for name, content in re.findall(r"^```python\n# (\S+)\n(.*?)^```$", before, re.MULTILINE | re.DOTALL):
             Path(folder, name).write_text(content, encoding="utf-8")
         done = subprocess.run(python, cwd=folder, env=variables, capture_output=True, text=True, check=False)  # noqa: S603
         page = Path(folder, "finding.html")
@@ -192,6 +200,7 @@ def setup(app: Sphinx) -> None:
         raise ExtensionError(f"_SEARCHED: expected pages of {DOCS}, received {', '.join(gone)}; was a page renamed?")
     for change in (contributing, navigated, themed, indexed):
         app.connect("source-read", change)
+    app.connect("doctree-read", placed)
     app.connect("autodoc-skip-member", skipped)
     app.connect("autodoc-process-docstring", linked, priority=400)  # before napoleon
     app.connect("missing-reference", closest)

@@ -68,7 +68,7 @@ CONTACT = 0.1
 def no_fault(run: Run) -> None:
     """Assert that the ego is not responsible for a collision, neither alone nor with the NPC; without a margin.
 
-    ``run.attribution`` decides the responsibility; docs/explanation/verdicts.md has its rules and their sources.
+    ``run.attribution`` decides the responsibility, by the rules of docs/explanation/verdicts.md.
     """
     assert run.responsibility not in ("ego", "both"), run.explain()  # noqa: S101
 
@@ -76,14 +76,12 @@ def no_fault(run: Run) -> None:
 def rss_distance(run: Run, *, rules: RssRules = DISTANCES) -> None:
     """Check that the ego keeps the safe distance of Responsibility-Sensitive Safety to NPCs ahead and side by side.
 
-    The value is the gap minus the safe distance [m] of the worst NPC, and must be at least 0. For an NPC side by side
-    it is measured across the road. For an NPC ahead it is measured along the road; if the gap across the road is safe,
-    too, the larger of both values is used. An NPC behind is not checked, because it must keep the distance itself;
-    :func:`lane_change_gaps` checks a lane change in front of it. A crossing NPC is not checked before it is on the
-    ego's way; see :func:`gives_way`.
+    The value is the gap minus the safe distance [m] of the worst NPC, and must be at least 0: across the road for an
+    NPC side by side, along the road for an NPC ahead, unless it is safe across the road. Crossing NPCs are checked once
+    they are on the ego's way.
 
     Source: Shalev-Shwartz and others, arXiv:1708.06374 (second hand). The default parameters are those of attribution,
-    a choice with which a headway of two seconds is always enough behind a leader of equal speed.
+    a choice with which two seconds are enough behind a leader of equal speed, up to 48 m/s.
     ``pytest_pafot.criticality.RssRules()`` has the parameters that Intel suggests (read).
     """
     if not isinstance(rules, RssRules):
@@ -105,11 +103,9 @@ def comfort(
 ) -> None:
     """Check that the ride is comfortable: the ego's acceleration and jerk, along and across its way, are limited.
 
-    Four values are limited: the jerk, a mean over 1 s [m/s^3]; the deceleration, a mean over 2 s [m/s^2]; the size of
-    ``run.ego.lateral_acceleration``, a mean over 0.5 s [m/s^2]; and its change per second, a mean over 0.5 s [m/s^3].
-    None disables a limit. The limits also hold in bends of the road, because passengers feel them and the policy
-    chooses the speed, and for braking because of other vehicles. Before the run, the ego is assumed to have driven as
-    at its first tick. Means are used so that a policy is not penalised for deciding only a few times per second.
+    Four means are limited: the jerk over 1 s [m/s^3], the deceleration over 2 s [m/s^2], and over 0.5 s the size of
+    ``run.ego.lateral_acceleration`` [m/s^2] and of its change per second [m/s^3]. None disables a limit. The limits
+    also hold in bends of the road and for braking because of other vehicles.
 
     Source: along, ISO 15622:2018, adaptive cruise control above 20 m/s (second hand: its limit of jerk is only for
     braking); across, UN R79, 5.6.2.1.3, automatically commanded steering (second hand: only its jerk is a mean).
@@ -139,8 +135,8 @@ def gives_way(run: Run, *, seconds: float = 1.0) -> None:
     """Check that the ego drives into a zone ahead of an NPC with priority only if it leaves a gap of ``seconds`` [s].
 
     The value is the NPC's ``time_advantage`` at the tick at which the ego enters the zone: the time from the ego's exit
-    to the NPC's arrival, if both keep their speed. So there is no failure if the NPC stands at that tick and sets off
-    later. An NPC that entered the zone before the ego is not checked; for a collision with it see :func:`no_fault`.
+    to the NPC's arrival, if both keep their speed. An NPC that stands then, or that entered before the ego, is no
+    failure.
 
     Source: Laureshyn and others 2010 for the measure (second hand); 1 s is a choice.
     """
@@ -155,8 +151,8 @@ def gives_way(run: Run, *, seconds: float = 1.0) -> None:
 def stays_on_road(run: Run) -> None:
     """Check that the ego's centre stays on the road: its distance to the nearer edge [m] is at least 0.
 
-    It fails for the runs with ``run.off_road``. On roads that bend, the distance to the edge is unknown while the ego
-    is on the road, so half the width of its lane is used instead. No source.
+    It fails for the runs with ``run.off_road``. On roads that bend, half the width of its lane stands for this
+    distance while the ego is on the road. No source.
     """
     trace, lane = run.trace, run.trace.ego[:, LANE].astype(np.intp)
     half = np.array([each.width for each in trace.lanes])[np.maximum(lane, 0)] / 2
@@ -182,10 +178,10 @@ def keeps_up(
     """Check that the ego, with no vehicle ahead for ``seconds`` [s], drives at ``share`` times a speed or faster.
 
     The value is the ego's highest speed in the last ``seconds`` divided by ``speed`` [m/s], and must be at least
-    ``share``. ``speed`` is one number or one number per tick; by default it is the speed limit of the ego's lane. A
-    vehicle is ahead if the gap to the leader in the ego's lane is less than the required speed times ``headway`` [s],
-    or if the ego and a crossing NPC both still have to pass the zone of their ways. Ticks with a ``speed`` of 0 and
-    runs shorter than ``seconds`` are not checked.
+    ``share``. ``speed`` is one number or one per tick; by default it is the speed limit of the ego's lane. A vehicle is
+    ahead if the gap to the leader is less than the required speed times ``headway`` [s], or if the ego and a crossing
+    NPC both still have to pass their zone. Runs shorter than ``seconds``, and ticks with a ``speed`` of 0, are not
+    checked.
 
     Raises:
         ValueError: for an argument that is not a finite number of at least 0, or speeds that are not one per tick.
@@ -217,10 +213,8 @@ def keeps_up(
 def lane_change_gaps(run: Run, *, ahead: float = 1.0, behind: float = 1.0) -> None:
     """Check that the ego changes lanes only into gaps of at least ``ahead`` and ``behind`` [s].
 
-    The gaps to NPCs in the new lane are measured when the ego's centre enters that lane. For an NPC ahead, the value is
-    the gap divided by the ego's speed. For an NPC behind, it is the gap divided by the NPC's speed. For an NPC side by
-    side, it is 0. Runs without a lane change are not checked, and neither are crossing NPCs that are not
-    on the ego's way.
+    The gaps to NPCs in the new lane are measured when the ego's centre enters that lane. The value is the gap divided
+    by the ego's speed for an NPC ahead, divided by the NPC's speed for an NPC behind, and 0 for an NPC side by side.
 
     Source: for ``behind``, UN R79, 5.6.4.7, requires 1 s (formula read); 1 s for ``ahead`` is a choice.
     """
@@ -243,9 +237,8 @@ def brakes_for_a_reason(run: Run) -> None:
     """Check that the ego never brakes hard, more than 5 m/s^2 for 0.4 s, without a reason, even without a collision.
 
     The value is the deceleration that lasts for 0.4 s from a tick on [m/s^2], and must be at most 5. It is 0 if there
-    is a reason to brake between 1.6 s before the braking began and 0.4 s after that. docs/explanation/verdicts.md,
-    rule 7, lists the reasons. A further reason is a crossing NPC that would miss the ego in their zone by less than
-    four seconds. Braking that goes on when its reason is gone is not checked here, only by the verdict on a collision.
+    is a reason to brake between 1.6 s before the braking began and 0.4 s after that. The reasons are those of rule 7 of
+    docs/explanation/verdicts.md, and a crossing NPC that would miss the ego in their zone by less than four seconds.
 
     Source: Vienna Convention on Road Traffic, Art. 17 (1) (read); 5 m/s^2 is UN R157, 5.3.1.1 (second hand).
     """
@@ -272,18 +265,15 @@ def brakes_for_a_reason(run: Run) -> None:
 def answers_cut_ins(run: Run) -> None:
     """Check that the ego does not collide after a cut-in if UN R157 requires that such a collision is avoided.
 
-    UN R157 requires this for a cut-in by a slower NPC ahead of the ego under two conditions. At the moment when the NPC
-    is 0.3 m over the line of the ego's lane, its sideways motion has been visible for 0.72 s, and the time to collision
-    is more than v / (2 * 6 m/s^2) + 0.35 s, where v is the difference of speeds. The checked value is the gap between
-    the boxes of ego and NPC after this moment [m], which must be at least 0.1. The check ends when the ego is no longer
-    faster, or when one of the two vehicles leaves the lane. It also ends when the NPC has become so slow that the
-    time to collision at the cut-in, computed with the NPC's new speed, no longer meets the condition. A run without
-    such a cut-in is not checked.
+    The regulation requires this for a slower NPC ahead under two conditions. At the moment when the NPC is 0.3 m over
+    the line of the ego's lane, its sideways motion has been visible for 0.72 s, and the time to collision is more than
+    v / (2 * 6 m/s^2) + 0.35 s, where v is the difference of speeds. The value is the gap between the boxes from then on
+    [m], which must be at least 0.1. The check ends when the ego is no longer faster, when one of the two leaves the
+    lane, or when the NPC has slowed down so much that its new speed would not meet the second condition. An NPC that
+    merges from its own way, as at a junction, does not cut in.
 
-    Source: UN R157, 5.2.5.2, for an NPC that keeps its speed; the formula was read in the regulation. Four choices are
-    not from the regulation: the end of the check for an NPC that becomes too slow, the side of the NPC's box instead of
-    its tyre, visibility from a lateral speed of 0.3 m/s on, and the gap of 0.1 m. An NPC that merges from its own way,
-    as at a junction, does not cut in.
+    Source: UN R157, 5.2.5.2 (formula read). The end for an NPC that slows down, its box instead of its tyre, visibility
+    from a lateral speed of 0.3 m/s on, and the 0.1 m are choices.
     """
     trace, frame = run.trace, RoadFrame(run.trace)
     lane = trace.ego[:, LANE].astype(np.intp)

@@ -54,7 +54,7 @@ from tests.helpers.tables import table
 
 ROOT = Path(__file__).parents[1]
 DOCUMENTS = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted(ROOT.glob("docs/**/*.md"))]
-OVERVIEW, OVERVIEWS = ROOT / "docs" / "comparisons" / "README.md", ("overview-of-the-paper", "overview-of-failures")
+COMPARISONS = ROOT / "docs" / "comparisons"
 RUN = {"python", "console", "yaml", "toml"}
 NOT_RUN = {"sh", "text"}
 COMMANDS = {
@@ -382,9 +382,10 @@ def test_every_generated_section_is_in_the_reference():
 
 
 def test_every_measured_table_has_one_place():
-    measured = tool("figures").BENCHMARKS
+    figures = tool("figures")
+    measured, made = figures.BENCHMARKS, figures.OVERVIEWS
     places = re.findall(r"<!-- measured: ([a-z-]+) -->", "".join(map(text_of, DOCUMENTS)))
-    assert sorted(places) == sorted([*(name for name, (_, document) in measured.items() if document), *OVERVIEWS])
+    assert sorted(places) == sorted([*(name for name, (_, document) in measured.items() if document), *made])
     for name, (_, document) in measured.items():
         assert document is None or f"<!-- measured: {name} -->\n| " in text_of(ROOT / document)
 
@@ -395,12 +396,46 @@ def test_every_program_that_measures_can_be_imported():
         assert importlib.import_module(f"tests.benchmarks.{command.split()[0]}").main
 
 
-def test_comparison_overview_agrees_with_its_reports():
+def test_tables_of_comparisons_agree_with_their_files():
     figures = tool("figures")
-    reports = {name: text_of(OVERVIEW.parent / name / "report.md") for name in figures.REPORTS}
-    for name, overview in zip(OVERVIEWS, (figures.overview_of_the_paper, figures.overview_of_failures), strict=True):
-        table = figures.markdown(overview(reports))
-        assert f"<!-- measured: {name} -->\n{table}<!-- end of measured -->" in text_of(OVERVIEW)
+    page = text_of(COMPARISONS / "README.md")
+    for name, overview in figures.OVERVIEWS.items():
+        table = figures.markdown(overview(COMPARISONS))
+        assert f"<!-- measured: {name} -->\n{table}<!-- end of measured -->" in page
+
+
+REPORT = """
+## How many collisions
+
+|  | scenarios | paper | share |
+| --- | --- | --- | --- |
+| pafot | 12 | 4945 | 50.0 % |
+| random | 20 |  | 5.0 % |
+
+## Statistics
+
+| measure | at equal |  |  | median | median | A12 [95 %] | p | p, Holm | test |
+| --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |
+| share | seconds | pafot | random | 0.5 | 0.05 | 1.00 [0.80, 1.00] | 0.00018 | 0.0057 | Mann-Whitney U |
+"""
+
+
+def test_values_of_a_report_replace_its_rows_in_the_files(tmp_path):
+    figures = tool("figures")
+    head, path = ["report", "search", "measure", "value"], tmp_path / "searches.csv"
+    rows = [["idm", "pafot", "scenarios", "7"], ["paper", "pafot", "scenarios", "1"]]
+    figures.write_rows(path, head, rows)
+    figures.replace_report(path, head, "paper", figures.searches_of("paper", REPORT))
+    assert figures.rows_of(path) == [
+        ["paper", "pafot", "scenarios", "12"],
+        ["paper", "pafot", "scenarios, paper", "4945"],
+        ["paper", "pafot", "share", "50.0 %"],
+        ["paper", "random", "scenarios", "20"],
+        ["paper", "random", "share", "5.0 %"],
+        ["idm", "pafot", "scenarios", "7"],
+    ]
+    (test,) = figures.statistics_of("paper", REPORT)
+    assert dict(zip(figures.STATISTICS_COLUMNS.split(","), test, strict=True))["Holm's p"] == "0.0057"
 
 
 def test_reference_has_a_row_for_every_option():
@@ -411,6 +446,16 @@ def test_reference_has_a_row_for_every_option():
         assert all(f"`{name}`" in row for name in names)
         assert (f"`{option.name}=`" in row) is (option.everywhere and option.is_argument)
         assert option.flag in row
+
+
+def test_help_of_every_option_leads_to_its_row():
+    for option in OPTIONS:
+        page, _, place = option.link.partition("#")
+        (row,) = [line for line in text_of(ROOT / page).splitlines() if f'<a id="{place}"></a>' in line]
+        assert row.startswith(f'| <a id="{place}"></a>`{option.flag}')
+        assert leads_somewhere(ROOT / "README.md", option.link)
+        assert option.help.endswith(".")
+        assert ". " not in option.help, "the terminal has one sentence; write what else there is into the details"
 
 
 def test_example_of_a_corpus_file_can_be_read():
@@ -468,7 +513,9 @@ def anchor(heading):
 
 @cache
 def anchors(document):
-    return {anchor(heading) for heading in re.findall(r"^#+ (.*)$", FENCE.sub("", text_of(document)), re.MULTILINE)}
+    text = FENCE.sub("", text_of(document))
+    headings = {anchor(heading) for heading in re.findall(r"^#+ (.*)$", text, re.MULTILINE)}
+    return headings | set(re.findall(r'<a id="([^"]+)"></a>', text))
 
 
 def links():
@@ -498,6 +545,8 @@ def test_links_to_missing_pages_or_sections_are_detected():
     assert not leads_somewhere(readme, "absent.md")
     assert not leads_somewhere(readme, "#absent")
     assert not leads_somewhere(readme, "docs/index.md#absent")
+    assert leads_somewhere(readme, "docs/reference/options.md#pafot-runs")
+    assert not leads_somewhere(readme, "docs/reference/options.md#pafot-absent")
 
 
 def test_every_option_in_the_documents_exists():

@@ -21,7 +21,7 @@ HOMES = {
     "cloudpickle": {"execution"},
     "distributed": {"execution"},
     "highway_env": {"world", "episodes"},
-    "gymnasium": {"world", "episodes", "training"},
+    "gymnasium": {"world", "training"},
     "hypothesis": {"strategies"},
     "pytest": {"plugin"},
     "_pytest": set(),

@@ -1,4 +1,4 @@
-"""Redo every figure that the documents publish: reports, tables, samples and pictures.
+"""Redo every figure that the documents publish: tables, samples and pictures.
 
     python docs/tools/figures.py [--only NAME ...] [--workers 16] [--quick] [--build DIR]
 
@@ -6,8 +6,9 @@ It prints the commit, the versions, and the CPU hours of each step. The results 
 named after the commit that last changed the code, and are not measured again there. So a step that was interrupted, or
 that ran on a different machine, continues if its folder is there. Then the results are written into the documents,
 between a line ``<!-- measured: NAME -->`` and a line ``<!-- end of measured -->``. Results without such lines are for
-sentences that quote them. The tools that write documents themselves run last; they need Chromium, and the packages that
-their heads name.
+sentences that quote them. The reports of comparisons stay in DIR; all their tables are stored as CSV files in
+docs/comparisons, whose page has the part of them that readers need. The tools that write documents themselves run last;
+they need Chromium, and the packages that their heads name.
 
 With ``--quick``, a few short runs are measured to try the command, and written into a copy of the documents in DIR.
 """
@@ -15,6 +16,7 @@ With ``--quick``, a few short runs are measured to try the command, and written 
 from __future__ import annotations
 
 import argparse
+import csv
 import os
 import platform
 import re
@@ -23,12 +25,13 @@ import shlex
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT))
 
+from pytest_pafot.support.text import csv_text  # noqa: E402
 from pytest_pafot.support.versions import installed_versions  # noqa: E402
 
 COMPARE = "-m pytest_pafot compare --workers WORKERS --out OUT"
@@ -43,9 +46,7 @@ REPORTS = {
     "ppo": f"{EVERY} --runs {{20|1}} --seconds {{3600|300}} --ads ppo --env highway-v0",
     "fiss": f"{EVERY} --runs {{4|1}} --seconds {{3600|60}} --ads fiss",
 }
-"""Arguments of the comparisons, by the folder of the report. Of two values in braces, ``--quick`` uses the second."""
-
-DEFAULT_SEARCH = "docs/explanation/default-search.md"
+"""Arguments of the comparisons, by name. Of two values in braces, ``--quick`` uses the second."""
 
 BENCHMARKS: Mapping[str, tuple[str, str | None]] = {
     "paper-collisions": (
@@ -56,39 +57,36 @@ BENCHMARKS: Mapping[str, tuple[str, str | None]] = {
     "planted-defects": (
         "planted_defects --half set-aside --seeds {10|1} --runs {2000|20} --workers WORKERS --save OUT.jsonl "
         "--picture OUT.png",
-        "docs/comparisons/planted-defects.md",
+        None,
     ),
     "planted-junctions": (
         "planted_junctions --first-seed 10 --seeds {10|1} --runs {400|20} --workers WORKERS --save OUT.jsonl",
-        "docs/comparisons/planted-defects.md",
+        None,
     ),
     "junction-control": ("junction_control --runs {2000|20} --workers WORKERS", None),
-    "margins": ("margins --seeds {40|1} --runs {240|12} --workers WORKERS", DEFAULT_SEARCH),
+    "margins": ("margins --seeds {40|1} --runs {240|12} --workers WORKERS", None),
     "margins-of-others": (
         "margins --policies OneSpeedNear OneResumes OneCentred --seeds {40|1} --runs {240|12} --workers WORKERS",
-        DEFAULT_SEARCH,
+        None,
     ),
     "collisions": (
         "ablation --tables collisions --runs {20|1} --hours {3|0.1} --workers WORKERS",
-        DEFAULT_SEARCH,
+        None,
     ),
     "failures": (
         "ablation --tables failures --runs {24|1} --hours {6|0.1} --workers WORKERS",
-        DEFAULT_SEARCH,
+        None,
     ),
     "progress": (
         "progress --seeds {20|1} --scenarios {200|20} --redraws {200|5} --workers WORKERS",
-        "docs/guide/what-broke.md",
+        None,
     ),
-    "shrinking": ("shrinking --runs {400|30} --workers WORKERS", "docs/explanation/findings.md"),
-    "endings": ("endings --runs {2000|100} --workers WORKERS", "docs/explanation/traffic.md"),
-    "every-road": ("every_road --seeds {5|1} --generations {10|1} --workers WORKERS", "docs/explanation/roads.md"),
-    "distinctness": (
-        "distinctness --of second --seeds {10|1} --runs {400|30} --workers WORKERS",
-        "docs/explanation/findings.md",
-    ),
+    "shrinking": ("shrinking --runs {400|30} --workers WORKERS", None),
+    "endings": ("endings --runs {2000|100} --workers WORKERS", None),
+    "every-road": ("every_road --seeds {5|1} --generations {10|1} --workers WORKERS", None),
+    "distinctness": ("distinctness --of second --seeds {10|1} --runs {400|30} --workers WORKERS", None),
     "speed": ("speed --rounds {9|1} --parts {engines ads npcs search batch pure start memory|npcs}", None),
-    "training": ("training --seconds {8|1}", "docs/reference/training.md"),
+    "training": ("training --seconds {8|1}", "docs/guide/training.md"),
     "positive-controls": (
         "positive_controls --first-seed 200 --seeds {3|1} --runs {400|30} --workers WORKERS",
         None,
@@ -107,55 +105,129 @@ WRITERS = {
 }
 """Commands that write documents themselves."""
 
-SUMMARY = {
-    "unique scenarios that collide": ("How many collisions", "share of unique"),
-    "simulated time per scenario": ("How fast", "simulated per scenario"),
-    "simulated time per collision": ("How fast", "simulated per collision"),
-    "time to a collision, where there is one": ("How fast", "time to collision (max / min)"),
-    "wall clock per scenario": ("How fast", "wall clock per scenario"),
-    "collisions that an NPC alone is responsible for": ("Who caused them", "share of NPCs"),
-    "inverted distance to all impacts": ("Distinct failures for which the ego answers", "inverted distance"),
+COMPARISONS = Path("docs/comparisons")
+SEARCHES = "searches.csv"
+"""Every cell of the reports' tables of searches: report, search, measure, value."""
+STATISTICS = "statistics.csv"
+"""Every test of the reports."""
+STATISTICS_COLUMNS = "report,measure,at equal,first,second,median of first,median of second,A12 [95 %],p,Holm's p,test"
+STORED = {
+    "planted-defects": ("planted-defects.csv", "planted-defects-of-each.csv"),
+    "planted-junctions": ("planted-junctions.csv",),
+    "collisions": ("ablation-collisions.csv",),
+    "failures": ("ablation-failures.csv",),
+    "margins": ("margins.csv",),
+    "margins-of-others": ("margins-of-others.csv",),
 }
-"""Rows of the paper's comparison in the overview: heading of its table in the report, and the column's first words."""
+"""Files in docs/comparisons for the tables of a benchmark, in their order."""
+PICTURES = {"paper/figures/collisions-over-time.png": "paper.png", "planted-defects.png": "planted-defects.png"}
+"""Pictures in DIR, and their names in docs/comparisons."""
+
+SUMMARY = {
+    "unique scenarios that collide": "share of unique",
+    "simulated time per scenario": "simulated per scenario",
+    "simulated time per collision": "simulated per collision",
+    "time to a collision, where there is one": "time to collision (max / min)",
+    "collisions that an NPC alone is responsible for": "share of NPCs",
+    "distinct failures of the ego, mean of a run": "mean of a run",
+}
+"""Rows of the paper's comparison in the overview, and their measures in its report."""
 
 CELLS = re.compile(r"(?<=\|) ([^|]*) (?=\|)")
 
-
-def columns(report: str, heading: str) -> dict[str, dict[str, str]]:
-    """Return the cells of each row in a table of a report, by column; ``paper`` gets the name of the column before."""
-    lines = re.findall(r"^\|.*$", report.partition(f"\n## {heading}\n")[2].partition("\n## ")[0], re.MULTILINE)
-    head, _, *rows = [CELLS.findall(line) for line in lines]
-    names = [f"{before}, paper" if name == "paper" else name for before, name in zip(["", *head], head, strict=False)]
-    return {row[0]: dict(zip(names, row, strict=True)) for row in rows}
+Cells = Mapping[str, Mapping[str, Mapping[str, str]]]
+"""Values by report, search and measure."""
 
 
-def overview_of_the_paper(reports: Mapping[str, str]) -> Iterator[list[str]]:
+def tables_of(text: str) -> list[list[list[str]]]:
+    """Return the cells of all tables in a Markdown text. The first row of each is its head."""
+    found = re.findall(r"(?:^\|.*\n)+", f"{text}\n", re.MULTILINE)
+    parsed = ([CELLS.findall(line) for line in table.splitlines()] for table in found)
+    return [[head, *rows] for head, _, *rows in parsed]
+
+
+def searches_of(name: str, report: str) -> Iterator[list[str]]:
+    """Yield report, search, measure and value from the tables of a report; ``..., paper`` is the paper's value."""
+    for (_, *head), *rows in tables_of(report)[:-1]:
+        pairs = zip(["", *head], head, strict=False)
+        measures = [f"{before}, paper" if each == "paper" else each for before, each in pairs]
+        for search, *values in rows:
+            yield from ([name, search, *cell] for cell in zip(measures, values, strict=True) if cell[1])
+
+
+def statistics_of(name: str, report: str) -> Iterator[list[str]]:
+    """Yield the tests of a report."""
+    _, *rows = tables_of(report)[-1]
+    yield from ([name, *row] for row in rows)
+
+
+def rows_of(path: Path) -> list[list[str]]:
+    """Return the rows of a CSV file without its head; none if there is no file."""
+    if not path.exists():
+        return []
+    with path.open(encoding="utf-8", newline="") as file:
+        return list(csv.reader(file))[1:]
+
+
+def write_rows(path: Path, head: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
+    """Write a CSV file."""
+    path.write_text(csv_text(head, rows), encoding="utf-8", newline="\n")
+
+
+def replace_report(path: Path, head: Sequence[str], name: str, rows: Iterable[list[str]]) -> None:
+    """Replace the rows of one report in a CSV file of all reports."""
+    others = [row for row in rows_of(path) if row[0] != name]
+    write_rows(path, head, sorted([*others, *rows], key=lambda row: list(REPORTS).index(row[0])))
+
+
+def cells_of(folder: Path) -> Cells:
+    """Return the stored values of all reports."""
+    cells: dict[str, dict[str, dict[str, str]]] = {}
+    for report, search, measure, value in rows_of(folder / SEARCHES):
+        cells.setdefault(report, {}).setdefault(search, {})[measure] = value
+    return cells
+
+
+def overview_of_the_paper(folder: Path) -> Iterator[list[str]]:
     """Yield the rows of the paper's measures by algorithm, each with the paper's own values below it."""
-    algorithms = list(columns(reports["paper"], "How fast"))
-    yield ["", *algorithms]
-    for measure, (heading, beginning) in SUMMARY.items():
-        table = columns(reports["paper"], heading)
-        name = next(each for each in table[algorithms[0]] if each.startswith(beginning))
-        yield [measure, *(table[each][name] for each in algorithms)]
-        if f"{name}, paper" in table[algorithms[0]]:
-            yield ["the paper's", *(table[each][f"{name}, paper"] for each in algorithms)]
+    searches = cells_of(folder)["paper"]
+    yield ["", *searches]
+    for shown, measure in SUMMARY.items():
+        yield [shown, *(cells[measure] for cells in searches.values())]
+        if any(f"{measure}, paper" in cells for cells in searches.values()):
+            yield ["the paper's", *(cells.get(f"{measure}, paper", "") for cells in searches.values())]
 
 
-def overview_of_failures(reports: Mapping[str, str]) -> Iterator[list[str]]:
-    """Yield rows of distinct failures per simulated hour by algorithm and report, with the runs that had any."""
-    tables = {
-        name: columns(text, "Distinct failures for which the ego answers")
-        for name, text in reports.items()
-        if name != "paper"
-    }
-    yield ["search", *(f"[{name}]({name}/report.md)" for name in tables)]
-    for algorithm in dict.fromkeys(each for table in tables.values() for each in table):
-        cells = []
-        for table in tables.values():
-            found = list(table.get(algorithm, {}).items())
-            at = [value for name, value in found if name.startswith(("per hour, ", "runs with any"))]
-            cells.append("{} ({})".format(*at) if at else "")
-        yield [algorithm, *cells]
+def overview_of_failures(folder: Path) -> Iterator[list[str]]:
+    """Yield rows of distinct failures in a run by algorithm and report, with the runs that had any."""
+    reports = {name: cells for name, cells in cells_of(folder).items() if name != "paper"}
+    yield ["search", *reports]
+    for search in dict.fromkeys(search for cells in reports.values() for search in cells):
+        row = [search]
+        for cells in reports.values():
+            measures = cells.get(search, {}).items()
+            found = [value for name, value in measures if name.startswith(("mean of a run, ", "runs with any"))]
+            row.append("{} ({})".format(*found) if found else "")
+        yield row
+
+
+def overview_of_planted(folder: Path) -> Iterator[list[str]]:
+    """Yield rows of how soon each search finds planted defects."""
+    searches: dict[str, dict[str, list[str]]] = {}
+    for _, search, found, _, unit, median, _, ratio, _ in rows_of(folder / "planted-defects.csv"):
+        searches.setdefault(search, {})[unit] = [found, median, ratio]
+    times = "times the default's"
+    yield ["search", "found", "median of runs", times, "median of wall clock [s]", times]
+    for search, units in searches.items():
+        yield [search, *units["runs"], *units["wall clock [s]"][1:]]
+
+
+OVERVIEWS: Mapping[str, Callable[[Path], Iterator[list[str]]]] = {
+    "overview-of-the-paper": overview_of_the_paper,
+    "overview-of-failures": overview_of_failures,
+    "planted-defects": overview_of_planted,
+}
+"""Tables of the page of comparisons, made from its CSV files."""
 
 
 def markdown(rows: Iterator[list[str]]) -> str:
@@ -229,28 +301,25 @@ def commit_of_the_code() -> str:
 
 def redo(arguments: argparse.Namespace, root: Path, folder: Path) -> None:
     """Measure the requested steps, and write the results into the documents below a root."""
-    requested = arguments.only
+    requested, comparisons = arguments.only, root / COMPARISONS
     for name in (each for each in REPORTS if each in requested):
         measured(name, f"{COMPARE} {REPORTS[name]}", arguments, folder)
-        report = root / "docs" / "comparisons" / name
-        text = (folder / name / "report.md").read_text(encoding="utf-8")
-        text = text.replace(os.path.relpath(folder / name, ROOT), f"comparisons/{name}")
-        (report / "report.md").write_text(text, encoding="utf-8", newline="\n")
-        for picture in (folder / name / "figures").glob("*.png"):
-            shutil.copy(picture, report / "figures")
+        report = (folder / name / "report.md").read_text(encoding="utf-8")
+        head = ["report", "search", "measure", "value"]
+        replace_report(comparisons / SEARCHES, head, name, searches_of(name, report))
+        replace_report(comparisons / STATISTICS, STATISTICS_COLUMNS.split(","), name, statistics_of(name, report))
     for name in (each for each in BENCHMARKS if each in requested):
         command, document = BENCHMARKS[name]
         printed = measured(name, f"-m tests.benchmarks.{command}", arguments, folder)
         if document is not None:
-            tables = re.findall(r"(?:^\|.*\n)+", f"{printed}\n", re.MULTILINE)
-            write_between(root / document, name, "\n".join(tables))
-            for picture in folder.glob(f"{name}*.png"):
-                shutil.copy(picture, (root / document).parent)
-    if set(requested) & set(REPORTS):
-        reports = {name: (root / f"docs/comparisons/{name}/report.md").read_text(encoding="utf-8") for name in REPORTS}
-        overview = root / "docs" / "comparisons" / "README.md"
-        write_between(overview, "overview-of-the-paper", markdown(overview_of_the_paper(reports)))
-        write_between(overview, "overview-of-failures", markdown(overview_of_failures(reports)))
+            write_between(root / document, name, "\n".join(re.findall(r"(?:^\|.*\n)+", f"{printed}\n", re.MULTILINE)))
+        for path, (head, *rows) in zip(STORED.get(name, ()), tables_of(printed), strict=False):
+            write_rows(comparisons / path, head, rows)
+    for picture, published in PICTURES.items():
+        if (folder / picture).exists():
+            shutil.copy(folder / picture, comparisons / published)
+    for name, overview in OVERVIEWS.items():
+        write_between(comparisons / "README.md", name, markdown(overview(comparisons)))
 
 
 def main() -> None:

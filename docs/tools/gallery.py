@@ -1,6 +1,8 @@
-"""Write the table of explanation/gallery.md and its pictures, from the situations of the tests.
+"""Write the table of explanation/gallery.md, its pictures, and the reasons of all verdicts, from the tests' situations.
 
-Run it after a change of the situations or the rules: ``python docs/tools/gallery.py``. It needs only the plugin.
+Run it after a change of the situations or the rules: ``python docs/tools/gallery.py``. It needs only the plugin. The
+page has no reasons, which would make it three times as long: they are in tests/attribution/gallery.txt, where a change
+of the rules shows what it changes.
 """
 
 from __future__ import annotations
@@ -22,6 +24,7 @@ from tests.helpers.situations import SITUATIONS, Situation  # noqa: E402
 
 PAGE = DOCS / "explanation" / "gallery.md"
 PICTURES = PAGE.with_suffix("")
+REASONS = DOCS.parent / "tests" / "attribution" / "gallery.txt"
 
 WIDTH, LINE, MARGIN = 460, 15, 4
 """Width of a picture, height of a line of text in it, and margin around both [px]."""
@@ -71,15 +74,21 @@ def _rows() -> Iterator[str]:
     for heading, group in SITUATIONS.items():
         yield f"\n## {heading}\n\n| What happens | Verdict |\n| --- | --- |\n"
         for situation in group:
-            image = f'<img src="gallery/{situation.name}.svg" width="{WIDTH}" alt="{situation.name}">'
+            image = f"![{situation.name}](gallery/{situation.name}.svg)"
             yield f"| {image}<br>{situation.text} | {_verdict(situation)} |\n"
     yield "\n"
 
 
 def _verdict(situation: Situation) -> str:
     found = rss_rule(situation.trace())
-    fault = f", `{found.fault}`" if found.fault else ""
-    return f"**{found.responsibility}**{fault}, by rule {situation.clause}:<br>{found.reason}"
+    fault = f"<br>`{found.fault}`" if found.fault else ""
+    return f"**{found.responsibility}**{fault}<br>rule {situation.clause}"
+
+
+def reasons() -> str:
+    """Return the verdict and the whole reason of every situation, one per line."""
+    every = ((each, rss_rule(each.trace())) for group in SITUATIONS.values() for each in group)
+    return "".join(f"{each.name}: {it.responsibility}, {it.fault or 'no fault'}: {it.reason}\n" for each, it in every)
 
 
 def picture(trace: Trace) -> str:
@@ -267,8 +276,9 @@ def _caption(time: float, strip: list[Box]) -> str:
 
 
 def main() -> None:
-    """Write the page and the pictures, and remove pictures that belong to no situation."""
+    """Write the page, the reasons and the pictures, and remove pictures that belong to no situation."""
     PAGE.write_text(written(PAGE.read_text(encoding="utf-8")), encoding="utf-8", newline="\n")
+    REASONS.write_text(reasons(), encoding="utf-8", newline="\n")
     made = pictures()
     PICTURES.mkdir(exist_ok=True)
     for path in set(PICTURES.iterdir()) - {PICTURES / name for name in made}:

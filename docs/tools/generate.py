@@ -1,4 +1,4 @@
-"""Write the tables of reference/ from the docstrings and options in the code.
+"""Write the tables of guide/ and reference/ from the docstrings and options in the code.
 
 Run it after a change of the code or of the tables: ``python docs/tools/generate.py``.
 """
@@ -9,13 +9,13 @@ import argparse
 import ast
 import inspect
 import re
+import textwrap
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import MISSING, Field, fields, is_dataclass
 from pathlib import Path
 from typing import Any
 
 from pytest_pafot import criticality, policies, properties, strategies
-from pytest_pafot.attribution.last_chance import LastChance
 from pytest_pafot.campaign import run_table
 from pytest_pafot.campaign.events import SearchSummary
 from pytest_pafot.campaign.options import BY_NAME, OPTIONS, PROFILES, Option
@@ -38,9 +38,9 @@ from pytest_pafot.model.crossings import Zone
 from pytest_pafot.model.driving_style import PARTS, STYLES, Traffic
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.scenario import CrossingInstruction, LaneInstruction, PositionInstruction, Scenario
-from pytest_pafot.model.trace import AdsError, Collision, Outcome, Trace
+from pytest_pafot.model.trace import Collision, Outcome
 from pytest_pafot.oracle.checks import check
-from pytest_pafot.oracle.run import Moment, Run
+from pytest_pafot.oracle.run import Run
 from pytest_pafot.plugin import fixtures
 from pytest_pafot.report.session_record import FindingRecord, OrphanRecord, SessionRecord
 from pytest_pafot.searching.fitness import Weights
@@ -58,114 +58,91 @@ from pytest_pafot.world import (
     WorldLike,
 )
 
-REFERENCE = sorted((Path(__file__).parents[1] / "reference").glob("*.md"))
+DOCS = Path(__file__).parents[1]
+REFERENCE = [*sorted(DOCS.glob("reference/*.md")), *sorted(DOCS.glob("guide/*.md"))]
 
 _SECTION = re.compile(r"(<!-- generated: ([a-z-]+) -->\n).*?(<!-- end of generated -->)", re.DOTALL)
 _ROLE = re.compile(r":(?:class|func|attr|meth|data|mod):`~?\.?([^`]+)`")
 _ENTRY = re.compile(r"^(\w+(?:, \w+)*): (.*)$")
 
 MARKER_TEXTS: Mapping[str, str] = {
-    "world": "A whole world, `pafot.Highway(...)` or `pafot.World(...)`. The default is the value of the fixture "
-    "`pafot_world`.",
+    "world": "A whole world, `pafot.Highway(...)` or `pafot.World(...)`.",
     "ads": "The name of the fixture that gives the ADS factory; or the factory, or its `module:factory[:argument]`.",
     "arg": "The parameter of the test function that receives the run.",
-    "fitness": '`"default"`, `"paper"`, `"av-fuzzer"`, a measure such as `"headway"` or `pafot.Measure(...)`, '
-    "`pafot.Weights(...)`, a function `Trace -> float` (higher is worse), or its `module:function`. By "
-    'default each algorithm uses its own: `av-fuzzer` has one, all others use `"default"`.',
+    "fitness": '[The fitness](fitness.md): `"default"`, `"paper"`, `"av-fuzzer"`, a measure such as `"headway"` or '
+    "`pafot.Measure(...)`, `pafot.Weights(...)`, a function `Trace -> float` (higher is worse), or its "
+    "`module:function`. The default of the algorithm `av-fuzzer` is its own.",
     "blame": '`"any"`: the function is called for every run. `"ego"`: it is not called for collisions that only an '
-    'NPC is responsible for. `"preventable"`: like '
-    '`"ego"`, and a failed assertion is a failure only if a reference driver would have prevented it.',
+    'NPC is responsible for. `"preventable"`: like `"ego"`, and a failed assertion counts only if a reference driver '
+    "would have prevented it.",
     "traffic": "[How the others drive](../explanation/traffic.md) in all scenarios: "
     '`"hostile"`, `"assertive"`, `"everyday"`, `"paper"`, or `pafot.Traffic(...)` for separate parts.',
     "instructions": "[The kind of instructions](../explanation/default-search.md#why-both-kinds) of NPCs that do not "
-    'cross: `"cells"` (Position-Instructions), `"lanes"` (Lane-Instructions), or `"both"`, in which each NPC has '
-    "either kind with equal probability.",
+    'cross: `"cells"` (Position-Instructions), `"lanes"` (Lane-Instructions), or `"both"` (either kind with equal '
+    "probability).",
     "decision_limit": "Slowest decision of the ADS that is no finding [s]. Depends on wall-clock time.",
 }
 """Meanings of arguments that no docstring explains."""
 
 MARKER_DEFAULTS: Mapping[str, str] = {
     "ads": '`"ads"`',
-    "world": "-",
+    "world": "the fixture `pafot_world`",
     "genes": "as many as fill the run",
-    "npcs": "sampled, or `2`",
-    "gene_seconds": "sampled, `3.0`, `10.0`, or by the length of a run",
+    "npcs": "[sampled](#what-is-sampled)",
+    "gene_seconds": "sampled",
     "traffic": '`"hostile"`, or `"paper"`',
     "instructions": '`"both"`, or `"cells"`',
-    "ego_lane": "sampled, `1`, or as in the environment",
-    "ego_speed": "sampled, `22.0`, or as in the environment",
+    "ego_lane": "sampled",
+    "ego_speed": "sampled",
 }
 """Defaults that no dataclass contains."""
 
 FILE_TEXTS: Mapping[str, str] = {
     "pafot": "Version of the format, `2`. Files of a different version are refused.",
-    "test": "Node id of the test, with its parameters. The folder of the file, and not this line, decides which test "
-    "replays it.",
-    "world": "The world that the scenario fails in. `kind` is `highway` or `gym`; the other keys are all fields of "
-    "`Highway` or `World`. `config` of a `World` also has the defaults of its environment. The replay uses "
-    "this world, not the world that the test names now, and no default of a later version. If the world is "
-    "code, the replay uses the world that the test names: kind `own`, with the `class` of [a world of your "
-    "own](../guide/own-world.md) and the `data` of its `to_dict`; and `gym` with the names of `wrappers`. A "
-    "world that a package has [registered](../guide/own-world.md#a-simulator-of-your-own) has its own kind "
-    "and its `data`.",
+    "test": "Node id of the test. The folder of the file, and not this line, decides which test replays it.",
+    "world": "The world of the replay. `kind` is `highway` or `gym`, with all fields of `Highway` or `World`. For a "
+    "world that is code (`own`, or with `wrappers`), the replay uses the test's world. A "
+    "[registered](../guide/own-world.md) world has its own kind and its `data`.",
     "scenario.seed": "Seed of the repair inside the run.",
     "scenario.ego": "`lane`, counted from 0 at the left, and `speed` [m/s], at which the ego and "
     "all NPCs that do not cross start.",
     "scenario.gene_seconds": "Duration of one gene [s]; `10.0` if it is not given.",
-    "scenario.traffic": "How the NPCs drive within their instructions: `hostile`, `assertive` or `everyday` "
-    "([what they "
-    "mean](../explanation/traffic.md)); with separate parts, `{style: everyday, least_gap: 4.0}`. If it is "
-    "not given, they drive as in the paper.",
-    "scenario.npcs": "One list per NPC. It has Position-Instructions `{cell, speed}`: cell 1 to 8, speed [m/s]. "
-    "Or it has Lane-Instructions `{lane, speed}`: lane `keep`, `left` or `right`, as seen from the NPC's lane when the "
-    "gene begins. Such an NPC starts in the first free cell of 1, 2, 3, 8, 4, 6, 7 and 5 that has a lane. "
-    "An NPC that meets the ego where ways cross has one Crossing-Instruction `{zone, slot, speed, act}`: the "
-    "entry and exit of its way, the slot [s] after the ego (negative: before it), and the act, `pass` if it "
-    "is not given.",
-    "expect.assertion": "The failing assertion without its message, with `N` for each number.",
-    "expect.reference_drivers": "The outcome of each reference driver in the ego's place: `avoids`, `hit`, "
-    "`at-fault` or `fails` ([their "
-    "meaning](../explanation/responsibility.md#who-could-have-prevented-it)). Absent if it means nothing.",
-    "expect.check": "The value that the failed check measured, and its bounds, in its unit: `value`, `at_most`, "
-    "`at_least`, "
-    "`unit`. The assertion is then the name of the check.",
-    "expect.situation": "Where the NPC of the failure was shortly before the ego's mistake, relative to the "
-    "ego: the `npc`, the "
-    "`time` [s], how far `ahead` its centre was [m] (negative: behind), its `lane`, counted from the ego's to "
-    "the right, and both speeds, `ego_speed` and `npc_speed` [m/s]; for a leader the lowest speed from then "
-    "on. A replay that passes is a [fix](../explanation/findings.md#what-a-replay-means) only if the "
-    "situation occurs again. An NPC that crosses has, in place of `ahead` and `lane`, the times until it and "
-    "the ego reach the beginning of their zone, `npc_enters` and `ego_enters` [s]. Absent if no NPC took "
-    "part.",
-    "expect.last_chance": "The last time at which a reference driver in the ego's place would have stayed free "
-    "of fault, or for a failed check would have kept it: `time` "
-    "[s], the `driver`, and its `action` and the ego's, `ego_action`: acceleration [m/s^2] and steering "
-    "[rad]. Absent if there is no such moment.",
-    "expect.avoided_by": "The last decision of the ego after which braking in its lane avoids the collision, by "
-    "simulation: `time` "
-    "[s] and `braking` [m/s^2], with which it slows down to a standstill. Absent if no braking does, and if "
-    "the `fault` is not an unanswered leader or cut-in, a failure to give way, or the entry into a taken zone.",
-    "expect.escaped_by": "How a reference driver avoids a collision for which the rules left the ego too little "
-    "time, by simulation: the `time` [s] at which the `driver` takes over, its hardest `braking` [m/s^2] until the "
-    "time of the impact, the time `braking_from` which it brakes, the time from which the rules would require "
-    "braking, `due` [s], and the deceleration that they would require unless in an emergency, `required` [m/s^2]. "
-    "Absent for all other verdicts, and if the driver does not avoid the collision.",
-    "perception": "How the ADS saw the others, if that was not perfect: the arguments of [`pafot.Perception`](ads.md), "
-    "without the perfect ones. Once it is known, also the list `needed` of the imperfections without which "
-    "the test does not fail; it is empty if the test also fails with perfect sight. A replay uses the sight "
-    "that the test gives now, and reports a difference.",
-    "original": "The scenario as first found, like `scenario`, if shrinking has replaced it by a simpler one.",
+    "scenario.traffic": "[The style](../explanation/traffic.md) in which the NPCs drive, or a mapping with changed "
+    "parts, `{style: everyday, least_gap: 4.0}`. If it is not given, they drive as in the paper.",
+    "scenario.npcs": "One list of [instructions](scenarios.md) per NPC: Position-Instructions `{cell, speed}`, "
+    "Lane-Instructions `{lane, speed}`, or one Crossing-Instruction `{zone, slot, speed, act}`. Speeds are in m/s.",
+    "expect.assertion": "The failing assertion without its message, with `N` for each number; for a failed check, the "
+    "name of the check.",
+    "expect.reference_drivers": "[The outcome](../explanation/findings.md#who-could-have-prevented-it) of each "
+    "reference driver: `avoids`, `hit`, `at-fault` or `fails`.",
+    "expect.check": "The `value` that the failed check measured, its bounds `at_most` and `at_least`, and its `unit`.",
+    "expect.situation": "Where the NPC of the failure was shortly before it, and how fast both were: the "
+    "[situation](../explanation/findings.md#what-a-replay-means) that must come up again for a pass to be a fix. "
+    "`npc`, `time` [s], `ahead` [m] (negative: behind), `lane` (counted from the ego's to the right), `ego_speed` and "
+    "`npc_speed` [m/s]; of a leader ahead in the ego's lane, `npc_speed` is the lowest speed from then to the failure. "
+    "Where ways meet, the times to the zone `npc_enters` and `ego_enters` [s] replace `ahead` and "
+    "`lane`.",
+    "expect.last_chance": "[The last chance](../explanation/findings.md#who-could-have-prevented-it): `time` [s], the "
+    "`driver`, and its `action` and the ego's, `ego_action`: acceleration [m/s^2] and steering [rad].",
+    "expect.avoided_by": "The last decision from which `braking` [m/s^2] avoids the collision, and its `time` [s].",
+    "expect.escaped_by": "How a `driver` that takes over at `time` avoids a collision for which the ego is excused: "
+    "its hardest `braking` [m/s^2], and `braking_from` when it brakes [s]; and what the rules would require: "
+    "`required` [m/s^2] from `due` on [s].",
+    "perception": "The arguments of [`pafot.Perception`](ads.md), if the ADS saw imperfectly, and `needed`: the "
+    "imperfections without which the test passes. A replay uses the sight that the test gives now, and reports a "
+    "difference.",
+    "original": "The scenario as first found, if shrinking has replaced it by a simpler one.",
     "shrunk.rollouts": "The number of runs that shrinking took.",
-    "shrunk.is_minimal": "True if all simpler scenarios on the lists were tried; false if the budget was spent first.",
-    "shrunk.speeds": "For each instruction, by `npc` and by the `gene` with which it begins, the speeds from "
-    "`low` to `high` "
-    "[m/s] at which the scenario still fails, everything else being equal. All tried speeds in between fail; "
-    "not all speeds were tried.",
-    "flaky": "What differed when the scenario was run again. Such a file is never called fixed. Remove the line when "
-    "the ADS drives a scenario in the same way each time.",
-    "xfail": "Your reason to accept the failure. Optional; the only line that you write by hand. With `{reason: ..., "
-    "until: 2027-01-31}` it is accepted up to that day, and counts from the next day on.",
+    "shrunk.is_minimal": "True if [all simpler candidates](../explanation/findings.md#how-a-finding-is-shrunk) were "
+    "tried.",
+    "shrunk.speeds": "For each instruction, by `npc` and by the `gene` with which it begins, the speeds from `low` to "
+    "`high` [m/s] at which the scenario still fails. Not all speeds between them were tried.",
+    "flaky": "What differed when the scenario was run again. Remove the line when the ADS drives a scenario in the "
+    "same way each time.",
+    "xfail": "[Your reason to accept the failure](../guide/triage.md#accept-a-failure-for-a-while); the only line that "
+    "you write by hand. With `{reason: ..., until: 2027-01-31}` it is accepted up to that day.",
 }
+"""Meanings of keys that no docstring explains for a reader of files, or only at length."""
 
 AT_THE_END = ("perception", "original", "shrunk", "flaky", "xfail")
 """Keys of a file that follow the keys of dataclasses. All are optional."""
@@ -185,22 +162,17 @@ def sections() -> dict[str, str]:
         "signals": _signals_table(),
         "check": _table(["Argument", "Meaning"], _arguments(check)),
         "temporal": _temporal_table(),
-        "properties": _ready_table(),
+        "properties": _ready_list(),
         "measure": _fields_table(Measure),
         "lane-change": _fields_table(EgoLaneChange),
         "passage": _fields_table(Passage),
-        "last-chance": _properties_table(LastChance),
-        "moment": _fields_table(Moment),
         "collision": _fields_table(Collision),
-        "ads-error": _fields_table(AdsError),
         "outcomes": _outcomes_table(),
-        "trace": _fields_table(Trace),
         "scenario": _fields_table(Scenario),
         "traffic": _traffic_table(),
         "instruction": _fields_table(PositionInstruction),
         "crossing-instruction": _fields_table(CrossingInstruction),
         "lane-instruction": _fields_table(LaneInstruction),
-        "cells": _cells_table(),
         "highway": _fields_table(Highway),
         "world": _fields_table(World),
         "limits": _fields_table(NpcLimits),
@@ -223,7 +195,9 @@ def sections() -> dict[str, str]:
         "compare": _command_table(add_arguments),
         "search-command": _command_table(add_search_arguments),
         "run-table": _columns_table(run_table.COLUMNS),
-        "results": _columns_table(algorithm_run.COLUMNS),
+        "results": _columns_table(
+            {name: text for name, text in algorithm_run.COLUMNS.items() if run_table.COLUMNS.get(name) != text}
+        ),
         "bisect": _command_table(add_bisect_arguments),
         "progress": _command_table(add_progress_arguments),
         "export": _command_table(add_export_arguments),
@@ -258,7 +232,7 @@ def _fields_table(cls: type[Any]) -> str:
     rows = [
         [
             _code(names),
-            *([", ".join(defaults.get(name, "") for name in names.split(", "))] if has_defaults else []),
+            *([", ".join(filter(None, map(defaults.get, names.split(", "))))] if has_defaults else []),
             text,
         ]
         for names, text in _attributes(cls)
@@ -324,6 +298,11 @@ def _first_paragraph(docstring: str | None) -> str:
     return _plain(" ".join(inspect.cleandoc(docstring or "").split("\n\n")[0].split()))
 
 
+def _value(function: Callable[..., Any]) -> str:
+    """Return the description of what a function returns."""
+    return _capital(_first_paragraph(function.__doc__).removeprefix("Return "))
+
+
 def _options_table() -> str:
     header = ["Command line, ini or toml key, variable, argument of the mark", "Default", "Meaning"]
     return _table(header, map(_option_row, OPTIONS))
@@ -334,10 +313,11 @@ def _option_row(option: Option) -> list[str]:
     argument = f"{option.name}=" if option.is_argument else ""
     elsewhere = (option.key, option.variable, argument) if option.everywhere else ("", "", "")
     choices = f" One of {_code(', '.join(option.choices))}." if option.choices else ""
+    place = f'<a id="{option.flag.removeprefix("--")}"></a>'
     return [
-        "<br>".join(f"`{name}`" for name in (flag, *elsewhere) if name),
+        place + "<br>".join(f"`{name}`" for name in (flag, *elsewhere) if name),
         _option_default(option),
-        option.help + choices,
+        " ".join(filter(None, [option.help, option.details])) + choices,
     ]
 
 
@@ -346,7 +326,13 @@ def _option_default(option: Option) -> str:
     if len(profiles) == len(PROFILES):
         return ", ".join(profiles)
     plain = "none" if option.default is None else f"`{option.default}`"
-    stated = {"seed": "fresh", "shrink_rollouts": "by the ADS", "population": "by the algorithm"}
+    stated = {
+        "seed": "random",
+        "shrink_rollouts": "by the ADS",
+        "population": "by the algorithm",
+        "memory": "by the machine",
+        "profile": "by the variable `CI`",
+    }
     return ", ".join([stated.get(option.name, plain), *profiles])
 
 
@@ -390,11 +376,6 @@ def _outcomes_table() -> str:
     texts = [value.value for value in after if isinstance(value, ast.Constant)]
     rows = [[f"`{outcome}`", str(text)] for outcome, text in zip(Outcome, texts, strict=True)]
     return _table(["Outcome", "Meaning"], rows)
-
-
-def _cells_table() -> str:
-    rows = [[str(int(cell)), cell.label, f"`pafot.Cell.{cell.name}`"] for cell in Cell]
-    return _table(["Number", "Place", "In code"], rows)
 
 
 def _file_table() -> str:
@@ -442,7 +423,7 @@ def _example() -> Finding:
 def _measures_table() -> str:
     functions = [getattr(criticality, name) for name in criticality.__all__]
     measures = [each for each in functions if inspect.isfunction(each) and next(iter(_parameters(each))) == "trace"]
-    return _table(["Measure", "Meaning"], [[f"`{each.__name__}`", _first_paragraph(each.__doc__)] for each in measures])
+    return _table(["Measure", "Meaning"], [[f"`{each.__name__}`", _value(each)] for each in measures])
 
 
 def _signals_table() -> str:
@@ -480,22 +461,23 @@ def _arguments(function: Callable[..., Any]) -> list[list[str]]:
 
 def _temporal_table() -> str:
     functions = (above, below, always, eventually, until)
-    rows = [
-        [f"`pafot.{each.__name__}({', '.join(_parameters(each))})`", _first_paragraph(each.__doc__)]
-        for each in functions
-    ]
+    rows = [[f"`pafot.{each.__name__}({', '.join(_parameters(each))})`", _value(each)] for each in functions]
     return _table(["Function", "Margin"], rows)
 
 
-def _ready_table() -> str:
-    rows = []
+def _ready_list() -> str:
+    entries = []
     for name in properties.__all__:
         function: Callable[..., Any] = getattr(properties, name)
         defaults = [each for each in inspect.signature(function).parameters.values() if each.name != "run"]
-        arguments = ", ".join(f"`{each.name}={_stated(each.default)}`" for each in defaults)
+        arguments = ", ".join(["run", *(f"{each.name}={_stated(each.default)}" for each in defaults)])
         paragraphs = [_plain(" ".join(each.split())) for each in inspect.cleandoc(function.__doc__ or "").split("\n\n")]
-        rows.append([f"`pafot.properties.{name}(run)`", " ".join(paragraphs), arguments])
-    return _table(["Property", "What it checks, and its source", "Arguments, all by keyword"], rows)
+        paragraphs = [each for each in paragraphs if not each.startswith("Raises:")]
+        text = re.sub(r"docs/([\w/]+/)([\w-]+)\.md", r"[\2](../\1\2.md)", " ".join(paragraphs))
+        lines = textwrap.wrap(text, 120, break_on_hyphens=False)
+        lines = [f"**`pafot.properties.{name}({arguments})`**", "", *lines]
+        entries.append("\n".join(lines))
+    return "\n" + "\n\n".join(entries) + "\n\n"
 
 
 def _stated(default: object) -> str:
@@ -507,7 +489,8 @@ def _strategies_table() -> str:
     for name in strategies.__all__:
         function: Callable[..., Any] = getattr(strategies, name)
         arguments = ", ".join(f"`{parameter}`" for parameter in _parameters(function))
-        rows.append([f"`pafot.strategies.{name}()`", _first_paragraph(function.__doc__), arguments])
+        what = _capital(_value(function).removeprefix("A strategy for "))
+        rows.append([f"`pafot.strategies.{name}()`", what, arguments])
     return _table(["Strategy", "Generates", "Arguments, all by keyword"], rows)
 
 

@@ -103,41 +103,28 @@ class SearchSummary:
 
     Attributes:
         node_id: node id of its item.
-        result: result of its item, with the same values as for a finding.
+        result: result of its item, as for a finding.
         message: why the item failed, in one line; empty if it did not.
-        reason: why the search ended; empty if it did not begin, or its process died.
-        algorithm: name of the algorithm.
-        profile: profile that the defaults came from.
-        base_seed: seed that repeats the search, with `--pafot-seed`.
-        seed: seed of this search, derived from the base seed.
+        reason: why the search ended; empty if it did not begin, its process died, or a decision of the ADS could not be
+            interrupted.
+        algorithm, profile: names of the algorithm and of the profile of defaults.
+        base_seed, seed: seed that repeats the search, with `--pafot-seed`, and the seed derived from it.
         generations: number of finished generations.
-        asked: number of requested generations; null if the number of runs is the limit.
-        budget: number of requested runs; null if the number of generations is the limit.
+        asked, budget: numbers of requested generations and of requested runs; null for the one that is no limit.
         runs: number of simulated scenarios.
         shrink_runs: number of runs that simplified the findings, in addition to `runs`.
-        known_runs: scenarios that were not run, because an earlier run showed what they do.
-        failing: runs in which the test failed.
-        invalid: runs in which two NPCs touched.
-        npc: runs that are not failures because the NPC is at fault.
-        unpreventable: runs that are not failures because no reference driver avoids them.
-        common: runs that are not failures because the reference fails as well.
-        rejected: runs that the test function declined with `pafot.reject()`.
-        skipped: runs in which the test function skipped.
-        no_interaction: runs in which no NPC came near the ego.
+        known_runs: number of scenarios that were not run again.
+        failing, invalid, npc, unpreventable, common, rejected, skipped, no_interaction: numbers of runs, as in the
+            summary; there `npc` is npc at fault, `unpreventable` is not preventable, `common` is failing with both.
         reached: share of instructions whose cell, lane or zone was reached; null if no run shows it.
         finds: ids of its new findings.
-        unsaved: number of runs by id of further findings, which were not saved because of the limit.
-        known: number of failing runs by id of the saved scenario that shows the same failure.
-        random_failing: number of the random scenarios at the beginning that failed by the ego's fault, which is a
-            collision for which the ego is responsible, alone or together with the NPC.
-        random_otherwise: number of the random scenarios that failed in any other way, such as by a check or an error of
-            the ADS.
-        random_runs: number of all random scenarios whose run says something about the ego.
-        drawn: the range of scenarios from which the search sampled, in one line.
-        coverage: one line on the share of instructions that the runs reached.
-        against: the reference that failures were compared with; empty without a reference.
-        warnings: warnings about its health.
-        notes: any other remarks, except those on processes, which only the terminal shows.
+        unsaved: number of runs by id of further findings, beyond `--pafot-max-saved`.
+        known: number of failing runs by id of the saved scenario with the same failure.
+        random_failing, random_otherwise, random_runs: numbers of random scenarios at the beginning: those that failed
+            by the ego's fault, those that failed in any other way, and all.
+        drawn, coverage: a line on the range of scenarios from which the search sampled, and one on what NPCs reached.
+        against: the reference that failures were compared with; empty without one.
+        warnings, notes: warnings about its health, and all other remarks except those on processes.
     """
 
     node_id: str

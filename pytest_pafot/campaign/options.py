@@ -15,7 +15,7 @@ from pathlib import Path, PurePath
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 from pytest_pafot.corpus.layout import CORPUS
-from pytest_pafot.support.errors import RequestError, flag
+from pytest_pafot.support.errors import RequestError, flag, page
 
 if TYPE_CHECKING:
     from pytest_pafot.searching.ask_tell import Algorithm
@@ -48,11 +48,12 @@ BUDGETS = ("runs", "generations")
 
 
 class Option(NamedTuple):
-    """An option: type, default, help, and the names ``--pafot-<name>``, ``pafot_<name>`` and ``PAFOT_<NAME>``."""
+    """An option: type, default, texts, and the names ``--pafot-<name>``, ``pafot_<name>`` and ``PAFOT_<NAME>``."""
 
     name: str
     kind: Kind
-    help: str
+    help: str  # one sentence, for the terminal and the reference documentation
+    details: str = ""  # what else the reference documentation says, in Markdown
     default: object = None
     least: float = 0  # the smallest accepted number
     most: float = SEED_LIMIT - 1  # the largest accepted whole number
@@ -65,6 +66,11 @@ class Option(NamedTuple):
     def flag(self) -> str:
         """The option's name on the command line, such as ``--pafot-max-time``."""
         return flag(self.name)
+
+    @property
+    def link(self) -> str:
+        """The place of the option's row in the reference documentation."""
+        return f"{page('reference/options.md')}#{self.flag.removeprefix('--')}"
 
     @property
     def key(self) -> str:
@@ -100,14 +106,14 @@ class Option(NamedTuple):
         return typed
 
 
-def option(kind: Kind, text: str, default: object = None, **known: Any) -> Any:
+def option(kind: Kind, text: str, details: str = "", *, default: object = None, **known: Any) -> Any:
     """Return the field of :class:`Settings` for an option; further keyword arguments are fields of :class:`Option`."""
-    return field(default=default, metadata={"kind": kind, "help": text, **known})
+    return field(default=default, metadata={"kind": kind, "help": text, "details": details, **known})
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Settings:
-    """All options: of each its type, help and default, and in a value of this class the value for one item.
+    """All options: of each its type, texts and default, and in a value of this class the value for one item.
 
     Only the controller reads the options that are given for a session alone (``everywhere=False``). Without them an
     item's value has their defaults. ``seed`` is the base seed, which a value always has.
@@ -115,68 +121,68 @@ class Settings:
 
     runs: int | None = option(
         "integer",
-        "Number of runs after which each search ends, even within a generation. Default: 40, or 400 in the profile ci; "
-        "none if --pafot-generations is given.",
+        "Number of runs after which each search ends.",
+        "A search can end within a generation.",
         least=1,
     )
     generations: int | None = option(
         "integer",
-        "Number of generations of each search; 0 only replays saved scenarios. Default: none, so the number of runs "
-        "decides.",
+        "Number of generations after which each search ends; 0 only replays saved scenarios.",
     )
     population: int | None = option(
         "integer",
-        "Scenarios per generation. Default: 16 for distinct, and 64 from the second generation on if the ADS decides "
-        "for many runs at once with `batch` (not used with --pafot-isolate, decision_limit or an executor); 4 for the "
-        "other algorithms. At most 10000, since all scenarios of a generation are in memory at once.",
+        "Number of scenarios in each generation, at most 10000.",
+        "The default is 16 for `distinct` and 4 for the other built-in ones. For an ADS that decides for many runs at "
+        "once with `batch`, `distinct` has 64 from the second generation on, except with `--pafot-isolate`, a "
+        "`decision_limit` or an executor.",
         least=2,
         most=10_000,
     )
     seed: int = option(
         "integer",
-        "Base seed; each search derives its own seed from it and its node id. Default: random, but 0 in the profile ci "
-        "and with --pafot-resume.",
+        "Base seed, from which each search derives its own seed.",
+        "With `--pafot-resume` the default is 0.",
     )
     algorithm: str | type[Algorithm[Any]] = option(  # noqa: RUF009  (it returns a field)
         "text",
-        "Search algorithm: pafot is the paper's (genetic, with local fuzzer and restarts); distinct is the same, but "
-        "searches for other failures after it has found one; the others are baselines, the last three of which "
-        "need pytest-pafot[search]. Or module:Class for your own algorithm.",
+        "Search algorithm, such as distinct, pafot or random; or module:Class for your own algorithm.",
+        "`pafot` is the paper's: genetic, with local fuzzer and restarts. `distinct` is genetic, too, and searches for "
+        "other failures after it has found one. The others are baselines, the last three of which need "
+        "`pytest-pafot[search]`.",
         default="distinct",
         choices=("distinct", "pafot", "av-fuzzer", "random", "random-manoeuvre", "nsga2", "map-elites", "cma-es"),
         or_class=True,
     )
     against: str | Callable[..., Any] | None = option(  # noqa: RUF009  (it returns a field)
         "text",
-        "A reference, such as the policy before a change: rev:REVISION for the test's policy in another revision of "
-        "the repository, such as rev:main; or the module:factory[:argument] of a second ADS; or in the mark also the "
-        "factory or the name of its fixture. A failure then counts only if the reference passes the same scenario; the "
-        "reference runs only if the ADS fails.",
+        "Count only failures that this reference passes: rev:REVISION, or module:factory for a second ADS.",
+        "`rev:main` is the policy of the test in that revision of the repository. The mark also takes a factory or "
+        "the name of its fixture. The reference runs only if the ADS fails.",
         or_class=True,
     )
     copy: str | None = option(
         "text",
-        "Files and folders that the policy of --pafot-against=rev:REVISION needs and git ignores, such as weights: "
-        "paths relative to the current folder, with spaces between them, quoted as in a shell.",
+        "Files and folders that --pafot-against=rev:REVISION needs and git ignores, such as weights.",
+        "Paths are relative to the current folder, with spaces between them, quoted as in a shell.",
     )
     max_time: float | None = option(
         "seconds",
-        "Limit of wall-clock time of each search [s], including shrinking and reference drivers, for which a search "
-        "with findings reserves a third. It ends a run before its next decision. A search that this limit cuts is not "
-        "reproducible.",
+        "Limit of wall-clock time of each search [s].",
+        "It includes shrinking and reference drivers, for which a search with findings reserves a third of the time. "
+        "It ends a run before its next decision. A search that this limit cuts is not reproducible.",
     )
     total_time: float | None = option(
         "seconds",
-        "Limit of wall-clock time for all searches of the session [s], from its start; each search gets an equal share "
-        "of the time left when it begins, including shrinking as with --pafot-max-time. A search that this limit cuts "
-        "is not reproducible.",
+        "Limit of wall-clock time of all searches together [s].",
+        "It counts from the start of the session. Each search gets an equal share of the time left when it begins, as "
+        "its `--pafot-max-time`.",
         is_argument=False,
     )
     resume: str | None = option(
         "text",
-        "Folder for the states of searches. A search with a state there resumes where it stopped, with a new budget of "
-        "runs, generations and time. Several sessions find the same as one long one. Works with distinct, random, "
-        "random-manoeuvre, or your own algorithm if it supports it.",
+        "Folder of the states of searches, in which each search continues where it stopped.",
+        "A search continues with a new budget of runs, generations and time. Several sessions find the same as one "
+        "long one. Works with `distinct`, `random`, `random-manoeuvre`, or your own algorithm if it supports it.",
     )
     stop_after: int | None = option(
         "integer",
@@ -185,12 +191,13 @@ class Settings:
     )
     shrink_rollouts: int | None = option(
         "integer",
-        "Largest number of runs to shrink each new finding; 0 leaves findings as they were found. Default: 3000 if the "
-        "ADS is a vehicle class that the kernel drives, otherwise 300.",
+        "Largest number of runs to shrink each new finding; 0 leaves findings as they were found.",
+        "The default is 3000 if the ADS is a vehicle class that the kernel drives, otherwise 300.",
     )
     max_saved: int = option(
         "integer",
-        "Largest number of saved scenarios of each test; more new findings are counted and named, but not saved.",
+        "Largest number of saved scenarios of each test.",
+        "More new findings are counted and named, but not saved.",
         default=20,
         least=1,
     )
@@ -201,89 +208,95 @@ class Settings:
     )
     save: str = option(
         "text",
-        "Which findings are written to the corpus.",
+        "Which findings are written to the corpus: the new ones, or none.",
         default="new",
         choices=("new", "none"),
     )
     workers: int = option(
         "workers",
-        "Number of processes that simulate the scenarios of a generation if runs take long; auto is one for each core. "
-        "The findings are the same. Always 1 under pytest-xdist.",
+        "Number of processes that simulate the scenarios of a generation, or auto for one for each core.",
+        "Several are faster if runs take long. The findings are the same. Always 1 under pytest-xdist.",
         default=1,
         least=1,
         most=MOST_WORKERS,
     )
     isolate: bool = option(
         "switch",
-        "Run the ADS only in other processes: an ADS that ends its process is a finding, and the session goes on. The "
-        "findings are the same; for an ADS with `batch`, only if the population is given.",
+        "Run the ADS only in other processes, so that an ADS that ends its process is a finding.",
+        "The session goes on after such an end. The findings are the same; for an ADS with `batch`, only if the "
+        "population is given.",
         default=False,
     )
     memory: int | None = option(
         "integer",
-        "Memory [MB] that a process of --pafot-isolate or --pafot-workers may use in addition to what it starts with; "
-        "0 for no limit. Beyond it allocations fail, which is a finding. Default: three quarters of the machine's "
-        "memory, shared among the workers, but at least 2048. Only on Linux.",
+        "Memory [MB] that a process of --pafot-isolate or --pafot-workers may use; 0 for no limit.",
+        "It counts in addition to what the process starts with. Beyond it allocations fail, which is a finding. The "
+        "default is three quarters of the machine's memory, shared among the workers, but at least 2048. Only on "
+        "Linux.",
     )
     dask: str | None = option(
         "address",
-        "Simulate the scenarios of a generation on the workers of the Dask scheduler at ADDRESS; needs "
-        "pytest-pafot[dask]. The findings are the same; for an ADS with `batch`, only if the population is given.",
+        "Simulate the scenarios of a generation on the workers of the Dask scheduler at ADDRESS.",
+        "Needs `pytest-pafot[dask]`. The findings are the same; for an ADS with `batch`, only if the population is "
+        "given.",
         everywhere=False,
         is_argument=False,
     )
     report: str | None = option(
         "page",
-        "Write the findings to FILE.html as one web page, or to the folder DIR/ as a page with an animation of each. "
+        "Write the findings to FILE.html as one web page, or to the folder DIR/ with an animation of each.",
         "Of more than 100 findings, the worst 100 are whole, and the others are rows of a table.",
     )
     json: str | None = option(
         "file",
-        "Write the results of the session to FILE, for programs: searches, findings, their files and the exit code.",
+        "Write the results of the session to FILE as JSON.",
+        "[These are its keys](results.md).",
         everywhere=False,
         is_argument=False,
     )
     table: str | None = option(
         "table",
-        "Write a row for each scenario that the searches tried, failed or not, to FILE.csv or FILE.parquet.",
+        "Write a row for each scenario that the searches tried to FILE.csv or FILE.parquet.",
+        "[These are its columns](results.md).",
         everywhere=False,
         is_argument=False,
     )
     merge: Sequence[str] | None = option(
         "folders",
-        "Merge the saved scenarios of another machine's corpus DIR into this corpus, instead of searches and replays: "
-        "each is run, and the simplest of each kind of failure is stored. May be given several times.",
+        "Merge the saved scenarios of another machine's corpus DIR into this one, instead of searching.",
+        "Each is run, and the simplest of each kind of failure is stored. May be given several times.",
         everywhere=False,
         is_argument=False,
     )
     today: str | None = option(
         "day",
-        "Compare the last days of accepted failures (`xfail` with `until`) with this day instead of today, to see "
-        "which failures will be reported on that day.",
+        "Compare the last days of accepted failures with this day instead of today.",
+        "The session then shows which of them will be reported on that day.",
         everywhere=False,
         is_argument=False,
     )
     profile: str = option(
         "text",
-        "Set of defaults: ci (400 runs, seed 0; automatic if CI is set) or local (40 runs, random seed).",
+        "Set of defaults: ci (400 runs, seed 0) or local (40 runs, random seed).",
         choices=tuple(PROFILES),
     )
     strict_drift: bool = option(
         "switch",
-        "Fail saved scenarios that pass with other versions of packages than in their file, or although the situation "
-        "of their failure did not occur.",
+        "Fail saved scenarios that pass, but may no longer test what they were saved for.",
+        "They have [drifted](items.md#items-labels-and-exit-codes).",
         default=False,
     )
     strict_health: bool = option(
         "switch",
-        "Fail searches with a health warning, such as scenarios without any interaction; and fail a session whose "
-        "saved scenarios have lost their test, as the variable CI does.",
+        "Fail searches with a health warning, such as scenarios without any interaction.",
+        "Also fails a session whose saved scenarios have lost their test, as the variable `CI` does.",
         default=False,
     )
     allow_orphans: bool = option(
         "switch",
-        "Let a session pass whose saved scenarios have lost their test, even with CI or --pafot-strict-health: for "
-        "projects that share a corpus, or a job that has only some of the tests. The summary still names them.",
+        "Let a session pass whose saved scenarios have lost their test.",
+        "Also with `CI` or `--pafot-strict-health`: for projects that share a corpus, or a job that has only some of "
+        "the tests. The summary still names them.",
         default=False,
         is_argument=False,
     )

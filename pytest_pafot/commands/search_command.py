@@ -24,7 +24,7 @@ from pytest_pafot.campaign.request import BLAMES
 from pytest_pafot.commands.policy_reference import ABOUT_POLICIES, BAD_USE, ads_factory, check_function, whole_name
 from pytest_pafot.corpus.layout import CORPUS, files_below
 from pytest_pafot.model.driving_style import STYLES
-from pytest_pafot.support.errors import OF_SEARCH, RequestError, flag
+from pytest_pafot.support.errors import OF_SEARCH, RequestError, flag, page
 from pytest_pafot.support.files import way_out, write_if_free
 from pytest_pafot.support.interrupts import Ended, undisturbed
 from pytest_pafot.support.text import one_line, visible
@@ -74,7 +74,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         if option.name not in (*OWN, "corpus", "allow_orphans"):
             given: dict[str, Any] = {"nargs": 0 if option.kind == "switch" else None, "help": argparse.SUPPRESS}
             parser.add_argument(option.flag, action=_ForPytest, dest="options", default=[], **given)
-    of_others = f"The options of this package for pytest, such as {flag('isolate')}, are options here, too."
+    of_others = f"The options of this package for pytest, such as {flag('isolate')}, are options here, too: see "
+    of_others += f"{page('reference/options.md')}."
     of_exit = "The exit code is 1 if the search has found something or failed, 2 for wrong arguments, else 0."
     parser.epilog = f"{ABOUT_POLICIES} {of_others} {of_exit}"
     parser.usage = "%(prog)s ADS [option ...] [-- option of pytest ...]"

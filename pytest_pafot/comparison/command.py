@@ -26,7 +26,7 @@ from pytest_pafot.world.highway import LANE_COUNTS
 from pytest_pafot.world.protocol import road_start
 
 LIBRARIES = ("matplotlib", "pandas", "scipy")
-SAMPLED_GENES = "sampled, or 10 in the paper's scenarios; on a bent road about 10"
+SAMPLED_GENES = "sampled, or 10 in the paper's scenarios; on a bent road 3, and at most 10 in the paper's scenarios"
 START = " in the paper's scenarios and with --env, otherwise sampled; on a bent road, the environment's"
 
 

@@ -221,10 +221,8 @@ class EgoLaneChange:
         tick: first tick in the new lane.
         time: time of that tick [s].
         from_lane, to_lane: indices of the old and the new lane, 0 at the left.
-        gap_ahead: gap along the road to the nearest NPC ahead whose centre is in the new lane [m]; 0 side by side, inf
-            if there is none.
-        gap_behind: gap along the road to the nearest NPC behind whose centre is in the new lane [m]; inf if there is
-            none.
+        gap_ahead, gap_behind: gaps along the road to the nearest NPC ahead and behind whose centre is in the new lane
+            [m]; 0 side by side, inf if there is none.
     """
 
     tick: int
@@ -309,8 +307,8 @@ MEASURES = (
     Measure("npcs.ttc", "s", "low", "time to contact with the ego at constant velocity, of the boxes; inf if there is "
             "none (Hayward 1972)", partial(_npcs, ttc)),
     Measure("npcs.time_advantage", "s", "low", "time between the exit of ego or NPC from the zone where their ways "
-            "meet and the entry of the other, if both keep their speed; 0 if both would be there at the same time, inf "
-            "if one would never arrive, and without a zone (Laureshyn and others 2010)",
+            "meet and the entry of the other, if both keep their speed; 0 if both would be there at once, inf if one "
+            "would never arrive, and without a zone (Laureshyn and others 2010)",
             partial(_npcs, time_advantage)),
 )  # fmt: skip
 """The measures of every run, named like the attributes ``run.headway``, ``run.ego.jerk`` and ``run.npcs[0].ttc``.

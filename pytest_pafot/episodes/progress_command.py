@@ -482,22 +482,19 @@ def _replayed(plan: ProgressPlan, file: Path) -> PairRow:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of the command."""
     of_whom = "module:factory or module:factory:argument, such as policy:make:old.zip"
-    of_old = (
-        f"the old version of the policy: {of_whom}; or {REVISION}REVISION, such as {REVISION}main: NEW as it is there"
-    )
+    of_old = f"the old version: {of_whom}; or {REVISION}REVISION, such as {REVISION}main: NEW as it is there"
     parser.add_argument("old", metavar="OLD", help=of_old)
     parser.add_argument("new", metavar="NEW", help="the new version, in the same form")
-    of_world = "a highway-env environment, in which its policies drive; also compare crashes in its ordinary traffic. "
-    of_world += f"Write {PLANNER} after both names if the policies are planners in SI units (default: a highway in SI "
-    of_world += "units, without ordinary traffic)"
+    of_world = "a highway-env environment in which its policies drive, also in its ordinary traffic; for planners in "
+    of_world += f"SI units write {PLANNER} after both names (default: a highway in SI units, without ordinary traffic)"
     parser.add_argument("--world", default="", metavar="ID", help=of_world)
     parser.add_argument("--config", metavar="JSON", help="options of the environment, as for gymnasium.make")
     of_copy = f"with {REVISION}REVISION, files and folders that the policy needs and git ignores, such as weights"
     parser.add_argument("--copy", nargs="+", default=[], metavar="PATH", help=of_copy)
-    of_scenarios = "the number of random scenarios, and of runs of each search for what only one version fails "
+    of_scenarios = "random scenarios, and runs of each search for what only one version fails "
     of_scenarios += "(default: %(default)s)"
     parser.add_argument("--scenarios", type=int, default=200, metavar="N", help=of_scenarios)
-    of_episodes = f"the number of episodes of ordinary traffic, with --world (default: {EPISODES})"
+    of_episodes = f"episodes of ordinary traffic, with --world (default: {EPISODES})"
     parser.add_argument("--episodes", type=int, metavar="N", help=of_episodes)
     of_corpus = f"the folder of saved scenarios to replay (default: {CORPUS}, if it exists here)"
     parser.add_argument("--corpus", type=Path, metavar="FOLDER", help=of_corpus)

@@ -96,36 +96,33 @@ class Expect:
     A corpus file has the fields in this order.
 
     Attributes:
-        failure: name of the exception class.
+        failure: name of the exception class; `ProcessCrash` if the process died, `SlowDecision` if a decision took too
+            long.
         assertion: the assertion, normalised as in :class:`~pytest_pafot.findings.signature.Signature`.
         check: measured value of the failed check, whose name is in ``assertion``; None if no check failed.
-        message: first line of the exception's message, without addresses, process ids and temporary folders; empty if
-            ``assertion`` already says it.
+        message: first line of the exception's message; empty if ``assertion`` already says it.
         outcome: how the run ended.
         time: time of the event [s]: the time of the failed check if it has a time, otherwise
             :attr:`~pytest_pafot.oracle.run.Run.event_time`.
-        npc, cell: NPC and its cell at the collision or, without a collision, at the smallest time to contact; None if
-            there is no such moment. For a failed check without a collision, the NPC that the check names, and no cell.
-        zone: zone in which the NPC crossed the ego's way, such as ``crossing from the left``; None if it did not
-            cross.
-        side: side of the ego that was hit; None without a collision.
+        npc, cell: NPC and its cell at the collision, otherwise at the smallest time to contact; for a failed check
+            without a collision, the NPC that the check names, and no cell.
+        zone: zone in which the NPC crossed the ego's way, such as ``crossing from the left``.
+        side: side of the ego that was hit.
         situation: situation from which the failure arose; a replay that passes shows a fix only if this situation comes
             up. None if no NPC was involved, and in files from older versions.
-        responsibility: who caused the collision.
-        fault: rule by which the ego is responsible; None if it is not.
-        mistake: what the ego did wrong when it entered a lane, by the place of the other vehicle; None for any other
-            fault, which says it, and in files from older versions.
-        npc_manoeuvre, ego_manoeuvre: manoeuvres shortly before the collision; None without a collision.
+        responsibility: who is responsible for the collision.
+        fault: rule by which the ego is responsible.
+        mistake: for the fault ``entered-lane``, what the ego did wrong, by the place of the other vehicle.
+        npc_manoeuvre, ego_manoeuvre: manoeuvres shortly before the collision.
         reference_drivers: outcome of each reference driver in the ego's place; empty if the comparison makes no sense.
         last_chance: the last time from which a reference driver would have stayed free of fault; None if there is none.
         avoided_by: the last decision from which braking avoids the collision in simulation; None if there is none.
         escaped_by: how a reference driver avoids a collision for which the rules left the ego too little time; None if
             it does not, and for any other failure.
-        against: the reference that passed the scenario, as ``module:factory``, as the name of a fixture, or as a
-            revision and its commit, such as ``rev:main (1a2b3c4)``; empty without a reference, or if its factory has no
-            such name.
-        traceback: traceback of an ADS that raised, without addresses, process ids and temporary folders; otherwise
-            empty.
+        against: the reference that passed the scenario, such as ``module:factory`` or ``rev:main (1a2b3c4)``; empty
+            without a reference, or if it has no such name.
+        traceback: traceback of an ADS that raised. It and ``message`` have no addresses, process ids and temporary
+            folders.
     """
 
     failure: str
@@ -263,8 +260,8 @@ class Found:
         generation: generation of the search that found it, counted from 0.
         algorithm: name of the search.
         versions: versions of the packages that the run depends on.
-        weights: ``sha256:`` and a hash of the policy, if its factory provides a hash (``pafot.policies``). A replay
-            reports if the hash of the present policy is different.
+        weights: ``sha256:`` and a hash of the policy, if its factory provides one (``pafot.policies``). A replay
+            reports a difference.
     """
 
     seed: int

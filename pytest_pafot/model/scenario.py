@@ -134,8 +134,7 @@ class LaneInstruction:
 
 
 Act = Literal["pass", "hold", "stop", "late"]
-"""What an NPC does at its zone. ``"pass"``: drive through it. ``"hold"``: wait at the line before it until the ego has
-passed. ``"stop"``: stop in it. ``"late"``: wait at the line, and drive in at the time that the slot says."""
+"""What an NPC does at its zone; see :class:`CrossingInstruction`."""
 
 ACTS: tuple[Act, ...] = get_args(Act)
 
@@ -157,11 +156,12 @@ class CrossingInstruction:
     Attributes:
         zone: entry and exit of the NPC's way, such as ``"o1>o3"``; the zone is where that way first meets the ego's.
         slot: time between the two vehicles at the zone [s], from -5 to 5 in steps of 0.1. Positive: from the ego's exit
-            until the NPC's entry. Negative: from the NPC's exit until the ego's entry. 0: both are in the zone at the
-            same time.
+            until the NPC's entry. Negative: from the NPC's exit until the ego's entry. 0: both are there together.
         speed: speed of the NPC up to the zone and in it, lower if a bend requires it [m/s], more than 0, in steps of
             0.1.
-        act: what the NPC does at the zone.
+        act: what the NPC does at the zone. ``"pass"``: drive through it. ``"hold"``: wait at the line before it until
+            the ego has passed. ``"stop"``: stop in it. ``"late"``: wait at the line, and drive in at the time that the
+            slot says.
     """
 
     zone: str
@@ -241,10 +241,9 @@ class Scenario:
         npcs: chains of one to eight NPCs, one non-empty chain per NPC; lengths may differ. After its last gene an NPC
             keeps its lane and speed (paper, section 2). Each NPC has Position-Instructions, Lane-Instructions or one
             Crossing-Instruction.
-        seed: seed of all random choices in the run, such as those that repair chains and the noise of the sight, 0 to
-            2**63 - 1.
+        seed: seed of all random choices in the run, 0 to 2**63 - 1.
         ego_lane: the ego's first lane, counted from 0 at the left.
-        ego_speed: first speed of the ego and of all NPCs that do not cross [m/s].
+        ego_speed: first speed of the ego, and of all NPCs that do not cross unless a bend makes them slower [m/s].
         gene_seconds: duration of one gene [s].
         traffic: driving style of the NPCs; the paper's by default.
 

@@ -44,7 +44,7 @@ class Outcome(StrEnum):
     INVALID = "invalid"
     """Two NPCs touched; the run says nothing about the ego and ended there."""
     ADS_ERROR = "ads_error"
-    """The ADS raised an exception, or returned something that is not a valid action; the run ended there."""
+    """The ADS raised an exception or returned no valid action; the run ended there."""
     HANG = "hang"
     """One decision of the ADS took longer than the hang limit, which is in wall-clock time."""
 
@@ -82,8 +82,8 @@ class Collision:
         cell: cell of the NPC's centre at the impact, or before it if the centre was already in the ego's own cell. None
             if an NPC that crosses was not on the ego's way.
         ego_speed, npc_speed: speeds at the impact [m/s].
-        closing_speed: magnitude of the difference of the two velocities [m/s]. The velocities include the slip of a
-            turning vehicle, which does not move exactly along its heading.
+        closing_speed: magnitude of the difference of the two velocities [m/s], which include the slip of a turning
+            vehicle.
     """
 
     tick: int
@@ -105,12 +105,12 @@ class AdsError:
     """An error of the ADS, which did not return an action.
 
     Attributes:
-        kind: name of the exception class; ``BadAction`` if the action was not valid, ``Hang`` if the decision took too
-            long.
+        kind: name of the exception class; ``BadAction`` for an action that is not valid, ``Hang`` for a decision that
+            took too long.
         message: message of the error, one line.
         traceback: traceback through the user's code; empty for a bad action.
         tick: physics tick of the decision.
-        interrupted: whether the ADS hung and was interrupted instead of raising by itself.
+        interrupted: whether the ADS hung and was interrupted.
     """
 
     kind: str
@@ -126,8 +126,8 @@ class Trace(Shown):
 
     Attributes:
         scenario: the scenario as requested.
-        executed: the scenario with the chains as driven, after the repair inside the run. Genes that the run did not
-            reach are as requested. A run of this scenario gives the same trace.
+        executed: the scenario as driven, after the repair inside the run; a run of it gives the same trace. Genes that
+            the run did not reach are as requested.
         outcome: how the run ended.
         collision: the collision; None unless the outcome is ``collision``.
         error: the error of the ADS; None unless the outcome is ``ads_error`` or ``hang``.
@@ -144,15 +144,14 @@ class Trace(Shown):
         arrivals: for each NPC and each gene that was started, the tick at which the NPC reached the target, or None.
         off_road_tick: first tick with the ego's centre off the road, or None.
         max_decision_seconds: longest decision of the ADS in wall-clock time [s]; not reproducible.
-        track: positions of the vehicles on a road that is not straight; float64, read-only, shape
-            [ticks + 1, vehicles, 5] with columns: along the ego's way [m], across it to the right [m], angle to it
-            [rad], offset from the centre of the vehicle's lane [m], metres that the vehicle drives per metre of the
-            way (more on the outside of a bend). NaN for an NPC that crosses, while it is not on the ego's way. None on
-            straight roads, where ``lanes`` is enough.
-        zones: for each NPC the zone in which its way meets the ego's, None for an NPC that does not cross; empty if no
+        track: None on straight roads; otherwise float64, read-only, shape [ticks + 1, vehicles, 5] with columns: along
+            the ego's way [m], across it to the right [m], angle to it [rad], offset from the centre of the vehicle's
+            lane [m], metres that the vehicle drives per metre of the way (more on the outside of a bend). NaN for an
+            NPC that crosses, while it is not on the ego's way.
+        zones: for each NPC the zone in which its way meets the ego's, None for an NPC that does not cross. Empty if no
             NPC crosses.
-        on_way: position of each NPC that crosses, along its own way [m]; float64, read-only, shape [ticks + 1, NPCs],
-            NaN for NPCs that do not cross. None if no NPC crosses.
+        on_way: position of each NPC that crosses, along its own way [m], or None if no NPC crosses; float64, read-only,
+            shape [ticks + 1, NPCs]. NaN for NPCs that do not cross.
         driven: for each NPC and started gene, the cell that the NPC drove to. It differs from ``executed`` if cells
             that the road does not have were skipped, which no chain can express. Empty if it equals ``executed``.
     """

@@ -73,8 +73,8 @@ class Moment:
         npc: index of the NPC in the scenario.
         tick: physics tick.
         time: time of that tick [s].
-        cell: cell of the NPC's centre, or if the centre is in the ego's own cell, the last cell before. None if there
-            is no such cell, and for an NPC that crosses while it is not on the ego's way.
+        cell: cell of the NPC's centre, or the last one before if the centre is in the ego's own cell. None if there is
+            no such cell, and for an NPC that crosses while it is not on the ego's way.
     """
 
     npc: int
@@ -129,12 +129,11 @@ class Run(Shown):
 
     Attributes:
         trace: record of the run, tick by tick.
-        decision_limit: longest allowed decision of the ADS [s], or None for no limit; see :attr:`too_slow`.
-        world: world of the run, if it has reference drivers, else None; see :attr:`reference_drivers`.
-        take_over: function that repeats the run with a reference driver that takes over in the middle, or None; see
-            :attr:`last_chance`.
-        avoided_by: last decision from which braking avoids the collision in simulation, if that is known: a search
-            finds it out for its findings. The sentences then require no braking that would come later.
+        decision_limit: longest allowed decision of the ADS [s], or None for no limit.
+        world: world of the run if it has reference drivers, else None.
+        take_over: function that repeats the run with a reference driver that takes over in the middle, or None.
+        avoided_by: last decision from which braking avoids the collision in simulation, which a search finds out for
+            its findings. The sentences then require no braking that would come later.
     """
 
     trace: Trace
@@ -174,7 +173,7 @@ class Run(Shown):
 
     @property
     def ads_error(self) -> AdsError | None:
-        """The error because of which the ADS returned no action; None without an error."""
+        """The error because of which the ADS returned no action, or None."""
         return self.trace.error
 
     @property
@@ -189,12 +188,12 @@ class Run(Shown):
 
     @property
     def max_decision_time(self) -> float:
-        """The duration of the ADS's longest decision in wall-clock time [s]; not reproducible."""
+        """The wall-clock time of the ADS's longest decision [s]; not reproducible."""
         return self.trace.max_decision_seconds
 
     @property
     def too_slow(self) -> bool:
-        """True if a decision took longer than ``decision_limit`` in wall-clock time; False without a limit."""
+        """True if a decision took longer than ``decision_limit``; False without a limit."""
         return self.decision_limit is not None and self.max_decision_time > self.decision_limit
 
     # How dangerous it was for the ego: over all ticks and NPCs.
@@ -255,12 +254,12 @@ class Run(Shown):
 
     @cached_property
     def lane_changes(self) -> tuple[EgoLaneChange, ...]:
-        """The ego's lane changes: their times, the old and new lanes, and the gaps ahead and behind in the new lane."""
+        """The ego's lane changes, in the order of their times."""
         return ego_lane_changes(self.trace)
 
     @cached_property
     def passages(self) -> tuple[Passage, ...]:
-        """The times at which the ego and each NPC that crosses were in the zone of their ways; empty if no NPC crosses.
+        """The times at which the ego and each NPC that crosses were in the zone of their ways.
 
         ``min((each.post_encroachment_time for each in run.passages), default=math.inf)`` is the time by which the ego
         and crossing traffic missed each other.
@@ -302,7 +301,7 @@ class Run(Shown):
 
     @property
     def responsibility(self) -> str | None:
-        """The responsibility for the collision, ``"ego"``, ``"npc"`` or ``"both"``; None if neither is responsible."""
+        """The responsibility for the collision, ``"ego"``, ``"npc"`` or ``"both"``, or None."""
         verdict = self.attribution.responsibility
         return None if verdict == "none" else verdict
 
@@ -317,7 +316,7 @@ class Run(Shown):
 
     @property
     def preventable_by(self) -> tuple[str, ...]:
-        """The names of the reference drivers that would have prevented the collision in the ego's place.
+        """The names of the reference drivers that would have prevented the collision.
 
         They avoid the collision; if the ego is responsible for it, they may also be hit without being at fault.
 
@@ -340,7 +339,7 @@ class Run(Shown):
         return {name: reference_outcome(run, fails=run.collision is not None) for name, run in runs}
 
     def by_reference_drivers(self, names: Sequence[str] | None = None) -> Iterator[tuple[str, Run]]:
-        """Yield the name of each reference driver, with a run of the same scenario with that driver in the ego's place.
+        """Yield the name of each reference driver, with the run of that driver in the ego's place.
 
         ``names`` are some of the world's drivers; by default all.
 
@@ -430,7 +429,7 @@ class Run(Shown):
         return None if event is None else event.cell
 
     def zone_of(self, event: Collision | Moment) -> Zone | None:
-        """Return the zone of an event's NPC, if that NPC crosses; else None, as for an NPC that has merged and left it.
+        """Return the zone of an event's NPC if that NPC crosses, else None.
 
         After an NPC has merged and left the zone, it is on the ego's way like any other NPC.
         """
@@ -440,9 +439,10 @@ class Run(Shown):
         return zone if event.cell is None or on_way[event.tick, event.npc] <= zone.npc[1] else None
 
     def place_of(self, event: Collision | Moment) -> str:
-        """Return the place of an event's NPC in words; empty if the NPC never left the ego's own cell.
+        """Return the place of an event's NPC in words, such as ``in cell 2 (front)``.
 
-        For example ``in cell 2 (front)``, or ``from the left in the zone o1>o3`` for an NPC that crosses.
+        For an NPC that crosses, it is such as ``from the left in the zone o1>o3``. It is empty if the NPC never left
+        the ego's own cell.
         """
         zone, on_way = self.zone_of(event), self.trace.on_way
         if zone is None or on_way is None:

@@ -128,6 +128,16 @@ class Collection:
         return found.values()
 
     @pytest.hookimpl(wrapper=True)
+    def pytest_make_collect_report(
+        self, collector: pytest.Collector
+    ) -> Generator[None, pytest.CollectReport, pytest.CollectReport]:
+        """Note every module that was collected, also one in which no test is left."""
+        report = yield
+        if isinstance(collector, pytest.Module) and report.passed:
+            self._collected.files.add(collector.path)
+        return report
+
+    @pytest.hookimpl(wrapper=True)
     def pytest_pycollect_makeitem(self, collector: pytest.Collector) -> Generator[None, Any, Any]:
         """Drop items whose saved scenario belongs to other parameters of the same test."""
         made = yield
@@ -195,7 +205,6 @@ class Collection:
         collected = replace(
             self._collected,
             roots=roots,
-            files={item.path for item in items},
             asked_for=self._folders_given,
         )
         if OF_COMMAND in os.environ:

@@ -36,9 +36,10 @@ def add_options(parser: pytest.Parser) -> None:
             value = {"action": "store_true"}
         elif option.kind == "folders":
             value["action"] = "append"
-        group.addoption(option.flag, dest=option.key, default=None, help=option.help, **value)
+        # The link has its own line, since the help's lines are otherwise broken at the hyphens of its flag.
+        group.addoption(option.flag, dest=option.key, default=None, help=f"{option.help}\n{option.link}", **value)
         if option.everywhere:
-            text = f"{option.help} Same as {option.flag}."
+            text = f"Same as {option.flag}."
             parser.addini(option.key, text, type=_INI_TYPES.get(option.kind, "string"), default=None)
 
 

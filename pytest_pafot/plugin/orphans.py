@@ -72,7 +72,7 @@ class Collected:
     # node ids of the classes that exist in collected modules and classes
     classes: set[str] = field(default_factory=set)
     opened: set[str] = field(default_factory=set)  # node ids of the classes whose members were collected
-    files: set[Path] = field(default_factory=set)  # test files with at least one item
+    files: set[Path] = field(default_factory=set)  # test files that were collected, also those without a test
 
 
 def find_orphans(collected: Collected) -> dict[Path, Orphan]:

@@ -110,7 +110,8 @@ def process(command: Sequence[str], *, keep: bool = True, timeout: float | None 
     Args:
         command: the program and its arguments, as for ``subprocess``, relative to the folder that pytest runs in.
         keep: True if the program continues with the next scenario, whose first line has ``reset`` true; False to start
-            it again for each scenario. A program that ended, failed or hung is started again in either case.
+            it again for each scenario. A program that ended, hung or gave no readable answer is started again in either
+            case.
         timeout: time to wait for an answer [s], after which the program is killed; by default only the world's
             ``hang_limit`` ends the wait.
     """

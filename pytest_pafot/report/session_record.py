@@ -47,37 +47,29 @@ class FindingRecord:
         test: node id of its test.
         status: `new`; the label of its replay; or `error` if it could not be read or run.
         result: result of the item: `passed`, `skipped`, `xfailed`, `failed`, `error`; empty if the item did not end.
-        file: path relative to the rootdir; null if it was not saved.
-        replay: the command that replays it.
+        file, replay: path relative to the rootdir, null if it was not saved, and the command that replays it.
         scenario: its scenario, which `pafot.Scenario.from_canonical` reads; null if its file could not be read.
-        world: its world, as in its file; null if its file could not be read.
+        world: its world, as in its file; null likewise.
         headline: how the run ended, in a few words; empty if it passes.
-        sentences: sentences on the collision: who did what, what was due or what avoids it, and who is responsible.
-        detail: what differs from the file, such as a situation that did not occur, or why there is no file.
-        signature: everything that makes two failures the same, in one line; of a saved scenario, for the failure in its
-            file.
+        sentences: who did what in a collision, what was due or what avoids it, and who is responsible.
+        detail: what differs from the file, or why there is no file.
+        signature: everything that makes two failures the same, in one line, for the failure in its file.
         kind: short name of the signature, from which ids are made.
-        failure: name of the exception class.
-        assertion: the failing assertion or the name of the check.
-        outcome: how the run in the file ended.
-        time: time of the event in the file [s].
+        failure, assertion: name of the exception class, and the failing assertion or the name of the check.
+        outcome, time: how the run in the file ended, and the time of its event [s].
         responsible: `ego`, `npc`, `both` or `none`.
         preventable_by: reference drivers that avoid it.
-        size: size of the scenario, in words.
-        traffic: how the NPCs drive, in words; empty for the paper's traffic.
-        runs: number of runs that failed in this way, if it is a new finding; 0 for a saved scenario, whose runs are in
-            `known` of the search.
-        seed: seed of the search that found it, derived from its base seed.
-        algorithm: algorithm that found it.
-        against: the reference that passed in this scenario when it was found; empty if there was none.
-        flaky: what differed when it was run again, as in the file; null if the file does not say so.
-        unshrunk: why a new finding is not confirmed or not fully shrunk yet; empty if it is.
-        severity: how bad this session's failure is in the scenario of the file: `kind`, which is `collision` or
-            `check`; `value`, the closing speed at the impact [m/s], or by how much the check is broken [`unit`], null
-            if it measured no number; `delta_v` of a collision, for equal masses [m/s]; `margin` and `name` of a check.
-            Null if it passes, or if its failure has no measure.
-        severity_before: the same for the reference in this scenario, if it fails as well; null otherwise.
-        xfail: `reason` and `until` (null for no end) of an accepted failure; null if it is not accepted.
+        size, traffic: size of the scenario, and how the NPCs drive, which is empty for the paper's traffic, in words.
+        runs: number of runs that failed in this way; 0 for a saved scenario, whose runs are in `known` of the search.
+        seed, algorithm: seed (not the base seed) and algorithm of the search that found it.
+        against: the reference that passed in this scenario when it was found; empty without one.
+        flaky: what differed when it was run again, as in the file; null if nothing did.
+        unshrunk: why a new finding is not confirmed or not fully shrunk; empty if it is.
+        severity: how bad the failure is now: `kind`, which is `collision` or `check`; `value`, the closing speed at the
+            impact [m/s], or by how much the check is broken [`unit`], null if it measured no number; `delta_v` of a
+            collision, for equal masses [m/s]; `margin` and `name` of a check. Null if it passes or has no measure.
+        severity_before: the same for the reference in this scenario, if it fails as well; otherwise null.
+        xfail: `reason` and `until` (null for no end) of an accepted failure; otherwise null.
     """
 
     node_id: str
@@ -160,8 +152,7 @@ class OrphanRecord:
     """A folder of saved scenarios that no test replays.
 
     Attributes:
-        folder: path relative to the rootdir.
-        files: number of saved scenarios in it.
+        folder, files: path relative to the rootdir, and the number of saved scenarios in it.
         expected: the test that the folder belongs to, and what was found instead of the test.
         way_out: what to do with the files: move or remove them.
         is_gone: true if the module or the function no longer exists, which makes a session under CI fail.
@@ -179,16 +170,14 @@ class SessionRecord:
     """The record of a whole session.
 
     Attributes:
-        exit: pytest's exit code; null while the session runs, and forever if its process was killed.
-        versions: versions of the packages on which the result of a run depends.
+        exit: pytest's exit code; null while the session runs, or if its process was killed.
+        versions: versions of the packages on which a run depends.
         searches: in the order of node ids.
-        findings: saved scenarios that were replayed, and new findings, in the order of node ids.
+        findings: replayed saved scenarios and new findings, in the order of node ids.
         merged: result of `--pafot-merge` for each test, and the reason if it failed.
-        compared: a line for each side of a comparison with a reference, with its commit and its files, a line for files
-            that were copied into a revision, and one for each reference with which there was nothing to compare.
-        orphans: folders of saved scenarios that no test runs any more, in the order of their paths.
-        warnings: warnings about saved scenarios that are no longer accepted.
-        problems: anything that went wrong outside the tests.
+        compared: lines on what was compared with a reference: commits and files, or why there was nothing to compare.
+        orphans: folders of saved scenarios that no test runs any more.
+        warnings, problems: saved scenarios that are no longer accepted, and what went wrong outside the tests.
     """
 
     exit: int | None = None

@@ -45,11 +45,9 @@ class Weights:
     Attributes:
         ttc: weight of the risk 1 / (1 + TTC / tau); TTC is the smallest time until the ego and an NPC touch.
         gap: weight of the risk 1 / (1 + gap / 1 m); the gap is the smallest distance between the boxes.
-        shortfall: weight of the larger of two risks. One is the largest shortfall of the safety distance, 0 to 1. The
-            other is 1 / (1 + PET / 1 s), in which PET is the post-encroachment time of a crossing NPC at the zone where
-            its way crosses the ego's.
-        time: weight of the risk 1 - ET / planned duration, in which ET is the time to the collision; without a
-            collision the risk is 0.
+        shortfall: weight of the larger of two risks: the largest shortfall of the safety distance, 0 to 1, and
+            1 / (1 + PET / 1 s), in which PET is the post-encroachment time of a crossing NPC.
+        time: weight of the risk 1 - ET / planned duration, in which ET is the time to the collision; 0 without one.
         tau: the TTC at which its risk is one half [s]; 1.5 s is the usual threshold between normal and critical
             (van der Horst 1990).
     """

@@ -56,9 +56,8 @@ class World(BuiltInWorld):
         duration: the longest duration of a run [s]; by default the environment's own ``duration``, on a road that is
             not straight at most 60 s.
         clearance, headway, limits, hang_limit: as in :class:`pytest_pafot.Highway`.
-        wrappers: callables that take an environment and return it wrapped, such as gymnasium's wrappers. They are put
-            around the result of ``gymnasium.make``, the first callable innermost, and runs call ``env.step`` of the
-            outermost wrapper. With None, an environment that is registered with wrappers is refused.
+        wrappers: callables that take an environment and return it wrapped, such as gymnasium's wrappers, the first one
+            innermost. With None, an environment that is registered with wrappers is refused.
         planner_hz: decisions per second of an ADS that is a callable from :class:`pytest_pafot.Observation` to
             ``(acceleration [m/s^2], steering [rad])`` or a :class:`pytest_pafot.Drive`; a divisor of the environment's
             ``simulation_frequency``. None if the ADS uses the environment's own observation and action.

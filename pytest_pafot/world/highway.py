@@ -48,10 +48,10 @@ class Highway(BuiltInWorld):
         headway: the headway with which NPCs start ahead of the ego or behind it [s].
         limits: the limits of every NPC.
         hang_limit: wall-clock time after which a decision of the ADS is interrupted [s].
-        engine: the engine that simulates a run: ``"kernel"``, ``"highway-env"``, or ``"auto"``, which uses the kernel
-            if the kernel can drive the ego. The results are the same, so the engine is not part of a saved world.
+        engine: ``"kernel"``, which is compiled, ``"highway-env"``, or ``"auto"``: the kernel if it can drive the ego.
+            The results are the same, so the engine is not part of a saved world.
         lasts: the duration of each run [s], whatever its scenario and ``duration`` say, as :meth:`lasting` sets it;
-            None if they decide. It is not part of a saved world either.
+            None if they decide. It is not part of a saved world.
 
     Raises:
         WorldError: if a value cannot be used; the message states the possible values.

@@ -28,10 +28,11 @@ def gallery():
 
 
 @pytest.mark.stories
-def test_gallery_page_and_pictures_are_up_to_date():
+def test_gallery_page_reasons_and_pictures_are_up_to_date():
     module = gallery()
     page = module.PAGE.read_text(encoding="utf-8")
     assert module.written(page) == page, "run: python docs/tools/gallery.py"
+    assert module.reasons() == module.REASONS.read_text(encoding="utf-8"), "run: python docs/tools/gallery.py"
     drawn = {path.name: path.read_text(encoding="utf-8") for path in module.PICTURES.iterdir()}
     assert module.pictures() == drawn, "run: python docs/tools/gallery.py"
 

@@ -126,7 +126,7 @@ def by_module(module: Any) -> Factory:
 
 def planner_in_c(folder: Path) -> list[str]:
     """Compile the documents' planner in C and return its command."""
-    text = (Path(__file__).parents[2] / "docs" / "guide" / "bring-a-policy.md").read_text(encoding="utf-8")
+    text = (Path(__file__).parents[2] / "docs" / "guide" / "networks.md").read_text(encoding="utf-8")
     (source,) = re.findall(r"```text\n/\* planner.c \*/\n(.*?)```", text, re.DOTALL)
     (folder / "planner.c").write_text(source)
     subprocess.run(["cc", "-O2", "-o", "planner", "planner.c"], check=True, cwd=folder)

@@ -34,7 +34,7 @@ DRIVERS: Mapping[str, Callable[[], ReferenceDriver]] = MappingProxyType(
     {**REFERENCES, "sound-lane-changer": SoundLaneChanger}
 )
 AT_FAULT = "fuzzy-safety"
-"""A driver that brakes with 4 m/s^2 at most for a leader, and harder too late (docs/explanation/responsibility.md)."""
+"""A driver that brakes with 4 m/s^2 at most for a leader, and harder too late (docs/explanation/findings.md)."""
 
 
 @dataclass

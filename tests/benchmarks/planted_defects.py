@@ -1,4 +1,4 @@
-"""How soon does a search find a planted rare defect? Survival curves of 30 policies with one defect each.
+"""How soon does a search find a planted rare defect? Survival curves of 40 policies with one defect each.
 
     python -m tests.benchmarks.planted_defects [--half tuning] [--policies NAME ...] [--arms NAME ...]
         [--seeds 20] [--first-seed 0] [--runs 2000] [--seconds 600] [--workers 2]

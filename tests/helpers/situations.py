@@ -116,8 +116,7 @@ SITUATIONS = {
     "One follows the other": (
         Situation(
             "slow-leader-ignored",
-            "A vehicle ahead of the ego has driven 10 m/s all the time. The ego runs into it with 20 m/s and does not "
-            "brake.",
+            "The ego, with 20 m/s, runs into a vehicle that drives 10 m/s. It does not brake.",
             lambda: hit(driven(0.0), driven(100.0, speed=10.0)),
             "ego", "leader-unanswered", "4b", "(safe: 47.1 m)",
         ),
@@ -129,21 +128,19 @@ SITUATIONS = {
         ),
         Situation(
             "hard-brake-ahead-ignored",
-            "A vehicle two seconds ahead of the ego brakes with 8 m/s^2 to a standstill. The ego does not brake.",
+            "A vehicle 2 s ahead brakes with 8 m/s^2 to a standstill. The ego does not brake.",
             lambda: hit(driven(0.0), driven(45.0, brakes=[(2.0, 8.0, 0.0)])),
             "ego", "leader-unanswered", "4b", "s but did not",
         ),
         Situation(
             "braked-too-gently",
-            "A vehicle two seconds ahead of the ego brakes with 8 m/s^2 to a standstill. The ego brakes a second "
-            "later, with only 3 m/s^2.",
+            "A vehicle 2 s ahead brakes with 8 m/s^2 to a standstill. The ego brakes 1 s later, with only 3 m/s^2.",
             lambda: hit(driven(0.0, brakes=[(3.0, 3.0, 0.0)]), driven(45.0, brakes=[(2.0, 8.0, 0.0)])),
             "ego", "leader-unanswered", "4b", "braked harder by 4.3 s.",
         ),
         Situation(
             "braked-too-late",
-            "A vehicle two seconds ahead of the ego brakes with 8 m/s^2 to a standstill. The ego brakes with 8 m/s^2, "
-            "too, but three seconds later.",
+            "A vehicle 2 s ahead brakes with 8 m/s^2 to a standstill. The ego brakes as hard, but 3 s later.",
             lambda: hit(driven(0.0, brakes=[(5.0, 8.0, 0.0)]), driven(45.0, brakes=[(2.0, 8.0, 0.0)])),
             "ego", "leader-unanswered", "4b", "from 5.0 s it braked at up to 8.0 m/s^2",
         ),
@@ -155,8 +152,8 @@ SITUATIONS = {
         ),
         Situation(
             "leader-stops-dead-and-the-ego-lets-go",
-            "The ego already brakes with 2 m/s^2 when the vehicle ahead stops within 7 m. It releases the brakes half a"
-            " second later.",
+            "The ego already brakes with 2 m/s^2 when the vehicle ahead stops within 7 m. It releases the brakes 0.5 "
+            "s later.",
             lambda: hit(
                 driven(0.0, brakes=[(1.0, 2.0, 17.0)]), driven(36.0, brakes=[(2.0, 30.0, 0.0)])
             ),
@@ -164,8 +161,8 @@ SITUATIONS = {
         ),
         Situation(
             "steers-behind-one-on-the-line",
-            "A vehicle with 3 m/s drives on the line next to the ego's lane. The ego, which is beside its track, steers"
-            " into it and does not brake.",
+            "A vehicle with 3 m/s drives on the line next to the ego's lane. The ego steers into its track and does "
+            "not brake.",
             lambda: hit(
                 driven(0.0, 5.4, speed=12.0, shifts=[(5.0, 3.6, 1.0)]), driven(64.0, 1.8, speed=3.0)
             ),
@@ -212,7 +209,7 @@ SITUATIONS = {
         Situation(
             "braked-for-nothing-unavoidable",
             "On a free road the ego brakes with 9.8 m/s^2. The NPC behind has exactly the distance that RSS requires "
-            "for braking with 8 m/s^2.",
+            "for 8 m/s^2.",
             lambda: hit(driven(0.0, brakes=[(4.0, 9.8, 0.0)]), driven(-34.0, brakes=[(5.0, 6.0, 0.0)])),
             "ego", "braked-for-nothing", "7", "NPC 0 had too little time to respond",
         ),
@@ -246,8 +243,8 @@ SITUATIONS = {
         ),
         Situation(
             "braked-for-a-leader-that-brakes",
-            "A vehicle 60 m ahead brakes with 8 m/s^2, and 0.5 s later the ego brakes as hard. The NPC 2 s behind does"
-            " not brake.",
+            "A vehicle 60 m ahead brakes with 8 m/s^2, and 0.5 s later the ego, too. The NPC 2 s behind does not "
+            "brake.",
             lambda: hit(
                 driven(0.0, brakes=[(4.5, 8.0, 2.0)]), driven(-45.0), driven(65.0, brakes=[(4.0, 8.0, 2.0)])
             ),
@@ -295,22 +292,22 @@ SITUATIONS = {
         ),
         Situation(
             "leader-brakes-for-nothing-half-a-second-ahead",
-            "At 5 s, a vehicle half a second ahead of the ego brakes with 8 m/s^2 although the road is free. The ego, "
-            "which follows too closely, brakes from 6 s on with 6 m/s^2.",
+            "A vehicle 0.5 s ahead of the ego brakes with 8 m/s^2 on a free road. The ego brakes 1 s later, with 6 "
+            "m/s^2.",
             lambda: hit(driven(0.0, brakes=[(6.0, 6.0, 0.0)]), driven(15.0, brakes=[(5.0, 8.0, 0.0)])),
             "both", "leader-unanswered", "5", "NPC 0 braked at up to 8.0 m/s^2",
         ),
         Situation(
             "leader-brakes-for-nothing-1.8-s-ahead",
-            "At 5 s, a vehicle 1.8 s ahead of the ego brakes with 8 m/s^2 although the road is free. The ego brakes "
-            "from 7 s on, with 4 m/s^2.",
+            "A vehicle 1.8 s ahead of the ego brakes with 8 m/s^2 on a free road. The ego brakes 2 s later, with 4 "
+            "m/s^2.",
             lambda: hit(driven(0.0, brakes=[(7.0, 4.0, 0.0)]), driven(41.0, brakes=[(5.0, 8.0, 0.0)])),
             "ego", "leader-unanswered", "4b", "from 7.0 s it braked at up to 4.0 m/s^2",
         ),
         Situation(
             "leader-brakes-for-a-standing-vehicle",
-            "At 5 s, a vehicle half a second ahead of the ego brakes with 8 m/s^2 for a vehicle that stands in its "
-            "lane. The ego brakes from 6 s on, with 6 m/s^2.",
+            "A vehicle 0.5 s ahead of the ego brakes with 8 m/s^2 for one that stands. The ego brakes 1 s later, with"
+            " 6 m/s^2.",
             lambda: hit(
                 driven(0.0, brakes=[(6.0, 6.0, 0.0)]), driven(15.0, brakes=[(5.0, 8.0, 0.0)]), driven(148.0, speed=0.0)
             ),
@@ -332,8 +329,8 @@ SITUATIONS = {
         ),
         Situation(
             "brakes-on-when-the-one-ahead-has-left",
-            "The ego brakes with 6 m/s^2 for a slower vehicle ahead, which leaves the lane. The ego brakes on to a "
-            "standstill. An NPC behind it does not brake.",
+            "The ego brakes with 6 m/s^2 for a slower vehicle, which leaves the lane, and on to a standstill. An NPC "
+            "behind does not brake.",
             lambda: hit(
                 driven(0.0, brakes=[(1.0, 6.0, 0.0)]),
                 driven(-60.0),
@@ -343,8 +340,8 @@ SITUATIONS = {
         ),
         Situation(
             "brakes-while-the-one-ahead-stays",
-            "The ego brakes with 6 m/s^2 to a standstill for a vehicle ahead that brakes, too. An NPC behind the ego "
-            "does not brake.",
+            "The ego brakes with 6 m/s^2 to a standstill for one ahead that brakes, too. An NPC behind does not "
+            "brake.",
             lambda: hit(
                 driven(0.0, brakes=[(1.0, 6.0, 0.0)]),
                 driven(-60.0),
@@ -378,8 +375,7 @@ SITUATIONS = {
         ),
         Situation(
             "stopped-askew-for-nothing",
-            "On a free road the ego comes to a standstill askew, half in the next lane. An NPC in that lane hits it 5 "
-            "s later.",
+            "On a free road the ego stops askew, half in the next lane. An NPC in that lane hits it 5 s later.",
             lambda: hit(
                 turned(driven(0.0, speed=10.0, brakes=[(2.0, 2.5, 0.0)], shifts=[(2.0, 2.2, 3.0)]), -0.4),
                 driven(-180.0, LEFT),
@@ -388,8 +384,8 @@ SITUATIONS = {
         ),
         Situation(
             "stopped-askew-behind-another",
-            "The ego comes to a standstill askew, half in the next lane, behind a vehicle that stands in the ego's "
-            "lane. An NPC in the next lane hits the ego 5 s later.",
+            "The ego stops askew behind a standing vehicle, half in the next lane. An NPC in that lane hits it 5 s "
+            "later.",
             lambda: hit(
                 turned(driven(0.0, speed=10.0, brakes=[(2.0, 2.5, 0.0)], shifts=[(2.0, 2.2, 3.0)]), -0.4),
                 driven(-180.0, LEFT),
@@ -399,8 +395,7 @@ SITUATIONS = {
         ),
         Situation(
             "stopped-in-a-lane-change",
-            "The ego moves in 6 m ahead of an NPC in the next lane, brakes with 8 m/s^2 and stands when the NPC hits "
-            "it.",
+            "The ego moves in 6 m ahead of an NPC and brakes with 8 m/s^2. It stands when the NPC hits it.",
             lambda: hit(
                 driven(0.0, LEFT, speed=10.0, brakes=[(2.5, 8.0, 0.0)], shifts=[(2.0, OWN, 1.5)]),
                 driven(-11.0, speed=10.0, brakes=[(3.2, 3.0, 0.0)]),
@@ -485,22 +480,20 @@ SITUATIONS = {
         ),
         Situation(
             "leader-since-a-close-cut-in",
-            "An NPC that is 4 m/s slower moves in 5 m ahead, too close for a response. It speeds up and draws away to "
-            "12 m. 5 s later it slows down with 3 m/s^2, and the ego does not brake.",
+            "An NPC that is 4 m/s slower moves in 5 m ahead and draws away to 12 m. 5 s later it slows down with 3 "
+            "m/s^2. The ego does not brake.",
             lambda: cut_in(5.0, slower=4.0, brakes=[(2.4, -4.0, 22.0), (9.0, 3.0, 8.0)]),
             "ego", "leader-unanswered", "4a", "s but did not",
         ),
         Situation(
             "npc-brake-checks",
-            "An NPC that is 5 m/s faster overtakes the ego and moves in 2 m ahead. 1.5 s later, 10 m ahead, it brakes "
-            "with 8 m/s^2.",
+            "A faster NPC overtakes the ego and moves in 2 m ahead. 1.5 s later, 10 m ahead, it brakes with 8 m/s^2.",
             lambda: cut_in(2.0, slower=-5.0, brakes=[(3.9, 8.0, 0.0)]),
             "npc", None, "5", "too little time to respond",
         ),
         Situation(
             "npc-enters-across-two-lanes",
-            "An NPC that is 6 m/s slower comes across two lanes in one motion. It is 8 m ahead when it crosses the "
-            "line.",
+            "An NPC that is 6 m/s slower comes across two lanes in one motion, 8 m ahead.",
             lambda: hit(driven(0.0), driven(13.0 + 6 * 5.6, FAR, speed=14.0, shifts=[(2.0, OWN, 6.0)])),
             "npc", None, "5", "too little time to respond",
         ),
@@ -530,29 +523,28 @@ SITUATIONS = {
         ),
         Situation(
             "sped-up-after-it-had-survived-a-cut-in",
-            "An NPC that is 4 m/s slower moves in slowly, close ahead. The ego brakes until it is slower than the NPC."
-            " A second later it speeds up into the NPC.",
+            "An NPC that is 4 m/s slower moves in close ahead. The ego brakes until it is slower. A second later it "
+            "speeds up into the NPC.",
             lambda: cut_in(4.0, slower=4.0, lasts=4.0, ego_brakes=[(2.6, 8.0, 15.0), (4.4, -3.0, 24.0)]),
             "both", "leader-unanswered", "4c", "The ego should have braked hard by 5.9 s.",
         ),
         Situation(
             "cut-in-answered-with-nothing-to-spare",
-            "An NPC that is 8 m/s slower moves in 16 m ahead. The ego brakes with 6 m/s^2 just when a response is due,"
-            " and still hits the NPC.",
+            "An NPC that is 8 m/s slower moves in 16 m ahead. The ego brakes with 6 m/s^2 just when a response is "
+            "due.",
             lambda: cut_in(16.0, slower=8.0, ego_brakes=[(3.7, 6.0, 0.0)]),
             "npc", None, "5", "too little time to respond",
         ),
         Situation(
             "speeds-up-behind-a-cut-in-that-nobody-can-answer",
-            "An NPC that is 2 m/s slower moves in 2.5 m ahead and speeds up to nearly the ego's speed. The ego speeds "
-            "up into it.",
+            "An NPC that is 2 m/s slower moves in 2.5 m ahead and speeds up. The ego speeds up into it.",
             lambda: cut_in(2.5, slower=2.0, brakes=[(2.3, -3.0, 19.6)], ego_brakes=[(3.9, -3.0, 26.0)]),
             "both", "leader-unanswered", "4c", "The ego should not have sped up to",
         ),
         Situation(
             "sped-up-behind-a-cut-in-and-braked-at-last",
-            "An NPC that is 4 m/s slower moves in 12 m ahead. The ego speeds up by 3 m/s. Then the NPC brakes with 8 "
-            "m/s^2, and so does the ego until the impact.",
+            "An NPC that is 4 m/s slower moves in 12 m ahead. The ego speeds up by 3 m/s. Then both brake with 8 "
+            "m/s^2.",
             lambda: cut_in(
                 12.0, slower=4.0, brakes=[(4.3, 8.0, 0.0)], ego_brakes=[(2.8, -2.0, 23.0), (4.7, 8.0, 0.0)]
             ),
@@ -560,8 +552,8 @@ SITUATIONS = {
         ),
         Situation(
             "recovered-its-speed-behind-a-cut-in",
-            "An NPC that is 4 m/s slower moves in 21 m ahead. The ego brakes until it is slower, and speeds up to the "
-            "NPC's speed a second behind it. 3 s later the NPC stops within 2 m.",
+            "An NPC that is 4 m/s slower moves in 21 m ahead. The ego brakes, then follows it a second behind. 3 s "
+            "later the NPC stops within 2 m.",
             lambda: cut_in(
                 21.0,
                 slower=4.0,
@@ -572,22 +564,22 @@ SITUATIONS = {
         ),
         Situation(
             "let-the-brakes-go-behind-a-cut-in",
-            "An NPC that is 10 m/s slower moves in 20 m ahead. The ego brakes with 8 m/s^2 until it is only 4 m/s "
-            "faster, 9 m behind. Then it releases the brakes.",
+            "An NPC that is 10 m/s slower moves in 20 m ahead. The ego brakes, but releases the brakes when it is "
+            "still 4 m/s faster.",
             lambda: cut_in(20.0, slower=10.0, ego_brakes=[(2.9, 8.0, 14.0)]),
             "both", "leader-unanswered", "4c", "released the brakes at",
         ),
         Situation(
             "creeps-into-one-that-had-cut-in",
-            "An NPC that is 10 m/s slower moves in 20 m ahead. The ego brakes with 8 m/s^2 until it is only 0.5 m/s "
-            "faster, and creeps into the NPC 15 s later.",
+            "An NPC that is 10 m/s slower moves in 20 m ahead. The ego brakes until it is 0.5 m/s faster, and creeps "
+            "into the NPC 15 s later.",
             lambda: cut_in(20.0, slower=10.0, ego_brakes=[(2.9, 8.0, 10.5)]),
             "ego", "leader-unanswered", "4a", "NPC 0 kept its lane",
         ),
         Situation(
             "creeps-into-one-that-stands-half-in-its-lane",
-            "An NPC that is 10 m/s slower comes half into the ego's lane, 20 m ahead, and brakes to a standstill. The "
-            "ego brakes to 1.5 m/s, releases the brakes 7 m behind the NPC, creeps closer than is safe, and hits it.",
+            "An NPC comes half into the ego's lane, 20 m ahead, and stops. The ego brakes to 1.5 m/s, releases the "
+            "brakes 7 m behind it and creeps into it.",
             lambda: hit(
                 driven(0.0, brakes=[(2.7, 9.5, 1.5)]),
                 driven(48.3, LEFT, speed=10.0, brakes=[(2.6, 4.0, 0.0)], shifts=[(2.0, 2.2, 1.1)]),
@@ -596,8 +588,8 @@ SITUATIONS = {
         ),
         Situation(
             "speeds-up-behind-one-half-in-its-lane",
-            "An NPC that is 10 m/s slower comes half into the ego's lane, 20 m ahead, and stays there. The ego brakes "
-            "to the NPC's speed, follows it for 4 s and speeds up into it.",
+            "An NPC comes half into the ego's lane, 20 m ahead. The ego brakes to its speed, follows for 4 s and "
+            "speeds up into it.",
             lambda: hit(
                 driven(0.0, brakes=[(2.9, 8.0, 10.0), (8.0, -2.0, 20.0)]),
                 driven(48.3, LEFT, speed=10.0, shifts=[(2.0, 2.2, 1.1)]),
@@ -626,15 +618,15 @@ SITUATIONS = {
         ),
         Situation(
             "follower-lets-the-brakes-go",
-            "The ego changes lanes 10 m ahead of an NPC that is 8 m/s faster. The NPC brakes with 8 m/s^2 until it is "
-            "2 m/s faster, 2 m behind. Then it releases the brakes.",
+            "The ego changes lanes 10 m ahead of an NPC that is 8 m/s faster. The NPC brakes, but releases the brakes"
+            " when it is still 2 m/s faster.",
             lambda: lane_change(10.0, faster=8.0, npc_brakes=[(2.9, 8.0, 22.0)]),
             "both", "entered-lane", "4c", "NPC 0 should have kept braking",
         ),
         Situation(
             "lane-change-28-m-ahead",
-            "The ego changes lanes 28 m ahead of an NPC that is 8 m/s faster. By the time when the ego has kept its "
-            "new lane for long enough, the NPC has less than a second left.",
+            "The ego changes lanes 28 m ahead of an NPC that is 8 m/s faster. Once the ego has kept its new lane, "
+            "less than a second is left.",
             lambda: lane_change(28.0, faster=8.0),
             "ego", "entered-lane", "4a", "should have left NPC 0 a gap of 33.9 m",
         ),
@@ -704,8 +696,8 @@ SITUATIONS = {
         ),
         Situation(
             "npc-moves-in-behind-an-ego-over-the-line",
-            "The ego reaches 0.3 m over its lane line and goes back. An NPC that is 6 m/s faster comes into the ego's "
-            "lane behind it.",
+            "The ego reaches 0.3 m over its lane line and goes back. An NPC that is 6 m/s faster comes into its lane "
+            "behind it.",
             lambda: hit(
                 driven(0.0, LEFT, speed=10.0, shifts=[(2.0, 1.3, 1.0), (3.4, LEFT, 1.0)]),
                 driven(-33.0, speed=16.0, shifts=[(2.6, LEFT, 1.6)]),
@@ -714,8 +706,7 @@ SITUATIONS = {
         ),
         Situation(
             "follower-entered-later",
-            "The ego changes lanes. 4 s later a faster NPC moves into the same lane, 20 m behind the ego, and runs "
-            "into it.",
+            "The ego changes lanes. 4 s later a faster NPC moves into the same lane, 20 m behind, and runs into it.",
             lambda: hit(
                 driven(0.0, LEFT, shifts=[(2.0, OWN, 2.0)]), driven(-49.0, RIGHT, speed=24.0, shifts=[(6.0, OWN, 2.0)])
             ),
@@ -759,14 +750,13 @@ SITUATIONS = {
         ),
         Situation(
             "both-enter-side-by-side",
-            "The ego from the left and an NPC from the right move into the lane between them, side by side.",
+            "The ego and an NPC move into the lane between them, side by side.",
             lambda: hit(driven(0.0, LEFT, shifts=[(2.0, OWN, 2.0)]), driven(1.0, RIGHT, shifts=[(2.2, OWN, 2.0)])),
             "both", "entered-lane", "3", "towards each other",
         ),
         Situation(
             "both-enter-ego-10-m-ahead",
-            "The ego from the left and an NPC from the right move into the lane between them. The ego is 10 m ahead, "
-            "and the NPC is 6 m/s faster.",
+            "The ego and an NPC that is 6 m/s faster move into the lane between them, the ego 10 m ahead.",
             lambda: hit(
                 driven(0.0, LEFT, shifts=[(2.0, OWN, 2.0)]), driven(-30.0, RIGHT, speed=26.0, shifts=[(2.2, OWN, 2.0)])
             ),
@@ -774,8 +764,8 @@ SITUATIONS = {
         ),
         Situation(
             "both-enter-ego-with-room",
-            "The ego from the left and an NPC from the right move into the lane between them. The ego is 45 m ahead. "
-            "The NPC is 6 m/s faster and never brakes.",
+            "The ego and an NPC that is 6 m/s faster move into the lane between them, the ego 45 m ahead. The NPC "
+            "never brakes.",
             lambda: hit(
                 driven(0.0, LEFT, shifts=[(2.0, OWN, 2.0)]), driven(-65.0, RIGHT, speed=26.0, shifts=[(2.2, OWN, 2.0)])
             ),
@@ -793,7 +783,7 @@ SITUATIONS = {
         Situation(
             "both-enter-and-the-one-behind-floors-it",
             "The ego, with 8 m/s, and an NPC move into the lane between them, the ego 6 m ahead. The NPC at once "
-            "speeds up with 5 m/s^2.",
+            "speeds up.",
             lambda: hit(
                 driven(0.0, LEFT, speed=8.0, shifts=[(2.0, OWN, 2.0)]),
                 driven(-11.0, RIGHT, speed=8.0, shifts=[(2.2, OWN, 2.0)], brakes=[(2.7, -5.0, 20.0)]),
@@ -811,8 +801,7 @@ SITUATIONS = {
         ),
         Situation(
             "ego-enters-where-one-has-just-entered",
-            "An NPC moves into the lane between it and the ego. 2 s later the ego moves into the same lane, next to "
-            "the NPC.",
+            "An NPC moves into the lane between it and the ego. 2 s later the ego does, too, next to the NPC.",
             lambda: hit(driven(0.0, LEFT, shifts=[(4.5, OWN, 2.0)]), driven(1.0, RIGHT, shifts=[(2.0, OWN, 2.0)])),
             "ego", "entered-lane", "3", "The ego crossed",
         ),
@@ -826,8 +815,7 @@ SITUATIONS = {
         ),
         Situation(
             "ego-moved-two-lanes-away",
-            "The ego changes to a lane that is two lanes away from an NPC's lane. 5 s later the NPC moves into the "
-            "side of the ego.",
+            "The ego changes to a lane two lanes away from an NPC's. 5 s later the NPC moves into the ego's side.",
             lambda: hit(
                 driven(0.0, LEFT, shifts=[(1.0, OWN, 2.0)]),
                 driven(1.0, FAR, shifts=[(3.0, RIGHT, 2.0), (8.0, OWN, 2.0)]),
@@ -888,15 +876,15 @@ SITUATIONS = {
         ),
         Situation(
             "crossing-braked-too-little",
-            "An NPC from the left that has priority drives into a crossing. The ego brakes two seconds before it would"
-            " enter, but with only 2 m/s^2.",
+            "An NPC from the left has priority. The ego brakes two seconds before it would enter, but with only 2 "
+            "m/s^2.",
             lambda: junctions.hit(plan("west straight", 6, 8, (4.0, -2.0, 3.0)), plan("north straight", 7, 8)),
             "ego", "did-not-give-way", "9", "from 4.0 s it braked at up to 2.0 m/s^2",
         ),
         Situation(
             "crossing-sets-off-in-front",
-            "The ego stops at the line before a crossing. It sets off a second before an NPC from the left arrives, "
-            "which has priority.",
+            "The ego stops before a crossing. It sets off a second before an NPC from the left arrives, which has "
+            "priority.",
             lambda: junctions.hit(
                 plan("west straight", 4, 8, (2.0, -3.5, 0.0), (8.0, 2.5, 8.0)), plan("north straight", 10.5, 8)
             ),
@@ -910,15 +898,15 @@ SITUATIONS = {
         ),
         Situation(
             "crossing-npc-has-no-priority-and-is-slow",
-            "An NPC from the left that has no priority drives into the crossing with 3 m/s, two seconds before the "
-            "ego. The ego never brakes.",
+            "An NPC from the left without priority drives in with 3 m/s, two seconds before the ego. The ego never "
+            "brakes.",
             lambda: junctions.hit(plan("west straight", 6, 8), plan("north straight", 4, 3), priority="ego"),
             "both", "entered-taken-zone", "9", "The ego should have braked hard by 5.3 s but did not.",
         ),
         Situation(
             "crossing-npc-has-no-priority-and-the-ego-lets-go",
-            "An NPC from the left that has no priority brakes too late and rolls into the crossing. The ego brakes for "
-            "it, and releases the brakes when the NPC has been in the crossing for half a second.",
+            "An NPC from the left without priority rolls into the crossing. The ego, which brakes for it, releases "
+            "the brakes half a second later.",
             lambda: junctions.hit(
                 plan("west straight", 3.05, 10.8, (1.5, -3.4, 5.0)),
                 plan("north straight", 2.46, 10, (1.5, -3.1, 0.0)),
@@ -928,8 +916,7 @@ SITUATIONS = {
         ),
         Situation(
             "crossing-one-stands-in-it-ego-has-priority",
-            "An NPC from the left that has no priority has stood in the crossing for four seconds. The ego never "
-            "brakes.",
+            "An NPC from the left without priority has stood in the crossing for four seconds. The ego never brakes.",
             lambda: junctions.hit(
                 plan("west straight", 9, 8), plan("north straight", 3, 5, (3.3, -5.0, 0.0)), priority="ego"
             ),
@@ -974,8 +961,8 @@ SITUATIONS = {
         ),
         Situation(
             "crossing-npc-waits-and-sets-off-with-the-ego",
-            "An NPC from the left that has priority waits at the line. It sets off a second before the ego drives into"
-            " the crossing, when the ego can no longer stop.",
+            "An NPC from the left with priority waits. It sets off a second before the ego enters, when the ego can "
+            "no longer stop.",
             lambda: junctions.hit(
                 plan("west straight", 8, 5), plan("north straight", 4.75, 8, (3.5, -4.0, 0.0), (7.1, 3.0, 8.0))
             ),
@@ -992,8 +979,8 @@ SITUATIONS = {
         ),
         Situation(
             "crossing-npc-speeds-up-towards-it",
-            "An NPC from the left, with priority, drives 4 m/s, so the ego would pass first. When the ego can no "
-            "longer stop, the NPC speeds up with 5 m/s^2.",
+            "An NPC from the left, with priority and 4 m/s, would pass after the ego. When the ego can no longer "
+            "stop, the NPC speeds up with 5 m/s^2.",
             lambda: junctions.hit(
                 plan("west straight", 8, 8), plan("north straight", 10.5, 4, (6.6, 5.0, 12.0))
             ),
@@ -1007,8 +994,8 @@ SITUATIONS = {
         ),
         Situation(
             "crossing-without-priorities-npc-first",
-            "Neither vehicle has priority. An NPC from the right has been in the crossing for three seconds, with 1.5 "
-            "m/s, when the ego drives in.",
+            "Neither has priority. An NPC from the right has been in the crossing for three seconds when the ego "
+            "drives in.",
             lambda: junctions.hit(plan("west straight", 8, 8), plan("south straight", 4.5, 1.5), priority="none"),
             "ego", "did-not-give-way", "9", "NPC 0 from the right. Neither had priority",
         ),
@@ -1025,8 +1012,8 @@ SITUATIONS = {
         ),
         Situation(
             "crossing-brakes-hard-for-one-and-is-hit",
-            "The ego brakes with 7 m/s^2 for an NPC from the right that has priority. An NPC 0.8 s behind the ego runs"
-            " into it.",
+            "The ego brakes with 7 m/s^2 for an NPC from the right that has priority. An NPC 0.8 s behind runs into "
+            "it.",
             lambda: junctions.hit(
                 plan("west straight", 6, 12, (4.8, -7.0, 2.0)),
                 plan("grid", 7.2, 12),
@@ -1036,8 +1023,8 @@ SITUATIONS = {
         ),
         Situation(
             "crossing-brakes-hard-for-none-and-is-hit",
-            "The ego brakes with 7 m/s^2 before a crossing, although the only crossing NPC has already passed. An NPC "
-            "0.8 s behind the ego runs into it.",
+            "The ego brakes with 7 m/s^2 before a crossing that the only crossing NPC has passed. An NPC 0.8 s behind"
+            " runs into it.",
             lambda: junctions.hit(
                 plan("west straight", 6, 12, (4.8, -7.0, 2.0)),
                 plan("grid", 7.2, 12),
@@ -1084,15 +1071,15 @@ SITUATIONS = {
         ),
         Situation(
             "turns-right-four-seconds-in-front",
-            "The ego turns right. Four seconds later an NPC from the left, which has priority, arrives with 6 m/s and "
-            "speeds up to 12 m/s behind the ego.",
+            "The ego turns right. Four seconds later an NPC from the left, with priority, arrives with 6 m/s and "
+            "speeds up to 12 m/s.",
             lambda: junctions.hit(plan("west right", 6, 4), plan("north straight", 10.5, 6, (10.0, 3.0, 12.0))),
             "npc", None, "9", "NPC 0 should not have sped up.",
         ),
         Situation(
             "turns-right-in-front-and-is-hit-later",
-            "The ego turns right with 4 m/s in front of an NPC with 12 m/s that has priority. The NPC brakes hard to 5"
-            " m/s, keeps that speed, and runs into the ego after both have left the zone.",
+            "The ego turns right in front of an NPC with 12 m/s and priority. The NPC brakes hard to 5 m/s and runs "
+            "into the ego after the zone.",
             lambda: junctions.hit(plan("west right", 6, 4), plan("north straight", 7.3, 12, (6.5, -6.0, 5.0))),
             "both", "did-not-give-way", "9", "The ego should have braked hard by 5.6 s",
         ),
@@ -1104,8 +1091,8 @@ SITUATIONS = {
         ),
         Situation(
             "npc-turns-right-three-seconds-in-front",
-            "An NPC from the right turns right three seconds before the ego arrives, which has priority. The ego, with"
-            " 8 m/s, never brakes and runs into the NPC.",
+            "An NPC from the right turns right three seconds before the ego, which has priority, arrives. The ego "
+            "never brakes.",
             lambda: junctions.hit(plan("west straight", 8, 8), plan("south right", 3.5, 4), priority="ego"),
             "ego", "leader-unanswered", "4b", "The ego should have braked",
         ),
@@ -1117,8 +1104,7 @@ SITUATIONS = {
         ),
         Situation(
             "joins-the-circle-beside",
-            "The ego joins a circle and drives into the side of an NPC in the circle, which is just ahead and has the "
-            "same speed.",
+            "The ego joins a circle and drives into the side of an NPC that is just ahead and as fast.",
             lambda: junctions.hit(plan("join", 6, 8), plan("circle", 5.7, 8)),
             "ego", "did-not-give-way", "9", "0.3 s after NPC 0",
         ),

@@ -36,6 +36,15 @@ ADVICE = (
 )
 
 
+def test_a_file_without_any_test_fails_a_ci_session(saved, ci):
+    saved.write("")
+    saved.path.joinpath("test_other.py").write_text("def test_other():\n    pass\n")
+    assert is_red(replay(saved))
+    saved.write("raise OSError")
+    result = replay(saved)
+    assert (result.ret, "orphaned" in result.stdout.str()) == (2, False)
+
+
 def test_a_renamed_test_fails_only_a_strict_session(saved, monkeypatch, tmp_path_factory):
     name = saved.only_file.name
     saved.write(RENAMED)

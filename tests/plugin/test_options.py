@@ -1,5 +1,7 @@
 """Options: one table, four sources, one precedence."""
 
+import re
+
 import pytest
 
 from pytest_pafot.campaign.options import BY_NAME, OPTIONS, is_ci
@@ -203,3 +205,4 @@ def test_every_option_is_in_the_help(project):
     result = project.run("--help", generations=None, seed=None)
     for option in OPTIONS:
         assert option.flag in result.stdout.str()
+        assert re.search(rf"\.\n +{re.escape(option.link)}\n", result.stdout.str()), "a sentence, then the link"

@@ -110,7 +110,8 @@ def test_no_duration_is_in_it():
 
 @table("kind", [SessionRecord, SearchSummary, FindingRecord])
 def test_every_record_field_is_described_in_its_docstring(kind):
-    told = [line.split(":")[0].strip() for line in kind.__doc__.splitlines() if re.match(r" +\w+: ", line)]
+    told = re.findall(r"^ +(\w+(?:, \w+)*): ", kind.__doc__, re.MULTILINE)
+    told = [name for names in told for name in names.split(", ")]
     assert told == [each.name for each in fields(kind) if each.name not in TERMINAL_ONLY]
 
 

@@ -121,7 +121,7 @@ def test_worst_findings_are_whole_and_all_others_rows():
     by_id = {each.node_id: each for each in MANY}
     assert all(each == by_id[each.node_id] for each in report.findings)
     assert report.title == f"highway: {WHOLE + 7} findings"
-    assert f"the worst {WHOLE} are whole" in BY_NAME["report"].help
+    assert f"the worst {WHOLE} are whole" in BY_NAME["report"].details
 
 
 def test_row_has_what_file_and_command_of_its_finding():

@@ -1,7 +1,7 @@
 """AV-Fuzzer, the baseline of the paper's evaluation: a genetic algorithm over manoeuvres, without a grid.
 
 Source: Li et al., "AV-FUZZER: Finding Safety Violations in Autonomous Driving Systems", ISSRE 2020, as its authors
-released it. docs/explanation/baselines.md lists the differences and the reasons for them.
+released it. docs/comparisons/README.md lists the differences.
 """
 
 from __future__ import annotations
