@@ -139,7 +139,7 @@ FILE_TEXTS: Mapping[str, str] = {
     "`high` [m/s] at which the scenario still fails. Not all speeds between them were tried.",
     "flaky": "What differed when the scenario was run again. Remove the line when the ADS drives a scenario in the "
     "same way each time.",
-    "xfail": "[Your reason to accept the failure](../guide/triage.md#accept-a-failure-for-a-while); the only line that "
+    "xfail": "[Your reason to accept the failure](../guide/triage.md#accept-a-failure-for-a-while); the line that "
     "you write by hand. With `{reason: ..., until: 2027-01-31}` it is accepted up to that day.",
 }
 """Meanings of keys that no docstring explains for a reader of files, or only at length."""
