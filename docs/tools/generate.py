@@ -72,8 +72,8 @@ MARKER_TEXTS: Mapping[str, str] = {
     "fitness": '[The fitness](fitness.md): `"default"`, `"paper"`, `"av-fuzzer"`, a measure such as `"headway"` or '
     "`pafot.Measure(...)`, `pafot.Weights(...)`, a function `Trace -> float` (higher is worse), or its "
     "`module:function`. The default of the algorithm `av-fuzzer` is its own.",
-    "blame": '`"any"`: the function is called for every run. `"ego"`: it is not called for collisions that only an '
-    'NPC is responsible for. `"preventable"`: like `"ego"`, and a failed assertion counts only if a reference driver '
+    "blame": '`"any"`: the function is called for every valid run in which the ADS does not fail. `"ego"`: it is not '
+    'called for collisions that only an NPC is responsible for. `"preventable"`: like `"ego"`, and a failed assertion counts only if a reference driver '
     "would have prevented it.",
     "traffic": "[How the others drive](../explanation/traffic.md) in all scenarios: "
     '`"hostile"`, `"assertive"`, `"everyday"`, `"paper"`, or `pafot.Traffic(...)` for separate parts.',
