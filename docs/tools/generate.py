@@ -73,8 +73,8 @@ MARKER_TEXTS: Mapping[str, str] = {
     "`pafot.Measure(...)`, `pafot.Weights(...)`, a function `Trace -> float` (higher is worse), or its "
     "`module:function`. The default of the algorithm `av-fuzzer` is its own.",
     "blame": '`"any"`: the function is called for every valid run in which the ADS does not fail. `"ego"`: it is not '
-    'called for collisions that only an NPC is responsible for. `"preventable"`: like `"ego"`, and a failed assertion counts only if a reference driver '
-    "would have prevented it.",
+    'called for collisions that only an NPC is responsible for. `"preventable"`: like `"ego"`, and a failed assertion '
+    "counts only if a reference driver would have prevented it.",
     "traffic": "[How the others drive](../explanation/traffic.md) in all scenarios: "
     '`"hostile"`, `"assertive"`, `"everyday"`, `"paper"`, or `pafot.Traffic(...)` for separate parts.',
     "instructions": "[The kind of instructions](../explanation/default-search.md#why-both-kinds) of NPCs that do not "
