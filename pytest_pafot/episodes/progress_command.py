@@ -484,7 +484,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     of_whom = "module:factory or module:factory:argument, such as policy:make:old.zip"
     of_old = f"the old version: {of_whom}; or {REVISION}REVISION, such as {REVISION}main: NEW as it is there"
     parser.add_argument("old", metavar="OLD", help=of_old)
-    parser.add_argument("new", metavar="NEW", help="the new version, in the same form")
+    parser.add_argument("new", metavar="NEW", help=f"the new version: {of_whom.partition(',')[0]}")
     of_world = "a highway-env environment in which its policies drive, also in its ordinary traffic; for planners in "
     of_world += f"SI units write {PLANNER} after both names (default: a highway in SI units, without ordinary traffic)"
     parser.add_argument("--world", default="", metavar="ID", help=of_world)
