@@ -72,9 +72,9 @@ MARKER_TEXTS: Mapping[str, str] = {
     "fitness": '[The fitness](fitness.md): `"default"`, `"paper"`, `"av-fuzzer"`, a measure such as `"headway"` or '
     "`pafot.Measure(...)`, `pafot.Weights(...)`, a function `Trace -> float` (higher is worse), or its "
     "`module:function`. The default of the algorithm `av-fuzzer` is its own.",
-    "blame": '`"any"`: the function is called for every run. `"ego"`: it is not called for collisions that only an '
-    'NPC is responsible for. `"preventable"`: like `"ego"`, and a failed assertion counts only if a reference driver '
-    "would have prevented it.",
+    "blame": '`"any"`: the function is called for every valid run in which the ADS does not fail. `"ego"`: it is not '
+    'called for collisions that only an NPC is responsible for. `"preventable"`: like `"ego"`, and a failed assertion '
+    "counts only if a reference driver would have prevented it.",
     "traffic": "[How the others drive](../explanation/traffic.md) in all scenarios: "
     '`"hostile"`, `"assertive"`, `"everyday"`, `"paper"`, or `pafot.Traffic(...)` for separate parts.',
     "instructions": "[The kind of instructions](../explanation/default-search.md#why-both-kinds) of NPCs that do not "
@@ -139,8 +139,8 @@ FILE_TEXTS: Mapping[str, str] = {
     "`high` [m/s] at which the scenario still fails. Not all speeds between them were tried.",
     "flaky": "What differed when the scenario was run again. Remove the line when the ADS drives a scenario in the "
     "same way each time.",
-    "xfail": "[Your reason to accept the failure](../guide/triage.md#accept-a-failure-for-a-while), the line to "
-    "write by hand. With `{reason: ..., until: 2027-01-31}` it is accepted up to that day.",
+    "xfail": "[Your reason to accept the failure](../guide/triage.md#accept-a-failure-for-a-while); the line that "
+    "you write by hand. With `{reason: ..., until: 2027-01-31}` it is accepted up to that day.",
 }
 """Meanings of keys that no docstring explains for a reader of files, or only at length."""
 
