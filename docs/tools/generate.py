@@ -103,16 +103,16 @@ FILE_TEXTS: Mapping[str, str] = {
     "world": "The world of the replay. `kind` is `highway` or `gym`, with all fields of `Highway` or `World`. For a "
     "world that is code (`own`, or with `wrappers`), the replay uses the test's world. A "
     "[registered](../guide/own-world.md) world has its own kind and its `data`.",
-    "scenario.seed": "Seed of the repair inside the run.",
+    "scenario.seed": "Seed of all random choices in the run, such as those of the repair.",
     "scenario.ego": "`lane`, counted from 0 at the left, and `speed` [m/s], at which the ego and "
-    "all NPCs that do not cross start.",
+    "all NPCs that do not cross start; less for an NPC in a bend.",
     "scenario.gene_seconds": "Duration of one gene [s]; `10.0` if it is not given.",
     "scenario.traffic": "[The style](../explanation/traffic.md) in which the NPCs drive, or a mapping with changed "
     "parts, `{style: everyday, least_gap: 4.0}`. If it is not given, they drive as in the paper.",
     "scenario.npcs": "One list of [instructions](scenarios.md) per NPC: Position-Instructions `{cell, speed}`, "
     "Lane-Instructions `{lane, speed}`, or one Crossing-Instruction `{zone, slot, speed, act}`. Speeds are in m/s.",
     "expect.assertion": "The failing assertion without its message, with `N` for each number; for a failed check, the "
-    "name of the check.",
+    "name of the check; for any other exception, its statement or the first line of its message, likewise.",
     "expect.reference_drivers": "[The outcome](../explanation/findings.md#who-could-have-prevented-it) of each "
     "reference driver: `avoids`, `hit`, `at-fault` or `fails`.",
     "expect.check": "The `value` that the failed check measured, its bounds `at_most` and `at_least`, and its `unit`.",

@@ -96,8 +96,8 @@ class Expect:
     A corpus file has the fields in this order.
 
     Attributes:
-        failure: name of the exception class; `ProcessCrash` if the process died, `SlowDecision` if a decision took too
-            long.
+        failure: name of the exception class; `ProcessCrash` if the process died or hung, `SlowDecision` if a decision
+            took too long.
         assertion: the assertion, normalised as in :class:`~pytest_pafot.findings.signature.Signature`.
         check: measured value of the failed check, whose name is in ``assertion``; None if no check failed.
         message: first line of the exception's message; empty if ``assertion`` already says it.
