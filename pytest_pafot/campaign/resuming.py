@@ -84,7 +84,8 @@ class RandomBeginning:
             if judged is not None and not (judged.verdict.discarded or judged.verdict.kind == "invalid"):
                 self.runs += 1
                 if judged.verdict.kind in FAILING:
-                    is_at_fault = is_ego_responsible(judged.run.trace)
+                    # An ADS that raised or was slow has failed by itself, even if a collision followed.
+                    is_at_fault = not judged.verdict.is_ads and is_ego_responsible(judged.run.trace)
                     self.at_fault += is_at_fault
                     self.otherwise += not is_at_fault
 
