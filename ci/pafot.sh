@@ -20,6 +20,7 @@
 #   COPY          files and folders that the policy needs and git ignores, such as weights, with spaces between them
 #   STATE         the folder with the states of searches that go on
 #   BRANCH        the branch for finds, neither the default one nor that of HEAD; REMOTE has it (origin)
+#   GIT_NAME, GIT_EMAIL  the author of the commit of finds
 #   MACHINES      the folder below this one with a folder for each machine (machines)
 #
 # Finds are a commit on top of the branch as it is then, and never a forced push. Where both HEAD and the branch have

@@ -72,9 +72,9 @@ MARKER_TEXTS: Mapping[str, str] = {
     "fitness": '[The fitness](fitness.md): `"default"`, `"paper"`, `"av-fuzzer"`, a measure such as `"headway"` or '
     "`pafot.Measure(...)`, `pafot.Weights(...)`, a function `Trace -> float` (higher is worse), or its "
     "`module:function`. The default of the algorithm `av-fuzzer` is its own.",
-    "blame": '`"any"`: the function is called for every run. `"ego"`: it is not called for collisions that only an '
-    'NPC is responsible for. `"preventable"`: like `"ego"`, and a failed assertion counts only if a reference driver '
-    "would have prevented it.",
+    "blame": '`"any"`: the function is called for every valid run in which the ADS does not fail. `"ego"`: it is not '
+    'called for collisions that only an NPC is responsible for. `"preventable"`: like `"ego"`, and a failed assertion '
+    "counts only if a reference driver would have prevented it.",
     "traffic": "[How the others drive](../explanation/traffic.md) in all scenarios: "
     '`"hostile"`, `"assertive"`, `"everyday"`, `"paper"`, or `pafot.Traffic(...)` for separate parts.',
     "instructions": "[The kind of instructions](../explanation/default-search.md#why-both-kinds) of NPCs that do not "
@@ -103,16 +103,16 @@ FILE_TEXTS: Mapping[str, str] = {
     "world": "The world of the replay. `kind` is `highway` or `gym`, with all fields of `Highway` or `World`. For a "
     "world that is code (`own`, or with `wrappers`), the replay uses the test's world. A "
     "[registered](../guide/own-world.md) world has its own kind and its `data`.",
-    "scenario.seed": "Seed of the repair inside the run.",
+    "scenario.seed": "Seed of all random choices in the run, such as those of the repair.",
     "scenario.ego": "`lane`, counted from 0 at the left, and `speed` [m/s], at which the ego and "
-    "all NPCs that do not cross start.",
+    "all NPCs that do not cross start; less for an NPC in a bend.",
     "scenario.gene_seconds": "Duration of one gene [s]; `10.0` if it is not given.",
     "scenario.traffic": "[The style](../explanation/traffic.md) in which the NPCs drive, or a mapping with changed "
     "parts, `{style: everyday, least_gap: 4.0}`. If it is not given, they drive as in the paper.",
     "scenario.npcs": "One list of [instructions](scenarios.md) per NPC: Position-Instructions `{cell, speed}`, "
     "Lane-Instructions `{lane, speed}`, or one Crossing-Instruction `{zone, slot, speed, act}`. Speeds are in m/s.",
     "expect.assertion": "The failing assertion without its message, with `N` for each number; for a failed check, the "
-    "name of the check.",
+    "name of the check; for any other exception, its statement or the first line of its message, likewise.",
     "expect.reference_drivers": "[The outcome](../explanation/findings.md#who-could-have-prevented-it) of each "
     "reference driver: `avoids`, `hit`, `at-fault` or `fails`.",
     "expect.check": "The `value` that the failed check measured, its bounds `at_most` and `at_least`, and its `unit`.",
@@ -139,7 +139,7 @@ FILE_TEXTS: Mapping[str, str] = {
     "`high` [m/s] at which the scenario still fails. Not all speeds between them were tried.",
     "flaky": "What differed when the scenario was run again. Remove the line when the ADS drives a scenario in the "
     "same way each time.",
-    "xfail": "[Your reason to accept the failure](../guide/triage.md#accept-a-failure-for-a-while); the only line that "
+    "xfail": "[Your reason to accept the failure](../guide/triage.md#accept-a-failure-for-a-while); the line that "
     "you write by hand. With `{reason: ..., until: 2027-01-31}` it is accepted up to that day.",
 }
 """Meanings of keys that no docstring explains for a reader of files, or only at length."""

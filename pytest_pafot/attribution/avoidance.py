@@ -219,7 +219,7 @@ class Pursuit:
             gap = gaps[min(tick, end)] + back
             if alarm is not None and alarm.acts(tick, speed - leader, gap):
                 deceleration = alarm.deceleration
-            is_near = gap < response.headway * speed and leader < speed + DRAWS_AWAY
+            is_near = response.headway > 0 and gap < response.headway * speed and leader < speed + DRAWS_AWAY
             back += ((recorded[tick] if is_recorded else leader) - speed) / hz
             wanted = max(speed - deceleration / hz, 0.0) if speed > leader or is_near else speed
             if is_recorded and tick + 1 < due:

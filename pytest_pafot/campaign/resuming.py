@@ -84,7 +84,9 @@ class RandomBeginning:
             if judged is not None and not (judged.verdict.discarded or judged.verdict.kind == "invalid"):
                 self.runs += 1
                 if judged.verdict.kind in FAILING:
-                    is_at_fault = judged.run is not None and is_ego_responsible(judged.run.trace)
+                    # An ADS that raised or was slow has failed by itself, even if a collision followed.
+                    run = None if judged.verdict.is_ads else judged.run
+                    is_at_fault = run is not None and is_ego_responsible(run.trace)
                     self.at_fault += is_at_fault
                     self.otherwise += not is_at_fault
 

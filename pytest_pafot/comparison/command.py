@@ -88,7 +88,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--ego-lane", type=int, metavar="N", help=f"first lane of the ego, from 0 at the left (default: 1{START})"
     )
     parser.add_argument(
-        "--ego-speed", type=float, metavar="V", help=f"first speed of all vehicles [m/s] (default: 22{START})"
+        "--ego-speed",
+        type=float,
+        metavar="V",
+        help=f"first speed of the ego and of NPCs that do not cross [m/s] (default: 22{START})",
     )
 
 

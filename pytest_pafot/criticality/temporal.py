@@ -148,7 +148,7 @@ def until(left: Margin, right: Margin, within: Within | None = None) -> Margin:
         TypeError: if an argument is no margin.
         ValueError: if the margins are over different ticks, or for windows as in :func:`always`.
     """
-    either = left | right
+    either = _checked(left) | _checked(right)
     first, last = _window(either, within)
     at = _holding_until(np.asarray(left), np.asarray(right), first, last)
     deciders = np.concatenate((left.deciders, right.deciders, [np.inf]))

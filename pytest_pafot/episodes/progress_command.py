@@ -38,9 +38,10 @@ from pytest_pafot.corpus.layout import CORPUS, files_below
 from pytest_pafot.corpus.saved import read_saved_file
 from pytest_pafot.episodes.rate import CHUNK, PLANNER, EpisodeRow, driven, p_text
 from pytest_pafot.episodes.rate_command import config_of
-from pytest_pafot.execution.pool import ProcessLostError
+from pytest_pafot.execution.pool import ProcessLostError, WorkerPool
 from pytest_pafot.execution.revision_policy import RevisionError, RevisionPolicy
 from pytest_pafot.execution.runner import runner_here
+from pytest_pafot.execution.scenario_pool import METHOD
 from pytest_pafot.findings.severity import WORSE_BY, worsening
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.oracle.run import Run
@@ -344,7 +345,10 @@ def checked(plan: ProgressPlan) -> ProgressPlan:
     if same := same_policy(plan.factory("new"), plan.factory("old")):
         raise RequestError(f"OLD: {same}")
     for side in ("old", "new"):
-        _check_set_up(plan, side)
+        if side == "old" and plan.revision is not None:
+            _check_set_up(plan, side)  # this policy drives in a process of its own already
+        else:
+            _check_apart(plan, side)
     return plan
 
 
@@ -381,6 +385,23 @@ def _of_revision(plan: ProgressPlan, copy: Sequence[str]) -> Iterator[tuple[Prog
             ) from None
         finally:
             policy.close()
+
+
+def _check_apart(plan: ProgressPlan, side: str) -> None:
+    """Check the set-up in another process, because a policy that ended this one would end the command with its code."""
+    with WorkerPool[str, None](
+        partial(_check_in_worker, plan), 1, method=METHOD, patience=math.inf, grace=math.inf
+    ) as pool:
+        pool.expect([side])
+        answer = pool.fetch(side)
+    if isinstance(answer, ProcessLostError):
+        raise RequestError(f"{side.upper()}: expected a policy that drives, received one whose process {answer.how}")
+    if isinstance(answer, Exception):
+        raise answer
+
+
+def _check_in_worker(plan: ProgressPlan, side: str, tick: Tick) -> None:
+    _check_set_up(plan, side)
 
 
 def _check_set_up(plan: ProgressPlan, side: str) -> None:
@@ -484,7 +505,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     of_whom = "module:factory or module:factory:argument, such as policy:make:old.zip"
     of_old = f"the old version: {of_whom}; or {REVISION}REVISION, such as {REVISION}main: NEW as it is there"
     parser.add_argument("old", metavar="OLD", help=of_old)
-    parser.add_argument("new", metavar="NEW", help="the new version, in the same form")
+    parser.add_argument("new", metavar="NEW", help=f"the new version: {of_whom.partition(',')[0]}")
     of_world = "a highway-env environment in which its policies drive, also in its ordinary traffic; for planners in "
     of_world += f"SI units write {PLANNER} after both names (default: a highway in SI units, without ordinary traffic)"
     parser.add_argument("--world", default="", metavar="ID", help=of_world)

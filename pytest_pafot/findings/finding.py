@@ -96,8 +96,8 @@ class Expect:
     A corpus file has the fields in this order.
 
     Attributes:
-        failure: name of the exception class; `ProcessCrash` if the process died, `SlowDecision` if a decision took too
-            long.
+        failure: name of the exception class; `ProcessCrash` if the process died or hung, `SlowDecision` if a decision
+            took too long.
         assertion: the assertion, normalised as in :class:`~pytest_pafot.findings.signature.Signature`.
         check: measured value of the failed check, whose name is in ``assertion``; None if no check failed.
         message: first line of the exception's message; empty if ``assertion`` already says it.
@@ -456,8 +456,11 @@ def raised_failure(exception: BaseException, test_file: str) -> Failure:
     statements = list(_statements(exception.__traceback__))
     own = [text for text, file in statements if file == test_file and text]
     deepest = statements[-1][0] if statements else ""
-    asserted = deepest if isinstance(exception, AssertionError) and deepest.startswith("assert") else ""
-    assertion = asserted or (own[-1] if own else "")
+    # Other code may be before it on its line, as in `if run.collision: assert ...`.
+    asserted = (
+        re.search(r"(?:^|[:;] *)(assert\b.*)", deepest, re.DOTALL) if isinstance(exception, AssertionError) else None
+    )
+    assertion = asserted[1] if asserted else (own[-1] if own else "")
     return Failure(kind=type(exception).__name__, message=message_of(exception), assertion=assertion)
 
 

@@ -129,7 +129,7 @@ class Signature:
     ) -> Self:
         """Return the signature of a failure with these facts, without the facts that do not distinguish failures."""
         ended = cls(failure=failure, assertion=assertion, outcome=outcome, responsibility=responsibility)
-        if ended.is_property:
+        if ended.is_property or failure == SLOW_DECISION:  # a slow decision is the same however its run went on
             return replace(ended, outcome=Outcome.SAFE, responsibility="none")
         if fault is not None:
             # At a zone the origin of the NPC says which way was not given; elsewhere the rule alone says the mistake.
@@ -137,7 +137,7 @@ class Signature:
             known = given if fault == "did-not-give-way" else BY_FAULT.get(fault)
             at_zone = zone if fault in AT_ZONES else None
             return replace(ended, responsibility="ego", mistake=mistake or known, fault=fault, zone=at_zone)
-        if outcome is not Outcome.COLLISION or failure == SLOW_DECISION:
+        if outcome is not Outcome.COLLISION:
             cell = zone = None
         return replace(
             ended,

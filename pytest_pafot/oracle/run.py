@@ -463,7 +463,7 @@ class Run(Shown):
         return *verdict.sentences, responsible_sentence(verdict.responsibility, self.collision.npc)
 
     def explain(self) -> str:
-        """Explain the run in at most 16 lines of ASCII: the events, the verdict and the NPCs' instructions."""
+        """Explain the run in some ten to twenty lines of ASCII: the events, the verdict and the NPCs' instructions."""
         lines = [self._headline(), *(f"  {sentence}" for sentence in self.sentences), *self._measures()]
         names = [f"scenario {self.scenario.id}", f"repair seed {self.scenario.seed}"]
         names += [f"position rule: {self.second_opinion}"] if self.second_opinion != self.responsibility else []

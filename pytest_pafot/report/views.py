@@ -369,7 +369,7 @@ def _explanation(run: Run, sentences: Sequence[str]) -> str:
 def _assertion(expect: Expect) -> str:
     if expect.check is not None:
         return f"check {expect.assertion}"
-    if expect.assertion:
+    if expect.assertion and expect.failure == AssertionError.__name__:
         return f"assert {expect.assertion.removeprefix('assert ')}"
     return f"{expect.failure}: {expect.message}" if expect.message else expect.failure
 

@@ -72,6 +72,13 @@ def test_boxes_passing_side_by_side_do_not_touch():
     assert is_avoided(beside, 0, Braking(delay=0.0, deceleration=15.0))
 
 
+def test_slower_driver_beside_another_need_not_brake():
+    """Its boxes overlap along the road, which is no headway to restore: only a response to a cut-in restores one."""
+    beside = pursuit(-2.0, 10.0, 11.0, right=3.0, seconds=2.0)
+    assert not is_avoided(beside, 0, CALM)
+    assert is_avoided(beside, 0, replace(CALM, headway=1.0))
+
+
 def test_boxes_are_as_they_were_turned():
     """A box across the road reaches 1.5 m less far along it, and further to the side."""
     along, across = (pursuit(20.0, 20.0, 10.0, angle=angle, seconds=2.0) for angle in (0.0, math.pi / 2))

@@ -180,7 +180,8 @@ class TestMistakes:
     @table("wrong", [SPEED > 2.0, SPEED, 1.0])
     def test_a_comparison_of_arrays_is_no_margin(self, wrong):
         margin = pafot.above(SPEED, 2.0)
-        for use in (pafot.always, lambda each: margin & each, lambda each: pafot.until(margin, each)):
+        untils = (lambda each: pafot.until(margin, each), lambda each: pafot.until(each, margin))
+        for use in (pafot.always, lambda each: margin & each, *untils):
             with pytest.raises(TypeError, match="does not say by how much it holds"):
                 use(wrong)
 

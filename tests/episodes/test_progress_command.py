@@ -12,6 +12,8 @@ import pytest_pafot as pafot
 from pytest_pafot.__main__ import main
 
 POLICY = """\
+import os
+
 import pytest_pafot as pafot
 
 
@@ -35,6 +37,11 @@ class SameCareful(Careful):
 class Broken:
     def __call__(self, observation):
         return observation.egos
+
+
+class Ends:
+    def __call__(self, observation):
+        os._exit(0)
 
 
 class Unmade:
@@ -255,6 +262,10 @@ def test_same_seed_agrees_for_any_worker_count(here, capsys):
             "--check: expected the name module:function of a function of a run, received",
         ),
         (["Broken"], "NEW: expected a policy that drives, received AttributeError: "),
+        (
+            ["Ends", "--fail-on", "worse"],
+            "NEW: expected a policy that drives, received one whose process ended with exit code 0",
+        ),
         (
             ["Careful", "--check", "versions:misspelt"],
             "--check: expected a function of a run that asserts, received At",

@@ -205,6 +205,15 @@ def test_assertion_over_several_lines_is_identified_whole():
     assert normalised(caught(long_one, Stub).assertion) == "run.min_ttc > N"
 
 
+def test_assertion_behind_other_code_is_identified_alone():
+    # fmt: off
+    def behind(run):
+        if run.min_ttc: assert run.min_ttc > 1.0  # noqa: E701
+    # fmt: on
+
+    assert normalised(caught(behind, Stub).assertion) == "run.min_ttc > N"
+
+
 def test_library_exception_is_identified_by_the_test_line():
     def library(_run):
         np.testing.assert_allclose([1.0], [2.0])

@@ -208,7 +208,7 @@ SITUATIONS = {
         ),
         Situation(
             "braked-for-nothing-unavoidable",
-            "On a free road the ego brakes with 9.8 m/s^2. The NPC behind has exactly the distance that RSS requires "
+            "On a free road the ego brakes with 9.8 m/s^2. The NPC behind has little more than RSS requires "
             "for 8 m/s^2.",
             lambda: hit(driven(0.0, brakes=[(4.0, 9.8, 0.0)]), driven(-34.0, brakes=[(5.0, 6.0, 0.0)])),
             "ego", "braked-for-nothing", "7", "NPC 0 had too little time to respond",

@@ -206,6 +206,7 @@ def test_view_has_recorded_acceleration_and_largest_jerk():
     [
         (Failure(kind="AssertionError", assertion="not run.collision"), "assert not run.collision"),
         (Failure(kind="ValueError", message="no plan"), "ValueError: no plan"),
+        (Failure(kind="ValueError", message="no plan", assertion="plan_of(run)"), "ValueError: no plan"),
     ],
 )
 def test_a_view_says_what_failed(failure, shown):
