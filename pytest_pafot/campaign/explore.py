@@ -79,7 +79,7 @@ def explore(
     Args:
         ads: the factory, called once for each run, its ``module:factory[:argument]``, or a highway-env vehicle class.
         holds: the property: a function that receives a :class:`~pytest_pafot.oracle.run.Run` and asserts, like a test
-            function.
+            function. With several workers and without ``on_event``, it is called in the processes that make the runs.
         world: the world, such as ``pafot.World("highway-v0")``; by default ``pafot.Highway()``.
         runs: the number of runs after which the search ends; 40 if ``generations`` is not given.
         generations: the number of generations after which the search ends.
