@@ -197,7 +197,7 @@ class Settings:
     max_saved: int = option(
         "integer",
         "Largest number of saved scenarios of each test.",
-        "More new findings are counted and named, but not saved.",
+        "More new findings are counted and named, but only those that end their process are saved.",
         default=20,
         least=1,
     )
