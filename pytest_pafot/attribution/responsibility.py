@@ -451,9 +451,8 @@ def rss_rule(trace: Trace) -> Attribution:
     it gave way to the vehicle behind, or if it had been the leader for long enough that the other could respond. The
     ego is responsible, too, if a careful driver would have avoided a cut-in by braking. Without a lane change, the
     follower is responsible if braking with 6 m/s^2 after 1 s would have avoided the collision. An ego ahead is
-    responsible only for braking hard, or stopping, with nothing in its way, and never while it stands. If the NPC's way
-    meets the ego's, right of way is decided first. Each clause, its source and its numbers are in
-    docs/explanation/verdicts.md.
+    responsible only for braking hard, or stopping, with nothing in its way. If the NPC's way meets the ego's, right of
+    way is decided first. Each clause, its source and its numbers are in docs/explanation/verdicts.md.
 
     Sources: Shalev-Shwartz, Shammah, Shashua, "On a Formal Model of Safe and Scalable Self-driving Cars",
     arXiv:1708.06374 (distances, danger, blame, proper response); UN Regulations No. 79 (lane changes) and No. 157

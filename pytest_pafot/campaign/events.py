@@ -109,7 +109,7 @@ class SearchSummary:
             interrupted.
         algorithm, profile: names of the algorithm and of the profile of defaults.
         base_seed, seed: seed that repeats the search, with `--pafot-seed`, and the seed derived from it.
-        generations: number of finished generations.
+        generations: number of generations, with one that the limit of runs cut.
         asked, budget: numbers of requested generations and of requested runs; null for the one that is no limit.
         runs: number of simulated scenarios.
         shrink_runs: number of runs that simplified the findings, in addition to `runs`.

@@ -157,7 +157,7 @@ class Settings:
         "text",
         "Count only failures that this reference passes: rev:REVISION, or module:factory for a second ADS.",
         "`rev:main` is the policy of the test in that revision of the repository. The mark also takes a factory or "
-        "the name of its fixture. The reference runs only if the ADS fails.",
+        "the name of its fixture. In a search the reference runs only if the ADS fails.",
         or_class=True,
     )
     copy: str | None = option(
@@ -197,7 +197,7 @@ class Settings:
     max_saved: int = option(
         "integer",
         "Largest number of saved scenarios of each test.",
-        "More new findings are counted and named, but not saved.",
+        "More new findings are counted and named, but only those that end their process are saved.",
         default=20,
         least=1,
     )
@@ -231,8 +231,8 @@ class Settings:
         "integer",
         "Memory [MB] that a process of --pafot-isolate or --pafot-workers may use; 0 for no limit.",
         "It counts in addition to what the process starts with. Beyond it allocations fail, which is a finding. The "
-        "default is three quarters of the machine's memory, shared among the workers, but at least 2048. Only on "
-        "Linux.",
+        "default is three quarters of the memory of the machine or the container, shared among the workers, but at "
+        "least 2048. Only on Linux.",
     )
     dask: str | None = option(
         "address",
@@ -264,7 +264,7 @@ class Settings:
     merge: Sequence[str] | None = option(
         "folders",
         "Merge the saved scenarios of another machine's corpus DIR into this one, instead of searching.",
-        "Each is run, and the simplest of each kind of failure is stored. May be given several times.",
+        "Each is run, and of those that still fail, the simplest of each kind is stored. May be given several times.",
         everywhere=False,
         is_argument=False,
     )

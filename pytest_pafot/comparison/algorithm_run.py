@@ -41,7 +41,7 @@ COLUMNS: Mapping[str, str] = {
     "position_responsibility": "who is responsible by the rule of the authors' code",
     "signature": "identity of a collision, even of one that is no failure, or of an ADS error; otherwise empty",
     "genes_started": "started genes of all NPCs",
-    "genes_reached": "number of started genes whose cell or lane was reached",
+    "genes_reached": "number of started genes whose cell, lane or zone was reached",
     "executed": "the scenario as driven, in canonical text",
 }
 """The columns of the results: those of the table of runs, and those that only a comparison has."""

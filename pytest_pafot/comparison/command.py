@@ -26,6 +26,7 @@ from pytest_pafot.world.highway import LANE_COUNTS
 from pytest_pafot.world.protocol import road_start
 
 LIBRARIES = ("matplotlib", "pandas", "scipy")
+SAMPLED_NPCS = "sampled, or 2 in the paper's scenarios and on a bent road where none crosses the ego's way"
 SAMPLED_GENES = "sampled, or 10 in the paper's scenarios; on a bent road 3, and at most 10 in the paper's scenarios"
 START = " in the paper's scenarios and with --env, otherwise sampled; on a bent road, the environment's"
 
@@ -76,7 +77,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         ("--speed-limit", float, "V", f"speed limit [m/s] (default: {PAPER_SPEED_LIMIT})"),
         ("--duration", float, "S", "duration of a scenario [s] (default: 60, or the environment's)"),
         ("--clearance", float, "D", "clearance of the grid [m]; the paper has 0 (default: 3)"),
-        ("--npcs", int, "N", "number of NPCs, 1 to 8 (default: sampled, or 2 in the paper's scenarios)"),
+        ("--npcs", int, "N", f"number of NPCs, 1 to 8 (default: {SAMPLED_NPCS})"),
         ("--genes", int, "N", "genes of each NPC (default: as many as fill a scenario)"),
         ("--gene-seconds", float, "S", f"duration of a gene [s] (default: {SAMPLED_GENES})"),
     ):

@@ -209,9 +209,9 @@ def execution_time(trace: Trace) -> float:
 
 
 def planned_duration(trace: Trace) -> float:
-    """Return the duration of the scenario's genes [s], which is the longest possible duration of its run.
+    """Return the duration of the scenario's genes [s]; if an NPC crosses, that of the run.
 
-    If an NPC crosses, its gene has no duration, so the result is the duration of the run.
+    The gene of an NPC that crosses has no duration.
     """
     return trace.duration if trace.scenario.crossings else trace.scenario.seconds
 

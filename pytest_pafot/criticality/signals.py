@@ -220,7 +220,7 @@ class EgoLaneChange:
     Attributes:
         tick: first tick in the new lane.
         time: time of that tick [s].
-        from_lane, to_lane: indices of the old and the new lane, 0 at the left.
+        from_lane, to_lane: indices of the old and the new lane, on a straight road from 0 at the left.
         gap_ahead, gap_behind: gaps along the road to the nearest NPC ahead and behind whose centre is in the new lane
             [m]; 0 side by side, inf if there is none.
     """
@@ -282,6 +282,7 @@ def _right(trace: Trace) -> FloatArray:
 _of_ego, _of_npcs = partial(_recorded, 0), partial(_recorded, slice(1, None))
 _TURNING = "speed times the turning rate of the heading since the tick before, positive to the right"
 _JERK = "change of the acceleration since the tick before, per second; 0 at the first tick"
+_LANE = "index of the lane of its centre, on a straight road from 0 at the left; -1 off the road"
 _ROAD = "along the road, between the centres"
 
 # Partial functions of named functions, because lambdas cannot be sent to other processes.
@@ -290,14 +291,12 @@ MEASURES = (
     Measure("ego.acceleration", "m/s^2", "low", "as recorded; negative in braking", partial(_of_ego, ACCELERATION)),
     Measure("ego.jerk", "m/s^3", "both", _JERK, partial(_ego, jerk)),
     Measure("ego.lateral_acceleration", "m/s^2", "both", _TURNING, partial(_ego, lateral_acceleration)),
-    Measure("ego.lane", "", "neither", "the lane of its centre, from 0 at the left; -1 off the road",
-            partial(_of_ego, LANE)),
+    Measure("ego.lane", "", "neither", _LANE, partial(_of_ego, LANE)),
     Measure("headway", "s", "low", "gap along the lane to the leader, divided by the ego's speed; inf without a "
             "leader, or if the ego stands", headway),
     Measure("npcs.speed", "m/s", "neither", "as recorded", partial(_of_npcs, SPEED)),
     Measure("npcs.acceleration", "m/s^2", "neither", "as recorded", partial(_of_npcs, ACCELERATION)),
-    Measure("npcs.lane", "", "neither", "the lane of its centre, from 0 at the left; -1 off the road",
-            partial(_of_npcs, LANE)),
+    Measure("npcs.lane", "", "neither", _LANE, partial(_of_npcs, LANE)),
     Measure("npcs.ahead", "m", "neither", f"distance ahead of the ego {_ROAD}; negative behind, NaN while it "
             "crosses", _ahead),
     Measure("npcs.right", "m", "neither", "distance to the right of the ego across the road, between the centres; "

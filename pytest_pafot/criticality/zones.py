@@ -54,7 +54,7 @@ class Passage:
 
 
 def passages(trace: Trace) -> tuple[Passage | None, ...]:
-    """Return, for each NPC, the passage of the zone where its way meets the ego's; None if it does not cross.
+    """Return for each NPC the passage of the zone where its way meets the ego's; None if it does not cross.
 
     None, too, if a user's world records zones but not the vehicles' positions on their ways.
     """

@@ -33,8 +33,9 @@ class Traffic:
     Attributes:
         style: ``"paper"``: NPCs run into the rear of an ego that is slower than their instruction. ``"hostile"``: they
             do everything that the ego can still respond to. ``"assertive"`` and ``"everyday"`` set milder limits.
-        least_speed_share: lowest speed of an NPC with no slower vehicle ahead, as a share of the speed limit or of the
-            ego's speed, whichever is lower. Target speeds are at least this share of the speed limit.
+        least_speed_share: lowest speed of an NPC that neither a vehicle nor the road ahead slows down, as a share of
+            the speed limit or of the ego's speed, whichever is lower. A search samples target speeds of at least this
+            share of the speed limit.
         least_gap: smallest gap to the ego, bumper to bumper, at which an NPC moves in ahead of the ego [m].
         time_gap: smallest gap at which an NPC moves in ahead of the ego, as a time at the ego's speed [s].
         braking: hardest braking of an NPC if no vehicle ahead requires more [m/s^2].

@@ -173,7 +173,7 @@ class Run(Shown):
 
     @property
     def ads_error(self) -> AdsError | None:
-        """The error because of which the ADS returned no action, or None."""
+        """The error because of which the ADS returned no valid action, or None."""
         return self.trace.error
 
     @property
@@ -424,12 +424,12 @@ class Run(Shown):
 
     @property
     def event_cell(self) -> Cell | None:
-        """The cell of the NPC :attr:`event_npc` at the event; None if that NPC crossed the ego's way."""
+        """The cell of the NPC :attr:`event_npc` at the event; None without one, or if it was off the ego's way."""
         event = self.collision or self.worst_ttc
         return None if event is None else event.cell
 
     def zone_of(self, event: Collision | Moment) -> Zone | None:
-        """Return the zone of an event's NPC if that NPC crosses, else None.
+        """Return the zone of an event's NPC if that NPC crosses and has not merged yet, else None.
 
         After an NPC has merged and left the zone, it is on the ego's way like any other NPC.
         """
@@ -463,7 +463,7 @@ class Run(Shown):
         return *verdict.sentences, responsible_sentence(verdict.responsibility, self.collision.npc)
 
     def explain(self) -> str:
-        """Explain the run in some ten to twenty lines of ASCII: the events, the verdict and the NPCs' instructions."""
+        """Explain the run in at most some twenty lines of ASCII: events, verdict and the NPCs' instructions."""
         lines = [self._headline(), *(f"  {sentence}" for sentence in self.sentences), *self._measures()]
         names = [f"scenario {self.scenario.id}", f"repair seed {self.scenario.seed}"]
         names += [f"position rule: {self.second_opinion}"] if self.second_opinion != self.responsibility else []

@@ -45,14 +45,15 @@ class FindingRecord:
         node_id: node id of the item that replays it, in this session or, if it is new, from the next one on.
         id: name of its file without the suffix.
         test: node id of its test.
-        status: `new`; the label of its replay; or `error` if it could not be read or run.
+        status: `new`; the label of its replay; or `error` if it could not be read or run. Then only its ids, `result`,
+            `file`, `replay` and `detail` are known.
         result: result of the item: `passed`, `skipped`, `xfailed`, `failed`, `error`; empty if the item did not end.
         file, replay: path relative to the rootdir, null if it was not saved, and the command that replays it.
-        scenario: its scenario, which `pafot.Scenario.from_canonical` reads; null if its file could not be read.
+        scenario: its scenario, which `pafot.Scenario.from_canonical` reads; null if `status` is `error`.
         world: its world, as in its file; null likewise.
         headline: how the run ended, in a few words; empty if it passes.
         sentences: who did what in a collision, what was due or what avoids it, and who is responsible.
-        detail: what differs from the file, or why there is no file.
+        detail: what differs from the file, why there is no file, or what the error is.
         signature: everything that makes two failures the same, in one line, for the failure in its file.
         kind: short name of the signature, from which ids are made.
         failure, assertion: name of the exception class, and the failing assertion or the name of the check.
@@ -64,7 +65,7 @@ class FindingRecord:
         seed, algorithm: seed (not the base seed) and algorithm of the search that found it.
         against: the reference that passed in this scenario when it was found; empty without one.
         flaky: what differed when it was run again, as in the file; null if nothing did.
-        unshrunk: why a new finding is not confirmed or not fully shrunk; empty if it is.
+        unshrunk: that no time was left to confirm a new finding, or to shrink it fully; otherwise empty.
         severity: how bad the failure is now: `kind`, which is `collision` or `check`; `value`, the closing speed at the
             impact [m/s], or by how much the check is broken [`unit`], null if it measured no number; `delta_v` of a
             collision, for equal masses [m/s]; `margin` and `name` of a check. Null if it passes or has no measure.
@@ -155,7 +156,8 @@ class OrphanRecord:
         folder, files: path relative to the rootdir, and the number of saved scenarios in it.
         expected: the test that the folder belongs to, and what was found instead of the test.
         way_out: what to do with the files: move or remove them.
-        is_gone: true if the module or the function no longer exists, which makes a session under CI fail.
+        is_gone: true if the module or the function no longer exists in a folder given to pytest, which makes a session
+            under CI fail.
     """
 
     folder: str

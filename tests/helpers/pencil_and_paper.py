@@ -43,7 +43,7 @@ class Vehicle:
         else:
             self._on_bend(trace, trace.track[:, index].tolist())
         self.is_straight = trace.track is None
-        self.lane_width = [trace.lanes[lane].width for lane in self.lane]
+        self.lane_width = [trace.lanes[max(int(row[LANE]), 0)].width for row in self.rows]
         self.speed = [v * math.cos(a) for v, a in zip(self.body_speed, self.angle, strict=True)]
 
     def _on_straight_road(self, trace):
@@ -253,9 +253,7 @@ class Crash:
         """Return a lane change, or None if there is none or the mover gave it up."""
         if change is None or not mover.is_over_its_line(change.moment, change.side):
             return change
-        is_in_its_lane = mover.lane[self.impact] == mover.lane[change.moment]
-        if mover.is_straight:  # off the road, there is one extra lane on either side
-            is_in_its_lane = mover.centre[self.impact] == mover.centre[change.moment]
+        is_in_its_lane = mover.rows[self.impact][LANE] == mover.rows[change.moment][LANE] >= 0
         is_back = is_in_its_lane and not mover.is_over_its_line(self.impact, change.side)
         return None if is_back else change
 
@@ -331,7 +329,7 @@ class Crash:
         passed = self.duty_passes(self.ego, self.npc, at)
         if passed is not None:
             return self.npc_follows(passed.due, tick=passed.kept)
-        due, is_ahead = max(at, self.danger - 1), gap(self.ego, self.npc, self.joined) > 0
+        due, is_ahead = max(at, self.danger - 1), gap(self.ego, self.npc, max(at, self.joined)) > 0
         if had_room and is_ahead and self.would_have_avoided(self.npc, self.ego, due):
             self.ticks["answer"] = self.counted
             return self.opinion("both", "entered-lane", at)
@@ -343,7 +341,7 @@ class Crash:
         if not is_behind(self.ego, self.npc, at) and gap(self.ego, self.npc, at) > 0:
             return self.npc_follows(at, tick=at, moved_in=at)
         self.is_cut_in = self.seconds(self.impact - at) <= 5.0
-        if gap(self.ego, self.npc, at) <= 0 or gap(self.ego, self.npc, self.joined) <= 0:
+        if gap(self.ego, self.npc, at) <= 0 or gap(self.ego, self.npc, max(at, self.joined)) <= 0:
             return self.npc_unless_second_chance(at, moment=at)
         return self.cut_in(change)
 
@@ -386,8 +384,7 @@ class Crash:
             if drive.is_contact(tick + 1):
                 return False
         closing = max(0.0, lowest - ahead.speed[self.impact])
-        could_slow_down = drive.ahead_by(self.impact) > 0 and drive.straight_gap(self.impact) > closing**2 / (2 * 6.0)
-        return could_slow_down or drive.lag >= nearer
+        return drive.straight_gap(self.impact) > closing**2 / (2 * 6.0) or drive.lag >= nearer
 
     def gains_speed(self, behind, first):
         """Return whether a vehicle is ever over 0.3 m/s faster than its lowest speed from a tick on up to then."""
@@ -407,12 +404,10 @@ class Crash:
         second = self.keeps_its_lane(mover, since)
         if second is None:
             return None
-        kept, end = second
-        due = max(end, self.danger - 1)
-        if not self.would_have_avoided(other, mover, due):
+        if not self.would_have_avoided(other, mover, max(second[1], self.danger - 1)):
             return None
         self.ticks["answer"] = self.counted
-        return Passed(kept, due)
+        return Passed(*second)
 
     def keeps_its_lane(self, vehicle, since):
         """Return the first period since a tick in which the vehicle kept its lane for long enough, or None."""
@@ -522,8 +517,8 @@ class Crash:
             return False
         drive = Response(self, self.ego, self.npc, first, delay=0.0, perceived=0.0)
         for tick in range(first, self.impact + 1):
-            is_ahead, headway = drive.ahead_by(tick) > 0, drive.straight_gap(tick) >= 1.0 * self.ego.speed[tick]
-            if self.ego.speed[tick] <= self.npc.speed[tick] and is_ahead and headway:
+            has_headway = drive.straight_gap(tick) >= 1.0 * self.ego.speed[tick]
+            if self.ego.speed[tick] <= self.npc.speed[tick] and has_headway:
                 first = tick
         return self.gains_speed(self.ego, first) and (
             self.sped_up_into(self.ego, self.npc, first, nearer=0.5)
@@ -851,7 +846,7 @@ def last_crossing(mover, motion, side):
 
 @dataclass(frozen=True)
 class Passed:
-    """Rule 4a: the tick from which the mover kept its lane, and the tick from which the other must answer."""
+    """Rule 4a: the tick from which the mover kept its lane, and the tick at which the duty passes."""
 
     kept: int
     due: int
@@ -938,8 +933,8 @@ class Response:
         return polygons_meet(*boxes)
 
     def straight_gap(self, tick):
-        """Return the gap at a tick, as if the boxes were straight [m]."""
-        return abs(self.ahead_by(tick)) - (self.responder.length + self.other.length) / 2
+        """Return the gap at a tick, as if the boxes were straight; negative if the responder has passed [m]."""
+        return self.ahead_by(tick) - (self.responder.length + self.other.length) / 2
 
     def is_free_after_the_impact(self, deceleration, brakes_on):
         tick = self.impact
@@ -972,7 +967,7 @@ class Emergency:
         if self.first is None and self.count >= round(0.4 * drive.hz):
             self.first = tick - self.count + 1
         acts = self.first is not None and tick + 1 >= self.first + drive.delay
-        if acts and own <= other:
+        if acts and tick >= self.first + drive.delay and own <= other:  # it has acted
             self.count, self.first, acts = 0, None, False
         return 6.0 if acts else 3.0
 
