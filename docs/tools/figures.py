@@ -55,8 +55,8 @@ BENCHMARKS: Mapping[str, tuple[str, str | None]] = {
     ),
     "paper-readings": ("paper_differences --tables readings --scenarios {1000|20}", "docs/explanation/paper.md"),
     "planted-defects": (
-        "planted_defects --half set-aside --seeds {10|1} --runs {2000|20} --workers WORKERS --save OUT.jsonl "
-        "--picture OUT.png",
+        "planted_defects --half set-aside --arms default random cells random-cells lanes --seeds {20|1} "
+        "--runs {2000|20} --workers WORKERS --save OUT.jsonl --picture OUT.png",
         None,
     ),
     "planted-junctions": (
@@ -88,7 +88,7 @@ BENCHMARKS: Mapping[str, tuple[str, str | None]] = {
     "speed": ("speed --rounds {9|1} --parts {engines ads npcs search batch pure start memory|npcs}", None),
     "training": ("training --seconds {8|1}", "docs/guide/training.md"),
     "positive-controls": (
-        "positive_controls --first-seed 200 --seeds {3|1} --runs {400|30} --workers WORKERS",
+        "positive_controls --first-seed 200 --seeds {3|1} --runs {400|30} --instructions cells --workers WORKERS",
         None,
     ),
     "negative-control": ("negative_control --seeds {10|1} --runs {400|8} --workers WORKERS", None),

@@ -77,7 +77,7 @@ class ProgramLoader:
         while idle:
             program = idle.pop()
             if program.is_ready:
-                return ProgramAds(self, program)
+                return ProgramAds(self, program, is_kept=True)
         return ProgramAds(self, Program(self.command))
 
 
@@ -95,17 +95,26 @@ def _idle(loader: ProgramLoader) -> list[Program]:
 class ProgramAds:
     """An ADS that drives one run with a program."""
 
-    def __init__(self, loader: ProgramLoader, program: Program) -> None:
+    def __init__(self, loader: ProgramLoader, program: Program, *, is_kept: bool = False) -> None:
         self._loader = loader
         self._program = program
+        self._is_kept = is_kept
         self._is_first = True
         self._is_asked = False
 
     def __call__(self, observation: Any) -> Any:
         """Return the program's answer to an observation."""
         line = line_of(observation, reset=self._is_first)
-        self._is_first, self._is_asked = False, True
-        action = action_of(self._program.ask(line, self._loader.timeout))
+        is_first, self._is_first, self._is_asked = self._is_first, False, True
+        try:
+            answer = self._program.ask(line, self._loader.timeout)
+        except ProgramEnded:
+            if not (is_first and self._is_kept):
+                raise
+            # It was ending after its last scenario, which does not show before its end. It knows nothing of this one.
+            self._program = Program(self._loader.command)
+            answer = self._program.ask(line, self._loader.timeout)
+        action = action_of(answer)
         self._is_asked = False
         return action
 

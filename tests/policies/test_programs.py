@@ -365,6 +365,11 @@ def test_the_planner_in_c_of_the_documents_drives(tmp_path):
     assert min(acceleration for acceleration, _ in trace.actions) < -1
 
 
+def test_program_that_ends_after_its_run_is_started_again(tmp_path):
+    ads = program(tmp_path, "sys.exit(3) if seen['reset'] and number else answer(acceleration=0.0, steering=0.0)")
+    assert [ROAD.rollout(CUT_IN, ads).error for _ in range(3)] == [None, None, None]
+
+
 def test_waiting_program_is_not_used_by_other_process(tmp_path, monkeypatch):
     loader = program(tmp_path, "answer(acceleration=0.0, steering=0.0)")
     first = loader()
