@@ -295,7 +295,7 @@ class Run(Shown):
 
     @cached_property
     def attribution(self) -> Attribution:
-        """The attribution of the collision: which vehicle caused it, when the danger began, and the reason."""
+        """The attribution of the collision: which vehicle caused it, the time of what decides, and the reason."""
         found = rss_rule(self.trace)
         return found if self.avoided_by is None else replace(found, facts=due_by(found.facts, self.avoided_by.time))
 
