@@ -422,7 +422,7 @@ def _options(module: Any) -> set[str]:
 def _made(env_id: str, creator: Any, given: dict[str, Any], *, has_traffic: bool) -> Any:
     """Make an environment in its registered wrappers.
 
-    If its road is not straight, the environment is reset with seed 0, because road and start may be random.
+    The environment is reset with seed 0, because its road and its start may be random.
     """
     known = creator.default_config() if hasattr(creator, "default_config") else {}
     config = _as_known(_with_tuples(given), known)
@@ -437,7 +437,7 @@ def _made(env_id: str, creator: Any, given: dict[str, Any], *, has_traffic: bool
     unwrapped: Any = env.unwrapped
     if not takes_config and hasattr(unwrapped, "configure"):
         unwrapped.configure(config)
-    if getattr(unwrapped, "road", None) is not None and straight_road(unwrapped.road.network) is None:
+    if getattr(unwrapped, "road", None) is not None:
         unwrapped.reset(seed=0)
     return env
 

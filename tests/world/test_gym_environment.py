@@ -236,6 +236,19 @@ class Wet(HighwayEnv):
         super()._simulate(action)
 
 
+class Wide(HighwayEnv):
+    """A straight road with a random number of lanes."""
+
+    def _create_road(self):
+        self.config["lanes_count"] = int(self.np_random.integers(2, 50))
+        super()._create_road()
+
+
+def test_random_straight_road_is_the_same_in_each_session(register):
+    register("mine-v0", entry_point=Wide)
+    assert len({World("mine-v0").lanes for _ in range(4)}) == 1
+
+
 def test_custom_step_is_used_on_straight_roads_too(register):
     register("mine-v0", entry_point=Doubled)
     own, stock = (Listener(gymnasium.spaces.Discrete(1)) for _ in range(2))  # a policy with one action
