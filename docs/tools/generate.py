@@ -461,7 +461,7 @@ def _arguments(function: Callable[..., Any]) -> list[list[str]]:
 
 def _temporal_table() -> str:
     functions = (above, below, always, eventually, until)
-    rows = [[f"`pafot.{each.__name__}({', '.join(_parameters(each))})`", _value(each)] for each in functions]
+    rows = [[f"`pafot.{each.__name__}({_stated(each)})`", _value(each)] for each in functions]
     return _table(["Function", "Margin"], rows)
 
 
@@ -469,19 +469,22 @@ def _ready_list() -> str:
     entries = []
     for name in properties.__all__:
         function: Callable[..., Any] = getattr(properties, name)
-        defaults = [each for each in inspect.signature(function).parameters.values() if each.name != "run"]
-        arguments = ", ".join(["run", *(f"{each.name}={_stated(each.default)}" for each in defaults)])
         paragraphs = [_plain(" ".join(each.split())) for each in inspect.cleandoc(function.__doc__ or "").split("\n\n")]
         paragraphs = [each for each in paragraphs if not each.startswith("Raises:")]
         text = re.sub(r"docs/([\w/]+/)([\w-]+)\.md", r"[\2](../\1\2.md)", " ".join(paragraphs))
         lines = textwrap.wrap(text, 120, break_on_hyphens=False)
-        lines = [f"**`pafot.properties.{name}({arguments})`**", "", *lines]
+        lines = [f"**`pafot.properties.{name}({_stated(function)})`**", "", *lines]
         entries.append("\n".join(lines))
     return "\n" + "\n\n".join(entries) + "\n\n"
 
 
-def _stated(default: object) -> str:
-    return "attribution's" if isinstance(default, RssRules) else repr(default)
+def _stated(function: Callable[..., Any]) -> str:
+    """Return the parameters of a function with their defaults, long ones as ``...``."""
+    stated = []
+    for each in inspect.signature(function).parameters.values():
+        default = "..." if isinstance(each.default, RssRules) else repr(each.default)
+        stated.append(each.name if each.default is inspect.Parameter.empty else f"{each.name}={default}")
+    return ", ".join(stated)
 
 
 def _strategies_table() -> str:

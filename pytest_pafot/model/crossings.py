@@ -68,11 +68,10 @@ class Zone:
 
     Attributes:
         way: entry and exit of the NPC's way, such as ``"o1>o3"``.
-        kind: how the two ways meet.
-        origin: the direction that the NPC comes from.
-        ego, npc: the stretches of the ego's way and of the NPC's way in the zone [m]. In a merging zone both stretches
-            end where the two vehicles drive in one lane.
-        priority: the vehicle that has priority.
+        kind: how the two ways meet: ``"crossing"``, ``"oncoming"`` or ``"merging"``.
+        origin: the direction that the NPC comes from: ``"left"``, ``"right"``, ``"ahead"`` or ``"behind"``.
+        ego, npc: the stretches of the ego's way and of the NPC's way in the zone [m].
+        priority: the vehicle that has priority: ``"ego"``, ``"npc"`` or ``"none"``.
         line: points of the NPC's way from its entry to its exit, x and y [m]. Only pictures use them; empty if unknown.
     """
 

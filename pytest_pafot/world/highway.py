@@ -44,8 +44,7 @@ class Highway(BuiltInWorld):
         physics_hz: simulation ticks per second.
         ads_hz: decisions of the ADS per second; a divisor of ``physics_hz``.
         duration: the longest duration of a run [s].
-        clearance: the gap between the ego and the cells ahead of it and behind it [m], or in other traffic than the
-            paper's the least gap; it is 0 in the paper's grid.
+        clearance: the least gap between the ego and the cells ahead of it and behind it [m]; NPCs may come nearer.
         headway: the headway with which NPCs start ahead of the ego or behind it [s].
         limits: the limits of every NPC.
         hang_limit: wall-clock time after which a decision of the ADS is interrupted [s].
