@@ -194,23 +194,27 @@ class Judged:
         scenario: the scenario that was run.
         executed: the scenario as it was driven.
         verdict: the verdict; without the checks if another process judged the run.
-        responsibility: who is responsible for the run's collision: ego, npc, both or none; None without a collision.
         run: the run; None if another process judged it, and sent only a digest of it.
-        columns: the values of the run for the table of runs, from the process that judged it; None if there is ``run``.
+        known_responsibility: the responsibility, from the process that judged the run; None if there is ``run``.
+        columns: the values of the run for the table of runs, from that process; None if there is ``run`` or no table.
     """
 
     scenario: Scenario
     executed: Scenario
     verdict: Verdict
-    responsibility: str | None
     run: Run | None = None
+    known_responsibility: str | None = None
     columns: Mapping[str, Any] | None = None
 
     @classmethod
     def here(cls, run: Run, verdict: Verdict) -> Self:
         """Make the event of a run that this process has judged."""
-        trace, responsible = run.trace, run.responsibility
-        return cls(scenario=trace.scenario, executed=run.scenario, verdict=verdict, responsibility=responsible, run=run)
+        return cls(scenario=run.trace.scenario, executed=run.scenario, verdict=verdict, run=run)
+
+    @property
+    def responsibility(self) -> str | None:
+        """Who is responsible for the run's collision, ``"ego"``, ``"npc"`` or ``"both"``; None if neither is."""
+        return self.known_responsibility if self.run is None else self.run.responsibility
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -8,7 +8,7 @@ from __future__ import annotations
 import hashlib
 import math
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -24,14 +24,13 @@ from pytest_pafot.campaign.resuming import RandomBeginning, Sessions
 from pytest_pafot.campaign.search_loop import Reader, Recorder, SearchLoop, difference
 from pytest_pafot.campaign.setup_fault import SetupFaultError
 from pytest_pafot.campaign.simplification import Simplification
-from pytest_pafot.campaign.verdict import Verdict, no_skip, skips
+from pytest_pafot.campaign.verdict import no_skip, skips
 from pytest_pafot.corpus.saved import Saved, saved_in
 from pytest_pafot.execution import scenario_pool
 from pytest_pafot.execution.crash_records import Leftover
 from pytest_pafot.execution.runner import Retried, retry, runner_for
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.sight import Sight
-from pytest_pafot.oracle.run import Run
 from pytest_pafot.searching import run_campaign
 from pytest_pafot.searching.ask_tell import Algorithm, CheckpointError
 from pytest_pafot.searching.fitness import FitnessError, is_built_in, resolve
@@ -108,13 +107,13 @@ def prepared(
     *,
     space: SearchSpace | None = None,
     is_steered: bool = True,
-    columns: Callable[[Run, Verdict], Mapping[str, Any]] | None = None,
+    has_table: bool = False,
 ) -> Iterator[Sessions]:
     """Build the parts of a search that run scenarios, record findings and count. Stop their processes at the end.
 
     The search has the space that its request describes, unless one is given. It is steered towards collisions for which
-    the ego is responsible, unless ``blame="any"`` or ``is_steered`` is False. ``columns`` computes what a table of runs
-    needs of a run that another process judges.
+    the ego is responsible, unless ``blame="any"`` or ``is_steered`` is False. With ``has_table``, the listener is
+    told all that a table of runs needs, also of runs that another process judges.
 
     Raises:
         RequestError: for a fitness that does not exist, or a world that cannot be used.
@@ -135,7 +134,7 @@ def prepared(
         harness=None if why_here else harness,
         fitness=fitness if is_built_in(request.fitness) else None,
         is_steered_by_checks=is_steered_by_checks,
-        columns=None if why_here else columns,
+        has_table=has_table,
     )
     remark = f"; this process judges all runs, since {why_here}" if why_here else ", which also judge their runs"
     job = replace(job, read=reader, remark=remark)

@@ -14,6 +14,7 @@ from typing import Any
 from pytest_pafot.attribution.mistakes import mistake_of
 from pytest_pafot.campaign.events import Find, FindTold, Judged, Listener
 from pytest_pafot.campaign.harness import Harness, Simulation, is_same_run
+from pytest_pafot.campaign.run_table import columns_of
 from pytest_pafot.campaign.setup_fault import FirstGeneration, unit_doubt
 from pytest_pafot.campaign.verdict import PlainFailure, Verdict, headline, worst_margins
 from pytest_pafot.corpus.layout import SUFFIX, files_in, relative
@@ -81,7 +82,7 @@ UNREMARKABLE = ("passed", "npc", "invalid", "rejected")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Reader:
-    """What a process that made a run reads from its trace, so that the process of the session need not.
+    """Read the trace of a run in the process that made it, so that the process of the session need not.
 
     With a harness, that process judges the run, too, and if nothing failed it sends a digest. Otherwise it sends the
     trace, which stores the values that the search will need.
@@ -90,13 +91,13 @@ class Reader:
         harness: has the test function; None if only the process of the session may call it.
         fitness: the fitness of a trace; None if it is the user's own function, which runs only in the session.
         is_steered_by_checks: as in :class:`SearchLoop`.
-        columns: computes the columns of a run for the table of runs; None without a table.
+        has_table: whether the digest has the columns of the run for the table of runs.
     """
 
     harness: Harness | None
     fitness: Callable[[Trace], float] | None
     is_steered_by_checks: bool
-    columns: Callable[[Run, Verdict], Mapping[str, Any]] | None
+    has_table: bool
 
     def __call__(self, trace: Trace) -> Digest | None:
         """Read a trace; return its digest, or None if the trace must be sent."""
@@ -107,21 +108,38 @@ class Reader:
         verdict = self.harness.judge(run)
         if verdict.kind not in UNREMARKABLE:
             return None
-        evaluation = Evaluation.of(
-            trace,
-            fitness=trace.reading(FITNESS, self.fitness),
-            failing=False,
-            discarded=verdict.discarded,
-            margins=worst_margins(verdict) if self.is_steered_by_checks else (),
-        )
         event = Judged(
             scenario=trace.scenario,
             executed=trace.executed,
             verdict=replace(verdict, checks=()),
-            responsibility=run.responsibility,
-            columns=None if self.columns is None else self.columns(run, verdict),
+            known_responsibility=run.responsibility,
+            columns=columns_of(run, verdict) if self.has_table else None,
         )
+        evaluation = _evaluated(trace, verdict, None, self.fitness, self.is_steered_by_checks)
         return Digest(Passed(evaluation=evaluation, event=event, caught=_caught(verdict), doubt=unit_doubt(trace)))
+
+
+def _evaluated(
+    trace: Trace,
+    verdict: Verdict,
+    signature: Signature | None,
+    fitness: Callable[[Trace], float],
+    is_steered_by_checks: bool,
+) -> Evaluation:
+    """Return what the algorithm sees of a judged run: how bad it was and how it failed, to look for other failures.
+
+    ``signature`` is None if the run is no failure that counts.
+    """
+    check = verdict.failure.check if verdict.failed and verdict.failure is not None else None
+    return Evaluation.of(
+        trace,
+        fitness=trace.reading(FITNESS, fitness),
+        failing=verdict.failed,
+        discarded=verdict.discarded,
+        kind=signature,
+        mistake=(None if signature is None else signature.mistake) if check is None else check.name,
+        margins=worst_margins(verdict) if is_steered_by_checks else (),
+    )
 
 
 def _caught(verdict: Verdict) -> tuple[str, ...]:
@@ -278,16 +296,22 @@ class SearchLoop:
         return True
 
     def _taken(self, passed: Passed) -> Evaluation:
-        """Count a run that another process has judged, as :meth:`_judged` counts a run that passes."""
+        """Count a run that another process has judged, and return its evaluation."""
         self.listener(passed.event)
-        self.verdicts[passed.event.verdict.kind] += 1
-        self.caught.update(passed.caught)
-        self.doubt = self.doubt or passed.doubt
+        self._count_run(None, passed.event.verdict, passed.caught, passed.doubt)
+        return passed.evaluation
+
+    def _count_run(self, run: Run | None, verdict: Verdict, caught: Iterable[str], doubt: str) -> None:
+        """Count a judged run; ``run`` is None if another process has judged it."""
+        self.verdicts[verdict.kind] += 1
+        # What says that the set-up is wrong: a check that the function catches, units, the same error in all runs. As
+        # soon as two runs differ, the findings that were held back are no fault of the set-up.
+        self.caught.update(caught)
+        self.doubt = self.doubt or doubt
         if self.first.is_alike:
-            self.first.see(None, passed.event.verdict)
+            self.first.see(run, verdict)
         if not self.first.is_alike:
             self.recorder.release()
-        return passed.evaluation
 
     def _judged(self, run: Run) -> Evaluation:
         is_alone = self.simulation.runner.is_alone
@@ -299,15 +323,7 @@ class SearchLoop:
             judged.append(Judged.here(run, verdict))
         for event in judged:  # After both runs, because the time limit may end the second one, and then none counts.
             self.listener(event)
-        self.verdicts[verdict.kind] += 1
-        # What says that the set-up is wrong: a check that the function catches, units, the same error in all runs. As
-        # soon as two runs differ, the findings that were held back are no fault of the set-up.
-        self.caught.update(_caught(verdict))
-        self.doubt = self.doubt or unit_doubt(run.trace)
-        if self.first.is_alike:
-            self.first.see(run, verdict)
-        if not self.first.is_alike:
-            self.recorder.release()
+        self._count_run(run, verdict, _caught(verdict), unit_doubt(run.trace))
         # A failure is known, repeated or new, by its signature; a new one is saved here, before the next run.
         signature, failure = None, verdict.failure if verdict.failed else None
         if failure is not None:
@@ -318,17 +334,7 @@ class SearchLoop:
         if verdict.reference is not None and self.broken != "":
             broken = verdict.reference.failure if verdict.reference.is_ads else None
             self.broken = "" if broken is None else self.broken or f"{broken.kind}: {broken.message}"
-        # The algorithm sees how bad the run was, and in which way it failed, so that it can look for other ways.
-        check = None if failure is None else failure.check
-        return Evaluation.of(
-            run.trace,
-            fitness=run.trace.reading(FITNESS, self.fitness),
-            failing=verdict.failed,
-            discarded=verdict.discarded,
-            kind=signature,
-            mistake=(None if signature is None else signature.mistake) if check is None else check.name,
-            margins=worst_margins(verdict) if self.is_steered_by_checks else (),
-        )
+        return _evaluated(run.trace, verdict, signature, self.fitness, self.is_steered_by_checks)
 
     def _count(self, signature: Signature, keep: Callable[[], str]) -> None:
         """Count a failure as known, as a repetition in this search, or as new; ``keep`` records a new failure."""

@@ -22,7 +22,6 @@ from pytest_pafot.campaign.options import Settings
 from pytest_pafot.campaign.replays import Replays
 from pytest_pafot.campaign.request import Request, build_world
 from pytest_pafot.campaign.resuming import check_states
-from pytest_pafot.campaign.run_table import columns_of
 from pytest_pafot.campaign.search import AFTER_A_DEATH, Search, isolated_after_a_death, prepared, time_limit
 from pytest_pafot.campaign.search_loop import NOT_REPEATED
 from pytest_pafot.campaign.verdict import PlainFailure, Test
@@ -206,8 +205,7 @@ def run_search(item: pytest.Function, request: Request) -> None:
     # If this policy has killed a process before, it runs in processes that may die of it.
     chosen = isolated_after_a_death(harness, replays)
     listener = SearchMessages(item, settings, page_counts(item, settings), table_messages_of(item))
-    columns = None if listener.table is None else columns_of
-    with prepared(chosen, listener, columns=columns) as sessions:
+    with prepared(chosen, listener, has_table=listener.table is not None) as sessions:
         result = Search(
             node_id=item.nodeid,
             sessions=sessions,
