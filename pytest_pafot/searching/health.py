@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterable
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field, fields
 from functools import lru_cache
-from itertools import chain, compress, pairwise
+from itertools import chain, compress
 
 from pytest_pafot.model.crossings import SLOTS, slot_name
 from pytest_pafot.model.grid import Cell
-from pytest_pafot.model.scenario import SHIFTS, Chromosome, CrossingInstruction, PositionInstruction
+from pytest_pafot.model.scenario import SHIFTS, Chromosome, CrossingInstruction
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.searching.evaluation import BARELY_MOVING, Evaluation
 from pytest_pafot.searching.events import Evaluated, Event
@@ -50,17 +50,31 @@ class Coverage:
     driven: Counter[Key] = field(default_factory=Counter)
     reached: Counter[Key] = field(default_factory=Counter)  # in driven genes whose cell, lane or zone was reached
 
+    @classmethod
+    def of(cls, evaluations: Iterable[Evaluation]) -> Coverage:
+        """Count the instructions of runs."""
+        requested, driven, reached = [list[tuple[Key, ...]]() for _ in range(3)]
+        for evaluation in evaluations:
+            depth = evaluation.depth if evaluation.genes_started else 0
+            asked = chains = [_keys(chain) for chain in evaluation.scenario.npcs]
+            if evaluation.executed is not evaluation.scenario or evaluation.driven:
+                chains = [_keys(chain) for chain in evaluation.chains]
+            requested += chain.from_iterable(asked)
+            driven += chain.from_iterable([keys[:depth] for keys in chains])
+            reached += chain.from_iterable([compress(*each) for each in zip(chains, evaluation.arrived, strict=False)])
+        counts = [Counter(chain.from_iterable(genes)) for genes in (requested, driven, reached)]
+        return cls(requested=counts[0], driven=counts[1], reached=counts[2])
+
     def counted(self, evaluation: Evaluation) -> Coverage:
         """Return the coverage with one more run."""
-        depth = evaluation.depth if evaluation.genes_started else 0
-        asked = driven = [_keys(chain) for chain in evaluation.scenario.npcs]
-        if evaluation.executed is not evaluation.scenario or evaluation.driven:
-            driven = [_keys(chain) for chain in evaluation.chains]
-        arrived = zip(driven, evaluation.arrived, strict=False)
+        return self + Coverage.of([evaluation])
+
+    def __add__(self, other: Coverage) -> Coverage:
+        """Return the counts of two coverages together."""
         return Coverage(
-            requested=_added(self.requested, chain.from_iterable(asked)),
-            driven=_added(self.driven, chain.from_iterable([keys[:depth] for keys in driven])),
-            reached=_added(self.reached, chain.from_iterable([compress(*each) for each in arrived])),
+            requested=_summed(self.requested, other.requested),
+            driven=_summed(self.driven, other.driven),
+            reached=_summed(self.reached, other.reached),
         )
 
     def describe(self, speed_limit: float, zones: Iterable[str] = ()) -> str:
@@ -83,27 +97,34 @@ class Coverage:
         return f"reached {named}; requested {', '.join(requested)}"
 
 
-def _added(counts: Counter[Key], genes: Iterable[Iterable[Key]]) -> Counter[Key]:
-    counts = counts.copy()
-    counts.update(chain.from_iterable(genes))
+def _summed(counts: Counter[Key], more: Counter[Key]) -> Counter[Key]:
+    counts = counts.copy()  # several times as fast as a sum of two Counters if only one of them is large
+    counts.update(more)
     return counts
 
 
-@lru_cache(maxsize=64)  # the totals of a campaign and its health count the same chains
 def _keys(genes: Chromosome) -> list[tuple[Key, ...]]:
     """Return the keys of each gene of a chain; a step belongs to the gene that it leads to."""
-    bins: list[Key] = [("bin", int(gene.speed // SPEED_BIN)) for gene in genes]
-    if isinstance(genes[0], CrossingInstruction):
-        return [(bins[0], ("zone", genes[0].zone, slot_name(genes[0].slot)))]
-    cells = [gene.target for gene in genes if isinstance(gene, PositionInstruction)]
-    if not cells:
-        return [(each, ("lane", str(gene.target))) for each, gene in zip(bins, genes, strict=True)]
-    steps = [(("step", *step),) for step in pairwise(cells)]
-    return [(speed, ("cell", cell), *step) for speed, cell, step in zip(bins, cells, [(), *steps], strict=True)]
+    first = genes[0]
+    if isinstance(first, CrossingInstruction):
+        return [(("bin", int(first.speed // SPEED_BIN)), ("zone", first.zone, slot_name(first.slot)))]
+    targets = [gene.target for gene in genes]
+    bins = [int(gene.speed // SPEED_BIN) for gene in genes]
+    return list(map(_keys_of, bins, targets, [None, *targets]))
+
+
+@lru_cache(maxsize=1 << 12)
+def _keys_of(number: int, target: int | str, before: int | str | None) -> tuple[Key, ...]:
+    """Return the keys of a gene with a bin of target speeds and a cell or lane, after a different cell or lane."""
+    if isinstance(target, str):
+        return (("bin", number), ("lane", target))
+    step = () if before is None else (("step", before, target),)
+    return (("bin", number), ("cell", target), *step)
 
 
 MAX_INVALID_SHARE = 0.25
 MIN_REACHED_SHARE = 0.2  # runs of four NPCs often end within a gene: a quarter to a half is usual
+BROKEN = (Outcome.ADS_ERROR, Outcome.HANG)  # outcomes of runs that an error of the ADS cut short
 IMMEDIATE = 1.0  # [s]; driving hardly causes a collision before this time
 MAX_USELESS_SHARE = 0.5  # share of the valid runs, for each kind of run that tests nothing
 
@@ -152,38 +173,41 @@ class Health:
     @classmethod
     def of(cls, events: Iterable[Event]) -> Health:
         """Count over the events of a campaign."""
-        health = cls()
-        for event in events:
-            if isinstance(event, Evaluated):
-                health = health.counted(event.evaluation, reused=event.reused)
-        return health
+        evaluated = [event for event in events if isinstance(event, Evaluated)]
+        return cls._of_runs(len(evaluated), [event.evaluation for event in evaluated if not event.reused])
+
+    @classmethod
+    def _of_runs(cls, evaluated: int, runs: Sequence[Evaluation]) -> Health:
+        valid = [each for each in runs if not (each.outcome is Outcome.INVALID or each.discarded)]
+        driven = [each for each in valid if each.outcome not in BROKEN]
+        whole = [each for each in runs if each.outcome not in BROKEN]
+        hits = [each for each in valid if each.outcome is Outcome.COLLISION]
+        invalid = sum([each.outcome is Outcome.INVALID for each in runs])
+        return cls(
+            evaluated=evaluated,
+            simulated=len(runs),
+            invalid=invalid,
+            discarded=len(runs) - len(valid) - invalid,
+            genes_started=sum([each.genes_started for each in whole]),
+            genes_reached=sum([each.genes_reached for each in whole]),
+            valid=len(valid),
+            failing=sum([each.failing for each in valid]),
+            measured=sum([math.isfinite(each.fitness) for each in valid]),
+            unmeasured=sum([not math.isfinite(each.fitness) for each in driven]),
+            no_interaction=sum([not each.interaction for each in driven]),
+            outran=sum([each.outran for each in driven]),
+            barely_moved=sum([each.barely_moved for each in driven]),
+            immediate=sum([each.duration < IMMEDIATE for each in hits]),
+            coverage=Coverage.of(runs),
+        )
 
     def counted(self, evaluation: Evaluation, *, reused: bool = False) -> Health:
         """Return the health with one more evaluation."""
-        if reused:
-            return replace(self, evaluated=self.evaluated + 1)
-        invalid = evaluation.outcome is Outcome.INVALID
-        valid = not (invalid or evaluation.discarded)
-        broken = evaluation.outcome in (Outcome.ADS_ERROR, Outcome.HANG)
-        driven = valid and not broken
-        is_immediate = evaluation.outcome is Outcome.COLLISION and evaluation.duration < IMMEDIATE
-        return Health(
-            evaluated=self.evaluated + 1,
-            simulated=self.simulated + 1,
-            invalid=self.invalid + invalid,
-            discarded=self.discarded + (evaluation.discarded and not invalid),
-            genes_started=self.genes_started + (0 if broken else evaluation.genes_started),
-            genes_reached=self.genes_reached + (0 if broken else evaluation.genes_reached),
-            valid=self.valid + valid,
-            failing=self.failing + (valid and evaluation.failing),
-            measured=self.measured + (valid and math.isfinite(evaluation.fitness)),
-            unmeasured=self.unmeasured + (driven and not math.isfinite(evaluation.fitness)),
-            no_interaction=self.no_interaction + (driven and not evaluation.interaction),
-            outran=self.outran + (driven and evaluation.outran),
-            barely_moved=self.barely_moved + (driven and evaluation.barely_moved),
-            immediate=self.immediate + (valid and is_immediate),
-            coverage=self.coverage.counted(evaluation),
-        )
+        return self + Health._of_runs(1, () if reused else (evaluation,))
+
+    def __add__(self, other: Health) -> Health:
+        """Return the health of two searches, or of two parts of one search, together."""
+        return Health(**{each.name: getattr(self, each.name) + getattr(other, each.name) for each in _FIELDS})
 
     @property
     def reused(self) -> int:
@@ -239,6 +263,9 @@ class Health:
             if _share(count - spared, self.valid) > MAX_USELESS_SHARE:
                 found.append(f"{_percent(count, self.valid)} valid runs {what}; {remedy}")
         return found
+
+
+_FIELDS = fields(Health)
 
 
 def _share(part: int, whole: int) -> float:

@@ -2,16 +2,23 @@
 
 import math
 
+import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from pytest_pafot.model.scenario import CrossingInstruction, LaneInstruction, PositionInstruction, Scenario
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.searching import Health, RandomSearch, run_campaign
+from pytest_pafot.searching.events import Evaluated
+from pytest_pafot.searching.space import SearchSpace, sample
 from tests.helpers.tables import table
 
 LANES, CELLS = (LaneInstruction("left", 8.0),), (PositionInstruction(2, 8.0),)
 CROSSES = (CrossingInstruction("o1>o3", 0.0, 8.0),)
 WELL = {"genes_started": 12, "genes_reached": 9}
+
+spaces = st.builds(SearchSpace, npcs=st.integers(1, 3), instructions=st.sampled_from(["cells", "lanes", "both"]))
 
 
 def health_of(make_evaluation, *groups):
@@ -117,3 +124,41 @@ def test_health_can_be_counted_from_campaign_events(cheap_world):
     health = Health.of(events)
     assert (health.evaluated, health.simulated) == (events[-1].evaluated, len(world.simulated))
     assert 0 < health.failing <= health.valid == health.simulated
+
+
+@given(data=st.data())
+def test_the_health_of_the_parts_of_a_campaign_is_together_that_of_the_whole(make_evaluation, data):
+    fields = st.fixed_dictionaries(
+        {
+            "scenario": st.builds(sample, spaces, st.builds(np.random.default_rng, st.integers(0, 99))),
+            "outcome": st.sampled_from(Outcome),
+            "duration": st.sampled_from([0.5, 60.0]),
+            "fitness": st.sampled_from([1.0, math.nan]),
+            "arrived": st.tuples(st.tuples(st.booleans(), st.booleans())),
+            **dict.fromkeys(("failing", "discarded", "interaction", "outran", "barely_moved"), st.booleans()),
+        }
+    )
+    runs = data.draw(st.lists(st.tuples(fields, st.booleans()), max_size=12))
+    events = [
+        Evaluated(generation=0, local_generation=0, index=0, evaluation=make_evaluation(**each), reused=reused)
+        for each, reused in runs
+    ]
+    cuts = sorted(data.draw(st.lists(st.integers(0, len(events)), max_size=3)))
+    parts = [events[start:end] for start, end in zip([0, *cuts], [*cuts, len(events)], strict=True)]
+    whole = Health.of(events)
+    assert sum(map(Health.of, parts), Health()) == whole
+    one_by_one = Health()
+    for event in events:
+        one_by_one = one_by_one.counted(event.evaluation, reused=event.reused)
+    assert one_by_one == whole
+    simulated = [each for each, reused in runs if not reused]
+    assert (whole.evaluated, whole.simulated) == (len(runs), len(simulated))
+    assert whole.invalid == sum(each["outcome"] is Outcome.INVALID for each in simulated)
+    instructions = [kind for kind in whole.coverage.requested.elements() if kind[0] in ("cell", "lane")]
+    assert len(instructions) == sum(len(chain) for each in simulated for chain in each["scenario"].npcs)
+
+
+def test_adding_two_healths_changes_neither(make_evaluation):
+    one, other = health_of(make_evaluation, (2, {})), health_of(make_evaluation, (3, {"failing": True}))
+    assert (one + other).coverage.requested["cell", 4] == 5
+    assert (one, other) == (health_of(make_evaluation, (2, {})), health_of(make_evaluation, (3, {"failing": True})))
