@@ -74,7 +74,7 @@ class PositionInstruction:
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle as a cached constructor call, because runs travel between processes with dozens of equal genes."""
-        return _known_gene, (int(self.cell), self.speed)
+        return known_gene, (int(self.cell), self.speed)
 
     @property
     def target(self) -> int:
@@ -225,7 +225,8 @@ def gene_of(target: Any, speed: Any, *crossing: Any) -> Gene:
 
 
 @lru_cache(maxsize=1 << 14, typed=True)
-def _known_gene(target: Any, speed: Any, *crossing: Any) -> Gene:
+def known_gene(target: Any, speed: Any, *crossing: Any) -> Any:
+    """Return the gene that :func:`gene_of` returns, from a cache, because a search needs few genes many times."""
     return gene_of(target, speed, *crossing)
 
 
@@ -345,9 +346,12 @@ class Scenario:
 
     def plain(self) -> list[Any]:
         """Return all fields as lists and numbers; :meth:`canonical` is their text."""
-        npcs = [[_plain(gene) for gene in chain] for chain in self.npcs]
+        return [[[_plain(gene) for gene in chain] for chain in self.npcs], *self._beside_chains]
+
+    @property
+    def _beside_chains(self) -> list[Any]:
         traffic = [] if self.traffic == PAPERS else [self.traffic.plain()]
-        return [npcs, self.seed, self.ego_lane, self.ego_speed, self.gene_seconds, *traffic]
+        return [self.seed, self.ego_lane, self.ego_speed, self.gene_seconds, *traffic]
 
     @classmethod
     def from_canonical(cls, fields: Any) -> Scenario:
@@ -357,7 +361,7 @@ class Scenario:
             ScenarioError, TypeError, ValueError: if ``fields`` is anything else.
         """
         npcs, seed, ego_lane, ego_speed, gene_seconds, *traffic = fields
-        chains = tuple(tuple(_known_gene(*gene) for gene in chain) for chain in npcs)
+        chains = tuple(tuple(known_gene(*gene) for gene in chain) for chain in npcs)
         return cls(
             npcs=chains,
             seed=seed,
@@ -369,8 +373,17 @@ class Scenario:
 
     def rechained(self, npcs: Sequence[Sequence[Gene]], gene_seconds: float | None = None) -> Scenario:
         """Return this scenario with other chains, which are repaired, and if given a new duration of a gene [s]."""
-        seconds = self.gene_seconds if gene_seconds is None else gene_seconds
-        return replace(self, npcs=_repaired(npcs, self.seed), gene_seconds=seconds)
+        chains = _repaired(npcs, self.seed)
+        if gene_seconds is not None:
+            return replace(self, npcs=chains, gene_seconds=gene_seconds)
+        return Scenario.trusted(
+            npcs=chains,
+            seed=self.seed,
+            ego_lane=self.ego_lane,
+            ego_speed=self.ego_speed,
+            gene_seconds=self.gene_seconds,
+            traffic=self.traffic,
+        )
 
     def truncated(self, genes: int) -> Scenario:
         """Return this scenario with only the first ``genes`` genes of each NPC."""
@@ -384,7 +397,20 @@ class Scenario:
 @lru_cache(maxsize=64)
 def _canonical(scenario: Scenario) -> str:
     # A search asks for the text of the scenario that runs four times: for its crash record, its id and its row.
-    return json.dumps(scenario.plain(), separators=(",", ":"))
+    chains = ",".join([f"[{','.join(map(_text, chain))}]" for chain in scenario.npcs])
+    return f"[[{chains}],{_encoded(scenario._beside_chains)[1:]}"
+
+
+_encoded = json.JSONEncoder(separators=(",", ":")).encode
+
+
+def _text(gene: Gene) -> str:
+    return _encoded(_plain(gene)) if isinstance(gene, CrossingInstruction) else _gene_text(gene.target, gene.speed)
+
+
+@lru_cache(maxsize=1 << 14)
+def _gene_text(target: int | str, speed: float) -> str:
+    return _encoded([target, speed])
 
 
 def _short(gene: Gene) -> str:
@@ -493,7 +519,7 @@ def with_targets(npcs: Sequence[Chromosome], targets: Sequence[Sequence[Any]]) -
         # Most targets are unchanged, and checking a new gene for each of them took a tenth of a short run.
         (
             *(
-                gene if gene.target == target else _known_gene(target, gene.speed)
+                gene if gene.target == target else known_gene(target, gene.speed)
                 for target, gene in zip(row, chain, strict=False)
             ),
             *chain[len(row) :],

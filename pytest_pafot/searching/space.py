@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from itertools import pairwise
 from types import MappingProxyType
 from typing import Any, Literal
 
@@ -14,7 +13,7 @@ from numpy.random import Generator
 
 from pytest_pafot.model.crossings import Crossings
 from pytest_pafot.model.driving_style import PAPERS, Traffic
-from pytest_pafot.model.grid import Cell, is_adjacent, repair_chains
+from pytest_pafot.model.grid import are_valid, repair_chains
 from pytest_pafot.model.scenario import (
     ACTS,
     EGO_LANE,
@@ -30,6 +29,7 @@ from pytest_pafot.model.scenario import (
     LaneInstruction,
     PositionInstruction,
     Scenario,
+    known_gene,
     positions_of,
 )
 from pytest_pafot.searching import crossing_traffic
@@ -297,7 +297,7 @@ def _sample_crossing(space: SearchSpace, crossing: CrossingTraffic, rng: Generat
 def chains_of(cells: Sequence[Sequence[int]], speeds: Sequence[Sequence[int]]) -> list[list[PositionInstruction]]:
     """Return a chain for each NPC from its cells, and from its speeds in steps of 0.1 m/s."""
     return [
-        [PositionInstruction(Cell(cell), speed / SPEED_STEPS_PER_MPS) for cell, speed in zip(*chain, strict=True)]
+        [known_gene(cell, speed / SPEED_STEPS_PER_MPS) for cell, speed in zip(*chain, strict=True)]
         for chain in zip(cells, speeds, strict=True)
     ]
 
@@ -317,13 +317,11 @@ def repaired(chains: Sequence[Sequence[Gene]], seed: int, start: Scenario | Sear
     positions = positions_of(chains)
     cells = [[gene.cell for gene in chain] for chain in positions]
     npcs = tuple(map(tuple, chains))
-    if not _is_valid(cells):
+    if not are_valid(cells):
         fitting = iter(
             [
                 # A gene that keeps its cell is reused, which is faster than making and checking a new one.
-                tuple(
-                    g if g.cell == cell else PositionInstruction(cell, g.speed) for g, cell in zip(*each, strict=True)
-                )
+                tuple(g if g.cell == cell else known_gene(cell, g.speed) for g, cell in zip(*each, strict=True))
                 for each in zip(positions, repair_chains(cells, seed), strict=True)
             ]
         )
@@ -339,19 +337,12 @@ def repaired(chains: Sequence[Sequence[Gene]], seed: int, start: Scenario | Sear
     )
 
 
-def _is_valid(cells: Sequence[Sequence[Cell]]) -> bool:
-    for row in cells:  # plain loops are faster here, and this runs for every child
-        for before, cell in pairwise(row):
-            if not is_adjacent(before, cell):
-                return False
-    held = [cell + 8 * gene for row in cells for gene, cell in enumerate(row)]
-    return len(held) == len(set(held))
-
-
 def random_instruction(space: SearchSpace, rng: Generator) -> PositionInstruction:
     """Sample a Position-Instruction, uniform over the eight cells and the speeds up to the limit."""
-    cell = Cell(int(rng.integers(1, 9)))
-    return PositionInstruction(cell, int(rng.integers(space.low_step, space.top_step + 1)) / SPEED_STEPS_PER_MPS)
+    cell = int(rng.integers(1, 9))
+    speed = int(rng.integers(space.low_step, space.top_step + 1)) / SPEED_STEPS_PER_MPS
+    gene: PositionInstruction = known_gene(cell, speed)
+    return gene
 
 
 def random_manoeuvres(space: SearchSpace, npcs: int, rng: Generator) -> list[list[LaneInstruction]]:
@@ -359,7 +350,7 @@ def random_manoeuvres(space: SearchSpace, npcs: int, rng: Generator) -> list[lis
     shifts = rng.integers(len(SHIFTS), size=(npcs, space.genes)).tolist()
     speeds = rng.integers(space.low_step, space.top_step + 1, size=(npcs, space.genes)).tolist()
     return [
-        [LaneInstruction(SHIFTS[shift], speed / SPEED_STEPS_PER_MPS) for shift, speed in zip(*chain, strict=True)]
+        [known_gene(SHIFTS[shift], speed / SPEED_STEPS_PER_MPS) for shift, speed in zip(*chain, strict=True)]
         for chain in zip(shifts, speeds, strict=True)
     ]
 
