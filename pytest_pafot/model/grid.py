@@ -8,7 +8,7 @@ Source: Crespo-Rodriguez, Neelofar, Aleti, "PAFOT", AST 2024, section 2.1 (Model
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Sequence
 from enum import IntEnum
 from itertools import pairwise
 
@@ -128,7 +128,8 @@ def repair_gene(
     Raises:
         ValueError: if there are more NPCs than existing cells in the first gene.
     """
-    are_free = len(set(requested)) == len(requested) and all(cell in existing for cell in requested)
+    wanted = set(requested)
+    are_free = len(wanted) == len(requested) and wanted.issubset(existing)
     if are_free and (previous is None or all(map(is_adjacent, previous, requested))):
         return tuple(requested)
     if previous is None:
@@ -139,7 +140,7 @@ def repair_gene(
             next_cells(before, cell, existing, coin(npc))
             for npc, (before, cell) in enumerate(zip(previous, requested, strict=True))
         ]
-    assignment = next(_assignments(preferences, ()), None)
+    assignment = _assigned(preferences, ())
     if assignment is None:
         raise ValueError(
             f"expected a free cell for each NPC, received {len(requested)} NPCs for {len(existing)} existing cells; "
@@ -155,8 +156,6 @@ def repair_chains(chains: Sequence[Sequence[Cell]], seed: int) -> tuple[tuple[Ce
     and no two NPCs occupy the same cell in the same gene. Valid chains are unchanged. Random choices depend only on
     (seed, NPC, gene).
     """
-    if are_valid(chains):
-        return tuple(map(tuple, chains))
     repaired: list[list[Cell]] = [[] for _ in chains]
     for gene in range(max(map(len, chains), default=0)):
         active = [npc for npc, chain in enumerate(chains) if gene < len(chain)]
@@ -213,11 +212,14 @@ def _next_existing_cells(
     return list(dict.fromkeys([*moves, previous]))
 
 
-def _assignments(preferences: Sequence[Sequence[Cell]], taken: tuple[Cell, ...]) -> Iterator[tuple[Cell, ...]]:
-    """Yield all assignments of distinct cells to NPCs, in lexicographic order of the NPCs' preferences."""
+def _assigned(preferences: Sequence[Sequence[Cell]], taken: tuple[Cell, ...]) -> tuple[Cell, ...] | None:
+    """Return the first assignment of distinct cells to NPCs, in lexicographic order of the NPCs' preferences.
+
+    ``taken`` are the cells of the first NPCs. The result is None if no assignment begins with them.
+    """
     if len(taken) == len(preferences):
-        yield taken
-        return
+        return taken
     for cell in preferences[len(taken)]:
-        if cell not in taken:
-            yield from _assignments(preferences, (*taken, cell))
+        if cell not in taken and (found := _assigned(preferences, (*taken, cell))) is not None:
+            return found
+    return None

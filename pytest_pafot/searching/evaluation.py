@@ -14,11 +14,8 @@ import numpy as np
 from pytest_pafot.criticality import Encounters, passages, time_advantage
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.scenario import (
-    SHIFTS,
     Chromosome,
     CrossingInstruction,
-    Gene,
-    PositionInstruction,
     Scenario,
     with_targets,
 )
@@ -344,19 +341,7 @@ class EvaluationCache:
 
 def plain_chains(scenario: Scenario) -> Chains:
     """Return the chains with a number for each gene, which is fast to hash and compare; speeds are at most 1000 m/s."""
-    return tuple(
-        [
-            # Not in a function, because a search does this five times for each run.
-            tuple([10_000 * g.cell + g.speed if type(g) is PositionInstruction else _code(g) for g in chain])
-            for chain in scenario.npcs
-        ]
-    )
-
-
-def _code(gene: Gene) -> float | CrossingInstruction:
-    if isinstance(gene, PositionInstruction):
-        return 10_000 * gene.cell + gene.speed
-    return gene if isinstance(gene, CrossingInstruction) else 10_000 * (9 + SHIFTS.index(gene.lane)) + gene.speed
+    return tuple([tuple([gene.code for gene in chain]) for chain in scenario.npcs])
 
 
 def _key(scenario: Scenario, chains: Chains, depth: int) -> _Key:
