@@ -57,16 +57,18 @@ class ScenarioError(FieldError):
 class _PreparedGene:
     """A gene with values that a search needs of dozens of genes in each run, computed once for each gene."""
 
-    __slots__ = ("code", "text")
+    __slots__ = ("code", "target", "text")
 
-    target: Any
     speed: float
+    target: int | Shift
+    """The cell's number or the target lane, as files and canonical texts contain it."""
     code: float
     """A number that only equal genes have; it is much faster to hash and to compare than a gene."""
     text: str
     """The gene in canonical texts."""
 
-    def _prepare(self, number: int) -> None:
+    def _prepare(self, target: int | Shift, number: int) -> None:
+        object.__setattr__(self, "target", target)
         object.__setattr__(self, "code", CODES_PER_TARGET * number + self.speed)
         object.__setattr__(self, "text", _encoded([self.target, self.speed]))
 
@@ -95,12 +97,7 @@ class PositionInstruction(_PreparedGene):
                 raise ScenarioError(field="cell", expected=expected, received=repr(self.cell))
             object.__setattr__(self, "cell", Cell(number))
         object.__setattr__(self, "speed", _checked_speed(self.speed))
-        self._prepare(int(self.cell))
-
-    @property
-    def target(self) -> int:
-        """The cell's number, as files and canonical texts contain it."""
-        return int(self.cell)
+        self._prepare(int(self.cell), int(self.cell))
 
     @property
     def goal(self) -> str:
@@ -137,12 +134,7 @@ class LaneInstruction(_PreparedGene):
             raise ScenarioError(field="lane", expected=f"one of {', '.join(SHIFTS)}", received=repr(self.lane))
         object.__setattr__(self, "lane", str(self.lane))
         object.__setattr__(self, "speed", _checked_speed(self.speed))
-        self._prepare(9 + SHIFTS.index(self.lane))
-
-    @property
-    def target(self) -> Shift:
-        """The target lane, as files and canonical texts contain it."""
-        return self.lane
+        self._prepare(self.lane, 9 + SHIFTS.index(self.lane))
 
     @property
     def column(self) -> int:
@@ -266,8 +258,16 @@ Chromosome = tuple[Gene, ...]
 """The chain of one NPC: its instructions in the order in which it executes them."""
 
 
+class _Hashed:
+    """The place for the hash of a scenario, which is computed when it is first needed."""
+
+    __slots__ = ("_hash",)
+
+    _hash: int
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Scenario:
+class Scenario(_Hashed):
     """The input of a simulated run: one chain of instructions per NPC, the start, and the seed of the repair.
 
     Attributes:
@@ -345,7 +345,11 @@ class Scenario:
 
     def __hash__(self) -> int:
         # A search hashes a scenario a dozen times a run, and hashing all genes takes as long as breeding a child.
-        return hash((self.seed, *[gene.speed for chain in self.npcs for gene in chain]))
+        try:
+            return self._hash
+        except AttributeError:
+            object.__setattr__(self, "_hash", hash((self.seed, *[gene.speed for chain in self.npcs for gene in chain])))
+            return self._hash
 
     @property
     def positions(self) -> tuple[tuple[PositionInstruction, ...], ...]:

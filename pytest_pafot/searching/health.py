@@ -109,17 +109,17 @@ def _keys(genes: Chromosome) -> list[tuple[Key, ...]]:
     if isinstance(first, CrossingInstruction):
         return [(("bin", int(first.speed // SPEED_BIN)), ("zone", first.zone, slot_name(first.slot)))]
     targets = [gene.target for gene in genes]
-    bins = [int(gene.speed // SPEED_BIN) for gene in genes]
-    return list(map(_keys_of, bins, targets, [None, *targets]))
+    return list(map(_keys_of, [gene.speed for gene in genes], targets, [None, *targets]))
 
 
-@lru_cache(maxsize=1 << 12)
-def _keys_of(number: int, target: int | str, before: int | str | None) -> tuple[Key, ...]:
-    """Return the keys of a gene with a bin of target speeds and a cell or lane, after a different cell or lane."""
+@lru_cache(maxsize=1 << 14)
+def _keys_of(speed: float, target: int | str, before: int | str | None) -> tuple[Key, ...]:
+    """Return the keys of a gene with a target speed [m/s] and a cell or lane, after another gene's cell or lane."""
+    own: Key = ("bin", int(speed // SPEED_BIN))
     if isinstance(target, str):
-        return (("bin", number), ("lane", target))
+        return (own, ("lane", target))
     step = () if before is None else (("step", before, target),)
-    return (("bin", number), ("cell", target), *step)
+    return (own, ("cell", target), *step)
 
 
 MAX_INVALID_SHARE = 0.25

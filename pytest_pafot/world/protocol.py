@@ -9,6 +9,8 @@ from __future__ import annotations
 import inspect
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
+from types import FunctionType
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
@@ -159,12 +161,18 @@ def lock_stepping(world: Any) -> LockStepping | None:
 
 def resumable(world: Any) -> Resumable | None:
     """Return the world if its ``rollout`` has a parameter ``decisions`` or passes any on, as ``**options``."""
+    rollout = getattr(world.rollout, "__func__", world.rollout)
+    takes = _takes_decisions if isinstance(rollout, FunctionType) else _takes_decisions.__wrapped__
+    return world if takes(rollout) else None
+
+
+@lru_cache(maxsize=16)  # a search asks before each run, and reading a signature takes as long as breeding a child
+def _takes_decisions(rollout: Callable[..., Any]) -> bool:
     try:
-        parameters = inspect.signature(world.rollout).parameters
+        parameters = inspect.signature(rollout).parameters
     except (TypeError, ValueError):  # builtins without a signature
-        return None
-    passes_on = any(each.kind is inspect.Parameter.VAR_KEYWORD for each in parameters.values())
-    return world if passes_on or "decisions" in parameters else None
+        return False
+    return "decisions" in parameters or any(each.kind is each.VAR_KEYWORD for each in parameters.values())
 
 
 def lasting(world: Any) -> Callable[[float], WorldLike] | None:
