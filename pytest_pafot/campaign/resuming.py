@@ -10,18 +10,18 @@ from dataclasses import asdict, dataclass, field, fields, is_dataclass
 from pathlib import Path
 from typing import Any
 
-from pytest_pafot.attribution.responsibility import is_ego_responsible
 from pytest_pafot.campaign.events import Judged, Listener, SearchEvent
 from pytest_pafot.campaign.harness import Harness
-from pytest_pafot.campaign.search_loop import SearchLoop
+from pytest_pafot.campaign.search_loop import FAILING, SearchLoop, fails_by_ego
 from pytest_pafot.campaign.state_file import FLAG, Answer, Counts, EarlierFind, StateFile, state_path
 from pytest_pafot.corpus.layout import link_below
 from pytest_pafot.corpus.saved import Saved, refusal
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.findings.finding import of_failure
 from pytest_pafot.model.scenario import Scenario
-from pytest_pafot.searching.ask_tell import Algorithm, Checkpoint, ResumableSearch
-from pytest_pafot.searching.events import Evaluated
+from pytest_pafot.searching.ask_tell import Algorithm, ResumableSearch
+from pytest_pafot.searching.ask_tell_loop import Checkpoint
+from pytest_pafot.searching.events import Evaluated, GroupEvaluated
 from pytest_pafot.searching.space import SearchSpace
 from pytest_pafot.support.errors import RequestError, flag
 from pytest_pafot.support.references import referred_to
@@ -32,9 +32,6 @@ from pytest_pafot.world.driving.ads import weights_digest
 from pytest_pafot.world.driving.perception import sight_of
 
 # Counts of random scenarios that fail, and that fail by the ego's fault, among the first scenarios of a search.
-
-FAILING = ("failed", "unpreventable", "common")
-"""The kinds of verdicts on runs that failed, including failures that do not count for some reason."""
 
 
 @dataclass(slots=True, kw_only=True)
@@ -76,7 +73,11 @@ class RandomBeginning:
         self.listener(event)
         if self.is_whole:
             return
-        if isinstance(event, Judged):
+        if isinstance(event, GroupEvaluated):
+            evaluated, runs, at_fault, otherwise = event.counts.random
+            self._evaluated, self.runs = self._evaluated + evaluated, self.runs + runs
+            self.at_fault, self.otherwise = self.at_fault + at_fault, self.otherwise + otherwise
+        elif isinstance(event, Judged):
             self._judged[event.scenario] = event
         elif isinstance(event, Evaluated):
             self._evaluated += 1
@@ -84,9 +85,7 @@ class RandomBeginning:
             if judged is not None and not (judged.verdict.discarded or judged.verdict.kind == "invalid"):
                 self.runs += 1
                 if judged.verdict.kind in FAILING:
-                    # An ADS that raised or was slow has failed by itself, even if a collision followed.
-                    run = None if judged.verdict.is_ads else judged.run
-                    is_at_fault = run is not None and is_ego_responsible(run.trace)
+                    is_at_fault = judged.run is not None and fails_by_ego(judged.run, judged.verdict)
                     self.at_fault += is_at_fault
                     self.otherwise += not is_at_fault
 
@@ -209,7 +208,7 @@ class Sessions:
             return None
         self._earlier, checkpoint = state
         self._before = self._earlier.before
-        self._runs, self._generations = checkpoint.sums.simulated, checkpoint.state.generation
+        self._runs, self._generations = checkpoint.sums.simulated, checkpoint.generation
         restore(self._earlier, self.loop, self.beginning)
         self.loop.generation = self._generations
         if checkpoint.sums.evaluated:  # A fault of the set-up would have ended the search in its first session.

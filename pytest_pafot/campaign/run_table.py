@@ -14,8 +14,8 @@ from pytest_pafot.campaign.events import Judged, SearchEvent, SearchStarted
 from pytest_pafot.campaign.verdict import Verdict, worst_margins
 from pytest_pafot.findings.signature import Signature
 from pytest_pafot.oracle.run import Run
-from pytest_pafot.searching.evaluation import EVALUATIONS
-from pytest_pafot.searching.events import Evaluated
+from pytest_pafot.searching.evaluation import EVALUATIONS, Evaluation
+from pytest_pafot.searching.events import Evaluated, GroupEvaluated
 
 COLUMNS: Mapping[str, str] = {
     "test": "node id of the search",
@@ -82,8 +82,12 @@ class RunTable:
                     dict(known or {}) if run is None else columns_of(run, event.verdict) | self.more(run)
                 )
             case Evaluated():
-                self.number += 1
-                self.rows.append(self._row(event))
+                row = row_of(event.evaluation, event.generation, event.local_generation, reused=event.reused)
+                # A run knows its scenario as it was driven.
+                self._add(row | self._judged.get(event.evaluation.executed.id, {}))
+            case GroupEvaluated():
+                for row in event.counts.rows:
+                    self._add(row)
 
     def taken(self) -> list[Row]:
         """Return the rows that are new since the last call, and remove them. Call it between two generations."""
@@ -92,39 +96,41 @@ class RunTable:
             del self._judged[id_]
         return rows
 
-    def _row(self, event: Evaluated) -> Row:
-        evaluation = event.evaluation
-        scenario, hit, kind = evaluation.scenario, evaluation.collision, evaluation.kind
-        row = dict.fromkeys(COLUMNS) | {
-            "test": self.test,
-            "seed": self.seed,
-            "run": self.number,
-            "generation": event.generation,
-            "local_generation": event.local_generation,
-            "scenario": scenario.id,
-            "scenario_seed": scenario.seed,
-            "reused": event.reused,
-            "ego_lane": scenario.ego_lane,
-            "ego_speed": scenario.ego_speed,
-            "npcs": len(scenario.npcs),
-            "gene_seconds": scenario.gene_seconds,
-            "traffic": scenario.traffic.style,
-            "traffic_parts": json.dumps(scenario.traffic.own, separators=(",", ":")),
-            "genes": json.dumps(scenario.plain()[0], separators=(",", ":")),
-            "outcome": str(evaluation.outcome),
-            "failing": evaluation.failing,
-            "fitness": _finite(evaluation.fitness),
-            "duration": evaluation.duration,
-            "kind": kind.slug if isinstance(kind, Signature) else None,
+    def _add(self, row: Row) -> None:
+        self.number += 1
+        self.rows.append(row | {"test": self.test, "seed": self.seed, "run": self.number})
+
+
+def row_of(evaluation: Evaluation, generation: int, local_generation: int = 0, *, reused: bool = False) -> Row:
+    """Return the columns of a row that the evaluation shows, without the search and the number of the run."""
+    scenario, hit, kind = evaluation.scenario, evaluation.collision, evaluation.kind
+    row = dict.fromkeys(COLUMNS) | {
+        "generation": generation,
+        "local_generation": local_generation,
+        "scenario": scenario.id,
+        "scenario_seed": scenario.seed,
+        "reused": reused,
+        "ego_lane": scenario.ego_lane,
+        "ego_speed": scenario.ego_speed,
+        "npcs": len(scenario.npcs),
+        "gene_seconds": scenario.gene_seconds,
+        "traffic": scenario.traffic.style,
+        "traffic_parts": json.dumps(scenario.traffic.own, separators=(",", ":")),
+        "genes": scenario.chains_text,
+        "outcome": str(evaluation.outcome),
+        "failing": evaluation.failing,
+        "fitness": _finite(evaluation.fitness),
+        "duration": evaluation.duration,
+        "kind": kind.slug if isinstance(kind, Signature) else None,
+    }
+    if hit is not None:
+        row |= {
+            "collision_time": hit.time,
+            "npc": hit.npc,
+            "side": hit.side,
+            "closing_speed": hit.closing_speed,
         }
-        if hit is not None:
-            row |= {
-                "collision_time": hit.time,
-                "npc": hit.npc,
-                "side": hit.side,
-                "closing_speed": hit.closing_speed,
-            }
-        return row | self._judged.get(evaluation.executed.id, {})  # a run knows its scenario as it was driven
+    return row
 
 
 def columns_of(run: Run, verdict: Verdict) -> Row:

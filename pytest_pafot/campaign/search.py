@@ -21,7 +21,7 @@ from pytest_pafot.campaign.options import FULL, LOCAL, PROFILES, Settings
 from pytest_pafot.campaign.replays import Replays
 from pytest_pafot.campaign.request import build_space
 from pytest_pafot.campaign.resuming import RandomBeginning, Sessions
-from pytest_pafot.campaign.search_loop import Reader, Recorder, SearchLoop, difference
+from pytest_pafot.campaign.search_loop import Counting, Reader, Recorder, SearchLoop, difference
 from pytest_pafot.campaign.setup_fault import SetupFaultError
 from pytest_pafot.campaign.simplification import Simplification
 from pytest_pafot.campaign.verdict import no_skip, skips
@@ -32,7 +32,8 @@ from pytest_pafot.execution.runner import Retried, retry, runner_for
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.sight import Sight
 from pytest_pafot.searching import run_campaign
-from pytest_pafot.searching.ask_tell import Algorithm, CheckpointError
+from pytest_pafot.searching.ask_tell import Algorithm, draws_ahead
+from pytest_pafot.searching.ask_tell_loop import CheckpointError
 from pytest_pafot.searching.fitness import FitnessError, is_built_in, resolve
 from pytest_pafot.searching.space import SearchSpace
 from pytest_pafot.support.errors import OutOfTime, RequestError, flag
@@ -55,6 +56,9 @@ The scenario is run, run again, and run in highway-env's own environment, which 
 LEAST = 2.0
 """The time that a search has for its replays, its first run and the confirmation of a finding in it, even if its limit
 is over by then [s]. So a search of a fast policy tests something although others have used up the session's time."""
+
+COUNTED_AT_ONCE = 16
+"""The number of evaluations after which a search that draws ahead counts them."""
 
 AFTER_A_DEATH = f"ran as with {flag('isolate')}, since a process died in this search before"
 
@@ -108,12 +112,14 @@ def prepared(
     space: SearchSpace | None = None,
     is_steered: bool = True,
     has_table: bool = False,
+    wants_each: bool = True,
 ) -> Iterator[Sessions]:
     """Build the parts of a search that run scenarios, record findings and count. Stop their processes at the end.
 
     The search has the space that its request describes, unless one is given. It is steered towards collisions for which
     the ego is responsible, unless ``blame="any"`` or ``is_steered`` is False. With ``has_table``, the listener is
-    told all that a table of runs needs, also of runs that another process judges.
+    told all that a table of runs needs, also of runs that another process judges. Without ``wants_each``, the listener
+    receives one event for several runs that another process has counted.
 
     Raises:
         RequestError: for a fitness that does not exist, or a world that cannot be used.
@@ -136,8 +142,9 @@ def prepared(
         is_steered_by_checks=is_steered_by_checks,
         has_table=has_table,
     )
+    counting = None if why_here else Counting(known=reader.known, wants_each=wants_each)
     remark = f"; this process judges all runs, since {why_here}" if why_here else ", which also judge their runs"
-    job = replace(job, read=reader, remark=remark)
+    job = replace(job, read=reader, groups=counting, remark=remark)
     with ExitStack() as stack:
         record = stack.enter_context(harness.recording(job))
         with refusals():
@@ -163,6 +170,7 @@ def prepared(
             fitness=fitness,
             listener=beginning,
             is_steered_by_checks=is_steered_by_checks,
+            counting=counting,
         )
         sessions = Sessions(harness=harness, seed=seed, loop=loop, beginning=beginning, clock=time.monotonic)
         stack.callback(sessions.close)
@@ -345,8 +353,8 @@ class Search:
         except OutOfTime:  # It is unknown what is known, so nothing could be called new.
             return self.limit.flag
 
-        def adapted(algorithm: Algorithm[Any], state: Any) -> Algorithm[Any]:
-            return for_batches if state.generation and self.sessions.decides_for_many else algorithm
+        def adapted(algorithm: Algorithm[Any], generation: int) -> Algorithm[Any]:
+            return for_batches if generation and self.sessions.decides_for_many else algorithm
 
         runs_before = loop.runs
 
@@ -355,9 +363,14 @@ class Search:
             ends = search_until if loop.recorder.has_firm else self.limit.until
             return (ends if loop.runs > runs_before else max(ends, began + LEAST)) - self.sessions.clock()
 
+        is_ahead = draws_ahead(algorithm)
+        if loop.counting is not None:
+            loop.counting.random_runs, loop.counting.fatal = self.sessions.beginning.most, loop.fatal
+
         def foresee(scenarios: Iterable[Scenario]) -> None:
-            runner.announce(each for each in scenarios if each not in loop.fatal)
-            loop.count()  # now, because other processes are busy with the scenarios
+            runner.announce((each for each in scenarios if each not in loop.fatal), more=is_ahead)
+            if not is_ahead or len(loop.uncounted) >= COUNTED_AT_ONCE:
+                loop.count()  # now, because other processes are busy with the scenarios
 
         # The campaign is a generator: the loop that follows its events makes it draw, run and breed.
         try:
@@ -372,6 +385,7 @@ class Search:
                 stop=lambda: limit is not None and loop.recorder.count >= limit,
                 seeds_matter=(sight_of(self.harness.ads) or Sight()).is_drawn,
                 foresee=foresee,
+                team=None if loop.counting is None else loop,
                 adapted=adapted,
                 resumed=resumed,
                 border=self.sessions.at_border,

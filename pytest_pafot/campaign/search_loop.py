@@ -5,16 +5,17 @@ from __future__ import annotations
 import math
 import os
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from pytest_pafot.attribution.mistakes import mistake_of
+from pytest_pafot.attribution.responsibility import is_ego_responsible
 from pytest_pafot.campaign.events import Find, FindTold, Judged, Listener
 from pytest_pafot.campaign.harness import Harness, Simulation, is_same_run
-from pytest_pafot.campaign.run_table import columns_of
+from pytest_pafot.campaign.run_table import columns_of, row_of
 from pytest_pafot.campaign.setup_fault import FirstGeneration, unit_doubt
 from pytest_pafot.campaign.verdict import PlainFailure, Verdict, headline, worst_margins
 from pytest_pafot.corpus.layout import SUFFIX, files_in, relative
@@ -37,6 +38,7 @@ from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Outcome, Trace
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.searching import events
+from pytest_pafot.searching.ask_tell_loop import Drawer, Group
 from pytest_pafot.searching.evaluation import Evaluation, interaction_of
 from pytest_pafot.searching.health import Health
 from pytest_pafot.searching.space import SearchSpace
@@ -68,12 +70,26 @@ def read_ahead(fitness: Callable[[Trace], float] | None, trace: Trace) -> None:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Passed:
-    """All that a search needs of a run in which nothing failed, from the process that made the run and judged it."""
+    """All that a search needs of a run in which nothing new failed, from the process that made and judged the run."""
 
     evaluation: Evaluation
     event: Judged
+    signature: Signature | None  # of a failure that the session knows; None if nothing failed
+    is_at_fault: bool  # see :func:`fails_by_ego`
     caught: tuple[str, ...]  # the names of checks that failed although the test function passed
     doubt: str  # see :func:`unit_doubt`
+
+
+FAILING = ("failed", "unpreventable", "common")
+"""The kinds of verdicts on runs that failed, including failures that do not count for some reason."""
+
+
+def fails_by_ego(run: Run, verdict: Verdict) -> bool:
+    """Return whether a failed run is a collision for which the ego is responsible.
+
+    An ADS that raised or was slow has failed by itself, even if a collision followed.
+    """
+    return not verdict.is_ads and is_ego_responsible(run.trace)
 
 
 UNREMARKABLE = ("passed", "npc", "invalid", "rejected")
@@ -92,12 +108,14 @@ class Reader:
         fitness: the fitness of a trace; None if it is the user's own function, which runs only in the session.
         is_steered_by_checks: as in :class:`SearchLoop`.
         has_table: whether the digest has the columns of the run for the table of runs.
+        known: the failures that the session knows, so that no further trace of them must be sent.
     """
 
     harness: Harness | None
     fitness: Callable[[Trace], float] | None
     is_steered_by_checks: bool
     has_table: bool
+    known: set[Signature] = field(default_factory=set)
 
     def __call__(self, trace: Trace) -> Digest | None:
         """Read a trace; return its digest, or None if the trace must be sent."""
@@ -105,18 +123,124 @@ class Reader:
         if self.fitness is None or self.harness is None:
             return None
         run = self.harness.seen(trace)
-        verdict = self.harness.judge(run)
-        if verdict.kind not in UNREMARKABLE:
+        verdict, signature = self.harness.judge(run), None
+        if self.known and verdict.kind == "failed" and verdict.failure is not None and self.harness.against is None:
+            signature = of_failure(run, verdict.failure)
+        if verdict.kind not in UNREMARKABLE and signature not in self.known:
             return None
         event = Judged(
             scenario=trace.scenario,
             executed=trace.executed,
-            verdict=replace(verdict, checks=()),
+            verdict=replace(verdict, checks=(), exception=None),
             known_responsibility=run.responsibility,
             columns=columns_of(run, verdict) if self.has_table else None,
         )
-        evaluation = _evaluated(trace, verdict, None, self.fitness, self.is_steered_by_checks)
-        return Digest(Passed(evaluation=evaluation, event=event, caught=_caught(verdict), doubt=unit_doubt(trace)))
+        return Digest(
+            Passed(
+                evaluation=_evaluated(trace, verdict, signature, self.fitness, self.is_steered_by_checks),
+                event=event,
+                signature=signature,
+                is_at_fault=signature is not None and fails_by_ego(run, verdict),
+                caught=_caught(verdict),
+                doubt=unit_doubt(trace),
+            )
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Tally:
+    """What a search counts of consecutive runs that another process has drawn, run and judged.
+
+    Attributes:
+        runs: the number of runs.
+        news: the evaluations that matter to the algorithm.
+        judged: all evaluations with their events, if the listener needs each of them; otherwise None.
+        health: the figures on the search's health.
+        verdicts, caught, responsibilities, outcomes: numbers of runs by kind of verdict, check, responsible, outcome.
+        failed: numbers of runs by their known failures.
+        fitness: the finite fitness of each eligible run.
+        failing: the number of failing runs.
+        random: the counts of :class:`~pytest_pafot.campaign.resuming.RandomBeginning`, in the order of its ``counts``.
+        rows: rows for the table of runs.
+        doubt: see :func:`unit_doubt`.
+    """
+
+    runs: int
+    news: tuple[Evaluation, ...]
+    judged: tuple[tuple[Evaluation, Judged], ...] | None
+    health: Health
+    verdicts: Counter[str]
+    caught: Counter[str]
+    responsibilities: Counter[str]
+    outcomes: Counter[str]
+    failed: Counter[Signature]
+    fitness: tuple[float, ...]
+    failing: int
+    random: tuple[int, int, int, int]
+    rows: tuple[dict[str, Any], ...]
+    doubt: str
+
+
+@dataclass(slots=True, kw_only=True)
+class Counting:
+    """The drawing and counting of a search's scenarios in the processes that run them.
+
+    Attributes:
+        known: as in :class:`Reader`.
+        wants_each: True if the listener needs each run.
+        drawer: draws the scenarios; None before the search begins.
+        random_runs: the number of random scenarios at the beginning of the search that are counted apart.
+        fatal: scenarios in which a process died; they are not run.
+    """
+
+    known: set[Signature]
+    wants_each: bool
+    drawer: Drawer[Any] | None = None
+    random_runs: float = 0.0
+    fatal: set[Scenario] = field(default_factory=set)
+
+    def scenario(self, generation: int, index: int) -> Scenario | None:
+        """Return the scenario of a place; None if no process may run it."""
+        assert self.drawer is not None  # noqa: S101  (the search has begun)
+        scenario = self.drawer.scenario(generation, index)
+        return None if scenario in self.fatal else scenario
+
+    def learn(self, said: tuple[tuple[Evaluation, ...], frozenset[Signature]]) -> None:
+        """Learn from the next generation, and remember the failures that the session knows by now."""
+        assert self.drawer is not None  # noqa: S101  (the search has begun)
+        news, known = said
+        self.drawer.learn(news)
+        self.known |= known
+
+    def counted(self, generation: int, start: int, digests: Sequence[Passed]) -> Tally:
+        """Count consecutive runs."""
+        assert self.drawer is not None  # noqa: S101  (the search has begun)
+        drawer, evaluations = self.drawer, [each.evaluation for each in digests]
+        left = max(0.0, self.random_runs - drawer.number(generation, start))
+        at_random = digests[: len(digests) if left >= len(digests) else int(left)]
+        verdicts = [each.event.verdict for each in at_random]
+        valid = [each for each in verdicts if not (each.discarded or each.kind == "invalid")]
+        failed = sum(each.kind in FAILING for each in valid)
+        at_fault = sum(each.is_at_fault for each in at_random)
+        has_rows = digests[0].event.columns is not None and not self.wants_each
+        return Tally(
+            runs=len(digests),
+            news=tuple(each for each in evaluations if drawer.matters(generation, each)),
+            judged=tuple((each.evaluation, each.event) for each in digests) if self.wants_each else None,
+            health=Health.of_runs(len(digests), evaluations),
+            verdicts=Counter(each.event.verdict.kind for each in digests),
+            caught=Counter(name for each in digests for name in each.caught),
+            responsibilities=Counter(each.event.responsibility or "none" for each in digests),
+            outcomes=Counter(str(each.outcome) for each in evaluations),
+            failed=Counter(each.signature for each in digests if each.signature is not None),
+            fitness=tuple(each.fitness for each in evaluations if each.eligible and math.isfinite(each.fitness)),
+            failing=sum(each.failing for each in evaluations),
+            random=(len(at_random), len(valid), at_fault, failed - at_fault),
+            rows=tuple(
+                row_of(each.evaluation, generation) | dict(each.event.columns or {}) for each in digests if has_rows
+            ),
+            doubt=next((each.doubt for each in digests if each.doubt), ""),
+        )
 
 
 def _evaluated(
@@ -174,6 +298,7 @@ class SearchLoop:
     doubt: str = ""  # a doubt about the units of the ADS's actions, if any
     # how the reference itself failed in all its runs so far; empty if it did not in one of them, None before the first
     broken: str | None = None
+    counting: Counting | None = None  # how other processes draw and count scenarios; None if they do not
 
     @property
     def runs(self) -> int:
@@ -267,6 +392,8 @@ class SearchLoop:
             match event:
                 case events.Evaluated():
                     self.uncounted.append(event)
+                case events.GroupEvaluated():
+                    self.counted += event.counts.health
                 case events.GenerationFinished(local_generation=0):
                     self.generation = event.generation + 1
                     self.first.end()
@@ -280,8 +407,7 @@ class SearchLoop:
 
     def count(self) -> None:
         """Count the evaluations since the last call. Counting is delayed so that no scenario has to wait for it."""
-        for event in self.uncounted:
-            self.counted = self.counted.counted(event.evaluation, reused=event.reused)
+        self.counted += Health.of(self.uncounted)
         self.uncounted.clear()
 
     def lose(self, lost: LostRun) -> bool:
@@ -295,10 +421,54 @@ class SearchLoop:
         self._count(expectation(lost).signature, lambda: self.recorder.keep_lost(lost, self.generation, self.runs + 1))
         return True
 
+    # The search as a :class:`~pytest_pafot.searching.ask_tell_loop.Team`: other processes draw and count scenarios.
+
+    def begin(self, drawer: Drawer[Any], needed: Callable[[int], int]) -> None:
+        """Let other processes draw and count scenarios, as soon as they are in use."""
+        if self.counting is not None:
+            self.counting.drawer = drawer
+            self.simulation.runner.begin_groups(drawer, needed)
+
+    def group(self, generation: int, index: int) -> Group | None:
+        """Count the next runs that another process has counted; None if the next one must be evaluated here.
+
+        Raises:
+            OutOfTime: if the time of the search is over.
+        """
+        with runs_end_in(self.seconds_left()):
+            part = self.simulation.runner.counted(generation, index)
+        if part is None:
+            return None
+        tally: Tally = part.counted
+        for _, event in tally.judged or ():
+            self.listener(event)
+        self.verdicts.update(tally.verdicts)
+        self.caught.update(tally.caught)
+        self.doubt = self.doubt or tally.doubt
+        if self.first.is_alike:
+            self.first.see_others(tally.verdicts)
+        if not self.first.is_alike:
+            self.recorder.release()
+        for signature, runs in tally.failed.items():
+            self._count_known(signature, runs)
+        each = None if tally.judged is None else tuple(evaluation for evaluation, _ in tally.judged)
+        return Group(runs=tally.runs, news=tally.news, counts=tally, each=each)
+
+    def learn(self, news: tuple[Evaluation, ...]) -> None:
+        """Let the other processes learn what the algorithm has learnt, and which failures are known by now."""
+        if self.counting is not None:
+            # Until two runs differ, the session must see each failure, which may be a fault of the set-up.
+            is_sure = not (self.first.is_alike or self.counting.wants_each)
+            known = {*self.shown, *self.finds} - self.counting.known if is_sure else set()
+            self.counting.known |= known
+            self.simulation.runner.tell((news, frozenset(known)))
+
     def _taken(self, passed: Passed) -> Evaluation:
         """Count a run that another process has judged, and return its evaluation."""
         self.listener(passed.event)
         self._count_run(None, passed.event.verdict, passed.caught, passed.doubt)
+        if passed.signature is not None:
+            self._count_known(passed.signature)
         return passed.evaluation
 
     def _count_run(self, run: Run | None, verdict: Verdict, caught: Iterable[str], doubt: str) -> None:
@@ -338,12 +508,17 @@ class SearchLoop:
 
     def _count(self, signature: Signature, keep: Callable[[], str]) -> None:
         """Count a failure as known, as a repetition in this search, or as new; ``keep`` records a new failure."""
-        if signature in self.shown:
-            self.known[self.shown[signature]] += 1
-        elif signature in self.finds:
-            self.repeats[self.finds[signature]] += 1
+        if signature in self.shown or signature in self.finds:
+            self._count_known(signature)
         else:
             self.finds[signature] = keep()
+
+    def _count_known(self, signature: Signature, runs: int = 1) -> None:
+        """Count runs with a failure that a saved scenario shows, or that this search has found before."""
+        if signature in self.shown:
+            self.known[self.shown[signature]] += runs
+        else:
+            self.repeats[self.finds[signature]] += runs
 
 
 # The recorder of new findings: it saves each finding, confirms it, and reports it. To confirm a finding, its run is

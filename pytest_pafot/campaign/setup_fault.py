@@ -7,6 +7,7 @@ nothing about any scenario. Actions in wrong units are no such fault, but a doub
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -101,6 +102,12 @@ class FirstGeneration:
         cause = cause_of(run, verdict)
         self.is_alike &= cause is not None and self._cause in (None, cause)
         self._cause, self.last, self.runs = cause, (run, verdict), self.runs + 1
+
+    def see_others(self, verdicts: Counter[str]) -> None:
+        """Record the verdicts on runs of the first generation that other processes have judged."""
+        unjudged = verdicts["npc"] + verdicts["invalid"]
+        self.unjudged += unjudged
+        self.is_alike &= verdicts.total() == unjudged
 
     def end(self) -> None:
         """End the first generation.

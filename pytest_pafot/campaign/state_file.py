@@ -22,7 +22,8 @@ from pytest_pafot.corpus.layout import safe_name
 from pytest_pafot.findings.shrink import Start
 from pytest_pafot.findings.signature import Signature
 from pytest_pafot.model.scenario import Scenario
-from pytest_pafot.searching.ask_tell import Checkpoint, ResumableSearch
+from pytest_pafot.searching.ask_tell import ResumableSearch
+from pytest_pafot.searching.ask_tell_loop import Checkpoint
 from pytest_pafot.searching.evaluation import Evaluation, Remembered
 from pytest_pafot.searching.events import CampaignFinished
 from pytest_pafot.searching.health import Health
@@ -31,7 +32,7 @@ from pytest_pafot.support.errors import FieldError, RequestError, flag
 from pytest_pafot.support.files import hold, open_regular, way_out, write_whole
 from pytest_pafot.world import codec
 
-VERSION = 4
+VERSION = 5
 """The version of the state's format. A state of any other version is refused."""
 
 MAX_BYTES = 1 << 28
@@ -49,7 +50,7 @@ converted only once.
 
 FLAG = flag("resume")
 ANEW = f"delete the file to start the search from scratch, or give another folder with {FLAG}"
-PARTS = ("version", "settings", "algorithm", "sums", "begun", "counts", "remembered")
+PARTS = ("version", "settings", "algorithm", "sums", "begun", "news", "done", "counts", "remembered")
 
 
 Shown = tuple[Scenario, tuple[Start, ...]] | None
@@ -215,6 +216,8 @@ class StateFile:
             state=self._part(data, "algorithm", self.algorithm.restored),
             sums=self._part(data, "sums", partial(from_plain, CampaignFinished)),
             begun=self._part(data, "begun", partial(from_plain, tuple[tuple[Evaluation, bool], ...])),
+            news=self._part(data, "news", partial(from_plain, tuple[tuple[Evaluation, ...], ...])),
+            done=self._part(data, "done", partial(from_plain, int)),
             remembered=self._part(data, "remembered", partial(from_plain, tuple[Remembered, ...])),
         )
         return self._part(data, "counts", partial(from_plain, Counts)), checkpoint
@@ -240,6 +243,8 @@ class StateFile:
             "settings": self.settings,
             "sums": plain(replace(checkpoint.sums, seconds=0.0)),
             "begun": plain(checkpoint.begun),
+            "news": plain(checkpoint.news),
+            "done": checkpoint.done,
             "counts": plain(counts),
         }
         lines = [f"{json.dumps(name)}: {_json(part)}" for name, part in parts.items()]

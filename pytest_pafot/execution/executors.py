@@ -108,6 +108,10 @@ class ExecutorPool:
     def expect(self, scenarios: Iterable[Scenario]) -> None:
         """Start to run some scenarios; earlier scenarios that were not fetched are dropped."""
         self.close()
+        self.add_all(scenarios)
+
+    def add_all(self, scenarios: Iterable[Scenario]) -> None:
+        """Start to run some more scenarios."""
         size = max(1, min(MOST, round(self._runs * TASK_SECONDS / self._seconds))) if self._runs else 1
         to_come = iter(scenarios)
         while task := list(islice(to_come, size)):

@@ -107,6 +107,7 @@ class WorkerPool(Generic[TaskT, ResultT]):
             limit. Beyond the limit, allocations fail. Processes that it starts have the same limit. Only on Linux.
         idle: the longest time that a process waits for a task before it ends by itself [s], or None for no limit.
         ended: a function that is called with the id of each process of the pool that has ended.
+        heard: a function that is called in each process with what :meth:`tell` is given, before its next task.
         clock: a monotonic clock [s].
     """
 
@@ -119,6 +120,7 @@ class WorkerPool(Generic[TaskT, ResultT]):
     memory: int | None = None
     idle: float | None = None
     ended: Callable[[int], None] = lambda pid: None
+    heard: Callable[[Any], object] = repr  # can be pickled, and does nothing
     clock: Callable[[], float] = time.monotonic
 
     def __post_init__(self) -> None:
@@ -147,10 +149,24 @@ class WorkerPool(Generic[TaskT, ResultT]):
         """
         self._pending, self._wanted = deque(), set()
         self._answers, self._suspects = {}, {}
+        self.add_all(tasks)
+
+    def add_all(self, tasks: Iterable[TaskT]) -> None:
+        """Start some more tasks after all earlier ones."""
         for task in tasks:
-            self._wanted.add(task)
-            self._pending.append(task)
-            self._send()
+            self.add(task)
+
+    def add(self, task: TaskT) -> None:
+        """Start one more task after all earlier ones."""
+        self._wanted.add(task)
+        self._pending.append(task)
+        self._send()
+
+    def tell(self, said: object) -> None:
+        """Let ``heard`` receive a value in each process that exists now, before the next task of that process."""
+        content = pickle.dumps(said)
+        for worker in self._workers:
+            worker.unheard.append(content)
 
     def fetch(self, task: TaskT) -> ResultT | Exception:
         """Wait for the answer to a task and return it; a task that was not started before is run next.
@@ -229,7 +245,7 @@ class WorkerPool(Generic[TaskT, ResultT]):
                 if idle is not None:  # It ended between two tasks, so no task is the cause.
                     self._remove(idle)
                 others = [worker.connection for worker in self._workers]
-                idle = _Worker(self._context, self.work, others, self.grace, self.memory, self.idle)
+                idle = _Worker(self._context, self.work, self.heard, others, self.grace, self.memory, self.idle)
                 self._workers.append(idle)
         except OSError as error:
             self._fail(task, str(error))
@@ -308,6 +324,7 @@ class _Worker(Generic[TaskT]):
         self,
         context: Any,
         work: Work[Any],
+        heard: Callable[[Any], object],
         others: list[Connection],
         grace: float,
         memory: int | None,
@@ -315,13 +332,14 @@ class _Worker(Generic[TaskT]):
     ) -> None:
         self.task: TaskT | None = None
         self.share = 0.0
+        self.unheard: list[bytes] = []  # what it must receive before its next task
         self.gave_up = context.RawValue("b", 0)  # why it ended itself; 0 if it did not
         self._beats = context.RawValue("Q", 0)
         self.connection, end = context.Pipe()
         self._heard = 0
         self._asked_at: float | None = None
         inherited = [*others, self.connection] if context.get_start_method() == "fork" else []
-        arguments = (work, end, inherited, self._beats, self.gave_up, grace, memory, idle)
+        arguments = (work, heard, end, inherited, self._beats, self.gave_up, grace, memory, idle)
         # A daemon, so that an executor's worker that ends kills it and does not wait for it.
         self.process = context.Process(target=_serve, args=arguments, name="pafot-worker", daemon=True)
         with warnings.catch_warnings(), _no_interrupts(context.get_start_method()):
@@ -345,9 +363,10 @@ class _Worker(Generic[TaskT]):
     def send(self, task: TaskT | None) -> bool:
         """Send a task to the process, or None to end the process; return False if the process has ended."""
         try:
-            self.connection.send_bytes(pickle.dumps(task))
+            self.connection.send_bytes(pickle.dumps((self.unheard, task)))
         except OSError:
             return False
+        self.unheard = []
         return True
 
     def hear(self) -> tuple[bool, Any] | None:
@@ -401,6 +420,7 @@ def _end_children(pid: int) -> None:
 
 def _serve(
     work: Work[Any],
+    heard: Callable[[Any], object],
     connection: Connection,
     inherited: list[Connection],
     beats: Any,
@@ -437,7 +457,12 @@ def _serve(
         _limit_memory(memory)
     resort = LastResort(end=end, grace=grace, end_world=partial(end, WORLD_STUCK))
     with last_resort(resort), suppress(EOFError, OSError):
-        while connection.poll(idle) and (task := connection.recv()) is not None:
+        while connection.poll(idle):
+            unheard, task = connection.recv()
+            if task is None:
+                break
+            for content in unheard:
+                heard(pickle.loads(content))  # noqa: S301  (from the session)
             try:
                 said = sendable((True, work(task, tell)))
             except MemoryError:  # Not sent as an answer: the session would run the task itself and use up its memory.

@@ -20,16 +20,19 @@ from typing import Any, Self
 from pytest_pafot.execution import scenario_pool
 from pytest_pafot.execution.crash_records import CrashRecord, Leftover
 from pytest_pafot.execution.executors import ExecutorPool
-from pytest_pafot.execution.pool import ProcessLostError
+from pytest_pafot.execution.groups import Course, Groups
+from pytest_pafot.execution.pool import ProcessLostError, WorkerPool
 from pytest_pafot.execution.revision_policy import Elsewhere, RevisionPolicy
 from pytest_pafot.execution.scenario_pool import (
     NOT_REPEATED,
     Answer,
     Digest,
     ExecutionError,
+    GroupPart,
     Job,
     LostRun,
     ScenarioPool,
+    Timed,
     capture_output,
     pool_for,
     recovery_note,
@@ -146,11 +149,34 @@ class Runner:
 
     def __exit__(self, kind: type[BaseException] | None, *rest: object) -> None:
         self._prefetching.announce(())
+        self.processes.groups = None
         self.processes.close(at_once=kind is not None)
 
-    def announce(self, scenarios: Iterable[Scenario]) -> None:
-        """Announce the next scenarios in the order in which they will be requested; earlier ones are dropped."""
-        self._prefetching.announce(scenarios)
+    def announce(self, scenarios: Iterable[Scenario], *, more: bool = False) -> None:
+        """Announce the next scenarios in the order in which they will be requested.
+
+        Earlier ones that were not requested are dropped, unless these are ``more`` of them.
+        """
+        self._prefetching.announce(scenarios, more=more)
+
+    def begin_groups(self, course: Course, needed: Callable[[int], int]) -> None:
+        """Let other processes draw and count scenarios from now on; see :class:`Groups` for the arguments."""
+        if self.job.groups is not None:
+            self.processes.groups = Groups(course, needed)
+
+    def counted(self, generation: int, index: int) -> GroupPart | None:
+        """Return the next runs of a search, from a place on, that another process has counted.
+
+        Return None if the session must request the scenario of that place by :meth:`made`.
+
+        Raises:
+            OutOfTime: if the time of the search is over.
+        """
+        return self.processes.counted(generation, index)
+
+    def tell(self, said: object) -> None:
+        """Let the processes that draw scenarios learn what the session has learnt."""
+        self.processes.tell(said)
 
     def run(self, scenario: Scenario, *, afresh: bool = False) -> Trace:
         """Return the trace of a run of a scenario that was not announced; arguments and errors as :meth:`made`."""
@@ -320,9 +346,11 @@ class LockStep:
         why = "since the ADS decides for many runs at once, by its `batch`"
         return [] if self._workers == 1 else [f"{flag('workers', self._workers)}: not in use, {why}"]
 
-    def announce(self, scenarios: Iterable[Scenario]) -> None:
-        """Announce the next scenarios; runs of earlier announcements that were not taken are dropped."""
-        self._announced, self._made = list(scenarios), {}
+    def announce(self, scenarios: Iterable[Scenario], *, more: bool = False) -> None:
+        """Announce the next scenarios; without ``more``, earlier ones that were not taken are dropped."""
+        if not more:
+            self._announced, self._made = [], {}
+        self._announced += scenarios
 
     def take(self, scenario: Scenario, *, afresh: bool) -> Trace | None:
         """Return the trace of an announced scenario; None if the scenario must be run by itself.
@@ -350,8 +378,11 @@ class Processes:
     """
 
     def __init__(self, job: Job, *, workers: int, executor: Executor | None = None) -> None:
-        self.announced: list[Scenario] = []
-        """The announced scenarios that were not requested yet."""
+        self.announced: dict[Scenario, None] = {}
+        """The announced scenarios that were not requested yet, in order."""
+        self.groups: Groups | None = None
+        """The groups of scenarios that processes draw themselves; None if this process announces all scenarios."""
+        self._ready: dict[Scenario, Timed] = {}  # runs of groups that this process must read
         self._job = job
         self._workers = workers
         self._executor = executor
@@ -379,17 +410,41 @@ class Processes:
         mean, dear = 1000 * self._warm_seconds / (self._runs - 1), 1000 * DEAR
         return [f"{option}: not in use, since a run took {mean:.1f} ms, and it pays off from {dear:g} ms on"]
 
-    def announce(self, scenarios: Iterable[Scenario]) -> None:
+    def announce(self, scenarios: Iterable[Scenario], *, more: bool = False) -> None:
         """Announce the next scenarios, and start to run them if processes are in use."""
-        self.announced = []
-        if self._pool is not None:
+        if not more:
+            self.announced = {}
+        if self._pool is None:
+            # Without other processes, only the first generation is of interest, to an ADS that decides for many runs.
+            is_of_interest = not more or self._executor is not None or (self._workers > 1 and self.groups is None)
+            if is_of_interest or not self._runs:
+                self.announced.update(dict.fromkeys(scenarios))
+        elif not more:
             self._pool.expect(self._noted(scenarios))
-        else:
-            self.announced.extend(scenarios)
+        elif self.groups is None:
+            self._pool.add_all(self._noted(scenarios))
+
+    def counted(self, generation: int, index: int) -> GroupPart | None:
+        """See :meth:`Runner.counted`."""
+        if self.groups is None or not isinstance(self._pool, WorkerPool):
+            return None
+        part, is_lost = self.groups.take(self._pool, generation, index)
+        if part.counted is not None:
+            return part
+        if part.run is not None:
+            self._ready[part.run[0].scenario] = part.run  # type: ignore[union-attr]  # a trace
+        elif is_lost:
+            self._pool.add_all(self._noted([self.groups.course.scenario(generation, index)]))
+        return None
+
+    def tell(self, said: object) -> None:
+        """See :meth:`Runner.tell`."""
+        if self.groups is not None and isinstance(self._pool, WorkerPool):
+            self._pool.tell(said)
 
     def _noted(self, scenarios: Iterable[Scenario]) -> Iterator[Scenario]:
         for scenario in scenarios:
-            self.announced.append(scenario)
+            self.announced[scenario] = None
             yield scenario
 
     def take(self, scenario: Scenario, *, afresh: bool) -> Trace | Digest | None:
@@ -398,16 +453,18 @@ class Processes:
         Each trace can be taken once. With ``afresh`` the result is always None.
         """
         __tracebackhide__ = True
+        if not afresh and scenario in self._ready:
+            return trace_from(self._ready.pop(scenario))
         if afresh or scenario not in self.announced:
             return None
         if self._executor is not None and self._pool is None:
             self._begin()
-        self.announced.remove(scenario)
+        del self.announced[scenario]
         self._is_measured = self._pool is None
         if self._pool is None:
             return None
         answer = self._pool.fetch(scenario)
-        if isinstance(answer, tuple) and self._executor is None:
+        if isinstance(answer, tuple) and self._executor is None and self.groups is None:
             self._learn(answer[2])
         return trace_from(answer)
 
@@ -421,6 +478,9 @@ class Processes:
         self._runs += 1
         self._warm_seconds += seconds if self._runs > 1 else 0.0
         is_dear = self._warm_seconds >= DEAR * (self._runs - 1) if self._runs > WARM_RUNS else seconds >= DEAR
+        is_dear = (
+            is_dear or self.groups is not None
+        )  # A process that counts its runs itself takes hardly any time here.
         if self._pool is not None and self._runs == WARM_RUNS + 1 and not is_dear:
             self._pool.close(at_once=True)
             self._pool = None
@@ -439,7 +499,10 @@ class Processes:
     def _begin(self) -> ScenarioPool | ExecutorPool:
         job, executor = self._job, self._executor
         self._pool = pool = pool_for(job, self._workers) if executor is None else ExecutorPool(job, executor)
-        pool.expect(self.announced)
+        if self.groups is None:
+            pool.expect(self.announced)
+        else:
+            self.announced = {}  # they are drawn again where they are run
         return pool
 
 

@@ -9,14 +9,14 @@ import pickle
 import sys
 import time
 import warnings
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, redirect_stderr, redirect_stdout, suppress
 from dataclasses import dataclass, field
 from functools import partial
 from logging.handlers import QueueHandler
 from pathlib import Path
 from queue import SimpleQueue
-from typing import Any, TypeAlias
+from typing import Any, Protocol, TypeAlias
 
 from pytest_pafot.execution.crash_records import CrashRecord, left_by
 from pytest_pafot.execution.pool import GRACE, IGNORED, ProcessLostError, WorkerPool
@@ -42,6 +42,9 @@ class CapturedOutput:
     err: str = ""
     records: list[logging.LogRecord] = field(default_factory=list)
     warned: list[tuple[str, type[Warning], str, int]] = field(default_factory=list)
+
+    def __bool__(self) -> bool:
+        return bool(self.out or self.err or self.records or self.warned)
 
     def followed_by(self, other: CapturedOutput) -> CapturedOutput:
         """Return this output and a later one as one."""
@@ -125,13 +128,61 @@ class Digest:
 
 Timed: TypeAlias = tuple[Trace | Digest, CapturedOutput, float]
 """A run or its digest, its captured output, and its duration in wall-clock time [s]."""
+
+
+@dataclass(frozen=True, slots=True)
+class Places:
+    """A task of a process that draws scenarios itself: those of a generation from an index to before another one."""
+
+    generation: int
+    start: int
+    stop: int
+
+    def __repr__(self) -> str:
+        return f"scenarios {self.start} to {self.stop - 1} of generation {self.generation}"
+
+
+class GroupWork(Protocol):
+    """What a process needs to draw and count scenarios itself, besides a :class:`Job`."""
+
+    def scenario(self, generation: int, index: int) -> Scenario | None:
+        """Return the scenario of a place; None if only the session may run it."""
+
+    def counted(self, generation: int, start: int, digests: Sequence[Any]) -> Any:
+        """Return what is sent of consecutive runs, from the contents of their digests."""
+
+    def learn(self, said: Any) -> None:
+        """Learn what the session has told."""
+
+
+@dataclass(frozen=True, slots=True)
+class GroupPart:
+    """Consecutive runs of a group.
+
+    Attributes:
+        start, stop: their places in the generation.
+        counted: what :meth:`GroupWork.counted` says of them. None if the session must read the run itself.
+        run: the single run that the session must read; None if the session must also make it.
+    """
+
+    start: int
+    stop: int
+    counted: Any = None
+    run: Timed | None = None
+
+
+Parts: TypeAlias = tuple[list[GroupPart], CapturedOutput, float]
+"""The answer to a group: its parts in order, the output of the parts that were counted, and the duration of all runs in
+wall-clock time [s]."""
+
 Answer: TypeAlias = Timed | Exception
 """The answer to a scenario: a run, or an exception. This process may repeat the run after any exception, except after a
 :class:`~pytest_pafot.execution.pool.ProcessLostError`."""
-ScenarioPool: TypeAlias = WorkerPool[Scenario, Timed]
+ScenarioPool: TypeAlias = WorkerPool[Any, Any]
+"""Its tasks are scenarios with an :data:`Answer`, or :class:`Places` with :data:`Parts`."""
 
 
-def _read_nothing(trace: Trace) -> None:
+def _read_nothing(said: object) -> None:
     """Read nothing; the default of ``Job.read`` for runs outside of a search."""
 
 
@@ -154,6 +205,8 @@ class Job:
     read: Callable[[Trace], Digest | None] = _read_nothing
     """A function that reads a trace in the process that made the run. It returns the digest that is sent instead of the
     trace. Without a digest the trace is sent, with the values that it stores by then."""
+    groups: GroupWork | None = None
+    """What a process needs to draw scenarios itself; None if it cannot."""
     remark: str = ""
     """What the note on the use of processes says in addition."""
     memory: int | None = None
@@ -176,7 +229,7 @@ def pool_for(job: Job, size: int) -> ScenarioPool:
     Raises:
         ExecutionError: if processes cannot be forked, and world and ADS cannot be pickled.
     """
-    work = partial(_run_recorded, job, job.crash_record())
+    work = partial(_run_task, job, job.crash_record())
     if METHOD != "fork":
         try:
             pickle.dumps(work)
@@ -194,6 +247,7 @@ def pool_for(job: Job, size: int) -> ScenarioPool:
         grace=grace,
         memory=_memory(job, size),
         ended=partial(_forget, job),
+        heard=_read_nothing if job.groups is None else job.groups.learn,
     )
 
 
@@ -212,16 +266,55 @@ def _memory(job: Job, size: int) -> int | None:
     return max(min(limits) * 3 // 4 // size, LEAST_MEMORY)
 
 
-def _run_recorded(job: Job, record: CrashRecord, scenario: Scenario, tell: object) -> Timed:
-    """Run a scenario in a process of the pool; its crash record is on disk during the run."""
+def _run_task(job: Job, record: CrashRecord, task: Scenario | Places, tell: object) -> Timed | Parts:
+    """Run a scenario or a group in a process of the pool; the crash record of each scenario is on disk during its run.
+
+    The record is closed after each task, since nothing would remove it after the session.
+    """
+    with record:
+        return _run_group(job, record, task) if isinstance(task, Places) else _run_recorded(job, record, task)
+
+
+def _run_recorded(job: Job, record: CrashRecord, scenario: Scenario) -> Timed:
     digest = None
-    with record:  # closed after each run, since nothing would remove it after the session
-        record.write(scenario, reference=job.reference)
-        with capture_output() as output:
-            trace, seconds = timed(job.world, scenario, job.ads)
-        with capture_output() as said, suppress(Exception):  # it is raised again in the session, which reads the trace
-            digest = job.read(trace)
+    record.write(scenario, reference=job.reference)
+    with capture_output() as output:
+        trace, seconds = timed(job.world, scenario, job.ads)
+    with capture_output() as said, suppress(Exception):  # it is raised again in the session, which reads the trace
+        digest = job.read(trace)
     return (trace, output, seconds) if digest is None else (digest, output.followed_by(said), seconds)
+
+
+def _run_group(job: Job, record: CrashRecord, places: Places) -> Parts:
+    """Draw, run and count the scenarios of a group. Those that cannot be counted here are left to the session."""
+    work, parts, output, seconds = job.groups, list[GroupPart](), CapturedOutput(), 0.0
+    assert work is not None  # noqa: S101  (only then there are such tasks)
+    digests: list[Any] = []
+
+    def count(before: int) -> None:
+        if digests:
+            start = before - len(digests)
+            parts.append(GroupPart(start, before, counted=work.counted(places.generation, start, digests)))
+            digests.clear()
+
+    for index in range(places.start, places.stop):
+        run = None
+        scenario = work.scenario(places.generation, index)
+        if scenario is not None:
+            try:
+                run = _run_recorded(job, record, scenario)
+            except MemoryError:  # The session must not use up its memory in the same way.
+                raise
+            except Exception:  # noqa: BLE001, S110  (the session runs it again, and reports what is raised)
+                pass
+        if run is not None and isinstance(run[0], Digest):
+            digests.append(run[0].content)
+            output, seconds = output.followed_by(run[1]) if run[1] else output, seconds + run[2]
+        else:
+            count(index)
+            parts.append(GroupPart(index, index + 1, run=run))
+    count(places.stop)
+    return parts, output, seconds
 
 
 def timed(world: Any, scenario: Scenario, ads: Callable[..., Any]) -> tuple[Trace, float]:

@@ -205,7 +205,7 @@ def run_search(item: pytest.Function, request: Request) -> None:
     # If this policy has killed a process before, it runs in processes that may die of it.
     chosen = isolated_after_a_death(harness, replays)
     listener = SearchMessages(item, settings, page_counts(item, settings), table_messages_of(item))
-    with prepared(chosen, listener, has_table=listener.table is not None) as sessions:
+    with prepared(chosen, listener, has_table=listener.table is not None, wants_each=False) as sessions:
         result = Search(
             node_id=item.nodeid,
             sessions=sessions,

@@ -60,11 +60,13 @@ from pytest_pafot.report.page_data import (
     gap_to,
 )
 from pytest_pafot.report.terminal import prevention_text, speed_sentences
+from pytest_pafot.searching.evaluation import Evaluation
 from pytest_pafot.searching.events import (
     CampaignFinished,
     CampaignStarted,
     Evaluated,
     GenerationFinished,
+    GroupEvaluated,
     LocalSearchFinished,
     Restarted,
 )
@@ -561,6 +563,33 @@ def _chain_text(chain: Chromosome) -> str:
 
 
 @dataclass(slots=True)
+class _Generation:
+    """The counts of one generation."""
+
+    population: int = 0
+    failing: int = 0
+    fitness: list[float] = field(default_factory=list)  # of the eligible runs, without infinite ones
+
+    def add(self, evaluation: Evaluation) -> None:
+        is_measured = evaluation.eligible and math.isfinite(evaluation.fitness)
+        self.add_others(1, evaluation.failing, [evaluation.fitness] if is_measured else [])
+
+    def add_others(self, runs: int, failing: int, fitness: Iterable[float]) -> None:
+        self.population, self.failing = self.population + runs, self.failing + failing
+        self.fitness.extend(fitness)
+
+    def view(self, generation: int, is_restarted: bool) -> GenerationView:
+        return GenerationView(
+            generation=generation,
+            best=round(max(self.fitness), 4) if self.fitness else None,
+            mean=round(sum(self.fitness) / len(self.fitness), 4) if self.fitness else None,
+            failing=self.failing,
+            population=self.population,
+            restarted=is_restarted,
+        )
+
+
+@dataclass(slots=True)
 class CampaignCounts:
     """Everything that the report page shows of a search, counted from its events as they happen.
 
@@ -575,6 +604,7 @@ class CampaignCounts:
     outcomes: Counter[str] = field(default_factory=Counter)  # of the simulated runs
     generations: dict[int, GenerationView] = field(default_factory=dict)  # of the main search
     _restarts: set[int] = field(default_factory=set)
+    _generation: _Generation = field(default_factory=_Generation)  # the present one
 
     def see(self, event: SearchEvent) -> None:
         """Count an event."""
@@ -587,12 +617,24 @@ class CampaignCounts:
                 self.health = self.health.counted(event.evaluation, reused=event.reused)
                 if not event.reused:
                     self.outcomes[str(event.evaluation.outcome)] += 1
+                if event.local_generation == 0:
+                    self._generation.add(event.evaluation)
+            case GroupEvaluated():
+                self.health += event.counts.health
+                self.outcomes.update(event.counts.outcomes)
+                self.responsibilities.update(event.counts.responsibilities)
+                self._generation.add_others(event.runs, event.counts.failing, event.counts.fitness)
             case CampaignStarted():
                 self.started = event
             case CampaignFinished():
                 self.finished = event
             case GenerationFinished(local_generation=0):
-                self.generations[event.generation] = _generation(event, event.generation in self._restarts)
+                counted, self._generation = self._generation, _Generation()
+                if event.is_whole:  # otherwise the events of its runs have shown it
+                    counted = _Generation()
+                    for each in event.population:
+                        counted.add(each)
+                self.generations[event.generation] = counted.view(event.generation, event.generation in self._restarts)
             case Restarted():
                 self._restarts.add(event.generation)
             case LocalSearchFinished() if event.generation in self.generations:
@@ -634,18 +676,6 @@ def campaign_view(node_id: str, events: Iterable[SearchEvent], **known: Any) -> 
     for event in events:
         counts.see(event)
     return counts.view(node_id)
-
-
-def _generation(event: GenerationFinished, is_restarted: bool) -> GenerationView:
-    fitness = [each.fitness for each in event.population if each.eligible and math.isfinite(each.fitness)]
-    return GenerationView(
-        generation=event.generation,
-        best=round(max(fitness), 4) if fitness else None,
-        mean=round(sum(fitness) / len(fitness), 4) if fitness else None,
-        failing=sum(evaluation.failing for evaluation in event.population),
-        population=len(event.population),
-        restarted=is_restarted,
-    )
 
 
 def _rows(coverage: Coverage, labels: Iterable[tuple[str, Key]]) -> tuple[CoverageRow, ...]:

@@ -11,15 +11,14 @@ from pytest_pafot.searching.algorithms.distinct import DistinctSearch
 from pytest_pafot.searching.algorithms.pafot import PafotSearch
 from pytest_pafot.searching.algorithms.random_search import RandomManoeuvreSearch, RandomSearch
 from pytest_pafot.searching.ask_tell import (
+    AheadSearch,
     Algorithm,
-    Checkpoint,
-    Evaluate,
     GenerationalSearch,
     GenerationState,
     ResumableSearch,
     SearchState,
-    run_campaign,
 )
+from pytest_pafot.searching.ask_tell_loop import Checkpoint, Evaluate, run_campaign
 from pytest_pafot.searching.evaluation import Evaluation
 from pytest_pafot.searching.health import Health
 from pytest_pafot.searching.operators import crossover, mutate, tournament
@@ -28,6 +27,7 @@ from pytest_pafot.searching.space import SearchSpace, sample, sample_manoeuvres
 
 __all__ = [
     "ALGORITHMS",
+    "AheadSearch",
     "Algorithm",
     "AlgorithmClass",
     "AvFuzzerSearch",

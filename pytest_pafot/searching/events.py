@@ -8,7 +8,7 @@ generation of the incumbent's mutants; in the main search it is 0.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Any, Literal
 
 from pytest_pafot.searching.evaluation import Evaluation
 
@@ -37,6 +37,16 @@ class Evaluated:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class GroupEvaluated:
+    """Consecutive scenarios of a generation were evaluated in another process, which sent only what it counted."""
+
+    generation: int
+    index: int  # position of the first one in the generation, from 0
+    runs: int  # the number of scenarios; each was simulated
+    counts: Any  # what the caller of the campaign counts
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class GenerationFinished:
     """All scenarios of a generation were evaluated, or the limit on runs was reached inside the generation."""
 
@@ -44,6 +54,7 @@ class GenerationFinished:
     local_generation: int
     population: tuple[Evaluation, ...]  # the unchanged elites, then the new ones in the requested order
     elites: int  # number of elites in the population
+    is_whole: bool = True  # False if the population has only the new ones that matter to a search that draws ahead
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -96,4 +107,4 @@ class CampaignFinished:
 AlgorithmEvent = GenerationFinished | NewBest | LocalSearchStarted | LocalSearchFinished | Restarted
 """The events that an algorithm returns from ``tell``."""
 
-Event = CampaignStarted | Evaluated | AlgorithmEvent | CampaignFinished  # what a campaign yields
+Event = CampaignStarted | Evaluated | GroupEvaluated | AlgorithmEvent | CampaignFinished  # what a campaign yields

@@ -174,10 +174,11 @@ class Health:
     def of(cls, events: Iterable[Event]) -> Health:
         """Count over the events of a campaign."""
         evaluated = [event for event in events if isinstance(event, Evaluated)]
-        return cls._of_runs(len(evaluated), [event.evaluation for event in evaluated if not event.reused])
+        return cls.of_runs(len(evaluated), [event.evaluation for event in evaluated if not event.reused])
 
     @classmethod
-    def _of_runs(cls, evaluated: int, runs: Sequence[Evaluation]) -> Health:
+    def of_runs(cls, evaluated: int, runs: Sequence[Evaluation]) -> Health:
+        """Count over the evaluations of simulated scenarios; ``evaluated`` is the number of all scenarios."""
         valid = [each for each in runs if not (each.outcome is Outcome.INVALID or each.discarded)]
         driven = [each for each in valid if each.outcome not in BROKEN]
         whole = [each for each in runs if each.outcome not in BROKEN]
@@ -203,7 +204,7 @@ class Health:
 
     def counted(self, evaluation: Evaluation, *, reused: bool = False) -> Health:
         """Return the health with one more evaluation."""
-        return self + Health._of_runs(1, () if reused else (evaluation,))
+        return self + Health.of_runs(1, () if reused else (evaluation,))
 
     def __add__(self, other: Health) -> Health:
         """Return the health of two searches, or of two parts of one search, together."""

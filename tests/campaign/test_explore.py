@@ -94,7 +94,7 @@ def test_few_frames_separate_search_loop_and_engine():
 
     pafot.explore(Planner, holds=lambda run: None, seed=5, runs=1, genes=1)
     assert Planner.stacks[0] == "run_planner"
-    assert Planner.stacks.index("run_campaign.<locals>.events") < 8
+    assert Planner.stacks.index("_ahead.<locals>.events") < 8
 
 
 class Batched:

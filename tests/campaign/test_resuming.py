@@ -300,8 +300,8 @@ FAULTS = {
     "no text": (lambda text: b"\xff\xfe\x00", "expected the JSON of a search's state, received UnicodeDecodeError"),
     "another kind": (lambda text: "[1, 2]", "expected a mapping, received"),
     "deep": (lambda text: "[" * 100_000, "expected the JSON of a search's state, received RecursionError"),
-    "NaN": (lambda text: text.replace('"doubt"', "NaN").replace('"version": 4', '"version": NaN'), "NaN, which is not"),
-    "version": (changed(lambda data: data.update(version=2)), "expected a state of version 4, received version 2"),
+    "NaN": (lambda text: text.replace('"doubt"', "NaN").replace('"version": 5', '"version": NaN'), "NaN, which is not"),
+    "version": (changed(lambda data: data.update(version=2)), "expected a state of version 5, received version 2"),
     "extra key": (changed(lambda data: data.update(run="rm")), "expected the keys version, settings"),
     "missing key": (changed(lambda data: data.pop("begun")), "expected the keys version, settings"),
     "other versions": (
@@ -312,10 +312,12 @@ FAULTS = {
     "sums": (changed(lambda data: data["sums"].__setitem__(2, "many")), r"expected sums\[2\]: a whole number, rec"),
     "algorithm": (changed(lambda data: data.update(algorithm={})), "expected algorithm: a list of 9 values, received"),
     "scenario": (
-        changed(lambda data: data["remembered"][0][0][0][0][0][0].__setitem__(0, 12)),
-        r"expected remembered\[0\]\[0\]\[0\].*cell: a whole number from 1",
+        changed(lambda data: data["news"][0][0][0][0][0][0].__setitem__(0, 12)),
+        r"expected news\[0\]\[0\]\[0\].*cell: a whole number from 1",
     ),
-    "other runs": (changed(lambda data: data["begun"].pop(0)), "begun: expected the evaluation of"),
+    "no news": (changed(lambda data: data.update(news=[])), "news: expected the evaluations of at least one gen"),
+    "other generation": (changed(lambda data: data["news"].append([])), "sums: expected .* evaluated scenarios, rec"),
+    "too many done": (changed(lambda data: data.update(done=99)), "done: expected a number of scenarios from 0 to"),
 }  # fmt: skip
 
 

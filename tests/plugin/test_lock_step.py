@@ -57,7 +57,7 @@ def test_lock_step_search_finds_the_same_files(project, in_highway_env):
     together, calls, output = searched(project, "Batched")
     alone, calls_alone, output_alone = searched(project, "Planner")
     assert together == alone != {}
-    assert {"2", "3", "4"} & set(calls)
+    assert any(call.isdigit() and int(call) > 1 for call in calls)
     assert set(calls_alone) == {"call", "judged"}
     counts = [re.findall(r"^  (\d+ runs) in", text, re.MULTILINE) for text in (output, output_alone)]
     assert counts[0] == counts[1] != []
@@ -68,7 +68,7 @@ def test_lock_step_search_finds_the_same_files(project, in_highway_env):
     [
         ("Batched", 2, ["not in use, since the ADS decides for many runs at once, by its `batch`"]),
         ("Batched", 1, []),
-        ("Planner", 2, ["not in use, since a run took ... ms, and it pays off from 60000 ms on"]),
+        ("Planner", 2, ["in use after 1 run of this process, which also judge their runs"]),
     ],
 )
 def test_a_search_tells_once_why_workers_are_idle(project, ads, workers, notes, monkeypatch):
@@ -117,7 +117,7 @@ class Raising(Batched):
     alone, _, _ = searched(project, "Raising", PLANNERS + raising.replace("(Batched)", "(Planner)") + SEARCH)
     assert together == alone
     assert any("LookupError" in text for text in together.values())
-    assert {"2", "3", "4"} & set(calls)
+    assert any(call.isdigit() and int(call) > 1 for call in calls)
 
 
 def test_wrong_number_of_actions_is_one_clear_error(project):

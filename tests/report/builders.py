@@ -15,7 +15,7 @@ from pytest_pafot.oracle.run import Run
 from pytest_pafot.report.page_data import Report
 from pytest_pafot.report.views import campaign_view, finding_view
 from pytest_pafot.searching.algorithms.pafot import PafotSearch
-from pytest_pafot.searching.ask_tell import run_campaign
+from pytest_pafot.searching.ask_tell_loop import run_campaign
 from pytest_pafot.searching.evaluation import Evaluation
 from pytest_pafot.searching.fitness import resolve
 from tests.helpers.hostile import CHARACTERS

@@ -23,7 +23,7 @@ from pytest_pafot.searching import (
     run_campaign,
 )
 from pytest_pafot.searching.algorithms.catalogue import CATALOGUE
-from pytest_pafot.searching.ask_tell import CheckpointError
+from pytest_pafot.searching.ask_tell_loop import CheckpointError
 from pytest_pafot.searching.evaluation import Evaluation, EvaluationCache, Remembered
 from pytest_pafot.searching.events import CampaignFinished, CampaignStarted, GenerationFinished
 from pytest_pafot.searching.operators import mutate
@@ -60,14 +60,16 @@ def through_json(algorithm, checkpoint):
     """Return a checkpoint after JSON, as from a file."""
     parts = [
         algorithm.stored(checkpoint.state),
-        *map(plain, (checkpoint.sums, checkpoint.remembered, checkpoint.begun)),
+        *map(plain, (checkpoint.sums, checkpoint.remembered, checkpoint.begun, checkpoint.news, checkpoint.done)),
     ]
-    state, sums, remembered, begun = json.loads(json.dumps(parts, allow_nan=False))
+    state, sums, remembered, begun, news, done = json.loads(json.dumps(parts, allow_nan=False))
     return Checkpoint(
         state=algorithm.restored(state),
         sums=from_plain(CampaignFinished, sums),
         remembered=from_plain(tuple[Remembered, ...], remembered),
         begun=from_plain(tuple[tuple[Evaluation, bool], ...], begun),
+        news=from_plain(tuple[tuple[Evaluation, ...], ...], news),
+        done=done,
     )
 
 
@@ -104,7 +106,7 @@ def test_from_every_border_on_it_tells_the_rest(cheap_world, algorithm):
     whole = campaign(algorithm, cheap_world(), checkpoints, generations=6)
     assert len(checkpoints) == 7
     for told, checkpoint in checkpoints.items():
-        left = 6 - checkpoint.state.generation
+        left = 6 - checkpoint.generation
         if left:
             world = cheap_world()
             rest = campaign(algorithm, world, resumed=checkpoint, generations=left)
@@ -134,8 +136,9 @@ def test_it_goes_on_with_other_limits(cheap_world):
 
 
 def test_a_checkpoint_of_another_campaign_is_refused(cheap_world):
-    checkpoints, algorithm = {}, ALGORITHMS[1]
-    campaign(algorithm, cheap_world(), checkpoints, runs=4)
+    checkpoints, algorithm = {}, PafotSearch(population=4)
+    kept = lambda checkpoint: checkpoints.update({len(checkpoints): checkpoint()})  # noqa: E731
+    list(run_campaign(algorithm, cheap_world(), generations=None, runs=5, seed=5, border=kept))
     checkpoint = checkpoints[max(checkpoints)]
     assert len(checkpoint.begun) == 1
     with pytest.raises(CheckpointError, match="begun: expected the evaluation of"):

@@ -66,6 +66,10 @@ class NicheSearch(GenerationalSearch[GenerationStateT]):
         """Return a scenario that is a variation of one or two parents."""
 
 
+AHEAD = 256
+"""The largest number of scenarios that are drawn before the evaluation of an earlier one is learnt. With it, sixteen
+processes need not wait for one run that takes several times as long as the others."""
+
 SPEED_NICHE = 5.0  # width of a niche in closing speed [m/s]
 FASTEST_NICHE = 5  # index of the last niche, which has no upper end
 
@@ -131,6 +135,28 @@ class DistinctSearch(NicheSearch[DistinctState]):
         """Return the state from the data of :meth:`stored`."""
         return from_plain(DistinctState, data)
 
+    def waits_for(self, generation: int) -> int:
+        """Return how many generations must be learnt: the first half at the beginning, later all but about 256 runs."""
+        return generation - min((generation + 1) // 2, max(1, AHEAD // self.population))
+
+    def matters(self, state: DistinctState, evaluation: Evaluation) -> bool:
+        """Return whether an evaluation shows a new failure, or may be the best of a niche or of the search.
+
+        Later states have only better runs in their niches, so they refuse all that a niche of ``state`` refuses.
+        """
+        if improves(evaluation, state.best):
+            return True
+        if evaluation.failing and evaluation.kind is not None:  # it becomes no parent, see _elites
+            return evaluation.kind not in state.kinds or evaluation.mistake not in (None, *state.mistakes)
+        place = niche(evaluation, self.space.crossings)
+        if improves(evaluation, dict(state.elites).get(place)):
+            return True
+        return any(
+            name not in state.mistakes
+            and improves(replace(evaluation, fitness=-margin), dict(state.strained.get(name, ())).get(place))
+            for name, margin in evaluation.margins
+        )
+
     def parents(self, state: DistinctState) -> list[list[Evaluation]]:
         """Return the equally likely groups of parents: elites by fitness, and elites by the margin of each check."""
         groups = (state.elites, *state.strained.values())
@@ -149,6 +175,8 @@ class DistinctSearch(NicheSearch[DistinctState]):
 
     def learn(self, state: DistinctState, evaluations: Sequence[Evaluation], rng: Generator) -> DistinctState:
         """Update the known failures, and the runs that may be parents."""
+        if not evaluations:
+            return state
         failed, crossings = [each for each in evaluations if each.failing], self.space.crossings
         kinds = state.kinds | {each.kind for each in failed if each.kind is not None}
         mistakes = state.mistakes | {each.mistake for each in failed if each.mistake is not None}

@@ -1,0 +1,101 @@
+"""Groups of scenarios that other processes draw, run and count themselves, and their order in the search.
+
+The process of the session receives a few numbers for each group, and the trace of a run only where something failed.
+Which processes run which group changes no result, because each of them draws the scenarios of a place alike.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from typing import Any, Protocol
+
+from pytest_pafot.execution.pool import ProcessLostError, WorkerPool
+from pytest_pafot.execution.scenario_pool import GroupPart, Places
+from pytest_pafot.model.scenario import Scenario
+
+GROUP_SECONDS = 0.03
+"""The target duration of the rollouts of a group [s]: a hundred times as long as the session needs for a group."""
+
+WAITING = 8
+"""The number of groups for each process that are under way or finished, but not requested yet."""
+
+
+class Course(Protocol):
+    """The places of a search: the order in which its scenarios are requested."""
+
+    def scenario(self, generation: int, index: int) -> Scenario:
+        """Return the scenario of a place."""
+
+    def population(self, generation: int) -> int:
+        """Return the number of scenarios in a generation."""
+
+    def can_draw(self, generation: int) -> bool:
+        """Return whether the search has learnt enough to draw a generation."""
+
+
+class Groups:
+    """The groups of one search: given to the processes of a pool, and taken in the order of their places.
+
+    Args:
+        course: the places of the search.
+        needed: returns how many scenarios of a generation the limits of the search allow.
+    """
+
+    def __init__(self, course: Course, needed: Callable[[int], int]) -> None:
+        self.course = course
+        self._needed = needed
+        self._next = (0, 0)  # the first place that was given to no process
+        self._under_way: dict[tuple[int, int], Places] = {}  # by their first place
+        self._parts: deque[GroupPart] = deque()  # of the group that is being taken
+        self._lost = (0, 0)  # the place after the last group whose process was lost
+        self._runs, self._seconds = 0, 0.0
+
+    def take(self, pool: WorkerPool[Any, Any], generation: int, index: int) -> tuple[GroupPart, bool]:
+        """Return the next part, from the place that the search requests, and whether its process was lost.
+
+        Raises:
+            OutOfTime: if the time of the search is over.
+            Exception: any exception of the algorithm in the process.
+        """
+        if not self._parts:
+            self._give(pool, generation, index)
+            places = self._under_way.pop((generation, index))
+            answer = pool.fetch(places)
+            if isinstance(answer, tuple):
+                parts, output, seconds = answer
+                output.repeat()
+                self._parts.extend(parts)
+                self._runs, self._seconds = self._runs + places.stop - places.start, self._seconds + seconds
+            elif not isinstance(answer, ProcessLostError) and not pool.failure:
+                raise answer  # by the algorithm, which draws the scenarios
+            else:  # One of its scenarios may be the cause, so each is run by itself.
+                self._parts.extend(GroupPart(each, each + 1) for each in range(places.start, places.stop))
+                self._lost = (generation, places.stop)
+        part = self._parts.popleft()
+        return part, (generation, part.start) < self._lost
+
+    def _give(self, pool: WorkerPool[Any, Any], generation: int, index: int) -> None:
+        self._next = max(self._next, (generation, index))  # the places before it were run in the session
+        while len(self._under_way) < WAITING * pool.size:
+            later, start = self._next
+            if start >= self.course.population(later):
+                self._next = later + 1, 0
+                continue
+            stop = min(start + self._size(pool.size, later, start), self._needed(later))
+            if start >= stop or not self.course.can_draw(later):
+                return
+            self._under_way[later, start] = places = Places(later, start, stop)
+            self._next = later, stop
+            pool.add(places)
+
+    def _size(self, processes: int, generation: int, start: int) -> int:
+        """Return the number of scenarios of the next group: all processes must get some of those that can be drawn."""
+        mean = self._seconds / self._runs if self._runs else GROUP_SECONDS
+        open_places, later = self._needed(generation) - start, generation + 1
+        while open_places < 2 * processes * self.course.population(later) and self.course.can_draw(later):
+            more = self._needed(later)
+            if not more:
+                break
+            open_places, later = open_places + more, later + 1
+        return max(1, min(round(GROUP_SECONDS / max(mean, 1e-9)), open_places // (2 * processes)))
