@@ -14,8 +14,8 @@ from pytest_pafot.execution.pool import ProcessLostError, WorkerPool
 from pytest_pafot.execution.scenario_pool import GroupPart, Places
 from pytest_pafot.model.scenario import Scenario
 
-GROUP_SECONDS = 0.03
-"""The target duration of the rollouts of a group [s]: a hundred times as long as the session needs for a group."""
+GROUP_SECONDS = 0.5
+"""The longest duration of the rollouts of a group, if it has more than one scenario [s]."""
 
 WAITING = 8
 """The number of groups for each process that are under way or finished, but not requested yet."""
@@ -90,7 +90,11 @@ class Groups:
             pool.add(places)
 
     def _size(self, processes: int, generation: int, start: int) -> int:
-        """Return the number of scenarios of the next group: all processes must get some of those that can be drawn."""
+        """Return the number of scenarios of the next group.
+
+        A group is a whole generation if possible, because a process must draw all scenarios before those that it runs.
+        But all processes must get some of the scenarios that can be drawn, and groups with long runs are smaller.
+        """
         mean = self._seconds / self._runs if self._runs else GROUP_SECONDS
         open_places, later = self._needed(generation) - start, generation + 1
         while open_places < 2 * processes * self.course.population(later) and self.course.can_draw(later):

@@ -66,9 +66,9 @@ class NicheSearch(GenerationalSearch[GenerationStateT]):
         """Return a scenario that is a variation of one or two parents."""
 
 
-AHEAD = 256
-"""The largest number of scenarios that are drawn before the evaluation of an earlier one is learnt. With it, sixteen
-processes need not wait for one run that takes several times as long as the others."""
+AHEAD = 512
+"""The largest number of scenarios that are drawn before the evaluation of an earlier one is learnt. With it, each of
+sixteen processes can run one generation while the next is ready."""
 
 SPEED_NICHE = 5.0  # width of a niche in closing speed [m/s]
 FASTEST_NICHE = 5  # index of the last niche, which has no upper end
@@ -136,7 +136,7 @@ class DistinctSearch(NicheSearch[DistinctState]):
         return from_plain(DistinctState, data)
 
     def waits_for(self, generation: int) -> int:
-        """Return how many generations must be learnt: the first half at the beginning, later all but about 256 runs."""
+        """Return how many generations must be learnt: the first half at the beginning, later all but about 512 runs."""
         return generation - min((generation + 1) // 2, max(1, AHEAD // self.population))
 
     def matters(self, state: DistinctState, evaluation: Evaluation) -> bool:
