@@ -142,7 +142,9 @@ def prepared(
         is_steered_by_checks=is_steered_by_checks,
         has_table=has_table,
     )
-    counting = None if why_here else Counting(known=reader.known, wants_each=wants_each)
+    counting = None if why_here else Counting(read=reader, wants_each=wants_each)
+    if settings.isolate:  # Isolated processes also make the runs that confirm findings, which the session judges.
+        reader = replace(reader, harness=None)
     remark = f"; this process judges all runs, since {why_here}" if why_here else ", which also judge their runs"
     job = replace(job, read=reader, groups=counting, remark=remark)
     with ExitStack() as stack:
@@ -183,8 +185,7 @@ def _why_judged_here(harness: Harness) -> str:
         return "the fitness is your own"
     if not harness.needs_only_run:
         return "the test function needs more than the run"
-    # Workers of an executor may be on other machines, and isolated processes also make the runs that confirm findings.
-    is_apart = harness.executor is not None or harness.request.settings.isolate
+    is_apart = harness.executor is not None  # its workers may be on other machines
     return "they were not forked from it" if is_apart or scenario_pool.METHOD != "fork" else ""
 
 

@@ -186,14 +186,14 @@ class Counting:
     """The drawing and counting of a search's scenarios in the processes that run them.
 
     Attributes:
-        known: as in :class:`Reader`.
+        read: reads and judges each run.
         wants_each: True if the listener needs each run.
         drawer: draws the scenarios; None before the search begins.
         random_runs: the number of random scenarios at the beginning of the search that are counted apart.
         fatal: scenarios in which a process died; they are not run.
     """
 
-    known: set[Signature]
+    read: Reader
     wants_each: bool
     drawer: Drawer[Any] | None = None
     random_runs: float = 0.0
@@ -210,7 +210,7 @@ class Counting:
         assert self.drawer is not None  # noqa: S101  (the search has begun)
         news, known = said
         self.drawer.learn(news)
-        self.known |= known
+        self.read.known.update(known)
 
     def counted(self, generation: int, start: int, digests: Sequence[Passed]) -> Tally:
         """Count consecutive runs."""
@@ -459,8 +459,8 @@ class SearchLoop:
         if self.counting is not None:
             # Until two runs differ, the session must see each failure, which may be a fault of the set-up.
             is_sure = not (self.first.is_alike or self.counting.wants_each)
-            known = {*self.shown, *self.finds} - self.counting.known if is_sure else set()
-            self.counting.known |= known
+            known = {*self.shown, *self.finds} - self.counting.read.known if is_sure else set()
+            self.counting.read.known.update(known)
             self.simulation.runner.tell((news, frozenset(known)))
 
     def _taken(self, passed: Passed) -> Evaluation:

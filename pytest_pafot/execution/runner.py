@@ -162,7 +162,7 @@ class Runner:
     def begin_groups(self, course: Course, needed: Callable[[int], int]) -> None:
         """Let other processes draw and count scenarios from now on; see :class:`Groups` for the arguments."""
         if self.job.groups is not None:
-            self.processes.groups = Groups(course, needed)
+            self.processes.begin_groups(Groups(course, needed))
 
     def counted(self, generation: int, index: int) -> GroupPart | None:
         """Return the next runs of a search, from a place on, that another process has counted.
@@ -383,6 +383,7 @@ class Processes:
         self.groups: Groups | None = None
         """The groups of scenarios that processes draw themselves; None if this process announces all scenarios."""
         self._ready: dict[Scenario, Timed] = {}  # runs of groups that this process must read
+        self._recovered: list[LostRun] = []  # of an earlier pool
         self._job = job
         self._workers = workers
         self._executor = executor
@@ -423,6 +424,14 @@ class Processes:
             self._pool.expect(self._noted(scenarios))
         elif self.groups is None:
             self._pool.add_all(self._noted(scenarios))
+
+    def begin_groups(self, groups: Groups) -> None:
+        """Let new processes draw scenarios. Earlier ones do not know the search, which had not begun when they did."""
+        if self._pool is not None:
+            self._recovered += self._pool.recovered
+            self._pool.close()
+            self._pool = None
+        self.groups = groups
 
     def counted(self, generation: int, index: int) -> GroupPart | None:
         """See :meth:`Runner.counted`."""
@@ -499,6 +508,7 @@ class Processes:
     def _begin(self) -> ScenarioPool | ExecutorPool:
         job, executor = self._job, self._executor
         self._pool = pool = pool_for(job, self._workers) if executor is None else ExecutorPool(job, executor)
+        pool.recovered += self._recovered
         if self.groups is None:
             pool.expect(self.announced)
         else:
@@ -516,6 +526,12 @@ class Isolated(Processes):
             return [] if self._pool.failure or self._pool.unable else self._pool.notes
         return [] if self._pool is None else [recovery_note(each) for each in self._pool.recovered]
 
+    def counted(self, generation: int, index: int) -> GroupPart | None:
+        """See :meth:`Runner.counted`."""
+        if self.groups is not None:
+            self._begun()
+        return super().counted(generation, index)
+
     def take(self, scenario: Scenario, *, afresh: bool) -> Trace:
         """Return the trace of a scenario from a different process, and raise the exceptions of that process.
 
@@ -523,10 +539,9 @@ class Isolated(Processes):
         package, the result is an ``ExecutionError``.
         """
         __tracebackhide__ = True
-        try:
-            pool = self._pool or self._begin()
-        except ExecutionError as error:
-            raise ExecutionError(f"{flag('isolate')}: {error}") from None
+        if not afresh and scenario in self._ready:
+            return trace_apart(self._ready.pop(scenario))
+        pool = self._begun()
         answer = pool.fetch(scenario)
         if pool.failure:
             raise ExecutionError(f"{flag('isolate')}: expected processes to run the ADS in, received: {pool.failure}")
@@ -538,6 +553,12 @@ class Isolated(Processes):
                 f"{flag('isolate')}, so that this process makes such runs"
             )
         return trace_apart(answer)
+
+    def _begun(self) -> ScenarioPool | ExecutorPool:
+        try:
+            return self._pool or self._begin()
+        except ExecutionError as error:
+            raise ExecutionError(f"{flag('isolate')}: {error}") from None
 
 
 # Runs in a separate process, for scenarios in which the run or its evaluation may end this process.

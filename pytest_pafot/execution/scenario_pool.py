@@ -145,6 +145,10 @@ class Places:
 class GroupWork(Protocol):
     """What a process needs to draw and count scenarios itself, besides a :class:`Job`."""
 
+    @property
+    def read(self) -> Callable[[Trace], Digest | None]:
+        """A function as ``Job.read``."""
+
     def scenario(self, generation: int, index: int) -> Scenario | None:
         """Return the scenario of a place; None if only the session may run it."""
 
@@ -272,16 +276,18 @@ def _run_task(job: Job, record: CrashRecord, task: Scenario | Places, tell: obje
     The record is closed after each task, since nothing would remove it after the session.
     """
     with record:
-        return _run_group(job, record, task) if isinstance(task, Places) else _run_recorded(job, record, task)
+        if isinstance(task, Places):
+            return _run_group(job, record, task)
+        return _run_recorded(job, record, task, job.read)
 
 
-def _run_recorded(job: Job, record: CrashRecord, scenario: Scenario) -> Timed:
+def _run_recorded(job: Job, record: CrashRecord, scenario: Scenario, read: Callable[[Trace], Digest | None]) -> Timed:
     digest = None
     record.write(scenario, reference=job.reference)
     with capture_output() as output:
         trace, seconds = timed(job.world, scenario, job.ads)
     with capture_output() as said, suppress(Exception):  # it is raised again in the session, which reads the trace
-        digest = job.read(trace)
+        digest = read(trace)
     return (trace, output, seconds) if digest is None else (digest, output.followed_by(said), seconds)
 
 
@@ -302,7 +308,7 @@ def _run_group(job: Job, record: CrashRecord, places: Places) -> Parts:
         scenario = work.scenario(places.generation, index)
         if scenario is not None:
             try:
-                run = _run_recorded(job, record, scenario)
+                run = _run_recorded(job, record, scenario, work.read)
             except MemoryError:  # The session must not use up its memory in the same way.
                 raise
             except Exception:  # noqa: BLE001, S110  (the session runs it again, and reports what is raised)
