@@ -147,7 +147,7 @@ def test_process_death_in_first_run_is_a_finding(isolated):
 
 
 def test_exception_of_another_process_is_not_retried_here(isolated):
-    more = "import json\n\ndef breaks(observation):\n    note()\n    json.dumps = None\n    return 0.0, 0.0\n"
+    more = "def breaks(observation):\n    note()\n    os.write = None\n    return 0.0, 0.0\n"
     project = isolated("breaks", more)
     result = project.run("--pafot-isolate", "-p", "no:cacheprovider", generations=1)
     result.stdout.fnmatch_lines(["*TypeError: 'NoneType' object is not callable*", "*not tried again in the session*"])
