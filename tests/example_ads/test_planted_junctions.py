@@ -35,7 +35,7 @@ def test_driver_repeats_itself_and_twin_is_careful(name):
 
 @pytest.mark.oracle
 def test_search_finds_defect_but_not_its_twin():
-    found = planted_junctions.search("slow-ones-leave", 1, 60, twins=False)
+    found = planted_junctions.search("slow-ones-leave", 2, 60, twins=False)
     assert found.found
-    twin = planted_junctions.search("slow-ones-leave", 1, found.runs, twins=True)
+    twin = planted_junctions.search("slow-ones-leave", 2, found.runs, twins=True)
     assert (twin.found, twin.runs, twin.policy) == (False, found.runs, "slow-ones-leave, repaired")
