@@ -98,7 +98,7 @@ def test_repeated_death_of_sessions_becomes_a_finding(project):
 RUNS = []
 
 @pafot.search(SHORT, ads=ADS)
-def test_it(run):
+def test_it(run, tmp_path):  # with a fixture, the session judges all runs
     RUNS.append(run)
     if not is_elsewhere() and len(RUNS) == 3:
         os._exit(9)

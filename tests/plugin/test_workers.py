@@ -102,7 +102,7 @@ def test_early_ending_search_ends_at_same_run(dear):
 def test_cheap_runs_stay_in_process_with_a_note(project, monkeypatch):
     monkeypatch.setattr(runner, "DEAR", 60.0)  # then every run counts as fast, even on a busy machine
     project.write(MANY.replace("genes=2, gene_seconds=4", "genes=1, gene_seconds=1"))
-    result = project.run("--pafot-workers=2", generations=3)
+    result = project.run("--pafot-workers=2", "--pafot-algorithm=pafot", generations=3)
     result.stdout.fnmatch_lines(["*note: --pafot-workers=2: not in use, since a run took * ms, and it pays*"])
 
 
