@@ -149,7 +149,7 @@ class Reader:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Tally:
-    """What a search counts of consecutive runs that another process has drawn, run and judged.
+    """The counts of consecutive runs that another process has drawn, run and judged.
 
     Attributes:
         runs: the number of runs.

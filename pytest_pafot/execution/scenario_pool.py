@@ -143,7 +143,7 @@ class Places:
 
 
 class GroupWork(Protocol):
-    """What a process needs to draw and count scenarios itself, besides a :class:`Job`."""
+    """An object with which a process draws and counts scenarios itself; a :class:`Job` has the rest."""
 
     @property
     def read(self) -> Callable[[Trace], Digest | None]:
