@@ -44,11 +44,12 @@ from pytest_pafot.world import protocol
 from pytest_pafot.world.guard.hang_guard import check_time
 
 INSTALL = install("dask")
-TASK_SECONDS = 0.02
-"""The target duration of a task, which is long compared with its overhead of a few milliseconds [s]."""
-MOST = 20
-"""The largest number of scenarios in a task. If a run takes longer than :data:`TASK_SECONDS`, each task has one
-scenario."""
+TASK_SECONDS = 2.0
+"""The longest duration of a task with several scenarios [s]. The overhead of a task is some milliseconds."""
+TASKS = 2
+"""The number of tasks for each worker that the announced scenarios are divided into, at least."""
+WORKERS = 64
+"""The assumed number of workers of an executor that does not say how many it has."""
 
 IDLE = 60.0
 """The time without a task after which the child process of a worker ends [s]."""
@@ -89,6 +90,8 @@ class ExecutorPool:
         self._executor = executor
         self._parcel = packed(job)
         self._is_known = False  # True if some worker has the content of the parcel
+        self._workers = _workers(executor)
+        self._waiting: dict[Scenario, None] = {}  # announced, but in no task yet
         self._under_way: dict[Scenario, tuple[Sequence[Scenario], Future[Any]]] = {}
         self._answers: dict[Scenario, Answer] = {}
         self._numbers = count()
@@ -109,13 +112,17 @@ class ExecutorPool:
         """Start to run some scenarios; earlier scenarios that were not fetched are dropped."""
         self.close()
         self.add_all(scenarios)
+        if self._waiting:
+            self._submit(list(self._waiting))
 
     def add_all(self, scenarios: Iterable[Scenario]) -> None:
-        """Start to run some more scenarios."""
-        size = max(1, min(MOST, round(self._runs * TASK_SECONDS / self._seconds))) if self._runs else 1
-        to_come = iter(scenarios)
-        while task := list(islice(to_come, size)):
-            self._submit(task)
+        """Start to run some more scenarios. Those that do not fill a task wait for more, or until one is requested."""
+        known = (self._waiting, self._under_way, self._answers)
+        self._waiting |= dict.fromkeys(each for each in scenarios if not any(each in group for group in known))
+        share = (len(self._waiting) + len(self._under_way)) // (TASKS * self._workers)
+        size = max(1, min(share, round(self._runs * TASK_SECONDS / self._seconds))) if self._runs else 1
+        while len(self._waiting) >= size:
+            self._submit(list(islice(self._waiting, size)))
 
     def fetch(self, scenario: Scenario) -> Answer:
         """Wait for the answer to a scenario and return it; each answer can be fetched once.
@@ -123,7 +130,9 @@ class ExecutorPool:
         Raises:
             ExecutionError: if workers cannot run scenarios as this process does, for example with other versions.
         """
-        if scenario not in self._under_way and scenario not in self._answers:
+        if scenario in self._waiting:
+            self._submit(list(self._waiting))
+        elif scenario not in self._under_way and scenario not in self._answers:
             self._submit([scenario])
         error = self._gather(scenario)
         if error is not None and not self.failure:
@@ -141,9 +150,11 @@ class ExecutorPool:
         """Cancel the current tasks, but do not shut down the executor, because it belongs to the user."""
         for _, future in self._under_way.values():
             future.cancel()
-        self._under_way, self._answers = {}, {}
+        self._waiting, self._under_way, self._answers = {}, {}, {}
 
     def _submit(self, scenarios: Sequence[Scenario]) -> None:
+        for scenario in scenarios:
+            self._waiting.pop(scenario, None)
         if self.failure:
             return
         parcel = replace(self._parcel, content=None) if self._is_known else self._parcel
@@ -191,6 +202,15 @@ class ExecutorPool:
             elif not isinstance(answer, ProcessLostError):
                 self.unable.append(answer)
             self._answers[scenario] = answer
+
+
+def _workers(executor: Executor) -> int:
+    """Return how many tasks an executor runs at once."""
+    client: Any = getattr(executor, "_client", None)
+    if hasattr(client, "nthreads"):  # Dask's
+        return sum(client.nthreads().values()) or WORKERS
+    # The executors of the standard library and of loky have the first attribute, mpi4py's the second.
+    return getattr(executor, "_max_workers", None) or getattr(executor, "num_workers", None) or WORKERS
 
 
 def _result(future: Future[Any]) -> Any:

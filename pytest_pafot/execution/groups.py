@@ -77,29 +77,29 @@ class Groups:
 
     def _give(self, pool: WorkerPool[Any, Any], generation: int, index: int) -> None:
         self._next = max(self._next, (generation, index))  # the places before it were run in the session
+        size = self._size(pool.size, generation, index)
         while len(self._under_way) < WAITING * pool.size:
             later, start = self._next
             if start >= self.course.population(later):
                 self._next = later + 1, 0
                 continue
-            stop = min(start + self._size(pool.size, later, start), self._needed(later))
+            stop = min(start + size, self._needed(later))
             if start >= stop or not self.course.can_draw(later):
                 return
             self._under_way[later, start] = places = Places(later, start, stop)
             self._next = later, stop
             pool.add(places)
 
-    def _size(self, processes: int, generation: int, start: int) -> int:
-        """Return the number of scenarios of the next group.
+    def _size(self, processes: int, generation: int, index: int) -> int:
+        """Return the largest number of scenarios in a group, if the search requests a place next.
 
         A group is a whole generation if possible, because a process must draw all scenarios before those that it runs.
-        But all processes must get some of the scenarios that can be drawn, and groups with long runs are smaller.
+        But all processes must get some of the scenarios that can be drawn now, which include those under way; and
+        groups with long runs are smaller.
         """
         mean = self._seconds / self._runs if self._runs else GROUP_SECONDS
-        open_places, later = self._needed(generation) - start, generation + 1
-        while open_places < 2 * processes * self.course.population(later) and self.course.can_draw(later):
-            more = self._needed(later)
-            if not more:
-                break
-            open_places, later = open_places + more, later + 1
-        return max(1, min(round(GROUP_SECONDS / max(mean, 1e-9)), open_places // (2 * processes)))
+        most = round(GROUP_SECONDS / max(mean, 1e-9))
+        places = -index  # before the group's end, from the requested one on
+        while places < 2 * processes * most and self.course.can_draw(generation) and (more := self._needed(generation)):
+            places, generation = places + more, generation + 1
+        return max(1, min(most, places // (2 * processes)))

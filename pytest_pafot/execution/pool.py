@@ -157,9 +157,10 @@ class WorkerPool(Generic[TaskT, ResultT]):
             self.add(task)
 
     def add(self, task: TaskT) -> None:
-        """Start one more task after all earlier ones."""
-        self._wanted.add(task)
-        self._pending.append(task)
+        """Start one more task after all earlier ones, unless its answer is still to be fetched."""
+        if task not in self._wanted:
+            self._wanted.add(task)
+            self._pending.append(task)
         self._send()
 
     def tell(self, said: object) -> None:

@@ -30,7 +30,9 @@ class KilledWorker(Exception):  # noqa: N818
 
 
 class Inline(Executor):
-    """An executor that runs tasks at once and loses some of them, by number."""
+    """An executor with one worker that runs tasks at once and loses some of them, by number."""
+
+    num_workers = 1
 
     def __init__(self, lost=(), error=KilledWorker):
         self.sizes, self.lost, self.error = [], lost, error
@@ -95,12 +97,45 @@ def test_executor_runs_equal_local_runs_in_their_order(pool_of):
     assert numbers(answers) == list(range(48))
 
 
-def test_cheap_runs_are_sent_twenty_to_a_task(pool_of, monkeypatch):
+@pytest.fixture
+def cheap(monkeypatch):
+    """Let runs take a millisecond."""
     monkeypatch.setattr(executors, "timed", lambda world, scenario, ads: (trace_of(scenario), 0.001))
+
+
+def test_cheap_runs_are_sent_in_two_tasks_a_worker(pool_of, cheap):
     pool = pool_of(Inline())
     fetched(pool, SCENARIOS[:4])
     fetched(pool)
-    assert ran == [1, 1, 1, 1, 20, 20, 8]
+    assert ran == [1, 1, 1, 1, 24, 24]
+
+
+def test_runs_of_half_a_second_are_sent_four_to_a_task(pool_of, monkeypatch):
+    monkeypatch.setattr(executors, "timed", lambda world, scenario, ads: (trace_of(scenario), 0.5))
+    pool = pool_of(Inline())
+    fetched(pool, SCENARIOS[:1])
+    fetched(pool, SCENARIOS[:10])
+    assert ran == [1, 4, 4, 2]
+
+
+def test_all_get_a_task_if_nobody_says_how_many_workers_there_are(pool_of, cheap):
+    executor = Inline()
+    executor.num_workers = None
+    pool = pool_of(executor)
+    fetched(pool, SCENARIOS[:1])
+    fetched(pool)
+    assert ran == [1] * 49
+
+
+def test_announced_runs_wait_for_more_until_one_is_requested(pool_of, cheap):
+    pool = pool_of(Inline())
+    fetched(pool, SCENARIOS[:1])
+    pool.add_all(SCENARIOS[:12])
+    assert ran == [1, 6, 6]
+    pool.add_all(SCENARIOS[8:15])  # four of them are announced already
+    assert ran == [1, 6, 6]
+    assert numbers(map(pool.fetch, SCENARIOS[:15])) == list(range(15))
+    assert ran == [1, 6, 6, 3]
 
 
 def test_dear_runs_have_a_task_each(pool_of):
@@ -125,8 +160,8 @@ def test_lost_task_is_retried_scenario_by_scenario(pool_of):
     executor = Inline(lost=(2,))
     pool = pool_of(executor)
     fetched(pool, SCENARIOS[:2])
-    assert numbers(fetched(pool, SCENARIOS[:3])) == [0, 1, 2]
-    assert ran == [1, 1, 1, 1, 1]
+    assert numbers(fetched(pool, SCENARIOS[:6])) == [0, 1, 2, 3, 4, 5]
+    assert ran == [1, 1, 3, 1, 1, 1]
     assert [lost.task.seed for lost in pool.recovered] == [0, 1, 2]
     assert recovery_note(pool.recovered[0]).startswith("a worker was lost (KilledWorker) while it ran <Scenario ")
 

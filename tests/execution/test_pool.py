@@ -183,6 +183,14 @@ def test_unfetched_answers_are_forgotten_with_the_next_tasks(pool_of):
     assert list(pool.completed(lambda share: None)) == []
 
 
+def test_a_task_that_is_expected_twice_runs_once(pool_of, tmp_path):
+    pool = pool_of(lambda number: (tmp_path / f"{number}-{time.monotonic_ns()}").touch())
+    pool.expect([3, 4, 3, 5])
+    assert fetched(pool, [3, 4, 5]) == [9, 16, 25]
+    pool.close()
+    assert len(list(tmp_path.iterdir())) == 3
+
+
 def test_unexpected_task_runs_before_expected_ones(pool_of, tmp_path):
     def note(number):
         time.sleep(0.05)

@@ -146,8 +146,10 @@ class DistinctSearch(NicheSearch[DistinctState]):
         """
         if improves(evaluation, state.best):
             return True
+        if evaluation.failing and evaluation.mistake not in (None, *state.mistakes):
+            return True
         if evaluation.failing and evaluation.kind is not None:  # it becomes no parent, see _elites
-            return evaluation.kind not in state.kinds or evaluation.mistake not in (None, *state.mistakes)
+            return evaluation.kind not in state.kinds
         place = niche(evaluation, self.space.crossings)
         if improves(evaluation, dict(state.elites).get(place)):
             return True
