@@ -214,7 +214,7 @@ class Settings:
     )
     workers: int = option(
         "workers",
-        "Number of processes that simulate the scenarios of a generation, or auto for one for each core.",
+        "Number of processes that run the scenarios of a search, or auto for one for each core.",
         "Several are faster if runs take long. The findings are the same. Always 1 under pytest-xdist.",
         default=1,
         least=1,
@@ -236,7 +236,7 @@ class Settings:
     )
     dask: str | None = option(
         "address",
-        "Simulate the scenarios of a generation on the workers of the Dask scheduler at ADDRESS.",
+        "Run the scenarios of a search on the workers of the Dask scheduler at ADDRESS.",
         "Needs `pytest-pafot[dask]`. The findings are the same; for an ADS with `batch`, only if the population is "
         "given.",
         everywhere=False,
