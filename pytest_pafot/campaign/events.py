@@ -9,6 +9,7 @@ from typing import Any, Self
 
 from pytest_pafot.campaign.verdict import Verdict
 from pytest_pafot.findings.finding import Finding
+from pytest_pafot.findings.neighbours import Breadth
 from pytest_pafot.findings.severity import Severity
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.oracle.run import Run
@@ -55,6 +56,7 @@ class Find:
         difference: what differed when the scenario of a new finding was run again; empty if nothing did.
         is_timed: True if the failure depends on wall-clock time.
         unshrunk: why a new finding is not yet fully shrunk; empty if it is.
+        breadth: how many neighbours of a new finding fail in the same way; None if that was not examined.
         severity: severity of the failure; None if it passes, nothing measures it, or there is no run.
         severity_before: severity with the reference of a replay; None if there is none.
         responsible: who is responsible for the collision, as in its file.
@@ -72,6 +74,7 @@ class Find:
     difference: str = ""
     is_timed: bool = False
     unshrunk: str = ""
+    breadth: Breadth | None = None
     severity: Severity | None = None
     severity_before: Severity | None = None
     responsible: str = "none"
@@ -86,10 +89,11 @@ class Find:
 
     @property
     def remark(self) -> str:
-        """Remarks on the finding, such as that it is flaky or not saved; empty if there are none."""
+        """Remarks on the finding, such as that it is flaky, or how broad it is; empty if there are none."""
         flaky = f"flaky: {self.difference}" if self.is_flaky else ""
         timed = "depends on wall-clock time" if self.is_timed else ""
-        return "; ".join(filter(None, [flaky, timed, self.unshrunk]))
+        breadth = "" if self.breadth is None else str(self.breadth)
+        return "; ".join(filter(None, [flaky, timed, self.unshrunk, breadth]))
 
     @property
     def summary(self) -> str:

@@ -27,6 +27,9 @@ SEED_LIMIT = 2**63
 MOST_WORKERS = 1024
 """The largest number of processes that can be requested. More do not fit into the memory of any machine so far."""
 
+MOST_NEIGHBOURS = 1000
+"""The largest number of neighbours of a finding that can be requested."""
+
 REVISION = "rev:"
 """The prefix of a reference that is a revision of the repository."""
 
@@ -193,6 +196,15 @@ class Settings:
         "integer",
         "Largest number of runs to shrink each new finding; 0 leaves findings as they were found.",
         "The default is 3000 if the ADS is a vehicle class that the kernel drives, otherwise 300.",
+    )
+    neighbours: int = option(
+        "integer",
+        "Number of neighbours of each new finding that are run to say how broad the failure is; 0 for none.",
+        "A neighbour differs from the shrunk scenario a little: in speeds, in one instruction, or in the start. If "
+        "none of them fails in the same way, as many with smaller steps are run, up to three times. Neighbours are run "
+        "after all findings are shrunk, of each finding all or none.",
+        default=0,
+        most=MOST_NEIGHBOURS,
     )
     max_saved: int = option(
         "integer",

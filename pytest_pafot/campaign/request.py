@@ -85,6 +85,7 @@ class SearchArguments(TypedDict, total=False):
     resume: str
     stop_after: int
     shrink_rollouts: int
+    neighbours: int
     max_saved: int
     corpus: str
     save: str

@@ -248,6 +248,7 @@ class Search:
                 tell=self._tell_progress,
                 plain=plain,
                 plain_seconds=None if loop.space is None else loop.space.gene_seconds,
+                neighbours=harness.request.settings.neighbours,
                 answers=self.sessions.answers,
                 clock=self.sessions.clock,
                 until=self.limit.until,

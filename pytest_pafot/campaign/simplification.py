@@ -9,7 +9,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from itertools import count
 from typing import TypeVar
 
 from pytest_pafot.campaign.events import FindTold
@@ -19,6 +21,7 @@ from pytest_pafot.campaign.state_file import Answer, Shown
 from pytest_pafot.campaign.verdict import Verdict, headline
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.findings.finding import Expect, Perceived, ending, of_failure
+from pytest_pafot.findings.neighbours import breadth_of
 from pytest_pafot.findings.shrink import OutOfBudget, Shrunk, Start, shrink
 from pytest_pafot.model.scenario import Scenario, ScenarioError
 from pytest_pafot.model.sight import Sight
@@ -115,6 +118,7 @@ class Simplification:
         tell: is called often, with a text on the current work.
         plain: the default start of the ego, which shrinking prefers.
         plain_seconds: the default duration of a gene, which shrinking prefers [s].
+        neighbours: the number of neighbours of each finding to run.
         answers: the results of attempts in this session or an earlier one, by the id of the finding.
         clock: returns the seconds since some fixed moment.
         until: the time at which the simplification must end [s], or infinity.
@@ -127,6 +131,7 @@ class Simplification:
     tell: Callable[[str], None]
     plain: Start | None
     plain_seconds: float | None
+    neighbours: int
     answers: dict[str, list[Answer]]
     clock: Callable[[], float]
     until: float = math.inf
@@ -150,10 +155,37 @@ class Simplification:
             for number, find_id in enumerate(round_):
                 self._have_turn(find_id, sharing=len(round_) - number)
             finds = [find_id for find_id in round_ if find_id not in self.done]
+        if self.neighbours:
+            for kept in [each for find_id, each in recorder.kept.items() if each.is_firm and find_id in self.done]:
+                self._examine(kept)
         for kept in [recorder.kept[find_id] for find_id in finds]:
             cut = "not shrunk: out of time" if kept.finding.shrunk is None else "shrunk in part: out of time"
             find = replace(kept.find, unshrunk=f"{kept.find.unshrunk or cut}{way_on}")
             recorder.tell(replace(kept, find=find, is_new=False))
+
+    def _examine(self, kept: FindTold) -> None:
+        """Run the neighbours of a finding, and report how many fail in the same way, unless the time ends before."""
+        __tracebackhide__ = True
+        if self.clock() >= self.until:
+            return
+        world = self.loop.simulation.harness.world
+        find_id, top_speed, ran = kept.find.id, float(world.speed_limit), count(1)
+
+        def fits(scenario: Scenario) -> bool:
+            with suppress(ScenarioError):
+                protocol.check_fits(world, scenario)
+                return scenario not in self.loop.fatal
+            return False
+
+        def fails(scenario: Scenario) -> bool:
+            self.tell(f"running neighbours of {find_id}, run {next(ran)} of {self.neighbours}")
+            return self._shown(find_id, scenario, top_speed) is not None
+
+        with suppress(OutOfTime), runs_end_in(self.until - self.clock()):
+            scenario = kept.finding.scenario
+            breadth = breadth_of(scenario, self.neighbours, fails=fails, fits=fits, top_speed=top_speed)
+            recorder = self.loop.recorder
+            recorder.tell(replace(kept, find=replace(kept.find, breadth=breadth), is_new=False))
 
     def _have_turn(self, find_id: str, sharing: int) -> None:
         """Simplify a finding in its share of the remaining time; ``sharing`` is the number of equal shares."""

@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass
 from functools import total_ordering
 from typing import Any, Literal, Self
 
+from pytest_pafot.findings.neighbours import Breadth
 from pytest_pafot.findings.signature import SLOW_DECISION, Failure, Signature, normalised
 from pytest_pafot.oracle.checks import Check
 from pytest_pafot.oracle.run import Run
@@ -113,15 +114,17 @@ def _of_check(check: Check) -> Severity:
     return Severity(kind="check", value=value, unit=check.unit, margin=margin, name=check.name)
 
 
-def worst_first(responsible: str, severity: Severity | None) -> tuple[float, ...]:
+def worst_first(responsible: str, severity: Severity | None, breadth: Breadth | None) -> tuple[float, ...]:
     """Return a sort key for findings: collisions that the ego is responsible for first, then other failures.
 
-    Each group is sorted from the worst, and failures without a measure are last. Callers put more important criteria
+    Each group is sorted from the worst, failures without a measure are last, and of equally bad ones the broadest is
+    first. Callers put more important criteria
     before this key, and tie-breakers after it. ``responsible`` is ``ego``, ``npc``, ``both`` or ``none``.
     """
+    broad = 0.0 if breadth is None else -breadth.rank
     if severity is None:
-        return 1, 0, 0.0, 0.0
-    return not severity.is_fault(responsible), *(-each for each in severity.figures)
+        return 1, 0, 0.0, 0.0, broad
+    return not severity.is_fault(responsible), *(-each for each in severity.figures), broad
 
 
 def worsening(now: Severity | None, before: Severity | None) -> str:

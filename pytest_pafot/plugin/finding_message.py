@@ -75,6 +75,8 @@ def tell_finding(
             command = rerun(["pytest", find.node_id if find.path else item.nodeid], os.environ, *options, saved=saved)
             accepted = f", accepted: {finding.accepted}" if finding.accepted else ""
             label = label_of(find) if find.label == NEW else f"{find.label}{accepted}"
-            view = replace(view, label=label, severity=find.severity, path=find.path, command=command)
+            view = replace(
+                view, label=label, severity=find.severity, breadth=find.breadth, path=find.path, command=command
+            )
             data["view"] = plain(view)
     messages.send(item, "finding", data)

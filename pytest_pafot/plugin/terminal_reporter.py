@@ -242,7 +242,7 @@ class Reporter:
         from pytest_pafot.report import terminal  # noqa: PLC0415
 
         if find.node_id not in self._expanded:
-            rank = worst_first(find.responsible, find.severity)
+            rank = worst_first(find.responsible, find.severity, find.breadth)
             told = data["report"], getattr(report, "node", None), rank
             self._pending.setdefault(report.nodeid, {})[find.node_id] = told
         self._live.erase_progress()

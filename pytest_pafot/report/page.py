@@ -661,7 +661,7 @@ def _as_row(finding: FindingView) -> FindingView:
 
 def _rank(finding: FindingView) -> tuple[Any, ...]:
     """Return the key that sorts findings: new before known, then by responsibility, severity and number of runs."""
-    worst = worst_first(finding.responsibility, finding.severity)
+    worst = worst_first(finding.responsibility, finding.severity, finding.breadth)
     return not finding.label.startswith(NEW), *worst, -finding.runs, finding.node_id
 
 

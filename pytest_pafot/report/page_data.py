@@ -11,6 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Self
 
+from pytest_pafot.findings.neighbours import Breadth
 from pytest_pafot.findings.severity import Severity
 from pytest_pafot.model.grid import Cell
 
@@ -254,6 +255,7 @@ class FindingView:
         generation: generation in which the search first ran into the finding, from 0; None if no search found it.
         label: ``new``, ``still failing``, ``flaky`` and so on.
         severity: severity of the run on the page; None if it has no measure.
+        breadth: how many neighbours of its scenario fail in the same way; None if that was not examined.
         vehicles: the ego, then the NPCs.
         times: times of the frames; empty if no run was recorded.
         instructions: instructions to all NPCs, ordered by NPC and gene.
@@ -285,6 +287,7 @@ class FindingView:
     generation: int | None = None
     label: str = ""
     severity: Severity | None = None
+    breadth: Breadth | None = None
     path: str = ""
     sentences: tuple[str, ...] = ()
     assertion: str = ""

@@ -17,6 +17,7 @@ from typing import Any, Self
 
 from pytest_pafot.campaign.events import NEW, Find, SearchSummary
 from pytest_pafot.findings.finding import Finding, portable
+from pytest_pafot.findings.neighbours import Breadth
 from pytest_pafot.findings.severity import Severity, worsening, worst_first
 from pytest_pafot.findings.shrink import size_of
 from pytest_pafot.support.text import plural, quiet_json, visible
@@ -66,6 +67,8 @@ class FindingRecord:
         against: the reference that passed in this scenario when it was found; empty without one.
         flaky: what differed when it was run again, as in the file; null if nothing did.
         unshrunk: that no time was left to confirm a new finding, or to shrink it fully; otherwise empty.
+        breadth: how many neighbours of a new finding fail in the same way: `failing`, `of`, and `share`, the size of
+            their steps as a share of the full ones. Null if that was not examined.
         severity: how bad the failure is now: `kind`, which is `collision` or `check`; `value`, the closing speed at the
             impact [m/s], or by how much the check is broken [`unit`], null if it measured no number; `delta_v` of a
             collision, for equal masses [m/s]; `margin` and `name` of a check. Null if it passes or has no measure.
@@ -101,6 +104,7 @@ class FindingRecord:
     against: str = ""
     flaky: str | None = None
     unshrunk: str = ""
+    breadth: Mapping[str, Any] | None = None
     severity: Mapping[str, Any] | None = None
     severity_before: Mapping[str, Any] | None = None
     xfail: Mapping[str, str | None] | None = None
@@ -142,6 +146,7 @@ class FindingRecord:
             against=expect.against,
             flaky=finding.flaky,
             unshrunk=find.unshrunk,
+            breadth=None if find.breadth is None else asdict(find.breadth),
             severity=None if find.severity is None else find.severity.data(),
             severity_before=None if find.severity_before is None else find.severity_before.data(),
             xfail=None if finding.xfail is None else accepted,
@@ -306,7 +311,8 @@ def _search_lines(record: SessionRecord) -> Iterator[str]:
 def _rank(finding: FindingRecord) -> tuple[Any, ...]:
     """Return the key that sorts findings of one group: the worst first, then those with the most runs."""
     severity = None if finding.severity is None else Severity.of_data(finding.severity)
-    return *worst_first(finding.responsible, severity), -finding.runs, finding.node_id
+    breadth = None if finding.breadth is None else Breadth(**finding.breadth)
+    return *worst_first(finding.responsible, severity, breadth), -finding.runs, finding.node_id
 
 
 def _finding_lines(finding: FindingRecord) -> Iterator[str]:
@@ -319,6 +325,7 @@ def _finding_lines(finding: FindingRecord) -> Iterator[str]:
         told.append(f"worse: {plain(worse)}" if worse else plain(severity.further))
     told += [f"flaky: {plain(finding.flaky)}"] if finding.flaky else []
     told += [plain(finding.unshrunk)] if finding.unshrunk else []
+    told += [] if finding.breadth is None else [str(Breadth(**finding.breadth))]
     if finding.xfail is not None and finding.result == "xfailed":
         until = finding.xfail["until"]
         told.append(f"accepted{f' until {until}' if until else ''}: {plain(finding.xfail['reason'] or '')}")

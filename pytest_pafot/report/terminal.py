@@ -179,7 +179,10 @@ def failure_line(search: SearchSummary) -> str:
 
 def _worst_first(finds: Iterable[Find]) -> list[Find]:
     """Sort the new findings of one search, the worst first, as in all lists."""
-    return sorted(finds, key=lambda each: (*worst_first(each.responsible, each.severity), -each.repeats, each.node_id))
+    return sorted(
+        finds,
+        key=lambda each: (*worst_first(each.responsible, each.severity, each.breadth), -each.repeats, each.node_id),
+    )
 
 
 def failure_message(search: SearchSummary) -> str:
@@ -303,7 +306,7 @@ def worst_lines(session: SessionSummary, width: int = WIDTH) -> list[str]:
     listed = sorted(
         (
             each.label not in (NEW, "introduced"),
-            *worst_first(each.responsible, each.severity),
+            *worst_first(each.responsible, each.severity, each.breadth),
             -each.repeats,
             each.node_id,
             _measured(each),

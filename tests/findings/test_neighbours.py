@@ -1,0 +1,172 @@
+"""Neighbours of a scenario, and how many of them fail as it does."""
+
+import subprocess
+import sys
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import pytest_pafot as pafot
+from pytest_pafot.findings.neighbours import ALL_SPEEDS, SHARES, SLOT, SPEED, Breadth, breadth_of, neighbours
+from pytest_pafot.model.scenario import CrossingInstruction, LaneInstruction, PositionInstruction, Scenario
+from pytest_pafot.strategies import scenarios
+from tests.helpers.tables import table
+
+TOP = 26.8
+ON_GRID = Scenario(npcs=((PositionInstruction(2, 10.0), PositionInstruction(3, 3.0)), (PositionInstruction(6, 20.0),)))
+IN_LANES = Scenario(npcs=((LaneInstruction("keep", 10.0), LaneInstruction("left", 3.0)),))
+AT_A_ZONE = Scenario(npcs=((CrossingInstruction("o1>o3", 4.9, 0.2, "late"),),), ego_speed=8.0)
+
+
+def around(scenario, number=40, share=1.0, fits=lambda scenario: True, top_speed=TOP):
+    return neighbours(scenario, number, share=share, fits=fits, top_speed=top_speed)
+
+
+@given(scenarios(max_speed=TOP), st.sampled_from(list(SHARES)))
+def test_neighbours_are_different_valid_and_the_same_each_time(scenario, share):
+    several = around(scenario, 10, share)
+    assert several == around(scenario, 10, share)
+    assert len(set(several)) == len(several) == 10
+    assert scenario not in several
+    for each in several:
+        assert Scenario.from_canonical(each.plain()) == each  # with all checks
+        assert [len(chain) for chain in each.npcs] == [len(chain) + 1 for chain in scenario.npcs]
+        assert all(0 <= gene.speed <= TOP for chain in each.npcs for gene in chain)
+        assert 0 <= each.ego_speed <= TOP
+
+
+@given(scenarios(max_speed=TOP), st.sampled_from(list(SHARES)))
+def test_steps_are_as_large_as_their_share_at_most(scenario, share):
+    for each in around(scenario, 10, share):
+        for chain, before in zip(each.npcs, scenario.npcs, strict=True):
+            for gene, old in zip(chain, before, strict=False):
+                largest = share * max(SPEED, ALL_SPEEDS * old.speed)
+                assert abs(gene.speed - old.speed) <= largest + 0.051
+                assert share == 1 or type(gene)(gene.target, old.speed) == old  # the same cell or lane
+
+
+@pytest.mark.parametrize("scenario", [ON_GRID, IN_LANES, AT_A_ZONE], ids=["grid", "lanes", "zone"])
+def test_neighbours_differ_in_speeds_instructions_and_starts(scenario):
+    several = around(scenario)
+    assert len(several) == 40
+    assert len({each.ego_speed for each in several}) > 5
+    assert len({each.gene_seconds for each in several}) > 2
+    assert len({tuple(gene.speed for chain in each.npcs for gene in chain) for each in several}) > 5
+    targets = {tuple(gene.target for chain in each.npcs for gene in chain) for each in several}
+    assert (len(targets) > 3) == (scenario != AT_A_ZONE)
+
+
+def test_crossing_neighbours_arrive_at_other_times_within_the_largest_slot():
+    slots = {each.npcs[0][0].slot for each in around(AT_A_ZONE)}
+    assert len(slots) > 2
+    assert min(slots) >= 4.9 - SLOT - 0.051
+    assert max(slots) <= 5.0
+    assert {each.npcs[0][0].act for each in around(AT_A_ZONE)} == {"late"}
+    assert min(each.npcs[0][0].speed for each in around(AT_A_ZONE)) == 0.1
+
+
+def test_neighbours_that_do_not_fit_the_world_are_left_out():
+    several = around(ON_GRID, fits=lambda each: each.ego_speed == ON_GRID.ego_speed)
+    assert len(several) == 40
+    assert {each.ego_speed for each in several} == {ON_GRID.ego_speed}
+    assert around(ON_GRID, fits=lambda each: False) == ()
+
+
+def test_neighbours_do_not_depend_on_the_hash_seed():
+    program = "from tests.findings.test_neighbours import *; print([each.id for each in around(ON_GRID, 5)])"
+    told = {
+        subprocess.run(
+            [sys.executable, "-c", program], env={"PYTHONHASHSEED": seed}, capture_output=True, text=True, check=True
+        ).stdout
+        for seed in ("1", "2")
+    }
+    assert told == {f"{[each.id for each in around(ON_GRID, 5)]}\n"}
+
+
+def breadth(fails, number=40, scenario=ON_GRID):
+    ran = []
+
+    def runs(each):
+        ran.append(each)
+        return fails(each)
+
+    return breadth_of(scenario, number, fails=runs, fits=lambda each: True, top_speed=TOP), ran
+
+
+def test_breadth_counts_the_neighbours_that_fail():
+    found, ran = breadth(lambda each: each.npcs[0][0].cell == 2 and each.npcs[0][0].speed >= 9.5)
+    assert len(ran) == 40
+    assert found == Breadth(failing=sum(e.npcs[0][0].cell == 2 and e.npcs[0][0].speed >= 9.5 for e in ran), of=40)
+    assert 5 < found.failing < 40
+
+
+def test_steps_are_made_smaller_while_no_neighbour_fails():
+    near = 0.2
+
+    def fails(each):
+        speeds = [gene.speed for chain in ON_GRID.npcs for gene in (*chain, chain[-1])]
+        return (
+            each.ego_speed == 22
+            and all(
+                abs(gene.speed - speed) <= near
+                for gene, speed in zip((gene for chain in each.npcs for gene in chain), speeds, strict=True)
+            )
+            and [gene.cell for chain in each.npcs for gene in chain] == [2, 3, 3, 6, 6]
+            and each.gene_seconds == 10
+        )
+
+    found, ran = breadth(fails)
+    assert found.share < 1
+    assert found.failing > 0
+    assert len(ran) == 40 * (list(SHARES).index(found.share) + 1)
+
+
+def test_a_failure_without_any_failing_neighbour_has_all_steps():
+    found, ran = breadth(lambda each: False)
+    assert found == Breadth(failing=0, of=40, share=min(SHARES))
+    assert len(ran) == 40 * len(SHARES)
+
+
+def test_too_few_different_neighbours_are_none():
+    assert breadth(lambda each: True, number=1000, scenario=AT_A_ZONE) == (None, [])
+    least, ran = breadth(lambda each: False, number=30, scenario=AT_A_ZONE)
+    assert (least.failing, least.of, len(ran)) == (0, 30, 30 * (list(SHARES).index(least.share) + 1))
+
+
+@table(
+    ("found", "text", "rank"),
+    [
+        (Breadth(failing=28, of=40), "28 of 40 neighbours fail the same way", 0.7),
+        (
+            Breadth(failing=6, of=40, share=0.25),
+            "a knife edge: 0 of 40 neighbours fail the same way, 6 of 40 with steps of a quarter of the size",
+            0.0,
+        ),
+        (
+            Breadth(failing=0, of=40, share=0.125),
+            "a knife edge: 0 of 40 neighbours fail the same way, nor any with steps of an eighth of the size",
+            0.0,
+        ),
+        (Breadth(failing=0, of=40), "a knife edge: 0 of 40 neighbours fail the same way", 0.0),
+    ],
+)
+def test_breadth_in_words_and_as_a_rank(found, text, rank):
+    assert (str(found), found.rank) == (text, rank)
+
+
+def test_neighbours_of_a_real_finding_fail_around_it():
+    """A policy that never brakes hits whatever brakes ahead of it, in most of the neighbours."""
+    scenario = Scenario(npcs=((PositionInstruction(2, 0.0),),))
+    world = pafot.Highway()
+
+    def fails(each):
+        return world.rollout(each, lambda: lambda observation: (0.0, 0.0)).collision is not None
+
+    assert fails(scenario)
+    several = around(scenario, 20)
+    for each in several:
+        world.check_fits(each)
+    found = breadth_of(scenario, 20, fails=fails, fits=lambda each: True, top_speed=TOP)
+    assert found.share == 1
+    assert found.failing > 5

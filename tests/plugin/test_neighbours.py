@@ -1,0 +1,74 @@
+"""The option `neighbours`: how broad each new finding is."""
+
+import json
+
+import pytest
+
+COLLIDES = """
+@pafot.search(SHORT, stop_after=1)
+def test_collides(run):
+    assert not run.collision
+"""
+TEXT = r"note +(.*; )?(a knife edge: 0|[1-9]\d?) of 8 neighbours fail the same way"
+
+
+@pytest.fixture
+def collides(project):
+    project.write(COLLIDES)
+    return project
+
+
+def run(project, *args, **options):
+    """Return the result, and the record and the file of the finding."""
+    project.forget()
+    result = project.run("--pafot-json=out.json", *args, **{"generations": 10, "seed": 2, **options})
+    (record,) = [
+        each for each in json.loads((project.path / "out.json").read_text())["findings"] if each["status"] == "new"
+    ]
+    return result, record, project.contents
+
+
+def test_how_broad_a_finding_is_stands_in_the_report_and_in_json_but_not_in_its_file(collides):
+    plain, record, contents = run(collides)
+    assert record["breadth"] is None
+    assert "neighbours" not in plain.stdout.str()
+    result, record, same = run(collides, "--pafot-neighbours=8")
+    result.assert_outcomes(failed=2)
+    result.stdout.re_match_lines([TEXT])
+    assert record["breadth"]["of"] == 8
+    assert 0 <= record["breadth"]["failing"] <= 8
+    assert same == contents
+
+
+def test_it_is_the_same_with_workers_and_on_each_run(collides):
+    told = [run(collides, "--pafot-neighbours=8", *more)[1] for more in ((), (), ("--pafot-workers=2",))]
+    assert told[0] == told[1] == told[2]
+
+
+@pytest.mark.parametrize("source", ["marker", "ini"])
+def test_the_number_may_be_argument_or_ini_key(project, source):
+    argument = ", neighbours=3" if source == "marker" else ""
+    project.write(COLLIDES.replace("SHORT", f"SHORT{argument}"))
+    if source == "ini":
+        project.pytester.makeini("[pytest]\npafot_neighbours = 3\n")
+    assert run(project)[1]["breadth"]["of"] == 3
+
+
+def test_neighbours_that_the_time_does_not_allow_are_not_counted_in_part(collides, monkeypatch):
+    monkeypatch.setattr("pytest_pafot.campaign.simplification.breadth_of", ends)
+    _, record, contents = run(collides, "--pafot-neighbours=8")
+    assert record["breadth"] is None
+    assert len(contents) == 1
+
+
+def ends(*args, fails, **named):
+    from pytest_pafot.support.errors import OutOfTime
+
+    raise OutOfTime
+
+
+@pytest.mark.parametrize("value", ["-1", "1001", "many"])
+def test_a_wrong_number_is_a_usage_error(collides, value):
+    result = collides.run(f"--pafot-neighbours={value}")
+    assert result.ret == pytest.ExitCode.USAGE_ERROR
+    result.stderr.fnmatch_lines([f"*--pafot-neighbours*expected a whole number*received '{value}'*"])
