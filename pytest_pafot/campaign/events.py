@@ -9,6 +9,7 @@ from typing import Any, Self
 
 from pytest_pafot.campaign.verdict import Verdict
 from pytest_pafot.findings.finding import Finding
+from pytest_pafot.findings.lines import TellingLine
 from pytest_pafot.findings.neighbours import Breadth
 from pytest_pafot.findings.severity import Severity
 from pytest_pafot.model.scenario import Scenario
@@ -57,6 +58,7 @@ class Find:
         is_timed: True if the failure depends on wall-clock time.
         unshrunk: why a new finding is not yet fully shrunk; empty if it is.
         breadth: how many neighbours of a new finding fail in the same way; None if that was not examined.
+        lines: the lines of the policy that tell the neighbours that fail from those that pass, the most telling first.
         severity: severity of the failure; None if it passes, nothing measures it, or there is no run.
         severity_before: severity with the reference of a replay; None if there is none.
         responsible: who is responsible for the collision, as in its file.
@@ -75,6 +77,7 @@ class Find:
     is_timed: bool = False
     unshrunk: str = ""
     breadth: Breadth | None = None
+    lines: tuple[TellingLine, ...] = ()
     severity: Severity | None = None
     severity_before: Severity | None = None
     responsible: str = "none"
@@ -117,6 +120,7 @@ class SearchSummary:
         asked, budget: numbers of requested generations and of requested runs; null for the one that is no limit.
         runs: number of simulated scenarios.
         shrink_runs: number of runs that simplified the findings, in addition to `runs`.
+        neighbour_runs: number of runs of the findings' neighbours, likewise.
         known_runs: number of scenarios that were not run again.
         failing, invalid, npc, unpreventable, common, rejected, skipped, no_interaction: numbers of runs, as in the
             summary; there `npc` is npc at fault, `unpreventable` is not preventable, `common` is failing with both.
@@ -144,6 +148,7 @@ class SearchSummary:
     budget: int | None = None
     runs: int = 0
     shrink_runs: int = 0
+    neighbour_runs: int = 0
     known_runs: int = 0
     failing: int = 0
     invalid: int = 0

@@ -202,7 +202,8 @@ class Settings:
         "Number of neighbours of each new finding that are run to say how broad the failure is; 0 for none.",
         "A neighbour differs from the shrunk scenario a little: in speeds, in one instruction, or in the start. If "
         "none of them fails in the same way, as many with smaller steps are run, up to three times. Neighbours are run "
-        "after all findings are shrunk, of each finding all or none.",
+        "after all findings are shrunk, of each finding all or none. If some fail and others pass, the report names up "
+        "to three lines of a planner in Python [that tell them apart](../explanation/findings.md#how-broad-it-is).",
         default=0,
         most=MOST_NEIGHBOURS,
     )
@@ -226,7 +227,7 @@ class Settings:
     )
     workers: int = option(
         "workers",
-        "Number of processes that run the scenarios of a search, or auto for one for each core.",
+        "Number of processes that run the scenarios that a search draws, or auto for one for each core.",
         "Several are faster if runs take long. The findings are the same. Always 1 under pytest-xdist.",
         default=1,
         least=1,
@@ -248,7 +249,7 @@ class Settings:
     )
     dask: str | None = option(
         "address",
-        "Run the scenarios of a search on the workers of the Dask scheduler at ADDRESS.",
+        "Run the scenarios that a search draws on the workers of the Dask scheduler at ADDRESS.",
         "Needs `pytest-pafot[dask]`. The findings are the same; for an ADS with `batch`, only if the population is "
         "given.",
         everywhere=False,

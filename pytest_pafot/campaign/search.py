@@ -202,6 +202,7 @@ class Search:
     driver_notes: list[str] = field(default_factory=list)  # notes on drivers of the world that failed
     process_notes: list[str] = field(default_factory=list)  # notes on processes for the summary
     _shrink_runs: int = field(init=False, default=0)
+    _neighbour_runs: int = field(init=False, default=0)
     _told_at: float = field(init=False)
 
     def __post_init__(self) -> None:
@@ -256,7 +257,7 @@ class Search:
             try:
                 work.run_all(f"; {flag('resume')} goes on" if self.sessions.go_on else "")
             finally:  # Even after Ctrl-C, findings that were simplified must not be simplified again.
-                self._shrink_runs = work.runs
+                self._shrink_runs, self._neighbour_runs = work.runs, work.neighbour_runs
                 self.driver_notes += work.notes
                 self.sessions.store(simplified=work.done)
         except SetupFaultError as error:
@@ -477,6 +478,7 @@ class Search:
             finds=tuple(replace(find, repeats=loop.repeats[find.id]) for find in finds),
             unsaved={id_: 1 + loop.repeats[id_] for id_ in loop.recorder.unsaved},
             shrink_runs=self._shrink_runs,
+            neighbour_runs=self._neighbour_runs,
             known=dict(loop.known + self.sessions.found_before),
             warnings=loop.warnings if reason in (DONE, ALL_RUN, self.limit.flag) else (),
             notes=(*self.sessions.notes, *self.driver_notes, *filter(None, notes), *cut, *self._left_undone(reason)),

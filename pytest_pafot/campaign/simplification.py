@@ -8,19 +8,23 @@ then makes the same attempts in the same order, so it has the same result.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+import os
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import count
 from typing import TypeVar
 
 from pytest_pafot.campaign.events import FindTold
 from pytest_pafot.campaign.harness import Harness
+from pytest_pafot.campaign.line_trace import LineTrace, text_of, why_not
 from pytest_pafot.campaign.search_loop import SearchLoop
 from pytest_pafot.campaign.state_file import Answer, Shown
 from pytest_pafot.campaign.verdict import Verdict, headline
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.findings.finding import Expect, Perceived, ending, of_failure
+from pytest_pafot.findings.lines import MOST_LINES, Line, TellingLine, ranked
 from pytest_pafot.findings.neighbours import breadth_of
 from pytest_pafot.findings.shrink import OutOfBudget, Shrunk, Start, shrink
 from pytest_pafot.model.scenario import Scenario, ScenarioError
@@ -29,8 +33,10 @@ from pytest_pafot.model.trace import LANE, SPEED
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.support.errors import DriverError, OutOfTime
 from pytest_pafot.world import protocol
+from pytest_pafot.world.driving.ads import is_vehicle_class
 from pytest_pafot.world.driving.perception import Perception
 from pytest_pafot.world.guard.hang_guard import runs_end_in
+from pytest_pafot.world.guard.own_worlds import rollout_of
 
 ClaimT = TypeVar("ClaimT")
 
@@ -123,7 +129,8 @@ class Simplification:
         clock: returns the seconds since some fixed moment.
         until: the time at which the simplification must end [s], or infinity.
         done: the ids of the findings for which nothing is left to do.
-        runs: the number of runs so far in this session.
+        runs: the number of runs so far in this session, except those of neighbours.
+        neighbour_runs: the number of runs of neighbours.
         notes: notes on what could not be found out about findings.
     """
 
@@ -137,6 +144,7 @@ class Simplification:
     until: float = math.inf
     done: set[str] = field(default_factory=set, init=False)
     runs: int = field(default=0, init=False)
+    neighbour_runs: int = field(default=0, init=False)
     notes: list[str] = field(default_factory=list, init=False)
 
     def run_all(self, way_on: str) -> None:
@@ -155,13 +163,13 @@ class Simplification:
             for number, find_id in enumerate(round_):
                 self._have_turn(find_id, sharing=len(round_) - number)
             finds = [find_id for find_id in round_ if find_id not in self.done]
-        if self.neighbours:
-            for kept in [each for find_id, each in recorder.kept.items() if each.is_firm and find_id in self.done]:
-                self._examine(kept)
         for kept in [recorder.kept[find_id] for find_id in finds]:
             cut = "not shrunk: out of time" if kept.finding.shrunk is None else "shrunk in part: out of time"
             find = replace(kept.find, unshrunk=f"{kept.find.unshrunk or cut}{way_on}")
             recorder.tell(replace(kept, find=find, is_new=False))
+        if self.neighbours:
+            for kept in [each for find_id, each in recorder.kept.items() if each.is_firm and find_id in self.done]:
+                self._examine(kept)
 
     def _examine(self, kept: FindTold) -> None:
         """Run the neighbours of a finding, and report how many fail in the same way, unless the time ends before."""
@@ -174,18 +182,64 @@ class Simplification:
         def fits(scenario: Scenario) -> bool:
             with suppress(ScenarioError):
                 protocol.check_fits(world, scenario)
-                return scenario not in self.loop.fatal
+                return True
             return False
 
         def fails(scenario: Scenario) -> bool:
-            self.tell(f"running neighbours of {find_id}, run {next(ran)} of {self.neighbours}")
-            return self._shown(find_id, scenario, top_speed) is not None
+            self.tell(f"running neighbour {next(ran)} of {find_id}")
+            self.neighbour_runs += 1
+            run = self._showing(find_id, scenario)
+            deeds[scenario] = None if run is None else decisions_before_deed(run)
+            return run is not None
 
+        deeds: dict[Scenario, range | None] = {}  # of each neighbour that fails, the decisions that may be the cause
         with suppress(OutOfTime), runs_end_in(self.until - self.clock()):
             scenario = kept.finding.scenario
             breadth = breadth_of(scenario, self.neighbours, fails=fails, fits=fits, top_speed=top_speed)
-            recorder = self.loop.recorder
-            recorder.tell(replace(kept, find=replace(kept.find, breadth=breadth), is_new=False))
+            find = replace(kept.find, breadth=breadth)
+            self.loop.recorder.tell(replace(kept, find=find, is_new=False))
+            if breadth is not None and kept.run is not None and 0 < breadth.failing < breadth.of:
+                steps = dict(list(deeds.items())[-breadth.of :])  # those with the steps with which some fail
+                lines = self._telling_lines(find_id, steps, decisions_before_deed(kept.run))
+                self.loop.recorder.tell(replace(kept, find=replace(find, lines=lines), is_new=False))
+
+    def _telling_lines(
+        self, find_id: str, deeds: Mapping[Scenario, range | None], otherwise: range
+    ) -> tuple[TellingLine, ...]:
+        """Run neighbours again, and return the lines that tell those that fail from those that pass.
+
+        Args:
+            find_id: the id of the finding.
+            deeds: of each neighbour that fails, the decisions whose lines count; None for one that passes.
+            otherwise: the decisions whose lines count in a neighbour that passes.
+        """
+        harness = self.loop.simulation.harness
+        if harness.request.settings.isolate or is_vehicle_class(harness.ads) or isinstance(harness.ads, Perception):
+            return ()
+        if held := why_not():
+            self.notes.append(f"no lines are told of saved-{find_id}, because {held}")
+            return ()
+        trace, world, ran = LineTrace(harness.root), harness.world, list[tuple[frozenset[Line], bool]]()
+        ads = trace.watched(harness.ads)
+        for number, (scenario, deed) in enumerate(deeds.items(), 1):
+            self.tell(f"reading the lines of {find_id}, run {number} of {len(deeds)}")
+            self.neighbour_runs += 1
+            run = partial(rollout_of(world), scenario, ads)
+            ran.append((trace.lines_in(run, otherwise if deed is None else deed), deed is not None))
+        failing, passing = ([lines for lines, fails in ran if fails is kind] for kind in (True, False))
+        return tuple(
+            TellingLine(
+                file=os.path.relpath(each.line.file, harness.root),
+                number=each.line.number,
+                function=each.line.function,
+                text=text_of(each.line),
+                failing=each.failing,
+                of_failing=len(failing),
+                passing=each.passing,
+                of_passing=len(passing),
+            )
+            for each in ranked(failing, passing)[:MOST_LINES]
+        )
 
     def _have_turn(self, find_id: str, sharing: int) -> None:
         """Simplify a finding in its share of the remaining time; ``sharing`` is the number of equal shares."""
@@ -282,6 +336,12 @@ class Simplification:
         Return None if the candidate does not show the finding's failure.
         """
         __tracebackhide__ = True
+        run = self._showing(find_id, candidate)
+        return None if run is None else (driven(run), starts_of(run, top_speed))
+
+    def _showing(self, find_id: str, candidate: Scenario) -> Run | None:
+        """Run a scenario; return the run if it shows the failure of a finding, otherwise None."""
+        __tracebackhide__ = True
         loop = self.loop
         if candidate in loop.fatal:
             return None
@@ -293,9 +353,8 @@ class Simplification:
         except ProcessLostError as error:
             loop.lose(error)
             return None
-        scenario = driven(run)
-        verdict = loop.simulation.judge(run, scenario)
-        return (scenario, starts_of(run, top_speed)) if self._shows(find_id, run, verdict) else None
+        verdict = loop.simulation.judge(run, driven(run))
+        return run if self._shows(find_id, run, verdict) else None
 
     def _shows(self, find_id: str, run: Run, verdict: Verdict) -> bool:
         """Return whether a run shows the failure of a finding, and by the same fault, so its name still fits."""
@@ -390,6 +449,19 @@ def rollouts_for(harness: Harness) -> int:
     if given is not None:
         return given
     return ROLLOUTS_IN_KERNEL if protocol.runs_in_kernel(harness.world, harness.ads) else ROLLOUTS
+
+
+CAUSE = 6.0
+"""The lines of the last decisions before the ego's mistake count, in this time [s]."""
+
+
+def decisions_before_deed(run: Run) -> range:
+    """Return the numbers of the decisions up to the ego's mistake or, if it is unknown, up to the run's event."""
+    trace = run.trace
+    tick = run.attribution.tick if run.collision is not None else None
+    tick = round(run.event_time * trace.physics_hz) if tick is None else tick
+    last = tick * trace.ads_hz // trace.physics_hz
+    return range(max(0, last - round(CAUSE * trace.ads_hz)), last + 1)
 
 
 def driven(run: Run) -> Scenario:

@@ -112,8 +112,7 @@ class ExecutorPool:
         """Start to run some scenarios; earlier scenarios that were not fetched are dropped."""
         self.close()
         self.add_all(scenarios)
-        if self._waiting:
-            self._submit(list(self._waiting))
+        self._submit_rest()
 
     def add_all(self, scenarios: Iterable[Scenario]) -> None:
         """Start to run some more scenarios. Those that do not fill a task wait for more, or until one is requested."""
@@ -131,7 +130,7 @@ class ExecutorPool:
             ExecutionError: if workers cannot run scenarios as this process does, for example with other versions.
         """
         if scenario in self._waiting:
-            self._submit(list(self._waiting))
+            self._submit_rest()
         elif scenario not in self._under_way and scenario not in self._answers:
             self._submit([scenario])
         error = self._gather(scenario)
@@ -151,6 +150,12 @@ class ExecutorPool:
         for _, future in self._under_way.values():
             future.cancel()
         self._waiting, self._under_way, self._answers = {}, {}, {}
+
+    def _submit_rest(self) -> None:
+        """Submit the scenarios that wait, in a task for each worker if there are as many."""
+        size = max(1, len(self._waiting) // self._workers)
+        while self._waiting:
+            self._submit(list(islice(self._waiting, size)))
 
     def _submit(self, scenarios: Sequence[Scenario]) -> None:
         for scenario in scenarios:
@@ -208,7 +213,10 @@ def _workers(executor: Executor) -> int:
     """Return how many tasks an executor runs at once."""
     client: Any = getattr(executor, "_client", None)
     if hasattr(client, "nthreads"):  # Dask's
-        return sum(client.nthreads().values()) or WORKERS
+        try:
+            return sum(client.nthreads().values()) or WORKERS
+        except Exception:  # noqa: BLE001  (it is closed, or does not answer, as the first task will report)
+            return WORKERS
     # The executors of the standard library and of loky have the first attribute, mpi4py's the second.
     return getattr(executor, "_max_workers", None) or getattr(executor, "num_workers", None) or WORKERS
 

@@ -98,7 +98,8 @@ class Groups:
         groups with long runs are smaller.
         """
         mean = self._seconds / self._runs if self._runs else GROUP_SECONDS
-        most = round(GROUP_SECONDS / max(mean, 1e-9))
+        population = max(self.course.population(generation), self.course.population(generation + 1))
+        most = min(round(GROUP_SECONDS / max(mean, 1e-9)), population)
         places = -index  # before the group's end, from the requested one on
         while places < 2 * processes * most and self.course.can_draw(generation) and (more := self._needed(generation)):
             places, generation = places + more, generation + 1

@@ -1,6 +1,7 @@
 """Neighbours of a scenario: scenarios that differ from it a little. How many of them fail says how broad a failure is.
 
-The neighbours follow from the scenario alone, so they are the same in every session, on every machine.
+The neighbours follow from the scenario, their number and the world that they must fit. So they are the same in every
+session, on every machine.
 """
 
 from __future__ import annotations
@@ -103,13 +104,16 @@ def neighbours(
 ) -> tuple[Scenario, ...]:
     """Return up to a number of different neighbours, fewer only if there are hardly more.
 
-    Each neighbour differs in one way: in each speed a little, in all speeds by the same factor, in one instruction, or
-    in the start and the duration of the genes. Chains of several genes last one gene longer, because a neighbour may
-    fail a little later than the scenario. For the arguments see :func:`breadth_of`; ``share`` is one of
+    Each neighbour differs in one of four ways: in the speed of each instruction a little; in all speeds by the same
+    factor; in one instruction, after which the cells of others are repaired where they no longer fit; or in the start
+    and the duration of the genes. The longest chains of instructions last one gene longer, because a neighbour may fail
+    a little later than the scenario. For the arguments see :func:`breadth_of`; ``share`` is one of
     :data:`SHARES`.
     """
     draw = random.Random(f"{scenario.canonical()} {share}").random  # noqa: S311  (the same in each version of Python)
-    chains = [chain if isinstance(chain[0], CrossingInstruction) else (*chain, chain[-1]) for chain in scenario.npcs]
+    timed = [len(chain) for chain in scenario.npcs if not isinstance(chain[0], CrossingInstruction)]
+    is_longest = [len(chain) in timed and len(chain) == max(timed) for chain in scenario.npcs]
+    chains = [(*chain, chain[-1]) if is_it else chain for chain, is_it in zip(scenario.npcs, is_longest, strict=True)]
     same = replace(scenario, npcs=tuple(chains))
     found: dict[Scenario, None] = {}
     for _ in range(DRAWS * number):

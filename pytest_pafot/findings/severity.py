@@ -118,8 +118,8 @@ def worst_first(responsible: str, severity: Severity | None, breadth: Breadth | 
     """Return a sort key for findings: collisions that the ego is responsible for first, then other failures.
 
     Each group is sorted from the worst, failures without a measure are last, and of equally bad ones the broadest is
-    first. Callers put more important criteria
-    before this key, and tie-breakers after it. ``responsible`` is ``ego``, ``npc``, ``both`` or ``none``.
+    first. Callers put more important criteria before this key, and tie-breakers after it. ``responsible`` is ``ego``,
+    ``npc``, ``both`` or ``none``.
     """
     broad = 0.0 if breadth is None else -breadth.rank
     if severity is None:

@@ -69,6 +69,8 @@ class FindingRecord:
         unshrunk: that no time was left to confirm a new finding, or to shrink it fully; otherwise empty.
         breadth: how many neighbours of a new finding fail in the same way: `failing`, `of`, and `share`, the size of
             their steps as a share of the full ones. Null if that was not examined.
+        lines: the lines of the policy that tell the neighbours that fail from those that pass: `file`, `number`,
+            `function`, `text`, and in how many it ran: `failing` `of_failing`, `passing` `of_passing`.
         severity: how bad the failure is now: `kind`, which is `collision` or `check`; `value`, the closing speed at the
             impact [m/s], or by how much the check is broken [`unit`], null if it measured no number; `delta_v` of a
             collision, for equal masses [m/s]; `margin` and `name` of a check. Null if it passes or has no measure.
@@ -105,6 +107,7 @@ class FindingRecord:
     flaky: str | None = None
     unshrunk: str = ""
     breadth: Mapping[str, Any] | None = None
+    lines: list[Mapping[str, Any]] = field(default_factory=list)
     severity: Mapping[str, Any] | None = None
     severity_before: Mapping[str, Any] | None = None
     xfail: Mapping[str, str | None] | None = None
@@ -147,6 +150,7 @@ class FindingRecord:
             flaky=finding.flaky,
             unshrunk=find.unshrunk,
             breadth=None if find.breadth is None else asdict(find.breadth),
+            lines=list(map(asdict, find.lines)),
             severity=None if find.severity is None else find.severity.data(),
             severity_before=None if find.severity_before is None else find.severity_before.data(),
             xfail=None if finding.xfail is None else accepted,

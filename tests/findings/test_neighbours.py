@@ -31,7 +31,9 @@ def test_neighbours_are_different_valid_and_the_same_each_time(scenario, share):
     assert scenario not in several
     for each in several:
         assert Scenario.from_canonical(each.plain()) == each  # with all checks
-        assert [len(chain) for chain in each.npcs] == [len(chain) + 1 for chain in scenario.npcs]
+        longest = max(map(len, scenario.npcs))
+        longer = [len(chain) + (len(chain) == longest) for chain in scenario.npcs]
+        assert [len(chain) for chain in each.npcs] == longer
         assert all(0 <= gene.speed <= TOP for chain in each.npcs for gene in chain)
         assert 0 <= each.ego_speed <= TOP
 
@@ -64,6 +66,12 @@ def test_crossing_neighbours_arrive_at_other_times_within_the_largest_slot():
     assert max(slots) <= 5.0
     assert {each.npcs[0][0].act for each in around(AT_A_ZONE)} == {"late"}
     assert min(each.npcs[0][0].speed for each in around(AT_A_ZONE)) == 0.1
+
+
+def test_only_the_longest_chains_are_longer():
+    one = (PositionInstruction(2, 10.0),)
+    scenario = Scenario(npcs=(one, (PositionInstruction(3, 5.0), PositionInstruction(2, 5.0))))
+    assert {tuple(map(len, each.npcs)) for each in around(scenario)} == {(1, 3)}
 
 
 def test_neighbours_that_do_not_fit_the_world_are_left_out():
@@ -105,14 +113,14 @@ def test_steps_are_made_smaller_while_no_neighbour_fails():
     near = 0.2
 
     def fails(each):
-        speeds = [gene.speed for chain in ON_GRID.npcs for gene in (*chain, chain[-1])]
+        speeds = [10.0, 3.0, 3.0, 20.0]
         return (
             each.ego_speed == 22
             and all(
                 abs(gene.speed - speed) <= near
                 for gene, speed in zip((gene for chain in each.npcs for gene in chain), speeds, strict=True)
             )
-            and [gene.cell for chain in each.npcs for gene in chain] == [2, 3, 3, 6, 6]
+            and [gene.cell for chain in each.npcs for gene in chain] == [2, 3, 3, 6]
             and each.gene_seconds == 10
         )
 

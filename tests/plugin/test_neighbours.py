@@ -45,6 +45,50 @@ def test_it_is_the_same_with_workers_and_on_each_run(collides):
     assert told[0] == told[1] == told[2]
 
 
+PLANNER = """
+class Sleepy:
+    '''Keep a distance to whatever is ahead, except to a vehicle that is nearly standing.'''
+
+    def __call__(self, observation):
+        ego, *others = observation.array
+        ahead = [other for other in others if 0 < other[0] - ego[0] < 60 and abs(other[1] - ego[1]) < 3]
+        if not ahead:
+            return 0.0, 0.0
+        leader = min(ahead, key=lambda other: other[0])
+        if leader[3] < 5:
+            return 0.0, 0.0  # the defect
+        return (-6.0 if leader[0] - ego[0] < 30 else 0.0), 0.0
+
+@pafot.search(ads=Sleepy, npcs=2, genes=2, gene_seconds=8, ego_lane=1, ego_speed=22, stop_after=1)
+def test_collides(run):
+    assert not run.collision
+"""
+
+
+def test_lines_that_tell_failing_neighbours_from_passing_ones_are_told(project):
+    project.write(PLANNER)
+    result, record, contents = run(project, "--pafot-neighbours=30")
+    assert 0 < record["breadth"]["failing"] < 30
+    told = record["lines"]
+    assert 1 <= len(told) <= 3
+    assert {each["file"] for each in told} == {"test_it.py"}
+    assert all(each["failing"] * each["of_passing"] > each["passing"] * each["of_failing"] for each in told)
+    assert {each["function"] for each in told} <= {"Sleepy.__call__", "Sleepy.__call__.<locals>.<lambda>"}
+    source = (project.path / "test_it.py").read_text().splitlines()
+    assert all(source[each["number"] - 1].strip() == each["text"] for each in told)
+    result.stdout.re_match_lines([r"line +test_it.py:\d+ in Sleepy.*"])
+    _, without, same = run(project)
+    assert without["lines"] == []
+    assert same == contents
+
+
+def test_an_isolated_ads_has_no_lines_because_it_may_not_run_in_the_session(project):
+    project.write(PLANNER)
+    _, record, _ = run(project, "--pafot-neighbours=10", "--pafot-isolate")
+    assert record["breadth"]["of"] == 10
+    assert record["lines"] == []
+
+
 @pytest.mark.parametrize("source", ["marker", "ini"])
 def test_the_number_may_be_argument_or_ini_key(project, source):
     argument = ", neighbours=3" if source == "marker" else ""
@@ -61,7 +105,8 @@ def test_neighbours_that_the_time_does_not_allow_are_not_counted_in_part(collide
     assert len(contents) == 1
 
 
-def ends(*args, fails, **named):
+def ends(scenario, number, *, fails, **named):
+    assert fails(scenario)
     from pytest_pafot.support.errors import OutOfTime
 
     raise OutOfTime

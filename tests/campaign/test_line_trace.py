@@ -1,0 +1,129 @@
+"""The lines of a policy that run in its decisions."""
+
+import importlib.util
+import sys
+
+import pytest
+
+from pytest_pafot.campaign import line_trace
+from pytest_pafot.campaign.line_trace import HELD, LineTrace, text_of, why_not
+
+SOURCE = """\
+import json
+
+
+class Planner:
+    name = "planner"
+
+    def __call__(self, time):
+        json.dumps([time])
+        if time > 2:
+            return self.brakes(time)
+        return 0.0
+
+    def brakes(self, time):
+        def strongly():
+            return -6.0
+        if time == 4:
+            raise ValueError(time)
+        return strongly()
+"""
+
+
+@pytest.fixture
+def planner(tmp_path):
+    return loaded(tmp_path / "planner.py")
+
+
+def loaded(path):
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(SOURCE)
+    spec = importlib.util.spec_from_file_location("planner", path)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module.Planner
+
+
+def numbers(trace, planner, times, decisions):
+    """Return the numbers of the lines that ran in some decisions of a run."""
+
+    def run():
+        ads = trace.watched(planner)()
+        for time in times:
+            ads(time)
+
+    return sorted(each.number for each in trace.lines_in(run, decisions))
+
+
+def test_lines_of_the_asked_decisions_are_recorded(planner, tmp_path):
+    trace = LineTrace(tmp_path)
+    assert numbers(trace, planner, [1, 2, 3], range(2)) == [8, 9, 11]
+    assert numbers(trace, planner, [1, 2, 3], range(2, 3)) == [8, 9, 10, 14, 15, 16, 18]
+    assert numbers(trace, planner, [1, 2, 3], range(3)) == [8, 9, 10, 11, 14, 15, 16, 18]
+    assert numbers(trace, planner, [1, 2, 3], range(9, 12)) == []
+
+
+def test_lines_have_file_function_and_text(planner, tmp_path):
+    trace = LineTrace(tmp_path)
+    ads = trace.watched(planner)
+    found = {each.number: each for each in trace.lines_in(lambda: ads()(3), range(1))}
+    assert found[15].function == "Planner.brakes.<locals>.strongly"
+    assert found[15].file == str(tmp_path / "planner.py")
+    assert text_of(found[15]) == "return -6.0"
+
+
+@pytest.mark.parametrize("folder", ["elsewhere", "project/lib/site-packages"])
+def test_only_the_projects_own_files_count(tmp_path, monkeypatch, folder):
+    root = tmp_path / "project"
+    monkeypatch.setattr(line_trace, "_INSTALLED", (str(root / "lib/site-packages"),))
+    assert numbers(LineTrace(root), loaded(tmp_path / folder / "planner.py"), [3], range(1)) == []
+    assert numbers(LineTrace(root), loaded(root / "planner.py"), [3], range(1)) != []
+
+
+def test_a_watched_ads_is_the_same_otherwise(planner, tmp_path):
+    ads = LineTrace(tmp_path).watched(planner)()
+    assert ads.name == "planner"
+    assert (ads(1), ads(3)) == (0.0, -6.0)
+    with pytest.raises(AttributeError, match="batch"):
+        ads.batch  # noqa: B018
+    with pytest.raises(ValueError, match="4"):
+        ads(4)
+
+
+def test_nothing_is_traced_after_an_exception(planner, tmp_path):
+    trace = LineTrace(tmp_path)
+    ads = trace.watched(planner)()
+    with pytest.raises(ValueError, match="4"):
+        trace.lines_in(lambda: ads(4), range(9))
+    assert sys.gettrace() is None
+    assert why_not() == ""
+
+
+def test_each_ads_of_a_factory_counts_its_own_decisions(planner, tmp_path):
+    trace = LineTrace(tmp_path)
+    numbers(trace, planner, [1, 1, 1], range(3))
+    assert numbers(trace, planner, [3], range(1)) == [8, 9, 10, 14, 15, 16, 18]
+
+
+@pytest.mark.skipif(sys.version_info >= (3, 12), reason="there is sys.monitoring")
+def test_a_tracer_of_somebody_else_is_left_alone():
+    try:
+        sys.settrace(lambda *arguments: None)
+        assert why_not() == HELD
+    finally:
+        sys.settrace(None)
+    assert why_not() == ""
+
+
+@pytest.mark.skipif(sys.version_info < (3, 12), reason="there is no sys.monitoring")
+def test_tools_of_somebody_else_are_left_alone(planner, tmp_path):
+    for tool in (3, 4):
+        assert why_not() == ""
+        sys.monitoring.use_tool_id(tool, "other")
+    try:
+        assert why_not() == HELD
+    finally:
+        for tool in (3, 4):
+            assert sys.monitoring.get_tool(tool) == "other"
+            sys.monitoring.free_tool_id(tool)
+    assert numbers(LineTrace(tmp_path), planner, [1], range(1)) == [8, 9, 11]
