@@ -73,7 +73,8 @@ class LineTrace:
                 sys.settrace(None)
 
     def _add(self, code: CodeType, number: int) -> None:
-        self._lines.add(Line(code.co_filename, number, code.co_qualname))
+        function = code.co_qualname.partition(".<locals>.<")[0]  # a comprehension or lambda belongs to its function
+        self._lines.add(Line(code.co_filename, number, function))
 
     def _owns(self, code: CodeType) -> bool:
         known = self._is_own.get(code)

@@ -12,7 +12,10 @@ MOST_LINES = 3
 
 
 class Line(NamedTuple):
-    """A line of source text: the path of its file, its number from 1, and the name of its function."""
+    """A line of source text: the path of its file, its number from 1, and the name of its function.
+
+    The name of a method begins with its class.
+    """
 
     file: str
     number: int
