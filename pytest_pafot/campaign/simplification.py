@@ -16,6 +16,8 @@ from functools import partial
 from itertools import count
 from typing import TypeVar
 
+import numpy as np
+
 from pytest_pafot.campaign.events import FindTold
 from pytest_pafot.campaign.harness import Harness
 from pytest_pafot.campaign.line_trace import LineTrace, text_of, why_not
@@ -25,13 +27,14 @@ from pytest_pafot.campaign.verdict import Verdict, headline
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.findings.finding import Expect, Perceived, ending, of_failure
 from pytest_pafot.findings.lines import MOST_LINES, Line, TellingLine, ranked
-from pytest_pafot.findings.neighbours import breadth_of
+from pytest_pafot.findings.neighbours import Breadth, Limits, breadth_of
 from pytest_pafot.findings.shrink import OutOfBudget, Shrunk, Start, shrink
 from pytest_pafot.model.scenario import Scenario, ScenarioError
 from pytest_pafot.model.sight import Sight
 from pytest_pafot.model.trace import LANE, SPEED
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.support.errors import DriverError, OutOfTime
+from pytest_pafot.support.text import one_line
 from pytest_pafot.world import protocol
 from pytest_pafot.world.driving.ads import is_vehicle_class
 from pytest_pafot.world.driving.perception import Perception
@@ -172,12 +175,33 @@ class Simplification:
                 self._examine(kept)
 
     def _examine(self, kept: FindTold) -> None:
-        """Run the neighbours of a finding, and report how many fail in the same way, unless the time ends before."""
+        """Run the neighbours of a finding, and report how many fail in the same way, unless the time ends before.
+
+        No error ends the search here, because a user's world may not expect scenarios other than those of a search.
+        """
         __tracebackhide__ = True
-        if self.clock() >= self.until:
-            return
-        world = self.loop.simulation.harness.world
-        find_id, top_speed, ran = kept.find.id, float(world.speed_limit), count(1)
+        deeds: dict[Scenario, range | None] = {}  # of each neighbour that fails, the decisions that may be the cause
+        find, told, found = kept.find, "neighbours", kept.run
+        try:
+            if self.clock() >= self.until:
+                raise OutOfTime
+            with runs_end_in(self.until - self.clock()):
+                breadth = self._breadth(kept, deeds)
+                find = replace(find, breadth=breadth)
+                self.loop.recorder.tell(replace(kept, find=find, is_new=False))
+                if breadth is not None and found is not None and 0 < breadth.failing < breadth.of:
+                    told = "lines"
+                    steps = dict(list(deeds.items())[-breadth.of :])  # those with the steps with which some fail
+                    lines = self._telling_lines(find.id, steps, decisions_before_deed(found))
+                    self.loop.recorder.tell(replace(kept, find=replace(find, lines=lines), is_new=False))
+        except OutOfTime:
+            self.notes.append(f"no {told} of saved-{find.id}: out of time")
+        except Exception as error:  # noqa: BLE001  (the user's world or ADS may raise anything)
+            self.notes.append(f"no {told} of saved-{find.id}: {type(error).__name__}: {one_line(str(error))}")
+
+    def _breadth(self, kept: FindTold, deeds: dict[Scenario, range | None]) -> Breadth | None:
+        """Run the neighbours of a finding; see :meth:`_examine` for ``deeds``, which this function fills."""
+        world, find_id, ran = self.loop.simulation.harness.world, kept.find.id, count(1)
 
         def fits(scenario: Scenario) -> bool:
             with suppress(ScenarioError):
@@ -185,23 +209,17 @@ class Simplification:
                 return True
             return False
 
-        def fails(scenario: Scenario) -> bool:
+        def fails(scenario: Scenario) -> bool | None:
             self.tell(f"running neighbour {next(ran)} of {find_id}")
             self.neighbour_runs += 1
             run = self._showing(find_id, scenario)
+            if run is not None and kept.run is not None and _begins_as(run, kept.run):
+                return None
             deeds[scenario] = None if run is None else decisions_before_deed(run)
             return run is not None
 
-        deeds: dict[Scenario, range | None] = {}  # of each neighbour that fails, the decisions that may be the cause
-        with suppress(OutOfTime), runs_end_in(self.until - self.clock()):
-            scenario = kept.finding.scenario
-            breadth = breadth_of(scenario, self.neighbours, fails=fails, fits=fits, top_speed=top_speed)
-            find = replace(kept.find, breadth=breadth)
-            self.loop.recorder.tell(replace(kept, find=find, is_new=False))
-            if breadth is not None and kept.run is not None and 0 < breadth.failing < breadth.of:
-                steps = dict(list(deeds.items())[-breadth.of :])  # those with the steps with which some fail
-                lines = self._telling_lines(find_id, steps, decisions_before_deed(kept.run))
-                self.loop.recorder.tell(replace(kept, find=replace(find, lines=lines), is_new=False))
+        limits = Limits(fits=fits, top_speed=float(world.speed_limit), longest_run=float(world.longest_run))
+        return breadth_of(kept.finding.scenario, self.neighbours, fails=fails, limits=limits)
 
     def _telling_lines(
         self, find_id: str, deeds: Mapping[Scenario, range | None], otherwise: range
@@ -462,6 +480,12 @@ def decisions_before_deed(run: Run) -> range:
     tick = round(run.event_time * trace.physics_hz) if tick is None else tick
     last = tick * trace.ads_hz // trace.physics_hz
     return range(max(0, last - round(CAUSE * trace.ads_hz)), last + 1)
+
+
+def _begins_as(run: Run, other: Run) -> bool:
+    """Return whether a run is, as long as both last, the same as another one."""
+    ticks = min(run.trace.ticks, other.trace.ticks) + 1
+    return np.array_equal(run.trace.states[:ticks], other.trace.states[:ticks], equal_nan=True)
 
 
 def driven(run: Run) -> Scenario:

@@ -6,9 +6,11 @@ session, on every machine.
 
 from __future__ import annotations
 
+import math
 import random
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import islice
 from types import MappingProxyType
 
 from pytest_pafot.model.scenario import (
@@ -37,8 +39,8 @@ LEAST_SPEED = 0.1
 """The lowest speed of an NPC that crosses [m/s]."""
 STAYING = ("seed", "ego_lane", "ego_speed", "gene_seconds", "traffic")
 """The fields of a scenario beside its chains. They stay, unless a neighbour differs in one of them."""
-DRAWS = 20
-"""The largest number of draws for each neighbour, of which some are equal or do not fit the world."""
+MISSES = 200
+"""The number of draws in a row without a new neighbour after which there are hardly any more."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -50,11 +52,13 @@ class Breadth:
         of: the number of neighbours.
         share: the share of the full steps with which the neighbours were made. It is below 1 if none of the neighbours
             with larger steps failed.
+        full: the number of neighbours with the full steps.
     """
 
     failing: int
     of: int
     share: float = 1.0
+    full: int
 
     @property
     def rank(self) -> float:
@@ -64,65 +68,83 @@ class Breadth:
     def __str__(self) -> str:
         if self.share == 1 and self.failing:
             return f"{self.failing} of {self.of} neighbours fail the same way"
-        text = f"a knife edge: 0 of {self.of} neighbours fail the same way"
+        text = f"a knife edge: 0 of {self.full} neighbours fail the same way"
         if self.share == 1:
             return text
         smaller = f"with steps of {SHARES[self.share]} the size"
         return f"{text}, {self.failing} of {self.of} {smaller}" if self.failing else f"{text}, nor any {smaller}"
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Limits:
+    """What a world allows.
+
+    Attributes:
+        fits: returns whether a scenario fits the world.
+        top_speed: the highest speed of a vehicle [m/s].
+        longest_run: the longest duration of a run [s].
+    """
+
+    fits: Callable[[Scenario], bool]
+    top_speed: float
+    longest_run: float
+
+
 def breadth_of(
-    scenario: Scenario,
-    number: int,
-    *,
-    fails: Callable[[Scenario], bool],
-    fits: Callable[[Scenario], bool],
-    top_speed: float,
+    scenario: Scenario, number: int, *, fails: Callable[[Scenario], bool | None], limits: Limits
 ) -> Breadth | None:
-    """Return how many of a number of neighbours fail; None if there are not as many different ones.
+    """Return how many of a number of neighbours fail, of fewer if there are not as many; None if there are none.
 
     Args:
         scenario: the scenario of a finding.
         number: the number of neighbours.
-        fails: runs a scenario, and returns whether it fails in the same way.
-        fits: returns whether a scenario fits the world.
-        top_speed: the highest speed of a vehicle [m/s].
+        fails: runs a scenario, and returns whether it fails in the same way; None if its run is that of the finding, so
+            that it is no neighbour.
+        limits: what the world allows.
     """
     known: Breadth | None = None
     for share in SHARES:
-        several = neighbours(scenario, number, share=share, fits=fits, top_speed=top_speed)
-        if len(several) < number:
+        answers = filter(
+            lambda each: each is not None, map(fails, islice(neighbours(scenario, share, limits), 2 * number))
+        )
+        told = list(islice(answers, number))
+        if not told:
             return known
-        known = Breadth(failing=sum(map(fails, several)), of=number, share=share)
+        full = len(told) if known is None else known.full
+        known = Breadth(failing=sum(map(bool, told)), of=len(told), share=share, full=full)
         if known.failing:
             return known
     return known
 
 
-def neighbours(
-    scenario: Scenario, number: int, *, fits: Callable[[Scenario], bool], top_speed: float, share: float = 1.0
-) -> tuple[Scenario, ...]:
-    """Return up to a number of different neighbours, fewer only if there are hardly more.
+def neighbours(scenario: Scenario, share: float, limits: Limits) -> Iterator[Scenario]:
+    """Yield different neighbours of a scenario, until hardly any more are drawn; ``share`` is one of :data:`SHARES`.
 
     Each neighbour differs in one of four ways: in the speed of each instruction a little; in all speeds by the same
     factor; in one instruction, after which the cells of others are repaired where they no longer fit; or in the start
-    and the duration of the genes. The longest chains of instructions last one gene longer, because a neighbour may fail
-    a little later than the scenario. For the arguments see :func:`breadth_of`; ``share`` is one of
-    :data:`SHARES`.
+    and the duration of the genes. If the longest run allows it, the longest chains last one gene longer, because a
+    neighbour may fail a little later than the scenario.
     """
     draw = random.Random(f"{scenario.canonical()} {share}").random  # noqa: S311  (the same in each version of Python)
+    found, missed = {scenario}, 0
+    while missed < MISSES:
+        neighbour = _Neighbour(scenario, share, limits.top_speed, draw).drawn()
+        missed += 1
+        if neighbour not in found:
+            found.add(neighbour)
+            if limits.fits(longer := _longer(neighbour, limits.longest_run)):
+                missed = 0
+                yield longer
+
+
+def _longer(scenario: Scenario, longest_run: float) -> Scenario:
+    """Return a scenario whose longest chains last one gene longer, unless the scenario would be too long then."""
     timed = [len(chain) for chain in scenario.npcs if not isinstance(chain[0], CrossingInstruction)]
-    is_longest = [len(chain) in timed and len(chain) == max(timed) for chain in scenario.npcs]
+    if not timed or (max(timed) + 1) * scenario.gene_seconds > longest_run + 1e-9:
+        return scenario
+    is_longest = [len(chain) == max(timed) and not isinstance(chain[0], CrossingInstruction) for chain in scenario.npcs]
     chains = [(*chain, chain[-1]) if is_it else chain for chain, is_it in zip(scenario.npcs, is_longest, strict=True)]
-    same = replace(scenario, npcs=tuple(chains))
-    found: dict[Scenario, None] = {}
-    for _ in range(DRAWS * number):
-        if len(found) == number:
-            break
-        neighbour = _Neighbour(same, share, top_speed, draw).drawn()
-        if neighbour != same and neighbour not in found and fits(neighbour):
-            found[neighbour] = None
-    return tuple(found)
+    return replace(scenario, npcs=tuple(chains))
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,18 +163,24 @@ class _Neighbour:
         if kind == 1:
             factor = 1 + self._step(ALL_SPEEDS)
             chains = [tuple(self._at(gene, factor * gene.speed) for gene in chain) for chain in scenario.npcs]
-            return self._with(chains, ego_speed=self._speed(factor * scenario.ego_speed))
+            return self._with(chains, ego_speed=self._speed(factor * scenario.ego_speed, 0.0))
         if kind == 2:
             npc = int(len(scenario.npcs) * self.draw())
             chain = scenario.npcs[npc]
             gene = int(len(chain) * self.draw())
             new: Chromosome = (*chain[:gene], self._changed(chain[gene]), *chain[gene + 1 :])
             return self._with([*scenario.npcs[:npc], new, *scenario.npcs[npc + 1 :]])
-        steps = round(scenario.gene_seconds * (1 + self._step(DURATION)) / WHOLE_TICKS)
-        ego_speed = self._speed(scenario.ego_speed + self._step(SPEED))
-        return self._with(
-            scenario.npcs, ego_speed=ego_speed, gene_seconds=min(round(max(steps, 1) * WHOLE_TICKS, 1), LONGEST_GENE)
-        )
+        largest = scenario.gene_seconds * DURATION * self.share
+        seconds = round(WHOLE_TICKS * round((scenario.gene_seconds + largest * (2 * self.draw() - 1)) / WHOLE_TICKS), 1)
+        if abs(seconds - scenario.gene_seconds) > largest or not 0 < seconds <= LONGEST_GENE or not self.has_duration:
+            seconds = scenario.gene_seconds
+        ego_speed = self._speed(scenario.ego_speed + self._step(SPEED), 0.0)
+        return self._with(scenario.npcs, ego_speed=ego_speed, gene_seconds=seconds)
+
+    @property
+    def has_duration(self) -> bool:
+        """True if the duration of a gene changes anything."""
+        return not math.isinf(self.scenario.seconds) or any(len(chain) > 1 for chain in self.scenario.npcs)
 
     def _with(self, chains: Sequence[Chromosome], **fields: float) -> Scenario:
         kept = {name: getattr(self.scenario, name) for name in STAYING}
@@ -161,12 +189,15 @@ class _Neighbour:
     def _step(self, largest: float) -> float:
         return largest * self.share * (2 * self.draw() - 1)
 
-    def _speed(self, speed: float, least: float = 0.0) -> float:
+    def _speed(self, speed: float, least: float) -> float:
         return round(min(max(speed, least), self.top_speed), 1)
 
     def _at(self, gene: Gene, speed: float) -> Gene:
-        """Return a gene with another speed."""
-        return replace(gene, speed=self._speed(speed, LEAST_SPEED if isinstance(gene, CrossingInstruction) else 0.0))
+        """Return a gene with another speed, which the traffic allows unless it did not allow the gene's own."""
+        if isinstance(gene, CrossingInstruction):
+            return replace(gene, speed=self._speed(speed, LEAST_SPEED))
+        least = min(self.scenario.traffic.least_speed(self.top_speed), gene.speed)
+        return replace(gene, speed=self._speed(speed, least))
 
     def _moved(self, gene: Gene) -> Gene:
         """Return a gene with a speed that is a little different, and a slot if it has one."""

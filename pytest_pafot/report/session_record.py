@@ -68,7 +68,7 @@ class FindingRecord:
         flaky: what differed when it was run again, as in the file; null if nothing did.
         unshrunk: that no time was left to confirm a new finding, or to shrink it fully; otherwise empty.
         breadth: how many neighbours of a new finding fail in the same way: `failing`, `of`, and `share`, the size of
-            their steps as a share of the full ones. Null if that was not examined.
+            their steps as a share of the full ones, which `full` neighbours had. Null if that was not examined.
         lines: the lines of the policy that tell the neighbours that fail from those that pass: `file`, `number`,
             `function`, `text`, and in how many it ran: `failing` `of_failing`, `passing` `of_passing`.
         severity: how bad the failure is now: `kind`, which is `collision` or `check`; `value`, the closing speed at the

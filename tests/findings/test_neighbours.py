@@ -2,13 +2,14 @@
 
 import subprocess
 import sys
+from itertools import islice
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 import pytest_pafot as pafot
-from pytest_pafot.findings.neighbours import ALL_SPEEDS, SHARES, SLOT, SPEED, Breadth, breadth_of, neighbours
+from pytest_pafot.findings.neighbours import ALL_SPEEDS, SHARES, SLOT, SPEED, Breadth, Limits, breadth_of, neighbours
 from pytest_pafot.model.scenario import CrossingInstruction, LaneInstruction, PositionInstruction, Scenario
 from pytest_pafot.strategies import scenarios
 from tests.helpers.tables import table
@@ -19,8 +20,12 @@ IN_LANES = Scenario(npcs=((LaneInstruction("keep", 10.0), LaneInstruction("left"
 AT_A_ZONE = Scenario(npcs=((CrossingInstruction("o1>o3", 4.9, 0.2, "late"),),), ego_speed=8.0)
 
 
-def around(scenario, number=40, share=1.0, fits=lambda scenario: True, top_speed=TOP):
-    return neighbours(scenario, number, share=share, fits=fits, top_speed=top_speed)
+def limits(fits=lambda scenario: True, longest_run=1e9):
+    return Limits(fits=fits, top_speed=TOP, longest_run=longest_run)
+
+
+def around(scenario, number=40, share=1.0, **given):
+    return tuple(islice(neighbours(scenario, share, limits(**given)), number))
 
 
 @given(scenarios(max_speed=TOP), st.sampled_from(list(SHARES)))
@@ -53,7 +58,7 @@ def test_neighbours_differ_in_speeds_instructions_and_starts(scenario):
     several = around(scenario)
     assert len(several) == 40
     assert len({each.ego_speed for each in several}) > 5
-    assert len({each.gene_seconds for each in several}) > 2
+    assert (len({each.gene_seconds for each in several}) > 2) == (scenario != AT_A_ZONE)  # where it changes nothing
     assert len({tuple(gene.speed for chain in each.npcs for gene in chain) for each in several}) > 5
     targets = {tuple(gene.target for chain in each.npcs for gene in chain) for each in several}
     assert (len(targets) > 3) == (scenario != AT_A_ZONE)
@@ -99,13 +104,15 @@ def breadth(fails, number=40, scenario=ON_GRID):
         ran.append(each)
         return fails(each)
 
-    return breadth_of(scenario, number, fails=runs, fits=lambda each: True, top_speed=TOP), ran
+    return breadth_of(scenario, number, fails=runs, limits=limits()), ran
 
 
 def test_breadth_counts_the_neighbours_that_fail():
     found, ran = breadth(lambda each: each.npcs[0][0].cell == 2 and each.npcs[0][0].speed >= 9.5)
     assert len(ran) == 40
-    assert found == Breadth(failing=sum(e.npcs[0][0].cell == 2 and e.npcs[0][0].speed >= 9.5 for e in ran), of=40)
+    assert found == Breadth(
+        failing=sum(e.npcs[0][0].cell == 2 and e.npcs[0][0].speed >= 9.5 for e in ran), of=40, full=40
+    )
     assert 5 < found.failing < 40
 
 
@@ -132,31 +139,54 @@ def test_steps_are_made_smaller_while_no_neighbour_fails():
 
 def test_a_failure_without_any_failing_neighbour_has_all_steps():
     found, ran = breadth(lambda each: False)
-    assert found == Breadth(failing=0, of=40, share=min(SHARES))
+    assert found == Breadth(failing=0, of=40, share=min(SHARES), full=40)
     assert len(ran) == 40 * len(SHARES)
 
 
-def test_too_few_different_neighbours_are_none():
-    assert breadth(lambda each: True, number=1000, scenario=AT_A_ZONE) == (None, [])
-    least, ran = breadth(lambda each: False, number=30, scenario=AT_A_ZONE)
-    assert (least.failing, least.of, len(ran)) == (0, 30, 30 * (list(SHARES).index(least.share) + 1))
+def test_fewer_neighbours_count_if_there_are_no_more():
+    found, ran = breadth(lambda each: each.ego_speed > 8, number=10_000, scenario=AT_A_ZONE)
+    assert 100 < found.of == len(ran) < 10_000
+    assert 0 < found.failing < found.of
+    assert breadth_of(ON_GRID, 9, fails=lambda each: True, limits=limits(fits=lambda each: False)) is None
+
+
+def test_runs_that_are_the_findings_own_are_no_neighbours():
+    found, ran = breadth(lambda each: None if each.gene_seconds != 10 else False, number=10)
+    assert found == Breadth(failing=0, of=10, share=min(SHARES), full=10)
+    assert 10 * len(SHARES) < len(ran) <= 20 * len(SHARES)
+    assert breadth(lambda each: None, number=10)[0] is None
+
+
+def test_slow_traffic_is_not_among_the_neighbours_of_traffic_without_it():
+    traffic = pafot.Traffic(style="everyday")
+    least = traffic.least_speed(TOP)
+    scenario = Scenario(npcs=((PositionInstruction(2, least), PositionInstruction(2, 25.0)),), traffic=traffic)
+    speeds = {gene.speed for each in around(scenario) for chain in each.npcs for gene in chain}
+    assert min(speeds) == least
+    slower = Scenario(npcs=((PositionInstruction(2, least - 3),),), traffic=traffic)  # from a file of the user's
+    assert min(gene.speed for each in around(slower) for chain in each.npcs for gene in chain) == least - 3
+
+
+def test_no_neighbour_lasts_longer_than_the_world():
+    assert {each.genes for each in around(ON_GRID, longest_run=20.0)} == {2}
+    assert {each.genes for each in around(ON_GRID, longest_run=40.0)} == {3}
 
 
 @table(
     ("found", "text", "rank"),
     [
-        (Breadth(failing=28, of=40), "28 of 40 neighbours fail the same way", 0.7),
+        (Breadth(failing=28, of=40, full=40), "28 of 40 neighbours fail the same way", 0.7),
         (
-            Breadth(failing=6, of=40, share=0.25),
-            "a knife edge: 0 of 40 neighbours fail the same way, 6 of 40 with steps of a quarter of the size",
+            Breadth(failing=6, of=24, share=0.25, full=40),
+            "a knife edge: 0 of 40 neighbours fail the same way, 6 of 24 with steps of a quarter of the size",
             0.0,
         ),
         (
-            Breadth(failing=0, of=40, share=0.125),
+            Breadth(failing=0, of=8, share=0.125, full=40),
             "a knife edge: 0 of 40 neighbours fail the same way, nor any with steps of an eighth of the size",
             0.0,
         ),
-        (Breadth(failing=0, of=40), "a knife edge: 0 of 40 neighbours fail the same way", 0.0),
+        (Breadth(failing=0, of=40, full=40), "a knife edge: 0 of 40 neighbours fail the same way", 0.0),
     ],
 )
 def test_breadth_in_words_and_as_a_rank(found, text, rank):
@@ -175,6 +205,6 @@ def test_neighbours_of_a_real_finding_fail_around_it():
     several = around(scenario, 20)
     for each in several:
         world.check_fits(each)
-    found = breadth_of(scenario, 20, fails=fails, fits=lambda each: True, top_speed=TOP)
+    found = breadth_of(scenario, 20, fails=fails, limits=limits())
     assert found.share == 1
     assert found.failing > 5

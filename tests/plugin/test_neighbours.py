@@ -100,13 +100,41 @@ def test_the_number_may_be_argument_or_ini_key(project, source):
 
 def test_neighbours_that_the_time_does_not_allow_are_not_counted_in_part(collides, monkeypatch):
     monkeypatch.setattr("pytest_pafot.campaign.simplification.breadth_of", ends)
-    _, record, contents = run(collides, "--pafot-neighbours=8")
+    result, record, contents = run(collides, "--pafot-neighbours=8")
     assert record["breadth"] is None
     assert len(contents) == 1
+    result.stdout.fnmatch_lines([f"*no neighbours of saved-{record['id']}: out of time*"])
 
 
-def ends(scenario, number, *, fails, **named):
-    assert fails(scenario)
+OWN = """
+class Road:
+    speed_limit, longest_run = 26.8, 10.0
+
+    def to_dict(self):
+        return {"kind": "own"}
+
+    def rollout(self, scenario, ads):
+        if scenario.ego_speed != 22:
+            raise IndexError(f"not at {scenario.ego_speed}")
+        return pafot.Highway().rollout(scenario, ads)
+
+@pafot.search(SHORT, stop_after=1, world=Road(), shrink_rollouts=0)
+def test_collides(run):
+    assert not run.collision
+"""
+
+
+def test_a_world_that_raises_in_a_neighbour_loses_no_finding(project):
+    project.write(OWN)
+    result, record, contents = run(project, "--pafot-neighbours=8")
+    result.assert_outcomes(failed=2)
+    assert record["breadth"] is None
+    assert len(contents) == 1
+    result.stdout.fnmatch_lines([f"*no neighbours of saved-{record['id']}: IndexError: not at *"])
+
+
+def ends(scenario, number, *, fails, limits):
+    assert fails(scenario) is None  # it is the finding's own run
     from pytest_pafot.support.errors import OutOfTime
 
     raise OutOfTime
