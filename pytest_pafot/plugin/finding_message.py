@@ -68,15 +68,13 @@ def tell_finding(
     if is_on_page(item.config, settings):
         data["target"] = settings.report
         if find.headline:
-            from pytest_pafot.report.views import finding_view  # noqa: PLC0415
+            from pytest_pafot.report.views import finding_view, with_neighbours  # noqa: PLC0415
 
             trace, headline = None if run is None else run.trace, "; ".join(filter(None, [find.headline, note]))
             view = finding_view(trace, finding, node_id=find.node_id, headline=headline, check=check)
             command = rerun(["pytest", find.node_id if find.path else item.nodeid], os.environ, *options, saved=saved)
             accepted = f", accepted: {finding.accepted}" if finding.accepted else ""
             label = label_of(find) if find.label == NEW else f"{find.label}{accepted}"
-            view = replace(
-                view, label=label, severity=find.severity, breadth=find.breadth, path=find.path, command=command
-            )
-            data["view"] = plain(view)
+            view = replace(view, label=label, severity=find.severity, path=find.path, command=command)
+            data["view"] = plain(with_neighbours(view, find))
     messages.send(item, "finding", data)

@@ -18,7 +18,7 @@ from pytest_pafot.oracle.checks import CheckFailed
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.report.page import render_frame
 from pytest_pafot.report.page_data import FindingView, Report
-from pytest_pafot.report.views import campaign_view, finding_view, run_view
+from pytest_pafot.report.views import campaign_view, finding_view, run_view, with_neighbours
 from pytest_pafot.searching.events import Event
 from pytest_pafot.support.text import plural
 from pytest_pafot.world.limits import CLEARANCE
@@ -66,7 +66,8 @@ def _told_view(told: FindTold, value: Exploration) -> FindingView:
         check=told.exception.check if isinstance(told.exception, CheckFailed) else None,
     )
     runs = next((1 + each.repeats for each in value.summary.finds if each.id == find.id), 1)
-    return replace(view, runs=runs, path=find.path, label=find.remark, command="")
+    view = replace(view, runs=runs, path=find.path, label=find.remark, command="")
+    return with_neighbours(view, find)
 
 
 def _run_view(value: object) -> FindingView:

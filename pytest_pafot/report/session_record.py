@@ -17,6 +17,7 @@ from typing import Any, Self
 
 from pytest_pafot.campaign.events import NEW, Find, SearchSummary
 from pytest_pafot.findings.finding import Finding, portable
+from pytest_pafot.findings.lines import TellingLine
 from pytest_pafot.findings.neighbours import Breadth
 from pytest_pafot.findings.severity import Severity, worsening, worst_first
 from pytest_pafot.findings.shrink import size_of
@@ -330,6 +331,7 @@ def _finding_lines(finding: FindingRecord) -> Iterator[str]:
     told += [f"flaky: {plain(finding.flaky)}"] if finding.flaky else []
     told += [plain(finding.unshrunk)] if finding.unshrunk else []
     told += [] if finding.breadth is None else [str(Breadth(**finding.breadth))]
+    told += [plain(str(TellingLine(**line))) for line in finding.lines[:1]]
     if finding.xfail is not None and finding.result == "xfailed":
         until = finding.xfail["until"]
         told.append(f"accepted{f' until {until}' if until else ''}: {plain(finding.xfail['reason'] or '')}")

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from pytest_pafot.attribution.manoeuvres import stretches
-from pytest_pafot.campaign.events import Judged, SearchEvent, SearchStarted
+from pytest_pafot.campaign.events import Find, Judged, SearchEvent, SearchStarted
 from pytest_pafot.corpus.writer import text_of
 from pytest_pafot.criticality import Encounters, Passage, gap, passages, time_advantage, ttc
 from pytest_pafot.criticality.signals import jerk
@@ -318,6 +318,12 @@ def finding_view(
         shrink = shrink_view(original, finding.scenario, rollouts=rollouts, notes=speed_sentences(finding))
         view = replace(view, shrink=shrink)
     return view if trace is None else replace(_with_run(view, trace, clearance, check), drive=drive_view(trace))
+
+
+def with_neighbours(view: FindingView, find: Find) -> FindingView:
+    """Return a view with what the neighbours of the finding say: how many fail, and which lines tell them apart."""
+    explanation = "\n".join(filter(None, [view.explanation, *map(str, find.lines)]))
+    return replace(view, breadth=find.breadth, explanation=explanation)
 
 
 def drive_view(trace: Trace) -> DriveView:

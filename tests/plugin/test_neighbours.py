@@ -1,5 +1,6 @@
 """The option `neighbours`: how broad each new finding is."""
 
+import html
 import json
 
 import pytest
@@ -65,9 +66,10 @@ def test_collides(run):
 """
 
 
-def test_lines_that_tell_failing_neighbours_from_passing_ones_are_told(project):
+def test_lines_that_tell_failing_neighbours_from_passing_ones_are_told(project, monkeypatch):
     project.write(PLANNER)
-    result, record, contents = run(project, "--pafot-neighbours=30")
+    monkeypatch.setenv("GITHUB_STEP_SUMMARY", str(project.path / "summary.md"))
+    result, record, contents = run(project, "--pafot-neighbours=30", "--pafot-report=out.html")
     assert 0 < record["breadth"]["failing"] < 30
     told = record["lines"]
     assert 1 <= len(told) <= 3
@@ -76,6 +78,9 @@ def test_lines_that_tell_failing_neighbours_from_passing_ones_are_told(project):
     assert {each["function"] for each in told} == {"Sleepy.__call__"}
     source = (project.path / "test_it.py").read_text().splitlines()
     assert all(source[each["number"] - 1].strip() == each["text"] for each in told)
+    first = f"test_it.py:{told[0]['number']} in Sleepy.__call__"
+    for name in ("out.html", "summary.md"):
+        assert first in html.unescape((project.path / name).read_text()).replace("\\", "")
     result.stdout.re_match_lines([r"line +test_it.py:\d+ in Sleepy.*"])
     _, without, same = run(project)
     assert without["lines"] == []
