@@ -370,6 +370,8 @@ def _report(item: pytest.Item, kept: FindTold, section: str) -> dict[str, Any]:
     report.sections.append(("pafot", section))
     item.stash[OF_ONE_RUN].show(kept.run, report.user_properties)
     set_properties(report.user_properties, **of_findings([(kept.finding, find.path, find.severity)]))
+    lines = ",".join(f"{line.file}:{line.number}" for line in find.lines)
+    set_properties(report.user_properties, neighbours=find.breadth, lines=lines)
     data: dict[str, Any] = item.config.hook.pytest_report_to_serializable(config=item.config, report=report)
     return data
 

@@ -69,7 +69,7 @@ def test_collides(run):
 def test_lines_that_tell_failing_neighbours_from_passing_ones_are_told(project, monkeypatch):
     project.write(PLANNER)
     monkeypatch.setenv("GITHUB_STEP_SUMMARY", str(project.path / "summary.md"))
-    result, record, contents = run(project, "--pafot-neighbours=30", "--pafot-report=out.html")
+    result, record, contents = run(project, "--pafot-neighbours=30", "--pafot-report=out.html", "--junitxml=out.xml")
     assert 0 < record["breadth"]["failing"] < 30
     told = record["lines"]
     assert 1 <= len(told) <= 3
@@ -79,6 +79,9 @@ def test_lines_that_tell_failing_neighbours_from_passing_ones_are_told(project, 
     source = (project.path / "test_it.py").read_text().splitlines()
     assert all(source[each["number"] - 1].strip() == each["text"] for each in told)
     first = f"test_it.py:{told[0]['number']} in Sleepy.__call__"
+    junit = (project.path / "out.xml").read_text()
+    assert f'name="pafot_neighbours" value="{record["breadth"]["failing"]} of 30 neighbours fail' in junit
+    assert f'name="pafot_lines" value="test_it.py:{told[0]["number"]}' in junit
     for name in ("out.html", "summary.md"):
         assert first in html.unescape((project.path / name).read_text()).replace("\\", "")
     result.stdout.re_match_lines([r"line +test_it.py:\d+ in Sleepy.*"])
