@@ -236,9 +236,10 @@ def _figures(search: SearchSummary) -> str:
     )
     told = [f"{count} {what}" for count, what in counts if count or what == "failing"]
     told += [] if search.reached is None else [f"{search.reached:.0%} of genes reached"]
-    more = [f"{search.shrink_runs} to shrink"] if search.shrink_runs else []
-    more += [f"{search.neighbour_runs} of neighbours"] if search.neighbour_runs else []
-    runs = " and ".join([plural(search.runs, "run"), *more])
+    several = [plural(search.runs, "run")]
+    several += [f"{search.shrink_runs} to shrink"] if search.shrink_runs else []
+    several += [f"{search.neighbour_runs} of neighbours"] if search.neighbour_runs else []
+    runs = " and ".join([*filter(None, [", ".join(several[:-1])]), several[-1]])
     return ", ".join([f"{runs} in {search.seconds:.1f} s", *told])
 
 

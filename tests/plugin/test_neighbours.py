@@ -35,7 +35,7 @@ def test_how_broad_a_finding_is_stands_in_the_report_and_in_json_but_not_in_its_
     assert "neighbours" not in plain.stdout.str()
     result, record, same = run(collides, "--pafot-neighbours=8")
     result.assert_outcomes(failed=2)
-    result.stdout.re_match_lines([TEXT])
+    result.stdout.re_match_lines([TEXT, r"  \d+ runs and \d+ of neighbours in .*"])
     assert record["breadth"]["of"] == 8
     assert 0 <= record["breadth"]["failing"] <= 8
     assert same == contents
