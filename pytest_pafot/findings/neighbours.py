@@ -45,7 +45,7 @@ MISSES = 200
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Breadth:
-    """How many neighbours of a scenario fail as it does.
+    """The number of neighbours of a scenario that fail as it does.
 
     Attributes:
         failing: the number of neighbours that fail the same way.
@@ -77,7 +77,7 @@ class Breadth:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Limits:
-    """What a world allows.
+    """The limits of a world.
 
     Attributes:
         fits: returns whether a scenario fits the world.
