@@ -8,9 +8,7 @@ from __future__ import annotations
 
 import functools
 import linecache
-import site
 import sys
-import sysconfig
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -18,12 +16,11 @@ from types import CodeType, FrameType
 from typing import Any
 
 from pytest_pafot.findings.lines import Line
+from pytest_pafot.support.source_files import is_users
 
 HELD = "a debugger or a measurement of coverage holds Python's tracer"
 """Why lines cannot be recorded."""
 
-_PACKAGE = str(Path(__file__).resolve().parents[1])
-_INSTALLED = tuple({*map(sysconfig.get_path, ("stdlib", "purelib", "platlib")), *site.getsitepackages(), _PACKAGE})
 _NAME = "pytest-pafot"
 
 
@@ -35,7 +32,7 @@ class LineTrace:
     """
 
     def __init__(self, root: Path) -> None:
-        self._root = str(root)
+        self._root = root.resolve()
         self._is_own: dict[CodeType, bool] = {}
         self._lines: set[Line] = set()
         self._decisions = range(0)
@@ -79,9 +76,8 @@ class LineTrace:
     def _owns(self, code: CodeType) -> bool:
         known = self._is_own.get(code)
         if known is None:
-            file = str(Path(code.co_filename).resolve())
-            below = Path(file).is_relative_to(self._root)
-            known = self._is_own[code] = below and not any(Path(file).is_relative_to(each) for each in _INSTALLED)
+            file = Path(code.co_filename).resolve()
+            known = self._is_own[code] = file.is_relative_to(self._root) and is_users(file)
         return known
 
     def _traced(self, frame: FrameType, event: str, argument: object) -> Any:

@@ -16,10 +16,8 @@ from functools import partial
 from itertools import count
 from typing import TypeVar
 
-import numpy as np
-
 from pytest_pafot.campaign.events import FindTold
-from pytest_pafot.campaign.harness import Harness
+from pytest_pafot.campaign.harness import Harness, begins_alike
 from pytest_pafot.campaign.line_trace import LineTrace, text_of, why_not
 from pytest_pafot.campaign.search_loop import SearchLoop
 from pytest_pafot.campaign.state_file import Answer, Shown
@@ -213,8 +211,9 @@ class Simplification:
             self.tell(f"running neighbour {next(ran)} of {find_id}")
             self.neighbour_runs += 1
             run = self._showing(find_id, scenario)
-            if run is not None and kept.run is not None and _begins_as(run, kept.run):
+            if run is not None and kept.run is not None and begins_alike(kept.run, run):
                 return None
+            deeds.pop(scenario, None)  # larger steps may have made it, too; the last ones made are read
             deeds[scenario] = None if run is None else decisions_before_deed(run)
             return run is not None
 
@@ -480,12 +479,6 @@ def decisions_before_deed(run: Run) -> range:
     tick = round(run.event_time * trace.physics_hz) if tick is None else tick
     last = tick * trace.ads_hz // trace.physics_hz
     return range(max(0, last - round(CAUSE * trace.ads_hz)), last + 1)
-
-
-def _begins_as(run: Run, other: Run) -> bool:
-    """Return whether a run is, as long as both last, the same as another one."""
-    ticks = min(run.trace.ticks, other.trace.ticks) + 1
-    return np.array_equal(run.trace.states[:ticks], other.trace.states[:ticks], equal_nan=True)
 
 
 def driven(run: Run) -> Scenario:
