@@ -11,6 +11,7 @@ from pytest_pafot.campaign.verdict import Verdict
 from pytest_pafot.findings.finding import Finding
 from pytest_pafot.findings.lines import TellingLine
 from pytest_pafot.findings.neighbours import Breadth
+from pytest_pafot.findings.reactions import Reaction
 from pytest_pafot.findings.severity import Severity
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.oracle.run import Run
@@ -49,8 +50,8 @@ class Find:
     Attributes:
         id: name of its file without the suffix.
         node_id: node id of the item that replays it, in this session or, if it is new, from the next one on.
-        label: ``new``, or of a replay ``fixed``, ``still failing``, ``drifted`` or ``flaky``; in a comparison with a
-            reference also ``introduced``, ``common`` or ``fixed before``.
+        label: ``new``, or of a replay ``fixed``, ``still failing``, ``still failing, nearby``, ``drifted``, ``flaky``;
+            in a comparison with a reference also ``introduced``, ``common`` or ``fixed before``.
         headline: how the run failed; empty if it passes.
         path: path of its file; empty if a new finding has none.
         detail: why a new finding has no file, or what differs from the file of a replayed one; may be empty.
@@ -59,6 +60,8 @@ class Find:
         unshrunk: why a new finding is not yet fully shrunk; empty if it is.
         breadth: how many neighbours of a new finding fail in the same way; None if that was not examined.
         lines: the lines of the policy that tell the neighbours that fail from those that pass, the most telling first.
+        reactions: for each NPC of a new finding, the decision of the ADS that first is another one with the NPC hidden.
+        rests_on: number of neighbours of a replayed scenario that pass.
         severity: severity of the failure; None if it passes, nothing measures it, or there is no run.
         severity_before: severity with the reference of a replay; None if there is none.
         responsible: who is responsible for the collision, as in its file.
@@ -78,6 +81,8 @@ class Find:
     unshrunk: str = ""
     breadth: Breadth | None = None
     lines: tuple[TellingLine, ...] = ()
+    reactions: tuple[Reaction, ...] = ()
+    rests_on: int = 0
     severity: Severity | None = None
     severity_before: Severity | None = None
     responsible: str = "none"

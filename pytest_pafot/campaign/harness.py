@@ -23,6 +23,7 @@ from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.execution.revision_policy import RevisionError, RevisionPolicy, rolled
 from pytest_pafot.execution.runner import Runner, replay_in_gym_apart, runner_for
 from pytest_pafot.execution.scenario_pool import Digest, ExecutionError, Job
+from pytest_pafot.findings.neighbours import Limits
 from pytest_pafot.findings.signature import PROCESS_CRASH, Failure
 from pytest_pafot.model.scenario import Scenario, ScenarioError
 from pytest_pafot.model.trace import Outcome, Trace
@@ -456,6 +457,18 @@ def source_file(function: Callable[..., Any], default: str = "") -> str:
     """Return the source file of a function, not of decorators around it; ``default`` if it is unknown."""
     code = getattr(inspect.unwrap(function), "__code__", None)
     return default if code is None else str(code.co_filename)
+
+
+def limits_of(world: Any) -> Limits:
+    """Return the limits of a world, which neighbours of a scenario must fit."""
+
+    def fits(scenario: Scenario) -> bool:
+        with suppress(ScenarioError):
+            protocol.check_fits(world, scenario)
+            return True
+        return False
+
+    return Limits(fits=fits, top_speed=float(world.speed_limit), longest_run=float(world.longest_run))
 
 
 def is_same_run(a: Run, b: Run) -> bool:

@@ -204,7 +204,16 @@ class Settings:
         "none of them fails in the same way, as many with smaller steps are run, up to three times. Neighbours are run "
         "after all findings are shrunk, of each finding all or none. If some fail and others pass, the report names up "
         "to three lines of a planner in Python [that tell them apart](../explanation/findings.md#how-broad-it-is).",
-        default=0,
+        default=40,
+        most=MOST_NEIGHBOURS,
+    )
+    replay_neighbours: int = option(
+        "integer",
+        "Number of neighbours of each saved scenario that passes to run, to see whether a fix holds; 0 for none.",
+        "They end at the first that fails as the file says: the replay is then "
+        "[still failing, nearby](../explanation/findings.md#what-a-fix-rests-on). If the ego drives faster or slower "
+        "than the one in the file, the first neighbours are the scenario re-timed for it.",
+        default=10,
         most=MOST_NEIGHBOURS,
     )
     max_saved: int = option(

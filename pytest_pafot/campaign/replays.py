@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager, nullcontext, suppress
+from contextlib import ExitStack, contextmanager, nullcontext, suppress
 from dataclasses import dataclass, replace
 from datetime import date
 from functools import partial
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from pytest_pafot.campaign.harness import Harness, begins_alike, is_same_run, refusals
+from pytest_pafot.campaign.harness import Harness, begins_alike, is_same_run, limits_of, refusals
 from pytest_pafot.campaign.request import AgainstError, build_space
 from pytest_pafot.campaign.setup_fault import FirstGeneration, SetupFaultError
 from pytest_pafot.campaign.verdict import Verdict, headline
@@ -25,22 +27,26 @@ from pytest_pafot.execution.scenario_pool import Job, LostRun, expectation
 from pytest_pafot.findings.finding import (
     DRIVEN_ON,
     HAS_EVENT,
+    NEARBY,
+    Expect,
     Finding,
     ending,
     has_time,
     is_same_failure,
     of_failure,
+    pace,
     replay_label,
     unhandled,
 )
+from pytest_pafot.findings.neighbours import around
 from pytest_pafot.findings.signature import SLOW_DECISION, Failure, Signature
 from pytest_pafot.model.driving_style import Traffic
 from pytest_pafot.model.scenario import Scenario, ScenarioError
 from pytest_pafot.model.sight import Sight
-from pytest_pafot.model.trace import Outcome
+from pytest_pafot.model.trace import Outcome, Trace
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.searching.space import sample
-from pytest_pafot.support.errors import RequestError
+from pytest_pafot.support.errors import OutOfTime, RequestError
 from pytest_pafot.support.text import one_line
 from pytest_pafot.world import WorldError, codec, protocol
 from pytest_pafot.world.driving.ads import weights_digest
@@ -63,6 +69,21 @@ BESIDE = {True: "introduced", False: "common", None: ""}
 
 
 @dataclass(frozen=True, slots=True)
+class Around:
+    """The neighbours of a saved scenario that passes.
+
+    Attributes:
+        passing: the number of them that pass.
+        failing: the finding that one of them shows, with the id of the file, if that one fails as the file says.
+        seconds: the time that they took [s].
+    """
+
+    passing: int = 0
+    failing: Finding | None = None
+    seconds: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
 class Replayed:
     """The result of a replay.
 
@@ -70,9 +91,10 @@ class Replayed:
         label: the label of the replay.
         run: the run that shows the failure; the first run if all of them pass.
         verdict: the verdict on that run.
-        note: a text on the time after the file's end; empty if nothing is to be said.
+        note: a text on the time after the file's end, or on neighbours; empty if nothing is to be said.
         is_lost: True if a process died or hung in that time. Then the crash record must stay, or the next session would
             drive on in its own process, and die.
+        around: the neighbours of the scenario.
     """
 
     label: str
@@ -80,6 +102,7 @@ class Replayed:
     verdict: Verdict
     note: str = ""
     is_lost: bool = False
+    around: Around = Around()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -91,6 +114,7 @@ class Replays:
     # ``ProcessLostError`` if that session died
     in_own_session: Callable[[Path, Job, Scenario], None]
     today: date | None = None  # the day for which failures are accepted; None if nothing is accepted
+    clock: Callable[[], float] = time.perf_counter  # [s]
 
     def shown_by(self, saved: Iterable[Saved]) -> dict[Signature, str]:
         """Replay saved scenarios; return the *known* failures, each with the id of the first file that shows it.
@@ -135,6 +159,7 @@ class Replays:
             now = first
             if not first.verdict.failed and not first.verdict.discarded and protocol.lasting(world) is not None:
                 now = self._repeated(saved, world, owner, first)
+            now = self._with_neighbours(saved, world, owner, now)
         except ProcessLostError as error:
             return expectation(error).signature, False
         if not now.verdict.failed or now.verdict.failure is None:
@@ -377,6 +402,9 @@ class Replays:
         then fails as the file says, and once more in a third run, it is ``still failing``. Any other failure in that
         time is only a text.
 
+        Then neighbours of a scenario that passes are run. If one of them fails as the file says, the replay is
+        ``still failing, nearby``, and has the neighbour's run.
+
         With a reference, a failure is ``introduced`` if the reference passes, otherwise ``common``. A pass is ``fixed``
         if the reference fails and the situation occurred; otherwise a label ``fixed`` becomes ``fixed before``. The
         reference is driven on as well.
@@ -418,7 +446,70 @@ class Replays:
                 now = replace(now, label="fixed before")
             elif reference is not None and not reference.passes and not unhandled(finding, now.run):
                 now = replace(now, label="fixed")
+            now = self._with_neighbours(saved, world, owner, now)
         return replace(now, is_lost=now.is_lost or is_lost)
+
+    def _with_neighbours(self, saved: Saved, world: Any, owner: str, now: Replayed) -> Replayed:
+        """Run neighbours of a scenario that passes; if one of them fails as the file says, the replay is that run.
+
+        The death of a process in a neighbour is no failure of the file, nor is an error of a user's world, which may
+        not expect scenarios other than those of a search. A note tells of both.
+        """
+        __tracebackhide__ = True
+        finding, began = _finding(saved), self.clock()
+        is_firm = finding.flaky is None and not finding.expect.is_crash and finding.signature.failure != SLOW_DECISION
+        if now.label == FLAKY or not now.verdict.passes or not is_firm:
+            return now
+        note, is_lost, passing, failing = "", now.is_lost, 0, None
+        try:
+            for run, verdict in self._neighbours(saved, world, owner, now.run.trace):
+                passing += verdict.passes
+                failing = (run, verdict) if verdict.failed else None
+        except ProcessLostError as error:
+            note, is_lost = f"in a neighbour, the process {error.how}", True
+        except OutOfTime:
+            raise
+        except Exception as error:  # noqa: BLE001  (see above)
+            note = f"not all neighbours were run: {type(error).__name__}: {one_line(str(error))}"
+        now = replace(now, note="; ".join(filter(None, [now.note, note])), is_lost=is_lost)
+        if failing is None or failing[1].failure is None:
+            return replace(now, around=Around(passing=passing, seconds=self.clock() - began))
+        run, verdict = failing
+        expect = Expect.of(run, failing[1].failure, against=finding.expect.against, root=str(self.harness.root))
+        found = replace(finding.found, versions=self.harness.versions)
+        shown = replace(finding, scenario=run.scenario, expect=expect, found=found, original=None, shrunk=None)
+        its = Around(passing=passing, failing=shown, seconds=self.clock() - began)
+        return replace(now, label=NEARBY, run=run, verdict=verdict, around=its)
+
+    def _neighbours(self, saved: Saved, world: Any, owner: str, trace: Trace) -> Iterator[tuple[Run, Verdict]]:
+        """Yield the runs of neighbours with their verdicts, up to one that fails as the file says, and does so again.
+
+        ``trace`` is the run of the scenario itself, for which neighbours are re-timed. Neighbours that fail in another
+        way are left out. With a reference, only a failure that the reference passes counts.
+        """
+        __tracebackhide__ = True
+        finding, harness = _finding(saved), self.harness
+        job, isolate = harness.job(world, owner), self._is_apart(saved, owner)
+        drawn = around(finding.scenario, pace(finding.expect, trace), limits_of(world))
+        with ExitStack() as stack:
+            record = stack.enter_context(harness.recording(job))
+            runner = stack.enter_context(runner_for(job, record, isolate=isolate))
+            reference = harness.reference_runner(job, record, isolate=isolate)
+            if reference is not None:
+                stack.enter_context(reference)
+            for scenario in islice(drawn, harness.request.settings.replay_neighbours):
+                run = harness.seen(runner.run(scenario, afresh=True), world)
+                verdict = harness.judge(run)
+                if verdict.passes:
+                    yield run, verdict
+                elif verdict.failure is None or not has_time(run, verdict.failure):
+                    continue
+                elif is_same_failure(finding, run, verdict.failure):
+                    again = harness.seen(runner.run(scenario, afresh=True), world)
+                    is_firm = is_same_run(run, again) and harness.judge(again).failed
+                    if is_firm and (reference is None or harness.judge_reference(reference, scenario, world).passes):
+                        yield run, verdict
+                        return
 
     def world_changes(self, finding: Finding) -> list[str]:
         """Return how the file's world differs from the test's world, or how the file's world cuts the run."""

@@ -86,6 +86,7 @@ class SearchArguments(TypedDict, total=False):
     stop_after: int
     shrink_rollouts: int
     neighbours: int
+    replay_neighbours: int
     max_saved: int
     corpus: str
     save: str

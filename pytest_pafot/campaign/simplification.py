@@ -10,22 +10,23 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Callable, Mapping
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import count
 from typing import TypeVar
 
 from pytest_pafot.campaign.events import FindTold
-from pytest_pafot.campaign.harness import Harness, begins_alike
+from pytest_pafot.campaign.harness import Harness, begins_alike, limits_of, refusals
 from pytest_pafot.campaign.line_trace import LineTrace, text_of, why_not
 from pytest_pafot.campaign.search_loop import SearchLoop
 from pytest_pafot.campaign.state_file import Answer, Shown
 from pytest_pafot.campaign.verdict import Verdict, headline
 from pytest_pafot.execution.pool import ProcessLostError
+from pytest_pafot.execution.runner import runner_for
 from pytest_pafot.findings.finding import Expect, Perceived, ending, of_failure
 from pytest_pafot.findings.lines import MOST_LINES, Line, TellingLine, ranked
-from pytest_pafot.findings.neighbours import Breadth, Limits, breadth_of
+from pytest_pafot.findings.neighbours import Breadth, breadth_of
+from pytest_pafot.findings.reactions import Reaction
 from pytest_pafot.findings.shrink import OutOfBudget, Shrunk, Start, shrink
 from pytest_pafot.model.scenario import Scenario, ScenarioError
 from pytest_pafot.model.sight import Sight
@@ -33,9 +34,9 @@ from pytest_pafot.model.trace import LANE, SPEED
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.support.errors import DriverError, OutOfTime
 from pytest_pafot.support.text import one_line
-from pytest_pafot.world import protocol
+from pytest_pafot.world import codec, protocol
 from pytest_pafot.world.driving.ads import is_vehicle_class
-from pytest_pafot.world.driving.perception import Perception
+from pytest_pafot.world.driving.perception import Perception, without
 from pytest_pafot.world.guard.hang_guard import runs_end_in
 from pytest_pafot.world.guard.own_worlds import rollout_of
 
@@ -187,6 +188,10 @@ class Simplification:
                 breadth = self._breadth(kept, deeds)
                 find = replace(find, breadth=breadth)
                 self.loop.recorder.tell(replace(kept, find=find, is_new=False))
+                if found is not None:
+                    told = "reactions"
+                    find = replace(find, reactions=self._reactions(find.id, found))
+                    self.loop.recorder.tell(replace(kept, find=find, is_new=False))
                 if breadth is not None and found is not None and 0 < breadth.failing < breadth.of:
                     told = "lines"
                     steps = dict(list(deeds.items())[-breadth.of :])  # those with the steps with which some fail
@@ -199,13 +204,7 @@ class Simplification:
 
     def _breadth(self, kept: FindTold, deeds: dict[Scenario, range | None]) -> Breadth | None:
         """Run the neighbours of a finding; see :meth:`_examine` for ``deeds``, which this function fills."""
-        world, find_id, ran = self.loop.simulation.harness.world, kept.find.id, count(1)
-
-        def fits(scenario: Scenario) -> bool:
-            with suppress(ScenarioError):
-                protocol.check_fits(world, scenario)
-                return True
-            return False
+        find_id, ran = kept.find.id, count(1)
 
         def fails(scenario: Scenario) -> bool | None:
             self.tell(f"running neighbour {next(ran)} of {find_id}")
@@ -217,8 +216,29 @@ class Simplification:
             deeds[scenario] = None if run is None else decisions_before_deed(run)
             return run is not None
 
-        limits = Limits(fits=fits, top_speed=float(world.speed_limit), longest_run=float(world.longest_run))
+        limits = limits_of(self.loop.simulation.harness.world)
         return breadth_of(kept.finding.scenario, self.neighbours, fails=fails, limits=limits)
+
+    def _reactions(self, find_id: str, found: Run) -> tuple[Reaction, ...]:
+        """Run a finding again with each NPC hidden from the ADS, and return how its decisions differ.
+
+        Nothing can be hidden from a vehicle class, which reads the road itself, or in a world that is not built in.
+        """
+        harness, trace = self.loop.simulation.harness, found.trace
+        if is_vehicle_class(harness.ads) or not codec.is_built_in(harness.world):
+            return ()
+        told = []
+        for npc in range(len(found.scenario.npcs)):
+            self.tell(f"hiding NPC {npc} of {find_id}")
+            self.neighbour_runs += 1
+            job = replace(harness.job(), ads=without(harness.ads, npc))
+            record, isolate = self.loop.simulation.record, harness.request.settings.isolate
+            with refusals(), runner_for(job, record, isolate=isolate) as runner:
+                hidden = runner.run(found.scenario, afresh=True)
+            record.clear()
+            hz, until = trace.ads_hz, found.event_time
+            told.append(Reaction.of(npc, trace.actions, hidden.actions, hz=hz, until=until))
+        return tuple(told) if trace.actions else ()
 
     def _telling_lines(
         self, find_id: str, deeds: Mapping[Scenario, range | None], otherwise: range

@@ -1,7 +1,8 @@
 """``python -m pytest_pafot corpus``: list the saved scenarios in folders, for people or programs.
 
 It changes files only with ``join --write``, which leaves one file of each kind of failure in a folder, with
-``prune --write``, which removes the files of tests that are gone, and with ``accept``, which writes one line of each.
+``prune --write``, which removes the files of tests that are gone, with ``nearby --write``, which puts a neighbour that
+fails in place of a scenario that passes, and with ``accept``, which writes one line of each.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from pytest_pafot.corpus.saved import Saved, named_file, of_one_kind, read_saved
 from pytest_pafot.corpus.writer import text_of
 from pytest_pafot.findings.finding import Finding
 from pytest_pafot.findings.shrink import size_of, sort_key
-from pytest_pafot.support.errors import CorpusError
+from pytest_pafot.support.errors import CorpusError, flag
 from pytest_pafot.support.files import way_out, write_whole
 from pytest_pafot.support.text import ascii_text, day_of, plural, quiet_json, visible
 
@@ -52,6 +53,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     pruning.add_argument("--write", action="store_true", help="remove the files; without it, only list them")
     pruning.add_argument("arguments", nargs="*", metavar="ARG", help="an argument of pytest; options come after --")
     pruning.set_defaults(folders=[Path()])
+    about = "replay saved scenarios, and list neighbours that fail although a saved scenario passes"
+    nearing = kinds.add_parser("nearby", help=about, description=about.capitalize())
+    nearing.add_argument("--write", action="store_true", help="put each of them in place of its saved scenario")
+    nearing.add_argument("arguments", nargs="*", metavar="ARG", help="an argument of pytest; options come after --")
+    nearing.set_defaults(folders=[Path()])
     about = "accept the failures of saved scenarios, so that they are expected to fail, for good or up to a day"
     accepting = kinds.add_parser("accept", help=about, description=about.capitalize())
     accepting.add_argument("ids", nargs="+", metavar="ID", help="saved scenarios: their files, or their ids")
@@ -63,12 +69,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
-    """List the saved scenarios in folders, join them, remove orphans, or accept a failure; return the exit code.
+    """List the saved scenarios in folders, or change them as the module says; return the exit code.
 
     The exit code is 1 if a file cannot be read or written, or if files cannot be joined.
     """
-    if arguments.what == "prune":
-        return subprocess.run(session_to_prune(arguments), check=False).returncode  # noqa: S603
+    if arguments.what in ("prune", "nearby"):
+        return subprocess.run(session_of(arguments), check=False).returncode  # noqa: S603
     for folder in arguments.folders:
         if not folder.is_dir():
             sys.stderr.write(f"corpus: expected a folder, received {visible(str(folder))}; give a folder that exists\n")
@@ -93,11 +99,14 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
     return int(any("error" in row for row in rows))
 
 
-def session_to_prune(arguments: argparse.Namespace) -> list[str]:
-    """Return the session of pytest that lists or removes files without a test, which only a collection can tell."""
-    how = ["--remove-orphans"] if arguments.write else []
-    plugin = ["-p", "pafot", "-p", "pytest_pafot.plugin.pruning"]
-    return [sys.executable, "-m", "pytest", *plugin, "--collect-only", "-qq", *how, *arguments.arguments]
+def session_of(arguments: argparse.Namespace) -> list[str]:
+    """Return the session of pytest for what needs the tests: to collect them, or to replay their saved scenarios."""
+    if arguments.what == "prune":
+        plugin, how, write = "pruning", ["--collect-only", "-qq"], "--remove-orphans"
+    else:
+        plugin, how, write = "nearing", [flag("generations", 0), "-q", "--tb=no", "-rN"], "--put-neighbours"
+    plugins = ["-p", "pafot", "-p", f"pytest_pafot.plugin.{plugin}"]
+    return [sys.executable, "-m", "pytest", *plugins, *how, *([write] if arguments.write else []), *arguments.arguments]
 
 
 def _join(folder: Path, *, write: bool) -> tuple[list[str], bool]:

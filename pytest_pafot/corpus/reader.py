@@ -74,7 +74,19 @@ REQUIRED: Mapping[type, tuple[str, ...]] = MappingProxyType(
 required, too, and any other field may be left out."""
 
 SIGNED = frozenset(
-    {"slot", "value", "at_most", "at_least", "ahead", "lane", "npc_enters", "ego_enters", "ego_speed", "npc_speed"}
+    {
+        "slot",
+        "value",
+        "at_most",
+        "at_least",
+        "ahead",
+        "lane",
+        "npc_enters",
+        "ego_enters",
+        "ego_speed",
+        "npc_speed",
+        "ego_mean_speed",
+    }
 )
 """The fields of dataclasses whose numbers may be negative."""
 

@@ -129,11 +129,11 @@ def text_of(finding: Finding) -> str:
         f"{f'pafot: {VERSION}':30}# format version",
         f"test: {test}",
         *_filled("world: ", finding.world),
-        *_scenario_lines("scenario", finding.scenario),
+        *scenario_lines("scenario", finding.scenario),
         *_expect_lines(finding.expect),
         *_filled("found: ", found),
         *([] if finding.perception is None else _filled("perception: ", perceived)),
-        *([] if finding.original is None else _scenario_lines("original", finding.original)),
+        *([] if finding.original is None else scenario_lines("original", finding.original)),
         *([] if finding.shrunk is None else _filled("shrunk: ", asdict(finding.shrunk))),
         *([] if finding.flaky is None else [f"flaky: {_quoted(finding.flaky)}"]),
         xfail,
@@ -141,7 +141,8 @@ def text_of(finding: Finding) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _scenario_lines(key: str, scenario: Scenario) -> Iterator[str]:
+def scenario_lines(key: str, scenario: Scenario) -> Iterator[str]:
+    """Yield the lines of a scenario in a file."""
     yield f"{key}:"
     yield f"  seed: {scenario.seed}"
     yield f"  ego: {{lane: {scenario.ego_lane}, speed: {_number(scenario.ego_speed)}}}"

@@ -33,7 +33,7 @@ from pytest_pafot.findings.situation import BEFORE, Situation, ZoneSituation, mi
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.sight import Sight
-from pytest_pafot.model.trace import Outcome, Side, Trace, Y
+from pytest_pafot.model.trace import SPEED, Outcome, Side, Trace, Y
 from pytest_pafot.oracle.checks import Check, CheckFailed
 from pytest_pafot.oracle.run import ReferenceOutcome, Run, preventing
 from pytest_pafot.support.errors import plain_number
@@ -75,6 +75,9 @@ MAX_KEY = 64
 MAX_DEPTH = 16
 MAX_NUMBER = 1e9
 
+SLOWEST, FASTEST = 0.4, 2.5
+"""The limits of :func:`pace`."""
+
 _TOOK = re.compile(r"took [\d.]+ s")
 _ID = re.compile(r"[A-Za-z0-9_][A-Za-z0-9._-]{0,119}")
 
@@ -110,6 +113,8 @@ class Expect:
         side: side of the ego that was hit.
         situation: situation from which the failure arose; a replay that passes shows a fix only if this situation comes
             up. None if no NPC was involved, and in files from older versions.
+        ego_mean_speed: mean speed of the ego until the event [m/s]; None in files that do not store it. Neighbours of
+            the scenario are re-timed to an ego that drives faster or slower.
         responsibility: who is responsible for the collision.
         fault: rule by which the ego is responsible.
         mistake: for the fault ``entered-lane``, what the ego did wrong, by the place of the other vehicle.
@@ -135,6 +140,7 @@ class Expect:
     cell: Cell | None = None
     zone: str | None = None
     side: Side | None = None
+    ego_mean_speed: float | None = None
     responsibility: Responsibility = "none"
     fault: Fault | None = None
     mistake: Mistake | None = None
@@ -236,6 +242,7 @@ class Expect:
             cell=event.cell,
             zone=event.zone,
             side=None if hit is None else hit.side,
+            ego_mean_speed=mean_speed(trace, event.time),
             situation=situation_of(run, failure, event.time),
             responsibility=run.attribution.responsibility,
             fault=run.attribution.fault,
@@ -413,6 +420,21 @@ def event_of(run: Run, failure: Failure | None) -> FailureEvent:
     return FailureEvent(time=time, npc=None if cell is None else npc, cell=cell)
 
 
+def mean_speed(trace: Trace, seconds: float) -> float | None:
+    """Return the mean speed of the ego in the first seconds of a run [m/s]; None if it is not finite."""
+    mean = float(trace.ego[: max(1, round(seconds * trace.physics_hz)), SPEED].mean())
+    return round(mean, 2) if abs(mean) <= MAX_NUMBER else None
+
+
+def pace(expect: Expect, trace: Trace) -> float:
+    """Return how many times as fast as the ego of a file the ego of a run drives, until the time of the file's event.
+
+    It is 1 if the file does not store its ego's speed, or if that ego hardly moved.
+    """
+    then, now = expect.ego_mean_speed, mean_speed(trace, expect.time)
+    return 1.0 if then is None or now is None or then < 1.0 else min(max(now / then, SLOWEST), FASTEST)
+
+
 def _told(value: float | None, digits: int) -> float | None:
     """Round a number for a file: to ``digits`` decimals, or below 1 to ``digits`` significant digits."""
     if value is None or not abs(value) <= MAX_NUMBER:
@@ -518,6 +540,9 @@ def _statements(tb: TracebackType | None) -> Iterator[tuple[str, str]]:
 # The meaning of a replay: whether a saved finding is fixed, still fails or has drifted.
 
 Label = Literal["fixed", "still failing", "drifted"]
+
+NEARBY = "still failing, nearby"
+"""The label of a replay that passes while a neighbour of its scenario fails as the file says."""
 
 SAME_PLACE = 0.5
 """Largest distance [m] between the positions of a vehicle in two runs without contact that count as the same run."""

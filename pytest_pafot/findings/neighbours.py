@@ -10,7 +10,8 @@ import math
 import random
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import islice
+from itertools import chain as in_turn
+from itertools import islice, zip_longest
 from types import MappingProxyType
 
 from pytest_pafot.model.scenario import (
@@ -39,6 +40,8 @@ LEAST_SPEED = 0.1
 """The lowest speed of an NPC that crosses [m/s]."""
 STAYING = ("seed", "ego_lane", "ego_speed", "gene_seconds", "traffic")
 """The fields of a scenario beside its chains. They stay, unless a neighbour differs in one of them."""
+LEAST_CHANGE = 0.02
+"""The share by which an ego must be faster or slower than another one, so that scenarios are re-timed for it."""
 MISSES = 200
 """The number of draws in a row without a new neighbour after which there are hardly any more."""
 
@@ -137,6 +140,29 @@ def neighbours(scenario: Scenario, share: float, limits: Limits) -> Iterator[Sce
                 yield longer
 
 
+def around(scenario: Scenario, pace: float, limits: Limits) -> Iterator[Scenario]:
+    """Yield neighbours of a scenario for an ego that drives ``pace`` times as fast as the one that the scenario failed.
+
+    They are the scenario re-timed for this ego, in three ways: all speeds are scaled; the duration of the genes is; or
+    both. Then they are neighbours of these scenarios and of the scenario itself, in turn.
+    """
+    found, bases = {scenario}, [scenario]
+    if abs(pace - 1) >= LEAST_CHANGE:
+        scaled, seconds = _scaling(scenario, limits).faster(pace), scenario.gene_seconds / pace
+        stretched = [_scaling(each, limits).lasting(seconds) for each in (scenario, scaled)]
+        bases = [scaled, *stretched, scenario]
+    re_timed = [_longer(each, limits.longest_run) for each in bases[:-1]]
+    drawn = in_turn.from_iterable(zip_longest(*(neighbours(each, 1.0, limits) for each in bases)))
+    for each in in_turn(filter(limits.fits, re_timed), drawn):
+        if each is not None and each not in found:
+            found.add(each)
+            yield each
+
+
+def _scaling(scenario: Scenario, limits: Limits) -> _Neighbour:
+    return _Neighbour(scenario, 1.0, limits.top_speed, lambda: 0.0)
+
+
 def _longer(scenario: Scenario, longest_run: float) -> Scenario:
     """Return a scenario whose longest chains last one gene longer, unless the scenario would be too long then."""
     timed = [len(chain) for chain in scenario.npcs if not isinstance(chain[0], CrossingInstruction)]
@@ -161,9 +187,7 @@ class _Neighbour:
         if kind == 0:
             return self._with([tuple(map(self._moved, chain)) for chain in scenario.npcs])
         if kind == 1:
-            factor = 1 + self._step(ALL_SPEEDS)
-            chains = [tuple(self._at(gene, factor * gene.speed) for gene in chain) for chain in scenario.npcs]
-            return self._with(chains, ego_speed=self._speed(factor * scenario.ego_speed, 0.0))
+            return self.faster(1 + self._step(ALL_SPEEDS))
         if kind == 2:
             npc = int(len(scenario.npcs) * self.draw())
             chain = scenario.npcs[npc]
@@ -176,6 +200,16 @@ class _Neighbour:
             seconds = scenario.gene_seconds
         ego_speed = self._speed(scenario.ego_speed + self._step(SPEED), 0.0)
         return self._with(scenario.npcs, ego_speed=ego_speed, gene_seconds=seconds)
+
+    def faster(self, factor: float) -> Scenario:
+        """Return the scenario with all speeds multiplied by a factor."""
+        chains = [tuple(self._at(gene, factor * gene.speed) for gene in chain) for chain in self.scenario.npcs]
+        return self._with(chains, ego_speed=self._speed(factor * self.scenario.ego_speed, 0.0))
+
+    def lasting(self, seconds: float) -> Scenario:
+        """Return the scenario with genes of about this duration [s], which fits the ticks of a world."""
+        seconds = round(WHOLE_TICKS * round(min(max(seconds, WHOLE_TICKS), LONGEST_GENE) / WHOLE_TICKS), 1)
+        return self._with(self.scenario.npcs, gene_seconds=seconds) if self.has_duration else self.scenario
 
     @property
     def has_duration(self) -> bool:

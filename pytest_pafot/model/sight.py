@@ -75,7 +75,7 @@ class Sight:
     @property
     def imperfections(self) -> tuple[str, ...]:
         """The names of the attributes that limit or disturb the sight, in the order of the attributes."""
-        return tuple(each.name for each in fields(self) if getattr(self, each.name) != getattr(_PERFECT, each.name))
+        return tuple(each.name for each in fields(Sight) if getattr(self, each.name) != getattr(_PERFECT, each.name))
 
     @property
     def is_drawn(self) -> bool:
@@ -134,6 +134,21 @@ class Sight:
             errors = random.standard_normal((others, 3)) * deviations
         for index in np.flatnonzero(seen).tolist():
             yield Glimpse(index, *errors[index].tolist())
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SightWithout(Sight):
+    """A sight in which, in addition, one NPC is never seen.
+
+    Attributes:
+        npc: the NPC's index in the scenario.
+    """
+
+    npc: int
+
+    def glimpses(self, states: FloatArray, seed: int, tick: int) -> Iterator[Glimpse]:
+        """Yield the glimpses of :meth:`Sight.glimpses` without those of the hidden NPC."""
+        return (each for each in Sight.glimpses(self, states, seed, tick) if each.other != self.npc)
 
 
 def hidden(states: FloatArray) -> BoolArray:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from datetime import date
 from functools import partial
 from typing import NoReturn
@@ -10,16 +10,17 @@ from typing import NoReturn
 import pytest
 
 from pytest_pafot.campaign.events import Find
-from pytest_pafot.campaign.replays import BESIDE, FLAKY, Replays, happened, was_lost
+from pytest_pafot.campaign.replays import BESIDE, FLAKY, Around, Replayed, Replays, happened, was_lost
 from pytest_pafot.campaign.request import Request
 from pytest_pafot.campaign.search_loop import cause
 from pytest_pafot.campaign.setup_fault import Cause, SetupFaultError, cause_of
 from pytest_pafot.campaign.verdict import Verdict, headline
 from pytest_pafot.corpus.layout import relative
 from pytest_pafot.corpus.saved import Saved
+from pytest_pafot.corpus.writer import scenario_lines
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.execution.scenario_pool import LostRun
-from pytest_pafot.findings.finding import Finding, of_failure, unhandled
+from pytest_pafot.findings.finding import NEARBY, Finding, of_failure, unhandled
 from pytest_pafot.findings.severity import worsening
 from pytest_pafot.oracle.checks import CheckFailed
 from pytest_pafot.oracle.run import Run
@@ -30,8 +31,11 @@ from pytest_pafot.plugin.messages import OF_ONE_RUN, set_properties, severity_te
 from pytest_pafot.plugin.own_session import replay_in_own_session
 from pytest_pafot.plugin.search_item import harness_of, shown
 from pytest_pafot.plugin.session import SHARED
-from pytest_pafot.support.errors import flag
-from pytest_pafot.support.text import ascii_text, fitted_lines, visible
+from pytest_pafot.support.errors import command, flag
+from pytest_pafot.support.text import ascii_text, fitted_lines, plural, visible
+
+NEARBY_SHOWN = pytest.StashKey[Finding]()
+"""The finding that a neighbour of a saved scenario shows, for the command that puts it into the file."""
 
 SET_UP_FAULTS = pytest.StashKey[dict[tuple[str, Cause], str]]()
 """The node id of the item that has explained an error of the set-up, by test and cause."""
@@ -58,10 +62,12 @@ def run_replay(item: pytest.Function, request: Request, saved: Saved) -> None:
         leftover.discard()  # The item reports its result now.
     if lost is not None:
         _conclude_lost(item, replays, saved, finding, lost, beside)
-    label, run, verdict, note = now.label, now.run, now.verdict, now.note
-    _check_set_up(item, replays, saved, run, verdict)
+    label, run, verdict, note, nearby = now.label, now.run, now.verdict, now.note, now.around.failing
+    if nearby is None:
+        _check_set_up(item, replays, saved, run, verdict)
     worse = _worsening(verdict) if label == BESIDE[False] else ""
-    told = [note, _against(replays), f"worse: {worse}" if worse else "", *replays.setting_changes(finding)]
+    told = [note, _rests_on(label, now.around), _against(replays), f"worse: {worse}" if worse else ""]
+    told += replays.setting_changes(finding)
     detail = "; ".join(filter(None, told))
     item.stash[REPLAYED] = label, run, verdict, note
     if label in ("drifted", FLAKY):
@@ -69,11 +75,31 @@ def run_replay(item: pytest.Function, request: Request, saved: Saved) -> None:
         told = [missed, replays.changes(finding, happened(finding, run, verdict.failure)), note]
         detail = "; ".join(filter(None, told))
     line = headline(run, verdict) if verdict.failed else ""
-    _tell(item, replays, saved, label, headline=line, detail=detail, run=run, verdict=verdict, note=note)
+    _tell(item, replays, saved, label, now, headline=line, detail=detail)
     item.stash[OF_ONE_RUN].show(run)  # the last call may have been for the reference
+    if nearby is not None:
+        item.stash[NEARBY_SHOWN] = nearby
     if finding.xfail is not None and not verdict.failed:
         _tell_pass(item, finding, label, path, is_accepted=replays.accepts(finding))
-    _conclude(item, run, verdict, label, detail, is_strict=request.settings.strict_drift)
+    told = [] if nearby is None else _nearby_lines(nearby, path)
+    _conclude(item, run, verdict, label, detail, told, is_strict=request.settings.strict_drift)
+
+
+def _rests_on(label: str, around: Around) -> str:
+    """Say how many neighbours of a saved scenario pass as well, or that the scenario itself passes."""
+    if label == NEARBY:
+        return "the saved scenario passes, but a neighbour of it fails in the same way"
+    return f"rests on {plural(around.passing, 'neighbour')}" if label == "fixed" and around.passing else ""
+
+
+def _nearby_lines(nearby: Finding, path: str) -> list[str]:
+    """Return the scenario that fails near a saved one, as its file would have it, and how it gets there."""
+    ways = command("pytest_pafot", "corpus", "nearby", "--write", path)
+    return [
+        "the neighbour that fails:",
+        *scenario_lines("scenario", nearby.scenario),
+        f"put it into the file with: {ways}",
+    ]
 
 
 def _check_set_up(item: pytest.Function, replays: Replays, saved: Saved, run: Run, verdict: Verdict) -> None:
@@ -125,7 +151,7 @@ def _conclude_lost(
         told = [replays.changes(finding, f"the process {lost.how}")]
     detail = "; ".join(filter(None, [note, *told]))
     line = f"the process (pid {lost.pid}) that ran this scenario {lost.how}"
-    _tell(item, replays, saved, label, headline=line, detail=detail)
+    _tell(item, replays, saved, label, None, headline=line, detail=detail)
     _add_section(item, [f"replay: {label}{f', {detail}' if detail else ''}"])
     item.stash[OF_ONE_RUN].show(None)
     pytest.fail(f"{line}: {cause(lost, 'delete the file')}", pytrace=False)
@@ -146,17 +172,16 @@ def _tell(
     replays: Replays,
     saved: Saved,
     label: str,
+    now: Replayed | None,
     *,
     headline: str,
     detail: str,
-    run: Run | None = None,
-    verdict: Verdict | None = None,
-    note: str = "",
 ) -> None:
-    """Report a replay to the controller. Run and verdict are None if the process of the replay died or hung."""
+    """Report a replay to the controller; ``now`` is None if the process of the replay died or hung."""
     finding, path = saved.finding, relative(saved.path, replays.harness.root)
     if finding is None:
         raise ValueError(f"saved: expected a file that can be read, received {saved!r:.100}")
+    verdict, around = (None, Around()) if now is None else (now.verdict, now.around)
     today = date.fromisoformat(item.config.stash[SHARED].today)
     failure = None if verdict is None else verdict.failure
     reference = None if verdict is None else verdict.reference
@@ -172,6 +197,7 @@ def _tell(
         responsible=finding.expect.responsibility,
         against=replays.harness.against_name,
         is_accepted=finding.is_accepted(today),
+        rests_on=around.passing,
     )
     if headline:
         set_properties(item.user_properties, severity=severity_text(find.severity))
@@ -182,7 +208,16 @@ def _tell(
         )
         messages.send(item, "warning", {"text": over})
     check = None if failure is None else failure.check
-    tell_finding(item, replays.harness.request.settings, finding, find, run=run, check=check, note=note)
+    tell_finding(
+        item,
+        replays.harness.request.settings,
+        around.failing or finding,
+        find,
+        run=None if now is None else now.run,
+        check=check,
+        note="" if now is None else now.note,
+        seconds=around.seconds,
+    )
     item.user_properties.append(("pafot", label))
     set_properties(item.user_properties, detail=detail)
 
@@ -191,13 +226,24 @@ def _add_section(item: pytest.Item, lines: Iterable[str]) -> None:
     item.add_report_section("call", "pafot", "\n".join(fitted_lines(lines, item.config.stash[SHARED].width)))
 
 
-def _conclude(item: pytest.Function, run: Run, verdict: Verdict, label: str, detail: str, *, is_strict: bool) -> None:
+def _conclude(
+    item: pytest.Function,
+    run: Run,
+    verdict: Verdict,
+    label: str,
+    detail: str,
+    told: Sequence[str],
+    *,
+    is_strict: bool,
+) -> None:
+    """Raise what the result of an item is; ``told`` are more lines for its section if it fails."""
     __tracebackhide__ = True
     if verdict.failed and verdict.exception is not None:
         item.stash[SUMMARY] = ascii_text(headline(run, verdict))
         lines = [f"replay: {label}{f', {detail}' if detail else ''}"]
         if isinstance(verdict.exception, CheckFailed):  # any other exception has the test function's own message
             lines += explained(run, verdict.exception, item.config).splitlines()
+        lines += told
         _add_section(item, lines)
         raise shown(verdict.exception)
     if verdict.kind == "skipped" and verdict.exception is not None:

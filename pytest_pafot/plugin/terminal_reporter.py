@@ -101,6 +101,7 @@ class Reporter:
         self._running: dict[str, None] = {}
         self._searches: list[SearchSummary] = []
         self._replays: list[Find] = []
+        self._neighbour_seconds = 0.0
         self._lines = config.stash[SUMMARY_LINES]
         self._notes: dict[str, None] = {}
         self._warnings: dict[str, None] = {}
@@ -182,6 +183,7 @@ class Reporter:
         session = terminal.SessionSummary(
             searches=self._searches,
             replays=self._replays,
+            neighbour_seconds=self._neighbour_seconds,
             orphans=[
                 (self._relative(folder), [each.name for each in files], why) for folder, why, files in left if files
             ],
@@ -217,6 +219,7 @@ class Reporter:
                     self._take_find(report, find, data)
                 else:
                     self._replays.append(find)
+                    self._neighbour_seconds += data["seconds"]
             case "search":
                 self._running.pop(report.nodeid, None)
                 self._searches.append(from_plain(SearchSummary, data["summary"]))
@@ -226,6 +229,8 @@ class Reporter:
                 self._notes[data["text"]] = None
             case "incomparable":
                 self._incomparable[report.nodeid] = None
+            case "problem":
+                self._lines.problems.append(data["text"])
             case "warning":
                 self._warnings[data["text"]] = None
 

@@ -16,7 +16,7 @@ from types import MappingProxyType
 from typing import Any, Self
 
 from pytest_pafot.campaign.events import NEW, Find, SearchSummary
-from pytest_pafot.findings.finding import Finding, portable
+from pytest_pafot.findings.finding import NEARBY, Finding, portable
 from pytest_pafot.findings.lines import TellingLine
 from pytest_pafot.findings.neighbours import Breadth
 from pytest_pafot.findings.severity import Severity, worsening, worst_first
@@ -72,6 +72,10 @@ class FindingRecord:
             their steps as a share of the full ones, which `full` neighbours had. Null if that was not examined.
         lines: the lines of the policy that tell the neighbours that fail from those that pass: `file`, `number`,
             `function`, `text`, and in how many it ran: `failing` `of_failing`, `passing` `of_passing`.
+        reactions: for each NPC the decision that is first another one with the NPC hidden: `npc`; `time` [s], null if
+            there is none until the event; `before`, the time from then to the event [s]; `action`, and `hidden`, the
+            one with the NPC hidden.
+        rests_on: the number of neighbours of a replayed scenario that pass.
         severity: how bad the failure is now: `kind`, which is `collision` or `check`; `value`, the closing speed at the
             impact [m/s], or by how much the check is broken [`unit`], null if it measured no number; `delta_v` of a
             collision, for equal masses [m/s]; `margin` and `name` of a check. Null if it passes or has no measure.
@@ -109,6 +113,8 @@ class FindingRecord:
     unshrunk: str = ""
     breadth: Mapping[str, Any] | None = None
     lines: list[Mapping[str, Any]] = field(default_factory=list)
+    reactions: list[Mapping[str, Any]] = field(default_factory=list)
+    rests_on: int = 0
     severity: Mapping[str, Any] | None = None
     severity_before: Mapping[str, Any] | None = None
     xfail: Mapping[str, str | None] | None = None
@@ -152,6 +158,8 @@ class FindingRecord:
             unshrunk=find.unshrunk,
             breadth=None if find.breadth is None else asdict(find.breadth),
             lines=list(map(asdict, find.lines)),
+            reactions=list(map(asdict, find.reactions)),
+            rests_on=find.rests_on,
             severity=None if find.severity is None else find.severity.data(),
             severity_before=None if find.severity_before is None else find.severity_before.data(),
             xfail=None if finding.xfail is None else accepted,
@@ -250,6 +258,7 @@ _GROUPS: Mapping[str, str] = MappingProxyType(
         "introduced": "Introduced by the change",
         ERROR: "Could not be read or run",
         "still failing": "Known, still failing",
+        NEARBY: "Still failing nearby: the saved scenario passes, a neighbour of it does not",
         "drifted": "Drifted: the run differs from the file, so this is no fix",
         "flaky": "Flaky",
         "common": "Known, and also failing in the reference",

@@ -50,6 +50,7 @@ class SessionSummary:
 
     Attributes:
         searches, replays: in the order in which they ended.
+        neighbour_seconds: the time that neighbours of replayed scenarios took [s].
         orphans: folders of saved scenarios whose test is gone, with the names of its files and what was expected.
         way_out: what the user can do about all orphans.
         strays: saved scenarios that are in no test's folder, each with the test that it names.
@@ -62,6 +63,7 @@ class SessionSummary:
 
     searches: Sequence[SearchSummary] = ()
     replays: Sequence[Find] = ()
+    neighbour_seconds: float = 0.0
     orphans: Sequence[tuple[str, Sequence[str], str]] = ()
     way_out: str = ""
     strays: Sequence[tuple[str, str]] = ()
@@ -262,13 +264,19 @@ def _unsaved_lines(search: SearchSummary) -> list[str]:
     return [f"  {count} not saved ({flag('max_saved')}): {_listed(names)}"] if names else []
 
 
-def replay_lines(replays: Sequence[Find], width: int = WIDTH) -> list[str]:
-    """Return the lines on all replays: a count by label, then the replays that a reader should look at."""
+def replay_lines(replays: Sequence[Find], width: int = WIDTH, *, seconds: float = 0.0) -> list[str]:
+    """Return the lines on all replays: a count by label, then the replays that a reader should look at.
+
+    ``seconds`` is the time that neighbours of saved scenarios that pass took [s].
+    """
     if not replays:
         return []
     counts = sorted(Counter(replay.label for replay in replays).items())
     figures = ", ".join(f"{count} {label}" for label, count in counts)
+    several = sum(replay.rests_on for replay in replays)
     lines = wrapped_to(f"replayed {plural(len(replays), 'saved scenario')}: {figures}", width)
+    if several:
+        lines.append(f"  {plural(several, 'neighbour')} passed, in {seconds:.1f} s ({flag('replay_neighbours')})")
     shown = [replay for replay in replays if replay.label not in ("still failing", "common")]
     for replay in shown[:MAX_REPLAYS]:
         lines.append(f"  {replay.label}: {replay.node_id}")
@@ -336,7 +344,8 @@ def session_lines(session: SessionSummary, *, verbose: bool = False, width: int 
     lines = _lines_of_searches(session.searches, verbose=verbose, width=width)
     for node_id in session.interrupted:
         lines += [node_id, *_wrapped("ended early; its findings are reported", width)]
-    lines += [*replay_lines(session.replays, width), *against_lines(session, width), *worst_lines(session, width)]
+    lines += replay_lines(session.replays, width, seconds=session.neighbour_seconds)
+    lines += [*against_lines(session, width), *worst_lines(session, width)]
     for folder, names, expected in session.orphans:
         lines.append(f"orphaned: {plural(len(names), 'saved scenario')} without a test in {folder}")
         lines += _wrapped(f"{', '.join(names)}: {expected}", width)

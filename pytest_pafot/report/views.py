@@ -321,8 +321,9 @@ def finding_view(
 
 
 def with_neighbours(view: FindingView, find: Find) -> FindingView:
-    """Return a view with what the neighbours of the finding say: how many fail, and which lines tell them apart."""
-    explanation = "\n".join(filter(None, [view.explanation, *map(str, find.lines)]))
+    """Return a view with what the neighbours of the finding say, and with what the ADS answers to."""
+    told = [*map(str, find.lines), *map(str, find.reactions)]
+    explanation = "\n".join(filter(None, [view.explanation, *told]))
     return replace(view, breadth=find.breadth, explanation=explanation)
 
 

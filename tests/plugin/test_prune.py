@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from pytest_pafot.corpus.corpus_command import session_to_prune
+from pytest_pafot.corpus.corpus_command import session_of
 from tests.plugin.conftest import FAILING
 
 links = pytest.mark.skipif(os.name == "nt", reason="links need a privilege on Windows")
@@ -36,7 +36,7 @@ def gone(project):
 
 def prune(project, *args, write=True):
     """Run the session of the command in this process."""
-    command = session_to_prune(Namespace(write=write, arguments=[str(each) for each in args]))
+    command = session_of(Namespace(what="prune", write=write, arguments=[str(each) for each in args]))
     return project.run(*command[3:], generations=None)
 
 

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import functools
 import inspect
 from collections.abc import Mapping
 from dataclasses import KW_ONLY, dataclass, field, fields, replace
 from typing import Any
 
-from pytest_pafot.model.sight import Sight
+from pytest_pafot.model.sight import Sight, SightWithout
 from pytest_pafot.support.errors import AdsFactoryError
 from pytest_pafot.support.text import shown
 from pytest_pafot.world.driving.ads import AdsFactory, is_vehicle_class, make_ads
@@ -99,6 +100,26 @@ class Perception:
         if is_vehicle_class(ads):
             raise AdsFactoryError(f"ads: expected a callable in a Perception, received {shown(ads)}; {DRIVES_ITSELF}")
         return SeeingAds(ads, self.sight)
+
+
+def without(factory: AdsFactory, npc: int) -> AdsFactory:
+    """Return a factory of the same ADSs, from which one NPC of the scenario is hidden.
+
+    Raises:
+        AdsFactoryError: when it makes an ADS, if that is a vehicle class.
+    """
+    seen = sight_of(factory) or Sight()
+    sight = SightWithout(npc=npc, **{each.name: getattr(seen, each.name) for each in fields(Sight)})
+
+    def make(*observations: Any, **arguments: Any) -> Any:
+        ads, _ = ads_and_sight(factory(*observations, **arguments))
+        if is_vehicle_class(ads):
+            raise AdsFactoryError(f"ads: {DRIVES_ITSELF}")
+        return SeeingAds(ads, sight)
+
+    make = functools.wraps(factory, updated=())(make)
+    make.sight = sight  # type: ignore[attr-defined]  # a factory must say how its ADSs see
+    return make
 
 
 def sight_of(factory: Any) -> Sight | None:

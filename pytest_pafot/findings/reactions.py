@@ -1,0 +1,89 @@
+"""What an ADS answers to: its decisions in a failing run, and in the same run with one vehicle hidden from it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Self
+
+import numpy as np
+
+ACCELERATION, STEERING = 0.2, 0.02
+"""The smallest differences between two decisions that count, in acceleration [m/s^2] and steering angle [rad]."""
+SHARE = 0.05
+"""The smallest difference between two values of an action in an environment's own units."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Reaction:
+    """The first decision of an ADS that is another one if a vehicle is hidden from it.
+
+    Attributes:
+        npc: the NPC's index in the scenario.
+        time: time of the decision [s]; None if all decisions until the event are the same.
+        before: time from this decision to the event [s].
+        action: the action in the failing run.
+        hidden: the action at the same time with the vehicle hidden.
+    """
+
+    npc: int
+    time: float | None = None
+    before: float = 0.0
+    action: str = ""
+    hidden: str = ""
+
+    @classmethod
+    def of(cls, npc: int, actions: Sequence[Any], hidden: Sequence[Any], *, hz: int, until: float) -> Self:
+        """Compare the decisions of a failing run with those of the run in which an NPC is hidden.
+
+        Args:
+            npc: the NPC's index in the scenario.
+            actions: the actions of the failing run, one per decision.
+            hidden: the actions of the other run.
+            hz: decisions per second.
+            until: time of the event [s]; later decisions do not count.
+        """
+        for number, action in enumerate(actions[: math.floor(until * hz + 1e-9) + 1]):
+            other = hidden[number] if number < len(hidden) else None
+            if _differ(action, other):
+                time = round(number / hz, 3)
+                texts = {"action": _text(action, other), "hidden": _text(other, action)}
+                return cls(npc=npc, time=time, before=round(until - time, 3), **texts)
+        return cls(npc=npc)
+
+    def __str__(self) -> str:
+        if self.time is None:
+            return f"never reacts to NPC {self.npc}: with it hidden, all decisions are the same"
+        when = f"first at {self.time:.1f} s, {self.before:.1f} s before the event"
+        return f"reacts to NPC {self.npc}, {when}: {self.action}; with it hidden {self.hidden}"
+
+
+def _differ(action: Any, other: Any) -> bool:
+    """Return whether two actions differ by more than a vehicle far away changes in the output of a network."""
+    if other is None or type(action) is not type(other):
+        return True
+    if is_si(action) and is_si(other):
+        return bool(abs(action[0] - other[0]) >= ACCELERATION or abs(action[1] - other[1]) >= STEERING)
+    if isinstance(action, (float, np.ndarray, np.floating)):
+        is_like = np.shape(action) == np.shape(other)
+        return not is_like or bool(np.max(np.abs(np.subtract(action, other)), initial=0) >= SHARE)
+    return bool(action != other)
+
+
+def is_si(action: Any) -> bool:
+    """Return whether an action is a pair of acceleration [m/s^2] and steering angle [rad], as planners return it."""
+    return type(action) is tuple and len(action) == 2 and all(isinstance(each, float) for each in action)
+
+
+def _text(action: Any, other: Any) -> str:
+    """Describe an action; of a planner's, only the parts in which it differs from the other action."""
+    if action is None:
+        return "no decision"
+    if not is_si(action):
+        return f"{action.tolist() if isinstance(action, (np.ndarray, np.generic)) else action!r}"[:80]
+    parts = [f"acceleration {action[0]:.1f} m/s^2", f"steering {action[1]:.2f} rad"]
+    if is_si(other):
+        is_told = abs(action[0] - other[0]) >= ACCELERATION, abs(action[1] - other[1]) >= STEERING
+        parts = [part for part, told in zip(parts, is_told, strict=True) if told]
+    return ", ".join(parts)
