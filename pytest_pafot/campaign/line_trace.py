@@ -7,15 +7,18 @@ measurement of coverage may hold already. Nothing depends on them but what is to
 from __future__ import annotations
 
 import functools
+import importlib.util
 import linecache
+import shlex
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from types import CodeType, FrameType
 from typing import Any
 
 from pytest_pafot.findings.lines import Line
+from pytest_pafot.support.errors import RequestError
 from pytest_pafot.support.source_files import is_users
 
 HELD = "a debugger or a measurement of coverage holds Python's tracer"
@@ -24,17 +27,42 @@ HELD = "a debugger or a measurement of coverage holds Python's tracer"
 _NAME = "pytest-pafot"
 
 
+def places_of(names: str | None) -> list[Path]:
+    """Return the files and folders of installed packages or folders, which are named as words of a shell.
+
+    Raises:
+        RequestError: for a name that is neither.
+    """
+    try:
+        words = shlex.split(names or "")
+    except ValueError as error:
+        raise RequestError(f"lines: expected names with spaces between them, received {names!r}: {error}") from None
+    found = []
+    for name in words:
+        spec = importlib.util.find_spec(name) if name.isidentifier() else None
+        places = [] if spec is None else [*(spec.submodule_search_locations or ()), spec.origin or ""]
+        paths = [Path(place) for place in (places if spec is not None else [name])]
+        paths = [path for path in paths if path.exists()]
+        if not paths:
+            raise RequestError(f"lines: expected installed packages and folders, received {name!r}; correct the name")
+        found += [path.parent if path.name == "__init__.py" else path for path in paths]
+    return found
+
+
 class LineTrace:
-    """A recorder of the lines of files below a folder that run in some decisions of an ADS.
+    """A recorder of the lines of the user's files that run in some decisions of an ADS.
+
+    These are files outside of the folders of installed packages: of the project, and of packages that are installed in
+    editable form.
 
     Args:
-        root: the folder of the project. Installed packages in it are left out.
+        named: further files and folders, such as those of :func:`places_of`.
     """
 
-    def __init__(self, root: Path) -> None:
-        self._root = root.resolve()
+    def __init__(self, named: Sequence[Path] = ()) -> None:
+        self._named = [path.resolve() for path in named]
         self._is_own: dict[CodeType, bool] = {}
-        self._lines: set[Line] = set()
+        self._lines: dict[Line, set[int]] = {}
         self._decisions = range(0)
         self._number = 0
 
@@ -47,11 +75,14 @@ class LineTrace:
 
         return functools.wraps(factory, updated=())(make)
 
-    def lines_in(self, run: Callable[[], object], decisions: range) -> frozenset[Line]:
-        """Return the lines that ran in decisions of a run, which is made by ``run`` with an ADS that is watched."""
-        self._lines, self._decisions = set(), decisions
+    def lines_in(self, run: Callable[[], object], decisions: range) -> dict[Line, int]:
+        """Return the lines that ran in decisions of a run, each with the number of decisions in which it ran.
+
+        The run is made by ``run`` with an ADS that is watched.
+        """
+        self._lines, self._decisions = {}, decisions
         run()
-        return frozenset(self._lines)
+        return {line: len(numbers) for line, numbers in self._lines.items()}
 
     @contextmanager
     def decision(self) -> Iterator[None]:
@@ -71,13 +102,14 @@ class LineTrace:
 
     def _add(self, code: CodeType, number: int) -> None:
         function = code.co_qualname.partition(".<locals>.<")[0]  # a comprehension or lambda belongs to its function
-        self._lines.add(Line(code.co_filename, number, function))
+        self._lines.setdefault(Line(code.co_filename, number, function), set()).add(self._number)
 
     def _owns(self, code: CodeType) -> bool:
         known = self._is_own.get(code)
         if known is None:
             file = Path(code.co_filename).resolve()
-            known = self._is_own[code] = file.is_relative_to(self._root) and is_users(file)
+            is_named = any(file.is_relative_to(path) for path in self._named)
+            known = self._is_own[code] = is_named or (is_users(file) and file.is_file())
         return known
 
     def _traced(self, frame: FrameType, event: str, argument: object) -> Any:

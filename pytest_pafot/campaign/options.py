@@ -207,6 +207,12 @@ class Settings:
         default=40,
         most=MOST_NEIGHBOURS,
     )
+    lines: str | None = option(
+        "text",
+        "Installed packages and folders whose lines are told as well, such as a planner from an index.",
+        "With spaces between them, quoted as in a shell. Lines of the project, and of packages that are installed in "
+        "editable form, are told in any case.",
+    )
     replay_neighbours: int = option(
         "integer",
         "Number of neighbours of each saved scenario that passes to run, to see whether a fix holds; 0 for none.",
@@ -230,9 +236,11 @@ class Settings:
     )
     save: str = option(
         "text",
-        "Which findings are written to the corpus: the new ones, or none.",
+        "Which findings are written to the corpus: the new ones, these and a run of a second cause, or none.",
+        "With `causes`, a finding whose runs come from [two places of the "
+        "policy](../explanation/findings.md#two-places) has a second file.",
         default="new",
-        choices=("new", "none"),
+        choices=("new", "causes", "none"),
     )
     workers: int = option(
         "workers",

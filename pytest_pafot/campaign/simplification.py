@@ -8,19 +8,21 @@ then makes the same attempts in the same order, so it has the same result.
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import count
+from pathlib import Path
 from typing import TypeVar
 
-from pytest_pafot.campaign.events import FindTold
+from pytest_pafot.campaign.events import FindTold, SecondPlace
 from pytest_pafot.campaign.harness import Harness, begins_alike, limits_of, refusals
-from pytest_pafot.campaign.line_trace import LineTrace, text_of, why_not
+from pytest_pafot.campaign.line_trace import LineTrace, places_of, text_of, why_not
 from pytest_pafot.campaign.search_loop import SearchLoop
 from pytest_pafot.campaign.state_file import Answer, Shown
 from pytest_pafot.campaign.verdict import Verdict, headline
+from pytest_pafot.corpus.layout import relative
+from pytest_pafot.corpus.writer import CorpusWriteError, free_path, write
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.execution.runner import runner_for
 from pytest_pafot.findings.finding import Expect, Perceived, ending, of_failure
@@ -148,6 +150,11 @@ class Simplification:
     runs: int = field(default=0, init=False)
     neighbour_runs: int = field(default=0, init=False)
     notes: list[str] = field(default_factory=list, init=False)
+    _trace: LineTrace = field(init=False)
+    _ran: dict[tuple[Scenario, range], Mapping[Line, int]] = field(default_factory=dict, init=False)  # of one finding
+
+    def __post_init__(self) -> None:
+        self._trace = LineTrace(places_of(self.loop.simulation.harness.request.settings.lines))
 
     def run_all(self, way_on: str) -> None:
         """Simplify the findings in the order of discovery, except those that cannot be shrunk.
@@ -181,6 +188,7 @@ class Simplification:
         __tracebackhide__ = True
         deeds: dict[Scenario, range | None] = {}  # of each neighbour that fails, the decisions that may be the cause
         find, told, found = kept.find, "neighbours", kept.run
+        self._ran.clear()
         try:
             if self.clock() >= self.until:
                 raise OutOfTime
@@ -194,9 +202,12 @@ class Simplification:
                     self.loop.recorder.tell(replace(kept, find=find, is_new=False))
                 if breadth is not None and found is not None and 0 < breadth.failing < breadth.of:
                     told = "lines"
-                    steps = dict(list(deeds.items())[-breadth.of :])  # those with the steps with which some fail
-                    lines = self._telling_lines(find.id, steps, decisions_before_deed(found))
-                    self.loop.recorder.tell(replace(kept, find=replace(find, lines=lines), is_new=False))
+                    find = replace(find, lines=self._telling_lines(kept, deeds, breadth))
+                    self.loop.recorder.tell(replace(kept, find=find, is_new=False))
+                if find.lines and found is not None:
+                    told = "second place"
+                    find = replace(find, second=self._second_place(replace(kept, find=find), found, deeds))
+                    self.loop.recorder.tell(replace(kept, find=find, is_new=False))
         except OutOfTime:
             self.notes.append(f"no {told} of saved-{find.id}: out of time")
         except Exception as error:  # noqa: BLE001  (the user's world or ADS may raise anything)
@@ -240,33 +251,37 @@ class Simplification:
             told.append(Reaction.of(npc, trace.actions, hidden.actions, hz=hz, until=until))
         return tuple(told) if trace.actions else ()
 
+    @property
+    def _has_lines(self) -> bool:
+        """True if lines of the ADS can be recorded: it is called in this process, and is code in Python."""
+        harness = self.loop.simulation.harness
+        is_elsewhere = harness.request.settings.isolate or is_vehicle_class(harness.ads)
+        return not (is_elsewhere or isinstance(harness.ads, Perception))
+
     def _telling_lines(
-        self, find_id: str, deeds: Mapping[Scenario, range | None], otherwise: range
+        self, kept: FindTold, deeds: Mapping[Scenario, range | None], breadth: Breadth
     ) -> tuple[TellingLine, ...]:
         """Run neighbours again, and return the lines that tell those that fail from those that pass.
 
         Args:
-            find_id: the id of the finding.
+            kept: the finding, with its run.
             deeds: of each neighbour that fails, the decisions whose lines count; None for one that passes.
-            otherwise: the decisions whose lines count in a neighbour that passes.
+            breadth: how many of the last ones fail, which are those with the steps with which some fail.
         """
-        harness = self.loop.simulation.harness
-        if harness.request.settings.isolate or is_vehicle_class(harness.ads) or isinstance(harness.ads, Perception):
+        harness, find_id = self.loop.simulation.harness, kept.find.id
+        if not self._has_lines or kept.run is None:
             return ()
         if held := why_not():
             self.notes.append(f"no lines are told of saved-{find_id}, because {held}")
             return ()
-        trace, world, ran = LineTrace(harness.root), harness.world, list[tuple[frozenset[Line], bool]]()
-        ads = trace.watched(harness.ads)
-        for number, (scenario, deed) in enumerate(deeds.items(), 1):
-            self.tell(f"reading the lines of {find_id}, run {number} of {len(deeds)}")
-            self.neighbour_runs += 1
-            run = partial(rollout_of(world), scenario, ads)
-            ran.append((trace.lines_in(run, otherwise if deed is None else deed), deed is not None))
-        failing, passing = ([lines for lines, fails in ran if fails is kind] for kind in (True, False))
+        otherwise, last = decisions_before_deed(kept.run), list(deeds.items())[-breadth.of :]
+        failing, passing = list[Mapping[Line, int]](), list[Mapping[Line, int]]()
+        for number, (scenario, deed) in enumerate(last, 1):
+            self.tell(f"reading the lines of {find_id}, run {number} of {len(last)}")
+            (passing if deed is None else failing).append(self._lines_in(scenario, otherwise if deed is None else deed))
         return tuple(
             TellingLine(
-                file=os.path.relpath(each.line.file, harness.root),
+                file=_shown_path(each.line.file, harness.root),
                 number=each.line.number,
                 function=each.line.function,
                 text=text_of(each.line),
@@ -277,6 +292,92 @@ class Simplification:
             )
             for each in ranked(failing, passing)[:MOST_LINES]
         )
+
+    def _lines_in(self, scenario: Scenario, decisions: range) -> Mapping[Line, int]:
+        """Run a scenario, and return the lines that ran in some of its decisions, and in how many."""
+        harness, key = self.loop.simulation.harness, (scenario, decisions)
+        if key not in self._ran:
+            self.neighbour_runs += 1
+            run = partial(rollout_of(harness.world), scenario, self._trace.watched(harness.ads))
+            self._ran[key] = self._trace.lines_in(run, decisions)
+        return self._ran[key]
+
+    def _second_place(self, kept: FindTold, found: Run, deeds: Mapping[Scenario, range | None]) -> SecondPlace | None:
+        """Return a run that fails as a finding does, but from another place of the policy, or None.
+
+        It is a neighbour, or one of the first runs of the search that fail in this way, which is shrunk a little. The
+        most telling line of the finding does not run in it. Its own most telling line is not among those of the finding
+        and does not run in the finding's own run.
+        """
+        find, root = kept.find, self.loop.simulation.harness.root
+
+        def is_in(line: TellingLine, scenario: Scenario, decisions: range) -> bool:
+            ran = self._lines_in(scenario, decisions)
+            return any((_shown_path(each.file, root), each.number) == (line.file, line.number) for each in ran)
+
+        def runs_in(run: Run, line: TellingLine) -> bool:
+            return is_in(line, run.trace.scenario, decisions_before_deed(run))
+
+        def elsewhere(candidate: Scenario) -> Run | None:
+            self.tell(f"looking for a second place of {find.id}")
+            self.neighbour_runs += 1
+            run = self._showing(find.id, candidate)
+            return None if run is None or runs_in(run, find.lines[0]) else run
+
+        near = [each for each, deed in deeds.items() if deed is not None and not is_in(find.lines[0], each, deed)]
+        others = (each for each in self.loop.others.get(find.id, ()) if elsewhere(each) is not None)
+        scenario = near[0] if near else next(others, None)
+        if scenario is None:
+            return None
+        runs: dict[Scenario, Run] = {}
+
+        def attempt(candidate: Scenario) -> Scenario | None:
+            run = elsewhere(candidate)
+            if run is None:
+                return None
+            runs[driven(run)] = run
+            return driven(run)
+
+        top_speed, simple = float(self.loop.simulation.harness.world.speed_limit), scenario
+        if not near:
+            simple, _ = shrink(
+                scenario,
+                attempt,
+                rollouts=SECOND_ROLLOUTS,
+                top_speed=top_speed,
+                starts=lambda each: starts_of(runs[each], top_speed) if each in runs else (),
+                plain=self.plain,
+                plain_seconds=self.plain_seconds,
+            )
+        run = elsewhere(simple)
+        if run is None:
+            return None
+        its_deeds: dict[Scenario, range | None] = {}
+        like = replace(kept, finding=replace(kept.finding, scenario=simple, original=None, shrunk=None), run=run)
+        breadth = self._breadth(like, its_deeds)
+        if breadth is None or not 0 < breadth.failing < breadth.of:
+            return None
+        lines = self._telling_lines(like, its_deeds, breadth)
+        known = {(line.file, line.number) for line in find.lines}
+        if not lines or (lines[0].file, lines[0].number) in known or runs_in(found, lines[0]):
+            return None
+        return SecondPlace(scenario=simple, lines=lines, path=self._saved_beside(like, run))
+
+    def _saved_beside(self, kept: FindTold, run: Run) -> str:
+        """Save a run of a second place, if that is asked for, and return the path of its file; otherwise empty."""
+        harness = self.loop.simulation.harness
+        verdict = harness.judge(run)
+        if harness.request.settings.save != "causes" or verdict.failure is None:
+            return ""
+        expect = Expect.of(run, verdict.failure, against=kept.finding.expect.against, root=str(harness.root))
+        id_ = f"{kept.finding.signature.slug}-{kept.finding.scenario.id}"
+        path, finding = free_path(harness.folder, replace(kept.finding, id=id_, expect=expect))
+        try:
+            write(path, finding)
+        except CorpusWriteError as error:
+            self.notes.append(f"the second place of saved-{kept.find.id} is not saved: {error}")
+            return ""
+        return relative(path, harness.root)
 
     def _have_turn(self, find_id: str, sharing: int) -> None:
         """Simplify a finding in its share of the remaining time; ``sharing`` is the number of equal shares."""
@@ -488,6 +589,9 @@ def rollouts_for(harness: Harness) -> int:
     return ROLLOUTS_IN_KERNEL if protocol.runs_in_kernel(harness.world, harness.ads) else ROLLOUTS
 
 
+SECOND_ROLLOUTS = 60
+"""The largest number of runs that shrink a run of a second place."""
+
 CAUSE = 6.0
 """The lines of the last decisions before the ego's mistake count, in this time [s]."""
 
@@ -499,6 +603,12 @@ def decisions_before_deed(run: Run) -> range:
     tick = round(run.event_time * trace.physics_hz) if tick is None else tick
     last = tick * trace.ads_hz // trace.physics_hz
     return range(max(0, last - round(CAUSE * trace.ads_hz)), last + 1)
+
+
+def _shown_path(file: str, root: Path) -> str:
+    """Return the path of a source file relative to the project; of a file outside of it, the path itself."""
+    path = Path(file)
+    return str(path.relative_to(root)) if path.is_relative_to(root) else file
 
 
 def driven(run: Run) -> Scenario:

@@ -323,6 +323,7 @@ class SearchMessages:
         details = [f"against    {kept.finding.expect.against}, which passes"] if kept.finding.expect.against else []
         details += [] if kept.is_new else terminal.simplified_lines(kept.finding)
         details += [f"line       {line}" for line in kept.find.lines]
+        details += [f"second     {kept.find.second}"] if kept.find.second is not None else []
         details += [f"answers    {reaction}" for reaction in kept.find.reactions]
         if not is_compact(config):
             details += [f"scenario   {kept.finding.scenario!r}", f"found by   {kept.origin}"]

@@ -72,6 +72,8 @@ class FindingRecord:
             their steps as a share of the full ones, which `full` neighbours had. Null if that was not examined.
         lines: the lines of the policy that tell the neighbours that fail from those that pass: `file`, `number`,
             `function`, `text`, and in how many it ran: `failing` `of_failing`, `passing` `of_passing`.
+        second: another run that fails in the same way, but from another place of the policy: `scenario`, `lines` as
+            above, and the `path` of its file, which is empty without `--pafot-save=causes`. Null if none is known.
         reactions: for each NPC the decision that is first another one with the NPC hidden: `npc`; `time` [s], null if
             there is none until the event; `before`, the time from then to the event [s]; `action`, and `hidden`, the
             one with the NPC hidden.
@@ -113,6 +115,7 @@ class FindingRecord:
     unshrunk: str = ""
     breadth: Mapping[str, Any] | None = None
     lines: list[Mapping[str, Any]] = field(default_factory=list)
+    second: Mapping[str, Any] | None = None
     reactions: list[Mapping[str, Any]] = field(default_factory=list)
     rests_on: int = 0
     severity: Mapping[str, Any] | None = None
@@ -158,6 +161,7 @@ class FindingRecord:
             unshrunk=find.unshrunk,
             breadth=None if find.breadth is None else asdict(find.breadth),
             lines=list(map(asdict, find.lines)),
+            second=None if find.second is None else {**asdict(find.second), "scenario": find.second.scenario.plain()},
             reactions=list(map(asdict, find.reactions)),
             rests_on=find.rests_on,
             severity=None if find.severity is None else find.severity.data(),

@@ -322,8 +322,8 @@ def finding_view(
 
 def with_neighbours(view: FindingView, find: Find) -> FindingView:
     """Return a view with what the neighbours of the finding say, and with what the ADS answers to."""
-    told = [*map(str, find.lines), *map(str, find.reactions)]
-    explanation = "\n".join(filter(None, [view.explanation, *told]))
+    told = [*find.lines, *([] if find.second is None else [find.second]), *find.reactions]
+    explanation = "\n".join(filter(None, [view.explanation, *map(str, told)]))
     return replace(view, breadth=find.breadth, explanation=explanation)
 
 
