@@ -92,11 +92,17 @@ OF_COMMANDS = {
     "corpus": ["corpus/corpus_command.py"],
 }
 SHOWN_BY = {
-    "corpus": [["corpus", each] for each in ("list", "join", "prune", "accept")],
+    "corpus": [["corpus", each] for each in ("list", "join", "prune", "nearby", "accept")],
     "progress": [["progress"], ["search"]],
 }
 """The helps with the options of a command. ``progress`` also names those of ``search``."""
-OF_PYTEST = {"--rootdir", "--collect-only", "--remove-orphans"}  # of the sessions that commands start
+OF_PYTEST = {
+    "--rootdir",
+    "--collect-only",
+    "--remove-orphans",
+    "--put-neighbours",
+    "--tb",
+}  # of the sessions that commands start
 
 
 @pytest.mark.parametrize("name", OF_COMMANDS)
@@ -149,6 +155,7 @@ def idle(name):
     return lambda observation: 1
 """
 RUN_BY = {
+    "plugin/replay_item.py": "test_the_command_that_a_replay_names_puts_the_neighbour_into_the_file",
     "plugin/orphans.py": "test_the_command_that_a_summary_names_removes_the_files",
     "corpus/saved.py": "test_unknown_finding_is_among_those_that_the_command_lists",
     "campaign/saved_scenario.py": "test_deadly_scenario_is_replayed_by_the_command_that_is_named",

@@ -46,7 +46,7 @@ def places_of(names: str | None) -> list[Path]:
         if not paths:
             raise RequestError(f"lines: expected installed packages and folders, received {name!r}; correct the name")
         found += [path.parent if path.name == "__init__.py" else path for path in paths]
-    return found
+    return list(dict.fromkeys(found))
 
 
 class LineTrace:

@@ -11,7 +11,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
-from itertools import count
+from itertools import islice
 from pathlib import Path
 from typing import TypeVar
 
@@ -27,7 +27,7 @@ from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.execution.runner import runner_for
 from pytest_pafot.findings.finding import Expect, Perceived, ending, of_failure
 from pytest_pafot.findings.lines import MOST_LINES, Line, TellingLine, ranked
-from pytest_pafot.findings.neighbours import Breadth, breadth_of
+from pytest_pafot.findings.neighbours import Breadth, breadth_of, neighbours
 from pytest_pafot.findings.reactions import Reaction
 from pytest_pafot.findings.shrink import OutOfBudget, Shrunk, Start, shrink
 from pytest_pafot.model.scenario import Scenario, ScenarioError
@@ -190,8 +190,7 @@ class Simplification:
         find, told, found = kept.find, "neighbours", kept.run
         self._ran.clear()
         try:
-            if self.clock() >= self.until:
-                raise OutOfTime
+            self._check_time()
             with runs_end_in(self.until - self.clock()):
                 breadth = self._breadth(kept, deeds)
                 find = replace(find, breadth=breadth)
@@ -200,7 +199,7 @@ class Simplification:
                     told = "reactions"
                     find = replace(find, reactions=self._reactions(find.id, found))
                     self.loop.recorder.tell(replace(kept, find=find, is_new=False))
-                if breadth is not None and found is not None and 0 < breadth.failing < breadth.of:
+                if breadth is not None and found is not None and breadth.failing:
                     told = "lines"
                     find = replace(find, lines=self._telling_lines(kept, deeds, breadth))
                     self.loop.recorder.tell(replace(kept, find=find, is_new=False))
@@ -213,22 +212,31 @@ class Simplification:
         except Exception as error:  # noqa: BLE001  (the user's world or ADS may raise anything)
             self.notes.append(f"no {told} of saved-{find.id}: {type(error).__name__}: {one_line(str(error))}")
 
+    def _check_time(self) -> None:
+        if self.clock() >= self.until:
+            raise OutOfTime
+
     def _breadth(self, kept: FindTold, deeds: dict[Scenario, range | None]) -> Breadth | None:
         """Run the neighbours of a finding; see :meth:`_examine` for ``deeds``, which this function fills."""
-        find_id, ran = kept.find.id, count(1)
 
         def fails(scenario: Scenario) -> bool | None:
-            self.tell(f"running neighbour {next(ran)} of {find_id}")
-            self.neighbour_runs += 1
-            run = self._showing(find_id, scenario)
-            if run is not None and kept.run is not None and begins_alike(kept.run, run):
-                return None
-            deeds.pop(scenario, None)  # larger steps may have made it, too; the last ones made are read
-            deeds[scenario] = None if run is None else decisions_before_deed(run)
-            return run is not None
+            run = self._neighbour(kept, scenario, deeds)
+            is_own = run is not None and kept.run is not None and begins_alike(kept.run, run)
+            return None if is_own else run is not None
 
         limits = limits_of(self.loop.simulation.harness.world)
         return breadth_of(kept.finding.scenario, self.neighbours, fails=fails, limits=limits)
+
+    def _neighbour(self, kept: FindTold, scenario: Scenario, deeds: dict[Scenario, range | None]) -> Run | None:
+        """Run a neighbour of a finding, and add it to ``deeds``; return the run if it fails in the same way."""
+        self._check_time()
+        self.tell(f"running neighbour {len(deeds) + 1} of {kept.find.id}")
+        self.neighbour_runs += 1
+        run = self._showing(kept.find.id, scenario)
+        deeds.pop(scenario, None)  # larger steps may have made it, too; the last ones made are read
+        if run is None or kept.run is None or not begins_alike(kept.run, run):
+            deeds[scenario] = None if run is None else decisions_before_deed(run)
+        return run
 
     def _reactions(self, find_id: str, found: Run) -> tuple[Reaction, ...]:
         """Run a finding again with each NPC hidden from the ADS, and return how its decisions differ.
@@ -240,6 +248,7 @@ class Simplification:
             return ()
         told = []
         for npc in range(len(found.scenario.npcs)):
+            self._check_time()
             self.tell(f"hiding NPC {npc} of {find_id}")
             self.neighbour_runs += 1
             job = replace(harness.job(), ads=without(harness.ads, npc))
@@ -263,6 +272,8 @@ class Simplification:
     ) -> tuple[TellingLine, ...]:
         """Run neighbours again, and return the lines that tell those that fail from those that pass.
 
+        If few pass, others with larger steps are added, because lines are told by the difference.
+
         Args:
             kept: the finding, with its run.
             deeds: of each neighbour that fails, the decisions whose lines count; None for one that passes.
@@ -274,9 +285,15 @@ class Simplification:
         if held := why_not():
             self.notes.append(f"no lines are told of saved-{find_id}, because {held}")
             return ()
-        otherwise, last = decisions_before_deed(kept.run), list(deeds.items())[-breadth.of :]
+        limits = limits_of(harness.world)
+        otherwise, last = decisions_before_deed(kept.run), dict(list(deeds.items())[-breadth.of :])
+        for share in WIDER:
+            if sum(deed is None for deed in last.values()) >= LEAST_PASSING * len(last):
+                break
+            for scenario in islice(neighbours(kept.finding.scenario, share, limits), self.neighbours):
+                self._neighbour(kept, scenario, last)
         failing, passing = list[Mapping[Line, int]](), list[Mapping[Line, int]]()
-        for number, (scenario, deed) in enumerate(last, 1):
+        for number, (scenario, deed) in enumerate(last.items(), 1):
             self.tell(f"reading the lines of {find_id}, run {number} of {len(last)}")
             (passing if deed is None else failing).append(self._lines_in(scenario, otherwise if deed is None else deed))
         return tuple(
@@ -297,6 +314,7 @@ class Simplification:
         """Run a scenario, and return the lines that ran in some of its decisions, and in how many."""
         harness, key = self.loop.simulation.harness, (scenario, decisions)
         if key not in self._ran:
+            self._check_time()
             self.neighbour_runs += 1
             run = partial(rollout_of(harness.world), scenario, self._trace.watched(harness.ads))
             self._ran[key] = self._trace.lines_in(run, decisions)
@@ -319,6 +337,7 @@ class Simplification:
             return is_in(line, run.trace.scenario, decisions_before_deed(run))
 
         def elsewhere(candidate: Scenario) -> Run | None:
+            self._check_time()
             self.tell(f"looking for a second place of {find.id}")
             self.neighbour_runs += 1
             run = self._showing(find.id, candidate)
@@ -355,7 +374,7 @@ class Simplification:
         its_deeds: dict[Scenario, range | None] = {}
         like = replace(kept, finding=replace(kept.finding, scenario=simple, original=None, shrunk=None), run=run)
         breadth = self._breadth(like, its_deeds)
-        if breadth is None or not 0 < breadth.failing < breadth.of:
+        if breadth is None or not breadth.failing:
             return None
         lines = self._telling_lines(like, its_deeds, breadth)
         known = {(line.file, line.number) for line in find.lines}
@@ -588,6 +607,9 @@ def rollouts_for(harness: Harness) -> int:
         return given
     return ROLLOUTS_IN_KERNEL if protocol.runs_in_kernel(harness.world, harness.ads) else ROLLOUTS
 
+
+WIDER, LEAST_PASSING = (2.0, 4.0), 0.25
+"""The shares of the full steps with which more neighbours are made to tell lines, while less than a quarter pass."""
 
 SECOND_ROLLOUTS = 60
 """The largest number of runs that shrink a run of a second place."""

@@ -82,7 +82,7 @@ def ranked(failing: Sequence[Mapping[Line, int]], passing: Sequence[Mapping[Line
         before = line
         bad = sum(number < len(failing) for number in its)
         good = len(its) - bad
-        if not is_same_place and bad / len(failing) - good / len(passing) >= LEAST_DIFFERENCE:
+        if not is_same_place and bad / len(failing) - good / len(passing) >= LEAST_DIFFERENCE - 1e-9:
             found.append(Ranked(line, bad, good))
 
     def order(each: Ranked) -> tuple[float, int, Line]:

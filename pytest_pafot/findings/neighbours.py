@@ -121,7 +121,9 @@ def breadth_of(
 
 
 def neighbours(scenario: Scenario, share: float, limits: Limits) -> Iterator[Scenario]:
-    """Yield different neighbours of a scenario, until hardly any more are drawn; ``share`` is one of :data:`SHARES`.
+    """Yield different neighbours of a scenario, until hardly any more are drawn.
+
+    ``share`` is the size of the steps as a share of the full ones, such as those of :data:`SHARES`.
 
     Each neighbour differs in one of four ways: in the speed of each instruction a little; in all speeds by the same
     factor; in one instruction, after which the cells of others are repaired where they no longer fit; or in the start

@@ -10,6 +10,7 @@ from typing import NoReturn
 import pytest
 
 from pytest_pafot.campaign.events import Find
+from pytest_pafot.campaign.options import BY_NAME
 from pytest_pafot.campaign.replays import BESIDE, FLAKY, Around, Replayed, Replays, happened, was_lost
 from pytest_pafot.campaign.request import Request
 from pytest_pafot.campaign.search_loop import cause
@@ -81,7 +82,7 @@ def run_replay(item: pytest.Function, request: Request, saved: Saved) -> None:
         item.stash[NEARBY_SHOWN] = nearby
     if finding.xfail is not None and not verdict.failed:
         _tell_pass(item, finding, label, path, is_accepted=replays.accepts(finding))
-    told = [] if nearby is None else _nearby_lines(nearby, path)
+    told = [] if nearby is None else _nearby_lines(item, nearby, path)
     _conclude(item, run, verdict, label, detail, told, is_strict=request.settings.strict_drift)
 
 
@@ -92,14 +93,14 @@ def _rests_on(label: str, around: Around) -> str:
     return f"rests on {plural(around.passing, 'neighbour')}" if label == "fixed" and around.passing else ""
 
 
-def _nearby_lines(nearby: Finding, path: str) -> list[str]:
+def _nearby_lines(item: pytest.Item, nearby: Finding, path: str) -> list[str]:
     """Return the scenario that fails near a saved one, as its file would have it, and how it gets there."""
-    ways = command("pytest_pafot", "corpus", "nearby", "--write", path)
-    return [
-        "the neighbour that fails:",
-        *scenario_lines("scenario", nearby.scenario),
-        f"put it into the file with: {ways}",
-    ]
+    options = [BY_NAME[name] for name in ("corpus", "replay_neighbours")]
+    given = [(option.flag, item.config.getoption(option.key)) for option in options]
+    more = [f"{option}={value}" for option, value in given if value is not None]
+    write = command("pytest_pafot", "corpus", "nearby", "--write", path, *(["--", *more] if more else ()))
+    lines = scenario_lines("scenario", nearby.scenario)
+    return ["the neighbour that fails:", *lines, f"put it into the file with: {write}"]
 
 
 def _check_set_up(item: pytest.Function, replays: Replays, saved: Saved, run: Run, verdict: Verdict) -> None:

@@ -168,6 +168,11 @@ class Reporter:
                 terminalreporter.section("pafot")
             for line in lines:
                 terminalreporter.line(line)
+            if self._searches and os.environ.get("GITHUB_ACTIONS") == "true":
+                from pytest_pafot.report.terminal import annotation_lines  # noqa: PLC0415
+
+                for line in annotation_lines(find for search in self._searches for find in search.finds):
+                    terminalreporter.line(line)
         for line in own.problems:
             terminalreporter.line(ascii_text(line))
 

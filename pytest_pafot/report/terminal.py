@@ -363,6 +363,23 @@ def session_lines(session: SessionSummary, *, verbose: bool = False, width: int 
     return list(map(ascii_text, lines))  # escapes names and texts, so that each stays on one line
 
 
+def annotation_lines(finds: Iterable[Find]) -> list[str]:
+    """Return commands by which GitHub Actions shows each finding at its most telling line, if that has changed.
+
+    In the text and the names, what such a command reads as its own marks is escaped.
+    """
+    lines = []
+    for find in finds:
+        for line in find.lines[:1]:
+            text = ascii_text(f"{find.headline}: {line}").replace("%", "%25")
+            file, title = (
+                ascii_text(each).replace("%", "%25").replace(":", "%3A").replace(",", "%2C")
+                for each in (line.file, find.id)
+            )
+            lines.append(f"::warning file={file},line={line.number},title={title}::{text}")
+    return lines
+
+
 def _is_quiet(search: SearchSummary) -> bool:
     """Return whether a search ran as asked, evaluated something, and nothing failed in it."""
     untested = search.invalid + search.rejected + search.skipped

@@ -16,7 +16,7 @@ from pytest_pafot.support.errors import RequestError
 from pytest_pafot.world.reference_drivers import REFERENCES
 from tests.helpers.tables import table
 
-SHORT = {"generations": 4, "genes": 2, "gene_seconds": 5, "npcs": 1, "shrink_rollouts": 20, "seed": 2}
+SHORT = {"neighbours": 0, "generations": 4, "genes": 2, "gene_seconds": 5, "npcs": 1, "shrink_rollouts": 20, "seed": 2}
 ROAD = pafot.Highway(duration=10.0)
 CAREFUL = REFERENCES["idm-aeb"]
 

@@ -96,7 +96,7 @@ def test_several_findings_share_the_remaining_time(clock, limit):
 
 
 def test_unused_share_of_time_goes_to_other_findings(clock):
-    given = {"runs": 20, "max_time": 120, "shrink_rollouts": 40, "seed": 1}
+    given = {"runs": 20, "max_time": 120, "shrink_rollouts": 40, "seed": 1, "neighbours": 0}
     result = searched(clock, fails_in_three_ways, **given)
     assert unshrunk(result) == ["", "", ""]
     assert max(attempts(result).values()) > 100 / 3

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 import pytest_pafot as pafot
 from pytest_pafot.findings.neighbours import ALL_SPEEDS, SHARES, SLOT, SPEED, Breadth, Limits, breadth_of, neighbours
+from pytest_pafot.findings.neighbours import around as around_at
 from pytest_pafot.model.scenario import CrossingInstruction, LaneInstruction, PositionInstruction, Scenario
 from pytest_pafot.strategies import scenarios
 from tests.helpers.tables import table
@@ -208,3 +209,29 @@ def test_neighbours_of_a_real_finding_fail_around_it():
     found = breadth_of(scenario, 20, fails=fails, limits=limits())
     assert found.share == 1
     assert found.failing > 5
+
+
+@given(scenarios(max_speed=TOP), st.floats(0.4, 2.5))
+def test_for_another_pace_the_re_timed_scenarios_are_first(scenario, pace):
+    several = tuple(islice(around_at(scenario, pace, limits()), 12))
+    assert len(set(several)) == len(several) == 12
+    assert scenario not in several
+    assert all(0 <= gene.speed <= TOP for each in several for chain in each.npcs for gene in chain)
+
+
+def test_re_timed_scenarios_have_other_speeds_or_other_times_or_both():
+    first, second, third, *_ = islice(around_at(ON_GRID, 0.5, limits()), 4)
+    assert [[gene.speed for gene in chain] for chain in first.npcs] == [[5.0, 1.5, 1.5], [10.0]]
+    assert (first.gene_seconds, first.ego_speed) == (10.0, ON_GRID.ego_speed / 2)
+    assert [[gene.speed for gene in chain] for chain in second.npcs] == [[10.0, 3.0, 3.0], [20.0]]
+    assert (second.gene_seconds, second.ego_speed) == (20.0, ON_GRID.ego_speed)
+    assert (third.npcs, third.gene_seconds, third.ego_speed) == (first.npcs, 20.0, first.ego_speed)
+
+
+def test_for_the_same_pace_they_are_the_neighbours():
+    assert tuple(islice(around_at(ON_GRID, 1.01, limits()), 9)) == around(ON_GRID, 9)
+
+
+def test_re_timed_scenarios_that_do_not_fit_are_left_out():
+    fits = lambda each: each.gene_seconds == 10.0  # noqa: E731
+    assert {each.gene_seconds for each in islice(around_at(ON_GRID, 0.5, limits(fits)), 9)} == {10.0}

@@ -200,18 +200,21 @@ def found():
 def project(request, pytester, monkeypatch, found):
     """Return a project whose sessions omit slow steps unless a test requests them.
 
-    Findings are saved without shrinking, without reference drivers, and without a second run in highway-env's own
-    environment. Tests of several processes have whole sessions: what one process does, the others must do as well.
+    Findings are saved without neighbours, without shrinking, without reference drivers, and without a second run in
+    highway-env's own environment. Tests of several processes have whole sessions: what one process does, the others
+    must do as well.
     """
     quick_sessions(monkeypatch)
     if not request.node.get_closest_marker("processes"):
         monkeypatch.setattr(search_loop, "_difference_in_gym", lambda run, simulation: "")
         monkeypatch.setattr(Harness, "reference_outcomes", lambda self, run, verdict, failed: {})
         monkeypatch.setenv("PAFOT_SHRINK_ROLLOUTS", "0")
+    monkeypatch.setenv("PAFOT_NEIGHBOURS", "0")
     for name in (
         "CI",
         "BUILD_NUMBER",
         "PYTEST_ADDOPTS",
+        "GITHUB_ACTIONS",
         "GITHUB_STEP_SUMMARY",
         "PAFOT_SEED",
         "PAFOT_RUNS",

@@ -48,59 +48,94 @@ def test_it_is_the_same_with_workers_and_on_each_run(collides):
 
 PLANNER = """
 class Sleepy:
-    '''Keep a distance to whatever is ahead, except to a vehicle that is nearly standing.'''
+    '''Brake for whatever is ahead, except for a vehicle that is nearly standing, in each half of the road by a line.'''
 
     def __call__(self, observation):
-        ego, *others = observation.array
-        ahead = [other for other in others if 0 < other[0] - ego[0] < 60 and abs(other[1] - ego[1]) < 3]
-        if not ahead:
-            return 0.0, 0.0
-        leader = min(ahead, key=lambda other: other[0])
-        if leader[3] < 5:
-            return 0.0, 0.0  # the defect
-        return (-6.0 if leader[0] - ego[0] < 30 else 0.0), 0.0
+        ego = observation.ego
+        ahead = [other for other in observation.others if other.lane == ego.lane and 0 < other.x - ego.x < 80]
+        return (self.braking(ego, min(ahead)) if ahead else 0.0), 0.0
 
-@pafot.search(ads=Sleepy, npcs=2, genes=2, gene_seconds=8, ego_lane=1, ego_speed=22, stop_after=1)
+    def braking(self, ego, leader):
+        if leader.x - ego.x - 11.0 > 2.0 * ego.speed:
+            return 0.0
+        if leader.speed < 5.0 and ego.lane < 2:
+            return self.on_the_left()
+        if leader.speed < 5.0:
+            return self.on_the_right()
+        return -6.0 if ego.speed > leader.speed - 1.0 else 0.0
+
+    def on_the_left(self):
+        return 0.0
+
+    def on_the_right(self):
+        return 0.0
+
+@pafot.search(ads=Sleepy, ALSO)
 def test_collides(run):
     assert not run.collision
 """
+ONE = PLANNER.replace("ALSO", "npcs=2, genes=2, gene_seconds=8, ego_lane=1, ego_speed=22, stop_after=1")
+TWO = PLANNER.replace("ALSO", 'algorithm="random", blame="ego", stop_after=None')
 
 
 def test_lines_that_tell_failing_neighbours_from_passing_ones_are_told(project, monkeypatch):
-    project.write(PLANNER)
+    project.write(ONE)
     monkeypatch.setenv("GITHUB_STEP_SUMMARY", str(project.path / "summary.md"))
-    result, record, contents = run(project, "--pafot-neighbours=30", "--pafot-report=out.html", "--junitxml=out.xml")
-    assert 0 < record["breadth"]["failing"] < 30
+    monkeypatch.setenv("GITHUB_ACTIONS", "true")
+    result, record, contents = run(project, "--pafot-neighbours=40", "--pafot-report=out.html", "--junitxml=out.xml")
+    assert 0 < record["breadth"]["failing"] < 40
     told = record["lines"]
     assert 1 <= len(told) <= 3
     assert {each["file"] for each in told} == {"test_it.py"}
     assert all(each["failing"] * each["of_passing"] > each["passing"] * each["of_failing"] for each in told)
-    assert {each["function"] for each in told} == {"Sleepy.__call__"}
+    assert {each["function"] for each in told} <= {"Sleepy.__call__", "Sleepy.braking", "Sleepy.on_the_left"}
     source = (project.path / "test_it.py").read_text().splitlines()
     assert all(source[each["number"] - 1].strip() == each["text"] for each in told)
-    first = f"test_it.py:{told[0]['number']} in Sleepy.__call__"
+    first = f"test_it.py:{told[0]['number']} in {told[0]['function']}"
     junit = (project.path / "out.xml").read_text()
-    assert f'name="pafot_neighbours" value="{record["breadth"]["failing"]} of 30 neighbours fail' in junit
+    assert f'name="pafot_neighbours" value="{record["breadth"]["failing"]} of 40 neighbours fail' in junit
     assert f'name="pafot_lines" value="test_it.py:{told[0]["number"]}' in junit
     for name in ("out.html", "summary.md"):
         assert first in html.unescape((project.path / name).read_text()).replace("\\", "")
-    result.stdout.re_match_lines([r"line +test_it.py:\d+ in Sleepy.*"])
+    result.stdout.re_match_lines(
+        [
+            r"line +test_it.py:\d+ in Sleepy.*",
+            rf"::warning file=test_it.py,line={told[0]['number']},title={record['id']}::collision after .*",
+        ]
+    )
     _, without, same = run(project)
     assert without["lines"] == []
     assert same == contents
 
 
+def test_a_second_place_is_told_and_saved_only_if_asked_for(project):
+    project.write(TWO)
+    result, record, contents = run(project, "--pafot-neighbours=40", seed=3)
+    assert len(contents) == 1
+    assert record["lines"][0]["function"] != record["second"]["lines"][0]["function"]
+    assert record["second"]["path"] == ""
+    result.stdout.re_match_lines([r"second +other runs fail the same way from another place, test_it.py:.* saves one"])
+    _, again, both = run(project, "--pafot-neighbours=40", "--pafot-save=causes", "--pafot-workers=2", seed=3)
+    (path,) = both.keys() - contents.keys()
+    assert again == record | {"second": record["second"] | {"path": path}}
+    replayed = project.run("--pafot-json=out.json", generations=0)
+    replayed.assert_outcomes(failed=2, skipped=1)
+    found = json.loads((project.path / "out.json").read_text())["findings"]
+    assert {(each["status"], each["signature"]) for each in found} == {("still failing", record["signature"])}
+
+
 def test_an_isolated_ads_has_no_lines_because_it_may_not_run_in_the_session(project):
-    project.write(PLANNER)
+    project.write(ONE)
     _, record, _ = run(project, "--pafot-neighbours=10", "--pafot-isolate")
     assert record["breadth"]["of"] == 10
     assert record["lines"] == []
 
 
 @pytest.mark.parametrize("source", ["marker", "ini"])
-def test_the_number_may_be_argument_or_ini_key(project, source):
+def test_the_number_may_be_argument_or_ini_key(project, source, monkeypatch):
     argument = ", neighbours=3" if source == "marker" else ""
     project.write(COLLIDES.replace("SHORT", f"SHORT{argument}"))
+    monkeypatch.delenv("PAFOT_NEIGHBOURS")
     if source == "ini":
         project.pytester.makeini("[pytest]\npafot_neighbours = 3\n")
     assert run(project)[1]["breadth"]["of"] == 3
