@@ -21,7 +21,7 @@ from pytest_pafot.searching.events import Evaluated
 from pytest_pafot.support.errors import RequestError
 from tests.helpers.tables import table
 
-SHORT = {"generations": 2, "population": 4, "genes": 2, "gene_seconds": 5, "shrink_rollouts": 10}
+SHORT = {"neighbours": 0, "generations": 2, "population": 4, "genes": 2, "gene_seconds": 5, "shrink_rollouts": 10}
 
 
 class Bare:

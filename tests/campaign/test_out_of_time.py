@@ -14,7 +14,15 @@ from pytest_pafot.searching.events import Evaluated
 from pytest_pafot.support.errors import OutOfTime
 
 NODE_ID = "test_it.py::test_it"
-SHORT = {"population": 4, "genes": 2, "gene_seconds": 2, "npcs": 2, "node_id": NODE_ID, "shrink_rollouts": 15}
+SHORT = {
+    "neighbours": 0,
+    "population": 4,
+    "genes": 2,
+    "gene_seconds": 2,
+    "npcs": 2,
+    "node_id": NODE_ID,
+    "shrink_rollouts": 15,
+}
 
 
 @pytest.fixture

@@ -39,7 +39,13 @@ def test_search_learns_the_same_wherever_runs_are_read(monkeypatch, settings):
 
     def learnt(workers):
         found = pafot.explore(
-            lambda: brakes_late, holds=avoids_collisions, runs=8, workers=workers, shrink_rollouts=0, **settings
+            lambda: brakes_late,
+            holds=avoids_collisions,
+            runs=8,
+            workers=workers,
+            shrink_rollouts=0,
+            neighbours=0,
+            **settings,
         )
         return [each for each in found.events if isinstance(each, Evaluated)], [each.id for each in found.findings]
 

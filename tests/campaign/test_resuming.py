@@ -21,6 +21,7 @@ from pytest_pafot.support.errors import RequestError
 from tests.helpers.stages import mostly_oracle
 
 SHORT = {
+    "neighbours": 0,
     "population": 4,
     "genes": 2,
     "gene_seconds": 5,

@@ -31,6 +31,7 @@ def first(calls=None):
         genes=2,
         blame="ego",
         shrink_rollouts=0,
+        neighbours=0,
     )
     return next(told for told in found.told if told.finding.expect.avoided_by is not None)
 
