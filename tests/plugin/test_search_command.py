@@ -158,7 +158,7 @@ def test_search_takes_policies_and_checks_of_any_name(here, policy, check):
     (here / "odd.py").write_text(NAMES, encoding="utf-8")
     given = ["--runs", "4", "--seed", "2", "--blame", "any", "--pafot-shrink-rollouts=0", "--", "-q"]
     code, told = python("pytest_pafot", "search", f"odd:{policy}", "--check", f"odd:{check}", *given)
-    assert (code, "4 runs in" in told, "new finding" in told) == (1, True, True), told
+    assert (code, "4 runs" in told, "new finding" in told) == (1, True, True), told
     assert len([*(here / "pafot_corpus" / "test_safety").iterdir()]) == 1
 
 
@@ -176,7 +176,12 @@ def test_search_in_a_project_reports_no_file_of_its_tests(here, monkeypatch):
     assert [*here.glob("pafot_corpus/test_mine/test_it/*")]
     monkeypatch.setenv("CI", "1")
     _, told = python("pytest_pafot", "search", "a_planner:Planner", "--runs", "1", "--seed", "0")
-    assert ("1 run " in told, "without a test" in told, "prune" in told, " error" in told) == (True, *3 * [False]), told
+    assert (
+        re.search(r"\b1 run[, ]", told) is not None,
+        "without a test" in told,
+        "prune" in told,
+        " error" in told,
+    ) == (True, *3 * [False]), told
 
 
 @pytest.mark.processes
