@@ -39,8 +39,9 @@ def places_of(names: str | None) -> list[Path]:
         raise RequestError(f"lines: expected names with spaces between them, received {names!r}: {error}") from None
     found = []
     for name in words:
-        spec = importlib.util.find_spec(name) if name.isidentifier() else None
-        places = [] if spec is None else [*(spec.submodule_search_locations or ()), spec.origin or ""]
+        spec = importlib.util.find_spec(name) if name.isidentifier() and name != "__main__" else None
+        origin = [] if spec is None or not spec.origin else [spec.origin]
+        places = [] if spec is None else [*(spec.submodule_search_locations or ()), *origin]
         paths = [Path(place) for place in (places if spec is not None else [name])]
         paths = [path for path in paths if path.exists()]
         if not paths:

@@ -51,6 +51,7 @@ from pytest_pafot.support.text import one_line
 from pytest_pafot.world import WorldError, codec, protocol
 from pytest_pafot.world.driving.ads import weights_digest
 from pytest_pafot.world.driving.perception import sight_of
+from pytest_pafot.world.guard.failure import is_interruption
 from pytest_pafot.world.guard.own_worlds import rollout_of
 
 FLAKY = "flaky"
@@ -133,10 +134,11 @@ class Replays:
                 known.setdefault(finding.signature, each.id)
             with suppress(RequestError):
                 world = self.world_of(each)
-                shown, is_later = self._observed(each, world, owner)
+                shown, is_later, is_nearby = self._observed(each, world, owner)
                 # The reference is driven on if the ADS was. Otherwise it is judged as in a search.
                 sought = partial(is_same_failure, _finding(each)) if is_later else None
-                if shown is not None and self.passes_reference(each, world, owner, sought) is not False:
+                # The reference passes a neighbour that fails, or the neighbour would not count.
+                if shown is not None and (is_nearby or self.passes_reference(each, world, owner, sought) is not False):
                     known.setdefault(shown, each.id)
         return known
 
@@ -147,13 +149,16 @@ class Replays:
     def still_fails(self, saved: Saved) -> bool:
         """Return whether a process still dies in a saved scenario, even if the reference's process dies as well."""
         try:
-            shown, _ = self._observed(saved, self.world_of(saved), self.harness.saved_node_id(saved.id))
+            shown, *_ = self._observed(saved, self.world_of(saved), self.harness.saved_node_id(saved.id))
         except RequestError:
             return False
         return shown == _finding(saved).signature
 
-    def _observed(self, saved: Saved, world: Any, owner: str) -> tuple[Signature | None, bool]:
-        """Return the failure that a saved scenario shows now, and whether a run that passes showed it when repeated."""
+    def _observed(self, saved: Saved, world: Any, owner: str) -> tuple[Signature | None, bool, bool]:
+        """Return the failure that a saved scenario shows now.
+
+        The other values say whether a run that passes showed it when it was repeated, and whether only a neighbour did.
+        """
         try:
             first = Replayed("", *self.tried(saved, world, owner))
             now = first
@@ -161,10 +166,11 @@ class Replays:
                 now = self._repeated(saved, world, owner, first)
             now = self._with_neighbours(saved, world, owner, now)
         except ProcessLostError as error:
-            return expectation(error).signature, False
+            return expectation(error).signature, False, False
         if not now.verdict.failed or now.verdict.failure is None:
-            return None, False
-        return of_failure(now.run, now.verdict.failure), now.run is not first.run
+            return None, False, False
+        is_nearby = now.around.failing is not None
+        return of_failure(now.run, now.verdict.failure), now.run is not first.run and not is_nearby, is_nearby
 
     def world_of(self, saved: Saved) -> Any:
         """Return the world in which to replay a file, and check that the scenario fits that world.
@@ -458,7 +464,8 @@ class Replays:
         __tracebackhide__ = True
         finding, began = _finding(saved), self.clock()
         is_firm = finding.flaky is None and not finding.expect.is_crash and finding.signature.failure != SLOW_DECISION
-        if now.label == FLAKY or not now.verdict.passes or not is_firm:
+        is_asked = self.harness.request.settings.replay_neighbours and not self.sight_change(finding)
+        if now.label == FLAKY or not now.verdict.passes or not is_firm or not is_asked:
             return now
         note, is_lost, passing, failing = "", now.is_lost, 0, None
         try:
@@ -467,9 +474,11 @@ class Replays:
                 failing = (run, verdict) if verdict.failed else None
         except ProcessLostError as error:
             note, is_lost = f"in a neighbour, the process {error.how}", True
-        except OutOfTime:
+        except (OutOfTime, AgainstError):
             raise
-        except Exception as error:  # noqa: BLE001  (see above)
+        except Exception as error:
+            if is_interruption(error):
+                raise
             note = f"not all neighbours were run: {type(error).__name__}: {one_line(str(error))}"
         now = replace(now, note="; ".join(filter(None, [now.note, note])), is_lost=is_lost)
         if failing is None or failing[1].failure is None:

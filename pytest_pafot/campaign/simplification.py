@@ -34,11 +34,12 @@ from pytest_pafot.model.scenario import Scenario, ScenarioError
 from pytest_pafot.model.sight import Sight
 from pytest_pafot.model.trace import LANE, SPEED
 from pytest_pafot.oracle.run import Run
-from pytest_pafot.support.errors import DriverError, OutOfTime
+from pytest_pafot.support.errors import DriverError, OutOfTime, RequestError
 from pytest_pafot.support.text import one_line
 from pytest_pafot.world import codec, protocol
 from pytest_pafot.world.driving.ads import is_vehicle_class
 from pytest_pafot.world.driving.perception import Perception, without
+from pytest_pafot.world.guard.failure import is_interruption
 from pytest_pafot.world.guard.hang_guard import runs_end_in
 from pytest_pafot.world.guard.own_worlds import rollout_of
 
@@ -209,7 +210,9 @@ class Simplification:
                     self.loop.recorder.tell(replace(kept, find=find, is_new=False))
         except OutOfTime:
             self.notes.append(f"no {told} of saved-{find.id}: out of time")
-        except Exception as error:  # noqa: BLE001  (the user's world or ADS may raise anything)
+        except Exception as error:
+            if is_interruption(error):
+                raise
             self.notes.append(f"no {told} of saved-{find.id}: {type(error).__name__}: {one_line(str(error))}")
 
     def _check_time(self) -> None:
@@ -253,9 +256,13 @@ class Simplification:
             self.neighbour_runs += 1
             job = replace(harness.job(), ads=without(harness.ads, npc))
             record, isolate = self.loop.simulation.record, harness.request.settings.isolate
-            with refusals(), runner_for(job, record, isolate=isolate) as runner:
-                hidden = runner.run(found.scenario, afresh=True)
-            record.clear()
+            try:
+                with refusals(), runner_for(job, record, isolate=isolate) as runner:
+                    hidden = runner.run(found.scenario, afresh=True)
+            except RequestError:  # such as an observation that is a picture, in which nothing can be hidden
+                return ()
+            finally:
+                record.clear()
             hz, until = trace.ads_hz, found.event_time
             told.append(Reaction.of(npc, trace.actions, hidden.actions, hz=hz, until=until))
         return tuple(told) if trace.actions else ()

@@ -65,10 +65,10 @@ def _differ(action: Any, other: Any) -> bool:
         return True
     if is_si(action) and is_si(other):
         return bool(abs(action[0] - other[0]) >= ACCELERATION or abs(action[1] - other[1]) >= STEERING)
-    if isinstance(action, (float, np.ndarray, np.floating)):
+    if isinstance(action, (float, np.ndarray, np.floating)) and np.asarray(action).dtype.kind == "f":
         is_like = np.shape(action) == np.shape(other)
         return not is_like or bool(np.max(np.abs(np.subtract(action, other)), initial=0) >= SHARE)
-    return bool(action != other)
+    return not bool(np.array_equal(action, other)) if isinstance(action, np.ndarray) else repr(action) != repr(other)
 
 
 def is_si(action: Any) -> bool:

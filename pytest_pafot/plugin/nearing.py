@@ -23,6 +23,14 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--put-neighbours", action="store_true", help=argparse.SUPPRESS)
 
 
+@pytest.hookimpl(trylast=True)
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Leave only the items of saved scenarios, because the command is not about other tests."""
+    others = [item for item in items if saved_of(item) is None]
+    config.hook.pytest_deselected(items=others)
+    items[:] = [item for item in items if saved_of(item) is not None]
+
+
 def pytest_runtest_teardown(item: pytest.Item) -> None:
     """List the neighbour that fails in a replay, or write it into the file of the replay."""
     saved, shown = saved_of(item), item.stash.get(NEARBY_SHOWN, None)
@@ -34,7 +42,7 @@ def pytest_runtest_teardown(item: pytest.Item) -> None:
             rewrite(saved.path, shown)
             done = "replaced"
         except CorpusWriteError as error:
-            kind, done = "problem", f"not replaced: {visible(str(error))}: "
+            kind, done = "problem", f"not replaced: {visible(str(error))}"
     messages.send(item, kind, {"text": f"{done}: {name}"})
 
 

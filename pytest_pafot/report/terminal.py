@@ -364,7 +364,7 @@ def session_lines(session: SessionSummary, *, verbose: bool = False, width: int 
 
 
 def annotation_lines(finds: Iterable[Find]) -> list[str]:
-    """Return commands by which GitHub Actions shows each finding at its most telling line, if that has changed.
+    """Return commands by which GitHub Actions shows each finding at its most telling line.
 
     In the text and the names, what such a command reads as its own marks is escaped.
     """
