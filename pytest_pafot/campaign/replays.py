@@ -509,16 +509,17 @@ class Replays:
             for scenario in islice(drawn, harness.request.settings.replay_neighbours):
                 run = harness.seen(runner.run(scenario, afresh=True), world)
                 verdict = harness.judge(run)
+                failure = verdict.failure
                 if verdict.passes:
                     yield run, verdict
-                elif verdict.failure is None or not has_time(run, verdict.failure):
                     continue
-                elif is_same_failure(finding, run, verdict.failure):
-                    again = harness.seen(runner.run(scenario, afresh=True), world)
-                    is_firm = is_same_run(run, again) and harness.judge(again).failed
-                    if is_firm and (reference is None or harness.judge_reference(reference, scenario, world).passes):
-                        yield run, verdict
-                        return
+                if failure is None or not (has_time(run, failure) and is_same_failure(finding, run, failure)):
+                    continue
+                again = harness.seen(runner.run(scenario, afresh=True), world)
+                is_firm = is_same_run(run, again) and harness.judge(again).failed
+                if is_firm and (reference is None or harness.judge_reference(reference, scenario, world).passes):
+                    yield run, verdict
+                    return
 
     def world_changes(self, finding: Finding) -> list[str]:
         """Return how the file's world differs from the test's world, or how the file's world cuts the run."""

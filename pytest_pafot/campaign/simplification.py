@@ -221,25 +221,24 @@ class Simplification:
 
     def _breadth(self, kept: FindTold, deeds: dict[Scenario, range | None]) -> Breadth | None:
         """Run the neighbours of a finding; see :meth:`_examine` for ``deeds``, which this function fills."""
-
-        def fails(scenario: Scenario) -> bool | None:
-            run = self._neighbour(kept, scenario, deeds)
-            is_own = run is not None and kept.run is not None and begins_alike(kept.run, run)
-            return None if is_own else run is not None
-
         limits = limits_of(self.loop.simulation.harness.world)
+        fails = partial(self._neighbour, kept, deeds)
         return breadth_of(kept.finding.scenario, self.neighbours, fails=fails, limits=limits)
 
-    def _neighbour(self, kept: FindTold, scenario: Scenario, deeds: dict[Scenario, range | None]) -> Run | None:
-        """Run a neighbour of a finding, and add it to ``deeds``; return the run if it fails in the same way."""
+    def _neighbour(self, kept: FindTold, deeds: dict[Scenario, range | None], scenario: Scenario) -> bool | None:
+        """Run a neighbour of a finding, add it to ``deeds``, and return whether it fails in the same way.
+
+        Return None, and add nothing, if its run is that of the finding, so that it is no neighbour.
+        """
         self._check_time()
         self.tell(f"running neighbour {len(deeds) + 1} of {kept.find.id}")
         self.neighbour_runs += 1
         run = self._showing(kept.find.id, scenario)
         deeds.pop(scenario, None)  # larger steps may have made it, too; the last ones made are read
-        if run is None or kept.run is None or not begins_alike(kept.run, run):
-            deeds[scenario] = None if run is None else decisions_before_deed(run)
-        return run
+        if run is not None and kept.run is not None and begins_alike(kept.run, run):
+            return None
+        deeds[scenario] = None if run is None else decisions_before_deed(run)
+        return run is not None
 
     def _reactions(self, find_id: str, found: Run) -> tuple[Reaction, ...]:
         """Run a finding again with each NPC hidden from the ADS, and return how its decisions differ.
@@ -298,7 +297,7 @@ class Simplification:
             if sum(deed is None for deed in last.values()) >= LEAST_PASSING * len(last):
                 break
             for scenario in islice(neighbours(kept.finding.scenario, share, limits), self.neighbours):
-                self._neighbour(kept, scenario, last)
+                self._neighbour(kept, last, scenario)
         failing, passing = list[Mapping[Line, int]](), list[Mapping[Line, int]]()
         for number, (scenario, deed) in enumerate(last.items(), 1):
             self.tell(f"reading the lines of {find_id}, run {number} of {len(last)}")
