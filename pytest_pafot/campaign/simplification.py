@@ -294,14 +294,16 @@ class Simplification:
         limits = limits_of(harness.world)
         otherwise, last = decisions_before_deed(kept.run), dict(list(deeds.items())[-breadth.of :])
         for share in WIDER:
-            if sum(deed is None for deed in last.values()) >= LEAST_PASSING * len(last):
+            if sum(deed is None for deed in last.values()) >= LEAST_PASSING * self.neighbours:
                 break
             for scenario in islice(neighbours(kept.finding.scenario, share, limits), self.neighbours):
                 self._neighbour(kept, last, scenario)
         failing, passing = list[Mapping[Line, int]](), list[Mapping[Line, int]]()
-        for number, (scenario, deed) in enumerate(last.items(), 1):
-            self.tell(f"reading the lines of {find_id}, run {number} of {len(last)}")
-            (passing if deed is None else failing).append(self._lines_in(scenario, otherwise if deed is None else deed))
+        for scenario, deed in last.items():
+            which = passing if deed is None else failing
+            if len(which) < MOST_READ:
+                self.tell(f"reading the lines of {find_id}, run {len(failing) + len(passing) + 1}")
+                which.append(self._lines_in(scenario, otherwise if deed is None else deed))
         return tuple(
             TellingLine(
                 file=_shown_path(each.line.file, harness.root),
@@ -349,9 +351,10 @@ class Simplification:
             run = self._showing(find.id, candidate)
             return None if run is None or runs_in(run, find.lines[0]) else run
 
-        near = [each for each, deed in deeds.items() if deed is not None and not is_in(find.lines[0], each, deed)]
+        read = islice(((each, deed) for each, deed in deeds.items() if deed is not None), MOST_READ)
+        near = next((each for each, deed in read if not is_in(find.lines[0], each, deed)), None)
         others = (each for each in self.loop.others.get(find.id, ()) if elsewhere(each) is not None)
-        scenario = near[0] if near else next(others, None)
+        scenario = next(others, None) if near is None else near
         if scenario is None:
             return None
         runs: dict[Scenario, Run] = {}
@@ -364,7 +367,7 @@ class Simplification:
             return driven(run)
 
         top_speed, simple = float(self.loop.simulation.harness.world.speed_limit), scenario
-        if not near:
+        if near is None:
             simple, _ = shrink(
                 scenario,
                 attempt,
@@ -619,6 +622,10 @@ WIDER, LEAST_PASSING = (2.0, 4.0), 0.25
 
 SECOND_ROLLOUTS = 60
 """The largest number of runs that shrink a run of a second place."""
+
+MOST_READ = 20
+"""The largest number of failing and of passing neighbours whose lines are read. More would hardly tell more, and a run
+whose lines are read takes up to ten times as long."""
 
 CAUSE = 6.0
 """The lines of the last decisions before the ego's mistake count, in this time [s]."""
