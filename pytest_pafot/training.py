@@ -10,7 +10,7 @@ import os
 from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import gymnasium
 from gymnasium.error import ResetNeeded
@@ -27,8 +27,8 @@ from pytest_pafot.model.trace import Trace
 from pytest_pafot.searching.space import sample, space_on
 from pytest_pafot.support.errors import WorldError, checked_number
 from pytest_pafot.world import World
-from pytest_pafot.world.driving.policy import Policy, checked_action
-from pytest_pafot.world.engines.policy_engine import begin
+from pytest_pafot.world.driving.policy import checked_action
+from pytest_pafot.world.engines.policies import begin
 from pytest_pafot.world.guard.hang_guard import HangGuard
 from pytest_pafot.world.gym_environment import GymEnvironment
 from pytest_pafot.world.protocol import road_start
@@ -45,7 +45,7 @@ class ScenarioSteps:
 
     def __init__(self, environment: GymEnvironment, rules: Rules, scenario: Scenario) -> None:
         self._run = begin(environment, rules, scenario, HangGuard(rules.hang_limit), None)
-        self._env = cast("Policy", self._run.traffic.driver).env
+        self._env = self._run.driver.env
         self._env.action_space.seed(scenario.seed)
 
     @property
@@ -74,7 +74,7 @@ class ScenarioSteps:
         env.vehicle.crashed = trace is not None and trace.collision is not None
         reward, is_terminated = float(env._reward(action)), bool(env._is_terminated())
         if is_terminated and trace is None:  # it ends the episode before the run is over, such as behind a merge
-            run.trace = trace = run.traffic.record.trace()
+            run.trace = trace = run.vehicles.trace(run.driver)
         return seen, reward, is_terminated, trace is not None and not is_terminated, env._info(seen, action)
 
 

@@ -16,13 +16,13 @@ from pytest_pafot.model.trace import AdsError, FloatArray, Lane, Outcome
 from pytest_pafot.support.errors import WorldError
 from pytest_pafot.world.driving.ads import give_route
 from pytest_pafot.world.driving.policy import View, check_action_space, checked_action
-from pytest_pafot.world.driving.seeing import PlannerSight, PolicySight
+from pytest_pafot.world.driving.seeing import ImperfectSensor, PolicySight
 from pytest_pafot.world.driving.vehicles import straight_road
 from pytest_pafot.world.engines.gym_replay import StockVehicle
 from pytest_pafot.world.guard.hang_guard import HangGuard
 from pytest_pafot.world.kernel.bodies import Body
-from pytest_pafot.world.kernel.loop import PlannerPilot
-from pytest_pafot.world.kernel.observation import COLUMNS, Observer
+from pytest_pafot.world.kernel.loop import PlannerDriver
+from pytest_pafot.world.kernel.observation import COLUMNS, Observer, Sensor
 from pytest_pafot.world.roads.straight import StraightRoad
 
 POINT_STEP = 2.0
@@ -210,16 +210,16 @@ class Start:
         """Return an empty array for the states of all vehicles at all ticks."""
         return array("d", bytes(8 * (self.ticks + 1) * len(self.vehicles) * COLUMNS))
 
-    def pilot(self, body: Body, record: array[float]) -> PlannerPilot:
-        """Return the pilot that makes a planner's observations from a record and applies its decisions to a body."""
+    def driver(self, body: Body, record: array[float]) -> PlannerDriver:
+        """Return the driver that makes a planner's observations from a record and applies its decisions to a body."""
         road = self.straight
         sizes = [(each.LENGTH, each.WIDTH) for each in self.vehicles]
         every = max(1, self.physics_hz // PLANNER_HZ)
-        observer = Observer(record, sizes, road.grid, road.speed_limit, self.physics_hz, every)
-        ads = self.ads
+        sensor: Sensor = Observer(record, sizes, road.grid, road.speed_limit, self.physics_hz, every)
         if self.sight is not None:
-            ads = PlannerSight(self.sight, self.seed, self.physics_hz, road.grid).asking(ads, observer)
-        return PlannerPilot(ads, body, road.grid, observer, self.guard, every=every, dt=1 / self.physics_hz)
+            sensor = ImperfectSensor(sensor, self.sight, self.seed, road.grid, self.physics_hz)
+        common: dict[str, Any] = {"lanes": road.lane_count, "lane_width": road.lane_width, "every": every}
+        return PlannerDriver(self.ads, self.guard, (), body, body, sensor, dt=1 / self.physics_hz, **common)
 
     def ended(
         self,

@@ -32,7 +32,7 @@ from pytest_pafot.world.guard.failure import UNFIT, closing, error_of
 from pytest_pafot.world.guard.hang_guard import HangGuard
 from pytest_pafot.world.gym_environment import NEUTRAL, GymEnvironment, vehicle_classes_kept
 from pytest_pafot.world.kernel.bodies import Body
-from pytest_pafot.world.kernel.loop import Pilot
+from pytest_pafot.world.kernel.loop import EgoDriver
 from pytest_pafot.world.kernel.observation import COLUMNS
 from pytest_pafot.world.kernel.traffic import OrdinaryTraffic, TrafficVehicle
 from pytest_pafot.world.roads.straight import StraightRoad
@@ -76,14 +76,16 @@ def compiled(start: Start, seed: int, *, is_recorded: bool) -> Episode:
     """Drive an episode with compiled traffic; :func:`why_not` must have returned an empty text for its start."""
     road, record = start.straight, start.record()
     traffic, mirror = _compiled(start, record)
-    pilot: Pilot
+    driver: EgoDriver
     if start.kind == "planner":
-        pilot = start.pilot(mirror.ego, record)
+        driver = start.driver(mirror.ego, record)
     elif start.kind == "policy":
-        pilot = _PolicyPilot(start, mirror)
+        driver = _PolicyDriver(start, mirror)
     else:
-        pilot = Pilot(start.ticks) if idm_model(start.ads) is not None else _VehiclePilot(start, mirror)
-    error = _drive(start, traffic, pilot, mirror)
+        driver = (
+            EgoDriver(mirror.ego, start.ticks) if idm_model(start.ads) is not None else _VehicleDriver(start, mirror)
+        )
+    error = _drive(start, traffic, driver, mirror)
     mirror.show()
     recording = None
     if is_recorded:
@@ -105,19 +107,19 @@ class CompiledSteps:
     def __init__(self, start: Start) -> None:
         self._start = start
         self._traffic, self._mirror = _compiled(start, start.record())
-        self._pilot = _PolicyPilot(start, self._mirror)
+        self._driver = _PolicyDriver(start, self._mirror)
 
     def step(self, action: Any) -> Step:
         """Take one step with an action, and return the same values as ``env.step`` of the environment."""
         start, env, traffic = self._start, self._start.env, self._traffic
         env.time += 1 / env.config["policy_frequency"]
-        self._pilot.apply(action)
+        self._driver.apply(action)
         for _ in range(start.every):
             if traffic.step():
                 break
         self._mirror.show()
         env.steps = traffic.tick
-        seen, reward = self._pilot.observe(), float(env._reward(action))
+        seen, reward = self._driver.observe(), float(env._reward(action))
         is_truncated = bool(env._is_truncated()) or traffic.tick + start.every > start.ticks
         return seen, reward, bool(env._is_terminated()), is_truncated, env._info(seen, action)
 
@@ -128,7 +130,7 @@ def _compiled(start: Start, record: array[float]) -> tuple[OrdinaryTraffic, _Mir
     return OrdinaryTraffic(bodies, record, 1 / start.physics_hz), _Mirror(start, bodies, start.straight)
 
 
-def _drive(start: Start, traffic: OrdinaryTraffic, pilot: Pilot, mirror: _Mirror) -> AdsError | None:
+def _drive(start: Start, traffic: OrdinaryTraffic, driver: EgoDriver, mirror: _Mirror) -> AdsError | None:
     """Drive until the ego is flagged as crashed, the environment ends the episode, or the ADS does not decide."""
     env, time = start.env, 0.0
     while traffic.tick < start.ticks:
@@ -139,11 +141,11 @@ def _drive(start: Start, traffic: OrdinaryTraffic, pilot: Pilot, mirror: _Mirror
             if tick > 0 and (env._is_terminated() or env._is_truncated()):
                 return None
             time += 1 / env.config["policy_frequency"]
-        if tick % pilot.every == 0:
-            error = pilot.decide(tick)
+        if tick % driver.every == 0:
+            error = driver.decide(tick)
             if error is not None:
                 return error
-        pilot.actuate()
+        driver.actuate()
         if traffic.step():
             return None
     return None
@@ -171,11 +173,11 @@ class _Mirror:
                 vehicle.target_lane_index = self._lanes[goal][0]
 
 
-class _PolicyPilot(Pilot):
+class _PolicyDriver(EgoDriver):
     """The driver of an ego by a policy, which receives the environment's observations and returns its actions."""
 
     def __init__(self, start: Start, mirror: _Mirror) -> None:
-        super().__init__(start.every)
+        super().__init__(mirror.ego, start.every)
         self._start = start
         self._mirror = mirror
         self.observe = observer(start.env) if start.eyes is None else start.env.observation_type.observe
@@ -209,11 +211,11 @@ class _PolicyPilot(Pilot):
             self._start.eyes.note()
 
 
-class _VehiclePilot(Pilot):
+class _VehicleDriver(EgoDriver):
     """The driver of an ego whose vehicle class has its own code to act and move."""
 
     def __init__(self, start: Start, mirror: _Mirror) -> None:
-        super().__init__(1)
+        super().__init__(mirror.ego, 1)
         self._start = start
         self._mirror = mirror
         self._ego = start.env.vehicle
@@ -355,7 +357,7 @@ class _Steps:
         """Return the ``act`` of an ego that a planner drives."""
         start, ego, count = self._start, self._start.env.vehicle, len(self._start.vehicles)
         record, body = start.record(), Body(ego.LENGTH, ego.WIDTH)
-        pilot = start.pilot(body, record)
+        driver = start.driver(body, record)
 
         def act(action: Any = None) -> None:
             for row, each in enumerate(start.vehicles):
@@ -364,9 +366,9 @@ class _Steps:
                 held = each.action["acceleration"], each.action["steering"]
                 record[at : at + 6] = array("d", (*pose, each.speed, *held))
             body.place(*start.straight.project(ego.x, ego.y, ego.heading), ego.speed)
-            error = pilot.decide(self.tick) if self.tick % pilot.every == 0 else None
+            error = driver.decide(self.tick) if self.tick % driver.every == 0 else None
             self.error = self.error or error
-            pilot.actuate()
+            driver.actuate()
             ego.control(body.acceleration, body.steering)
 
         return act

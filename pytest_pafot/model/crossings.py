@@ -31,6 +31,8 @@ Origin = Literal["left", "right", "ahead", "behind"]
 Holder = Literal["ego", "npc", "none"]
 """The vehicle that has priority in a zone: the ego, the NPC or neither."""
 
+NOT_ON_WAY = 0.5
+"""The angle to the ego's way above which a vehicle is not on it [rad]."""
 STEP = 0.5
 """Distance between the points of a way [m]."""
 APART = 0.7

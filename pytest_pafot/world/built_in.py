@@ -14,8 +14,9 @@ from pytest_pafot.model.sight import Sight
 from pytest_pafot.model.trace import Trace
 from pytest_pafot.support.errors import WorldError
 from pytest_pafot.world.driving.ads import AdsFactory, check_drives_in
-from pytest_pafot.world.engines.lock_step import SteppedRun, rollouts
-from pytest_pafot.world.engines.selection import rollout_planner
+from pytest_pafot.world.engines.egos import planner_run
+from pytest_pafot.world.engines.lock_step import rollouts
+from pytest_pafot.world.engines.run import SteppedRun
 from pytest_pafot.world.guard.hang_guard import HangGuard
 from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.kernel.observation import Observation
@@ -85,8 +86,6 @@ class BuiltInWorld(ABC):
     limits: NpcLimits
     hang_limit: float
     lasts: float | None
-    engine: str = "auto"
-    """The engine that simulates runs in SI units; see :class:`pytest_pafot.Highway`."""
 
     @property
     def observation_space(self) -> Any:
@@ -247,7 +246,20 @@ class BuiltInWorld(ABC):
     ) -> Trace:
         self.rules.check_fits(scenario)
         every_tick = replace(self.rules, ads_hz=self.rules.physics_hz)
-        return rollout_planner(self, every_tick, scenario, driver, body=body)
+        return self._planned(every_tick, scenario, driver, body=body)
+
+    def _planned(
+        self,
+        rules: Rules,
+        scenario: Scenario,
+        ads: Callable[[Observation], Any],
+        decisions: Sequence[Any] = (),
+        body: Body | None = None,
+    ) -> Trace:
+        """Simulate a scenario by the given rules with a planner in SI units; see :func:`planner_run`."""
+        guard = HangGuard(rules.hang_limit)
+        network = lambda: self.network  # noqa: E731  (to make it imports highway-env)
+        return planner_run(rules, scenario, network, ads, guard, decisions=decisions, body=body).finish()
 
     def first_decision(self, scenario: Scenario) -> FirstDecision | None:
         """Describe the first decision of an ADS in a scenario; return None if the run fails before that decision."""

@@ -14,8 +14,7 @@ from pytest_pafot.model.trace import Trace
 from pytest_pafot.support.errors import AdsFactoryError, WorldError
 from pytest_pafot.world.built_in import BuiltInWorld
 from pytest_pafot.world.driving.ads import AdsFactory, check_drives_in, is_vehicle_class, make_ads, wants_env
-from pytest_pafot.world.engines.lock_step import SteppedRun
-from pytest_pafot.world.engines.selection import rollout_planner
+from pytest_pafot.world.engines.run import SteppedRun
 from pytest_pafot.world.guard.failure import closing
 from pytest_pafot.world.guard.hang_guard import HangGuard
 from pytest_pafot.world.limits import CLEARANCE, HANG_LIMIT, HEADWAY, TOP_SPEED, NpcLimits
@@ -216,10 +215,10 @@ class World(BuiltInWorld):
                 ads_factory = ads
             else:
                 with closing(ads, self.hang_limit):
-                    return rollout_planner(self, self.rules, scenario, ads)
-        from pytest_pafot.world.engines import policy_engine  # noqa: PLC0415  (imports highway-env)
+                    return self._planned(self.rules, scenario, ads)
+        from pytest_pafot.world.engines import policies  # noqa: PLC0415  (imports highway-env)
 
-        return policy_engine.rollout(self.environment, self.rules, scenario, ads_factory)
+        return policies.rollout(self.environment, self.rules, scenario, ads_factory)
 
     def rollout_in_gym(self, scenario: Scenario, ads_factory: AdsFactory) -> Trace:
         """Simulate a scenario as :meth:`rollout` does, but entirely with ``env.step`` of the registered environment.
@@ -234,7 +233,7 @@ class World(BuiltInWorld):
         return replay_environment(self.environment, self.rules, scenario, ads_factory, is_planner=is_planner)
 
     def _begin(self, scenario: Scenario, guard: HangGuard, sight: Sight | None) -> SteppedRun:
-        from pytest_pafot.world.engines.policy_engine import begin  # noqa: PLC0415  (imports highway-env)
+        from pytest_pafot.world.engines.policies import begin  # noqa: PLC0415  (imports highway-env)
 
         return begin(self.environment, self.rules, scenario, guard, sight)
 

@@ -14,8 +14,9 @@ from pytest_pafot.model.trace import Trace
 from pytest_pafot.support.errors import AdsFactoryError, WorldError
 from pytest_pafot.world.built_in import BuiltInWorld
 from pytest_pafot.world.driving.ads import AdsFactory, check_drives_in, is_vehicle_class, make_ads, wants_env
-from pytest_pafot.world.engines import selection
-from pytest_pafot.world.engines.lock_step import SteppedRun
+from pytest_pafot.world.driving.idm_model import idm_model
+from pytest_pafot.world.engines.egos import planner_run, vehicle_run
+from pytest_pafot.world.engines.run import SteppedRun
 from pytest_pafot.world.guard.failure import closing
 from pytest_pafot.world.guard.hang_guard import HangGuard
 from pytest_pafot.world.limits import CLEARANCE, HANG_LIMIT, HEADWAY, TOP_SPEED, NpcLimits
@@ -27,8 +28,6 @@ LANE_WIDTH = 4.0
 """The lane width of highway-env [m]."""
 LANE_COUNTS = (3, 6)
 """The smallest and the largest number of lanes."""
-ENGINES = ("auto", "kernel", "highway-env")
-"""The engines that can simulate a run; ``auto`` uses the kernel if the kernel can drive the ego, else highway-env."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,8 +47,6 @@ class Highway(BuiltInWorld):
         headway: the headway with which NPCs start ahead of the ego or behind it [s].
         limits: the limits of every NPC.
         hang_limit: wall-clock time after which a decision of the ADS is interrupted [s].
-        engine: ``"kernel"``, which is compiled, ``"highway-env"``, or ``"auto"``: the kernel if it can drive the ego.
-            The results are the same, so the engine is not part of a saved world.
         lasts: the duration of each run [s], whatever its scenario and ``duration`` say, as :meth:`lasting` sets it;
             None if they decide. It is not part of a saved world.
 
@@ -66,7 +63,6 @@ class Highway(BuiltInWorld):
     headway: float = HEADWAY
     limits: NpcLimits = field(default_factory=NpcLimits)
     hang_limit: float = HANG_LIMIT
-    engine: str = field(default="auto", compare=False)
     lasts: float | None = field(default=None, compare=False)
 
     guards_ads = True
@@ -77,8 +73,6 @@ class Highway(BuiltInWorld):
         for name, low, high in (("speed_limit", 5.0, TOP_SPEED), ("duration", 1 / self.physics_hz, 3600.0)):
             object.__setattr__(self, name, number_within(name, getattr(self, name), low, high))
         self._check_fields()
-        if self.engine not in ENGINES:
-            raise WorldError(field="engine", expected=f"one of {', '.join(ENGINES)}", received=repr(self.engine))
         check_divides(("physics_hz", self.physics_hz), ("ads_hz", self.ads_hz))
         check_ticks(self.duration, self.physics_hz)
         self.limits.top_speed(self.speed_limit)
@@ -115,13 +109,18 @@ class Highway(BuiltInWorld):
             )
         ads = make_ads(ads_factory)
         if is_vehicle_class(ads):
-            return selection.rollout_vehicle(self, scenario, ads, decisions)
+            if decisions:
+                raise WorldError(
+                    f"decisions: expected none for {ads!r}, a vehicle class, which drives itself and returns no "
+                    f"actions, received {len(decisions)}; leave them out"
+                )
+            return vehicle_run(self.rules, scenario, lambda: self.network, ads).finish()
         with closing(ads, self.hang_limit):
-            return selection.rollout_planner(self, self.rules, scenario, ads, decisions)
+            return self._planned(self.rules, scenario, ads, decisions)
 
     def runs_in_kernel(self, ads: Any) -> bool:
         """Return whether ``ads`` is a vehicle class that the kernel can drive in this world."""
-        return selection.kernel_model(self, ads) is not None
+        return idm_model(ads) is not None
 
     def rollout_in_gym(self, scenario: Scenario, ads_factory: AdsFactory) -> Trace:
         """Simulate a scenario as :meth:`rollout` does, but with ``env.step`` of highway-env's own highway-v0.
@@ -135,12 +134,12 @@ class Highway(BuiltInWorld):
         return replay_highway(self.rules, scenario, ads_factory)
 
     def _begin(self, scenario: Scenario, guard: HangGuard, sight: Sight | None) -> SteppedRun:
-        return selection.begin(self, scenario, guard, sight)
+        return planner_run(self.rules, scenario, lambda: self.network, None, guard, sight=sight)
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data for a corpus file; :func:`pytest_pafot.world.from_dict` reads it."""
         values = asdict(self)
-        del values["engine"], values["lasts"]  # all engines give the same results, and a file decides how long it runs
+        del values["lasts"]  # a file decides how long it runs
         return {"kind": "highway", **values}
 
     @cached_property

@@ -1,4 +1,4 @@
-"""The four kinds of ADS behind one interface, which drives the ego of one run; and calls of ADS factories."""
+"""ADSs and their factories: calls of factories, and what they are told about what a factory returns."""
 
 from __future__ import annotations
 
@@ -6,33 +6,14 @@ import functools
 import inspect
 import re
 import sys
-from collections import deque
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
 from types import FunctionType
-from typing import TYPE_CHECKING, Any, Protocol, cast
+from typing import Any
 
 from pytest_pafot.support.errors import AdsFactoryError
 from pytest_pafot.support.text import shown
-from pytest_pafot.world.driving.seeing import PlannerSight, SeeingAds
+from pytest_pafot.world.driving.seeing import SeeingAds
 from pytest_pafot.world.guard.hang_guard import one_process, unending
-from pytest_pafot.world.kernel.action import (
-    Drive,
-    acceleration_to_speed,
-    checked_si_action,
-    possible_acceleration,
-    possible_steering,
-    without_reversing,
-)
-from pytest_pafot.world.kernel.driver import LaneTracker
-from pytest_pafot.world.kernel.observation import Observation, VehicleState, lateral_velocity
-from pytest_pafot.world.roads.network import NetworkRoad
-from pytest_pafot.world.roads.straight import StraightRoad
-
-if TYPE_CHECKING:
-    from highway_env.road.road import Road
-
-    from pytest_pafot.world.driving.vehicles import Car
 
 PREDICTING = "`lambda: lambda observation: model.predict(observation, deterministic=True)[0]`"
 """An example of a factory whose ADS calls a trained model, for messages."""
@@ -44,34 +25,6 @@ It may have these optional members: a method ``check_world(world)``, which raise
 method ``preload()``, which the session calls so that forked processes share what it loads; a text ``weights_digest``, a
 hash of the policy, which findings store; and a text ``loading_hint``, which a search reports as a note.
 """
-
-
-class EgoDriver(Protocol):
-    """The driver of the ego in one run.
-
-    Attributes:
-        vehicle: the ego, a highway-env vehicle.
-        every: the number of physics ticks between decisions.
-    """
-
-    vehicle: Any
-    every: int
-
-    def decide(self, tick: int) -> Any:
-        """Call the ADS, which is the user's code, apply its action, and return the action."""
-
-    def actuate(self) -> None:
-        """Apply the low-level control of a tick; called in every tick, after a decision if there is one."""
-
-
-class AskedDriver(EgoDriver, Protocol):
-    """A driver of the ego whose ADS may also be called by other code, which passes the actions to :meth:`apply`."""
-
-    def observe(self, tick: int) -> Any:
-        """Return the ADS's observation at a tick."""
-
-    def apply(self, action: Any) -> Any:
-        """Check an action, apply it, and return the checked action."""
 
 
 def is_vehicle_class(candidate: object) -> bool:
@@ -230,125 +183,3 @@ def give_route(vehicle: Any, route: Sequence[Any] | None) -> None:
     """Give a vehicle a copy of the environment's route, if both have one; highway-env shortens it while driving."""
     if route is not None and hasattr(vehicle, "route"):
         vehicle.route = list(route)
-
-
-class SelfDriving:
-    """The driver of an ego of a highway-env vehicle class, which drives itself and decides at every physics tick."""
-
-    every = 1
-
-    def __init__(
-        self, vehicle_class: Any, road: Road, start: tuple[float, float, float], speed: float, route: Any = None
-    ) -> None:
-        x, y, heading = start
-        self.vehicle = vehicle_class(road, [x, y], heading, speed)
-        self.vehicle.check_collisions = False
-        give_route(self.vehicle, route)
-
-    def decide(self, tick: int) -> None:
-        """Call the vehicle's own ``act``."""
-        self.vehicle.act()
-
-    def actuate(self) -> None:
-        """Do nothing, because the vehicle has acted."""
-
-
-@dataclass(eq=False)
-class Planner:
-    """The driver of the ego for a planner in SI units, a callable from :class:`Observation` to an action.
-
-    The action is acceleration [m/s^2] and steering [rad], or a :class:`Drive`.
-    """
-
-    ads: Callable[[Observation], Any]
-    road: Road
-    lanes: StraightRoad | NetworkRoad
-    vehicle: Car
-    physics_hz: int
-    every: int
-    sight: PlannerSight | None = field(default=None, kw_only=True)
-
-    def __post_init__(self) -> None:
-        # The exact observations of the last ticks. The oldest is as old as the latency, or from the start.
-        self._past: deque[Observation] = deque(maxlen=0 if self.sight is None else self.sight.delay)
-        self._drive: Drive | None = None
-        self._angle = 0.0  # of the wheels, without what a bend adds
-        self._tracker = LaneTracker(self.vehicle.LENGTH, 1 / self.physics_hz)
-        self._tracks = False
-
-    def decide(self, tick: int) -> tuple[float, float] | Drive:
-        """Observe, call the ADS, and check and apply its action."""
-        return self.apply(self.ads(self.observe(tick)))
-
-    def apply(self, action: Any) -> tuple[float, float] | Drive:
-        """Check an action, apply it, and return the checked action."""
-        checked = checked_si_action(action, self.lanes.lane_count)
-        self._drive = checked if isinstance(checked, Drive) else None
-        if isinstance(checked, Drive):
-            self._wanted = possible_acceleration(checked.acceleration or 0.0)
-        else:
-            self._wanted = possible_acceleration(checked[0])
-            self._steer(possible_steering(checked[1]))
-            self._tracks = False
-        return checked
-
-    def actuate(self) -> None:
-        """Set the controls of a tick: steer towards the lane and speed of a Drive, and never drive in reverse."""
-        if self._past.maxlen:
-            self._past.append(self._now(0))
-        car, drive = self.vehicle, self._drive
-        if drive is not None:
-            across, heading = self._place()
-            most, jerk = drive.lateral_acceleration, drive.lateral_jerk
-            if not self._tracks:
-                self._tracker.begin(heading, self._angle, car.speed, most)
-                self._tracks = True
-            offset = across - drive.lane * self.lanes.lane_width
-            self._steer(self._tracker.steering(offset, heading, car.speed, most, jerk))
-            if drive.speed is not None:
-                self._wanted = acceleration_to_speed(drive.speed, car.speed)
-        car.acceleration = without_reversing(self._wanted, car.speed, 1 / self.physics_hz)
-
-    def _steer(self, angle: float) -> None:
-        self._angle = angle
-        self.vehicle.control(self._wanted, angle + self._bend())
-
-    def _bend(self) -> float:
-        """Return the steering angle with which a vehicle follows the lane [rad]."""
-        return 0.0
-
-    def _place(self) -> tuple[float, float]:
-        """Return the ego's current position across the road [m] and its heading relative to it [rad]."""
-        road, car = cast("StraightRoad", self.lanes), self.vehicle
-        _, across, heading = road.project(car.x, car.y, car.heading)
-        return across, heading
-
-    def observe(self, tick: int) -> Observation:
-        """Return the ADS's observation: all vehicles in their current state, unless its sight is imperfect."""
-        now = self._now(tick)
-        return now if self.sight is None else self.sight.seen(now, self._past[0] if self._past else now)
-
-    def _now(self, tick: int) -> Observation:
-        ego, *others = (
-            VehicleState(v.x, v.y, v.heading, v.speed, v.lane_index[2], v.LENGTH, v.WIDTH) for v in self.road.vehicles
-        )
-        road, time = self.lanes, tick / self.physics_hz
-        return Observation(
-            time,
-            ego,
-            tuple(others),
-            len(road.lanes),
-            road.lane_width,
-            road.speed_limit,
-            **self._details(tuple([lateral_velocity(v.heading, v.speed, v.steering) for v in self.road.vehicles])),
-            road_length=road.lanes[0].length,
-        )
-
-    def _details(self, lateral: tuple[float, ...]) -> dict[str, Any]:
-        """Return the fields of an observation that any road has."""
-        return {
-            "decision_period": self.every / self.physics_hz,
-            "acceleration": self.vehicle.acceleration,
-            "steering": self.vehicle.steering,
-            "lateral_velocities": lateral,
-        }

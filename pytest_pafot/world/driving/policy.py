@@ -10,40 +10,57 @@ from typing import Any
 import numpy as np
 from gymnasium import spaces
 
+from pytest_pafot.model.trace import AdsError
 from pytest_pafot.support.errors import BadAction, WorldError
 from pytest_pafot.support.text import shown
 from pytest_pafot.world.driving.kinematics import observer
+from pytest_pafot.world.driving.object_driver import ObjectDriver
 from pytest_pafot.world.driving.seeing import PolicySight
+from pytest_pafot.world.guard.hang_guard import HangGuard
 from pytest_pafot.world.kernel.action import hint_at
 from pytest_pafot.world.stock import Road, class_from_path
 
 
-class Policy:
-    """A driver of the ego that passes an environment's observation to an ADS, and applies the action that it returns.
+class PolicyDriver(ObjectDriver):
+    """A driver that passes an environment's observation to an ADS, and applies the action that it returns.
 
-    The environment ``env`` contains the road and the ego of the run. ``view`` is a second environment, in which the ADS
-    may simulate ahead; ``view`` is updated to the state of the run before each decision. If ``sight`` limits what the
-    ADS sees, both environments contain only what it sees.
+    Args:
+        ads: the ADS; None if the decisions are passed to :meth:`take`.
+        env: the environment with the road and the ego of the run.
+        guard: the guard of the ADS's decisions.
+        every: the number of physics ticks between decisions.
+        view: a second environment, in which the ADS may simulate ahead; it shows the state of the run before each
+            decision.
+        sight: what limits the ADS's sight; then both environments contain only what it sees.
     """
 
     def __init__(
-        self, ads: Any, env: Any, every: int, view: View | None = None, sight: PolicySight | None = None
+        self,
+        ads: Any,
+        env: Any,
+        guard: HangGuard,
+        every: int,
+        view: View | None = None,
+        sight: PolicySight | None = None,
     ) -> None:
         check_action_space(env.action_space)
-        self.vehicle = env.vehicle
-        self.every = every
-        self._ads = ads
+        super().__init__(env.vehicle, guard, every)
         self.env = env
+        self._ads = ads
         self._observe = observer(env)
         self._view = view
         self._sight = sight
 
-    def decide(self, tick: int) -> Any:
+    def decide(self, tick: int) -> AdsError | None:
+        """Observe, call the ADS, and check and apply its action, unless the decisions are passed in."""
+        return None if self._ads is None else super().decide(tick)
+
+    def decided(self, tick: int) -> Any:
         """Observe, call the ADS, and check and apply its action."""
-        return self.apply(self._ads(self.observe(tick)))
+        return self._applied(self._ads(self.observe(tick)))
 
     def observe(self, tick: int) -> Any:
-        """Return the ADS's observation at a tick."""
+        """Return the ADS's observation at the current tick."""
         env = self.env
         env.steps = tick
         env.time = tick / env.config["simulation_frequency"]
@@ -52,7 +69,16 @@ class Policy:
                 self._view.show(tick)
             return self._observe()
 
-    def apply(self, action: Any) -> Any:
+    def take(self, action: Any, seconds: float) -> None:
+        """Check and apply a decision that took ``seconds``.
+
+        Raises:
+            BadAction: if the action is not valid.
+        """
+        self.actions.append(self._applied(action))
+        self.slowest = max(self.slowest, seconds)
+
+    def _applied(self, action: Any) -> Any:
         """Check an action, apply it, and return the checked action."""
         checked = checked_action(action, self.env.action_space)
         self.env.action_type.act(checked)

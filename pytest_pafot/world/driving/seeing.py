@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import math
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
@@ -16,9 +16,7 @@ from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.sight import Sight
 from pytest_pafot.support.errors import WorldError
 from pytest_pafot.world.kernel.lanes import Lanes
-from pytest_pafot.world.kernel.observation import Observation, Observer
-from pytest_pafot.world.roads.straight import StraightRoad
-from pytest_pafot.world.run_config import Rules
+from pytest_pafot.world.kernel.observation import Observation, Sensor
 
 OF_THE_ROAD = ("KinematicObservation", "OccupancyGridObservation", "TimeToCollisionObservation", "LidarObservation")
 """The observation classes of highway-env that are computed only from a road's vehicles, which copies can replace."""
@@ -56,47 +54,33 @@ class SeeingAds:
         return self.ads.close
 
 
-@dataclass(frozen=True, slots=True)
-class PlannerSight:
-    """A planner's imperfect sight in one run, which turns exact observations into imperfect observations.
+class ImperfectSensor(Sensor):
+    """The maker of imperfect observations on a straight road.
 
-    Attributes:
+    Args:
+        sensor: the maker of the exact observations, also of earlier ticks.
         sight: the imperfections.
         seed: the scenario's seed, from which all errors follow.
+        lanes: the road's lanes, in which vehicles with position errors are put.
         physics_hz: ticks per second.
-        lanes: the road's lanes, in which vehicles with position errors are put; None on a road that is not straight,
-            where ``RoadPlanner`` finds the lane of each vehicle.
     """
 
-    sight: Sight
-    seed: int
-    physics_hz: int
-    lanes: Lanes | None
+    def __init__(self, sensor: Sensor, sight: Sight, seed: int, lanes: Lanes, physics_hz: int) -> None:
+        super().__init__()
+        self._sensor = sensor
+        self._sight = sight
+        self._seed = seed
+        self._lanes = lanes
+        self._delay = sight.delay(physics_hz)
 
-    @property
-    def delay(self) -> int:
-        """The latency in ticks."""
-        return self.sight.delay(self.physics_hz)
-
-    def tick(self, now: Observation) -> int:
-        """Return the tick of an observation."""
-        return round(now.time * self.physics_hz)
-
-    def asking(self, ads: Callable[[Observation], Any], observer: Observer) -> Callable[[Observation], Any]:
-        """Wrap an ADS so that it receives imperfect observations; ``observer`` has the run's exact observations."""
-        return lambda now: ads(self.recorded(now, observer))
-
-    def recorded(self, now: Observation, observer: Observer) -> Observation:
-        """Return the imperfect observation for the exact one ``now``; ``observer`` has the earlier observations."""
-        return self.seen(now, observer.observation(max(0, self.tick(now) - self.delay)))
-
-    def seen(self, now: Observation, then: Observation) -> Observation:
-        """Make an imperfect observation from the exact observations now and at the time of measurement (``then``)."""
+    def observation(self, tick: int) -> Observation:
+        """Make an imperfect observation from the exact observations now and at the time of measurement."""
+        now, then = self._sensor.observation(tick), self._sensor.observation(max(0, tick - self._delay))
         others, ids, lateral = [], [], [now.lateral_velocities[0]]
-        for glimpse in self.sight.glimpses(then.array, self.seed, self.tick(now)):
+        for glimpse in self._sight.glimpses(then.array, self._seed, tick):
             was = then.others[glimpse.other]
             x, y = was.x + glimpse.x, was.y + glimpse.y
-            lane = was.lane if self.lanes is None else self.lanes.closest(x, y, was.heading)
+            lane = self._lanes.closest(x, y, was.heading)
             others.append(was._replace(x=x, y=y, speed=was.speed + glimpse.speed, lane=lane))
             ids.append(then.ids[glimpse.other])
             lateral.append(then.lateral_velocities[glimpse.other + 1] + glimpse.speed * math.sin(was.heading))
@@ -114,14 +98,6 @@ class PlannerSight:
             ids=tuple(ids),
             road_length=now.road_length,
         )
-
-
-def planner_sight(sight: Sight | None, rules: Rules, scenario: Scenario) -> PlannerSight | None:
-    """Return the sight of a planner in a run; None for perfect sight."""
-    if sight is None:
-        return None
-    lanes = rules.road.grid if isinstance(rules.road, StraightRoad) else None
-    return PlannerSight(sight, scenario.seed, rules.physics_hz, lanes)
 
 
 class PolicySight:

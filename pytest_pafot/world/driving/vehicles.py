@@ -164,51 +164,71 @@ class EgosRegulatedRoad(RegulatedRoad):  # type: ignore[misc]
 
 
 class Car(Vehicle):  # type: ignore[misc]
-    """A vehicle that holds its controls until they are set again from outside.
+    """An NPC as highway-env's code sees it: a view of its body, which the loop moves.
 
     ``target_speed`` is its current speed. highway-env's IDM uses it as the desired speed of a follower, and an observer
     can know no more about an NPC.
     """
 
-    x: float
-    y: float
-    heading: float
-    speed: float
-    LENGTH: float
-    WIDTH: float
-
-    def __init__(
-        self, road: Road, position: Any, heading: float = 0.0, speed: float = 0.0, body: Body | None = None
-    ) -> None:
-        self._position: Any = None
-        self._lane_index: tuple[str, str, int] | None = None
-        self._body = body or Body(self.LENGTH, self.WIDTH)
-        self.LENGTH, self.WIDTH = self._body.length, self._body.width
-        super().__init__(road, position, heading, speed)
+    def __init__(self, road: Road, body: Body) -> None:
+        self.body = body
+        self.LENGTH, self.WIDTH = body.length, body.width
+        self._seen: Any = None
+        self._found: Any = None  # the pose at which the lane was found, and the lane's index
+        super().__init__(road, (body.x, body.y), body.heading, body.speed)
         self.check_collisions = False
+
+    def __copy__(self) -> Car:
+        """Return a view of a body of its own, because an imperfect sight shows NPCs elsewhere."""
+        own = Body(self.body.length, self.body.width)
+        own.place(self.body.x, self.body.y, self.body.heading, self.body.speed)
+        own.acceleration, own.steering = self.body.acceleration, self.body.steering
+        copied = Car.__new__(Car)
+        copied.__dict__.update(self.__dict__, body=own)
+        return copied
 
     @property
     def position(self) -> Any:
         """The world coordinates [m], as an array made on demand."""
-        if self._position is None:
-            self._position = np.array([self.x, self.y])
-        return self._position
+        body, seen = self.body, self._seen
+        if seen is None or seen[0] != body.x or seen[1] != body.y:
+            self._seen = seen = np.array([body.x, body.y])
+        return seen
 
     @position.setter
     def position(self, value: Any) -> None:
-        self.x, self.y = float(value[0]), float(value[1])
-        self._position = None
+        self.body.x, self.body.y = float(value[0]), float(value[1])
+
+    @property
+    def heading(self) -> float:
+        """The heading [rad]."""
+        return self.body.heading
+
+    @heading.setter
+    def heading(self, value: float) -> None:
+        self.body.heading = float(value)
+
+    @property
+    def speed(self) -> float:
+        """The speed [m/s]."""
+        return self.body.speed
+
+    @speed.setter
+    def speed(self, value: float) -> None:
+        self.body.speed = float(value)
 
     @property
     def lane_index(self) -> tuple[str, str, int]:
         """The index of the closest lane in highway-env, found on demand."""
-        if self._lane_index is None:
-            self._lane_index = self.road.network.closest(self.x, self.y, self.heading)
-        return self._lane_index
+        pose = self.body.x, self.body.y, self.body.heading
+        if self._found is None or self._found[0] != pose:
+            self._found = pose, self.road.network.closest(*pose)
+        index: tuple[str, str, int] = self._found[1]
+        return index
 
     @lane_index.setter
-    def lane_index(self, value: tuple[str, str, int] | None) -> None:
-        self._lane_index = value
+    def lane_index(self, value: object) -> None:
+        """Ignore the lane that highway-env sets, because it follows from the place."""
 
     @property
     def lane(self) -> StraightLane:
@@ -217,26 +237,21 @@ class Car(Vehicle):  # type: ignore[misc]
 
     @lane.setter
     def lane(self, value: StraightLane) -> None:
-        """Ignore the lane that highway-env sets along with the index, because it follows from the index."""
+        """Ignore the lane that highway-env sets, because it follows from the place."""
 
     @property
     def target_speed(self) -> float:
         """The current speed [m/s], which highway-env's IDM takes for the vehicle's desired speed."""
-        return float(self.speed)
-
-    def control(self, acceleration: float, steering: float) -> None:
-        """Set acceleration [m/s^2] and steering angle [rad]."""
-        self.acceleration = acceleration
-        self.steering = steering
+        return self.body.speed
 
     @property
     def action(self) -> dict[str, float]:
         """The controls as a dict, as in highway-env."""
-        return {"steering": self.steering, "acceleration": self.acceleration}
+        return {"steering": self.body.steering, "acceleration": self.body.acceleration}
 
     @action.setter
     def action(self, value: dict[str, float]) -> None:
-        self.steering, self.acceleration = float(value["steering"]), float(value["acceleration"])
+        self.body.steering, self.body.acceleration = float(value["steering"]), float(value["acceleration"])
 
     def act(self, action: Any = None) -> None:
         """Hold the current controls, or set the controls in ``action``, which highway-env's predictions pass."""
@@ -244,14 +259,8 @@ class Car(Vehicle):  # type: ignore[misc]
             self.action = action
 
     def step(self, dt: float) -> None:
-        """Do one explicit Euler step of ``dt`` seconds of highway-env's kinematic bicycle model, with the kernel."""
-        body = self._body
-        body.place(self.x, self.y, self.heading, self.speed)
-        body.acceleration, body.steering = self.acceleration, self.steering
-        body.step(dt)
-        self.x, self.y, self.heading, self.speed = body.x, body.y, body.heading, body.speed
-        self.acceleration, self.steering = body.acceleration, body.steering
-        self._position = self._lane_index = None
+        """Do one step of highway-env's kinematic bicycle model [s], as its predictions of copies ask for."""
+        self.body.step(dt)
 
 
 class DirectedVehicle(MDPVehicle):  # type: ignore[misc]

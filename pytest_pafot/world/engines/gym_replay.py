@@ -16,18 +16,22 @@ import gymnasium
 import numpy as np
 
 from pytest_pafot.model.scenario import Scenario
-from pytest_pafot.model.trace import Trace
+from pytest_pafot.model.trace import AdsError, Trace
 from pytest_pafot.support.errors import WorldError
-from pytest_pafot.world.driving.ads import AdsFactory, Planner, SelfDriving, is_vehicle_class, make_ads, wants_env
+from pytest_pafot.world.driving.ads import AdsFactory, is_vehicle_class, make_ads, wants_env
+from pytest_pafot.world.driving.object_driver import GuardedDriver, follow, foresee
 from pytest_pafot.world.driving.perception import ads_and_sight
 from pytest_pafot.world.driving.policy import View, check_action_space, checked_action
 from pytest_pafot.world.driving.seeing import PolicySight, policy_sight
 from pytest_pafot.world.driving.vehicles import is_regulated
-from pytest_pafot.world.engines.object_engine import VehiclesOfRun, decide, planner_of, step_ego
-from pytest_pafot.world.engines.policy_engine import put_ego, put_new_ego
-from pytest_pafot.world.guard.failure import UNFIT, closing, let_through
+from pytest_pafot.world.engines.egos import planner_driver, vehicle_of
+from pytest_pafot.world.engines.policies import put_ego
+from pytest_pafot.world.engines.run import VehiclesOfRun
+from pytest_pafot.world.guard.failure import UNFIT, closing, error_of, let_through
 from pytest_pafot.world.guard.hang_guard import HangGuard
 from pytest_pafot.world.gym_environment import GymEnvironment, vehicle_classes_kept, wrapper_names
+from pytest_pafot.world.kernel.bodies import Body
+from pytest_pafot.world.kernel.loop import EgoDriver, PlannerDriver
 from pytest_pafot.world.run_config import Rules
 from pytest_pafot.world.stock import AbstractEnv, RegulatedRoad, RoadNetwork, Vehicle
 
@@ -36,47 +40,23 @@ TRAFFIC_HOOKS = ("_spawn_vehicle", "_clear_vehicles")
 
 
 class StockVehicle(Vehicle):  # type: ignore[misc]
-    """A highway-env vehicle with properties for its state, and with highway-env's own physics, lane search and shape.
+    """A highway-env vehicle with highway-env's own physics, lane search and shape.
 
     ``target_speed`` is its current speed, which highway-env's IDM then assumes to be the desired speed of a vehicle
     ahead.
     """
 
     @property
-    def x(self) -> float:
-        """The world coordinate x [m]."""
-        return float(self.position[0])
-
-    @property
-    def y(self) -> float:
-        """The world coordinate y [m]."""
-        return float(self.position[1])
-
-    @property
     def target_speed(self) -> float:
         """The current speed [m/s], which stands in for the desired speed."""
         return float(self.speed)
-
-    @property
-    def acceleration(self) -> float:
-        """The acceleration of its current action [m/s^2]."""
-        return float(self.action["acceleration"])
-
-    @acceleration.setter
-    def acceleration(self, value: float) -> None:
-        self.control(value, self.steering)
-
-    @property
-    def steering(self) -> float:
-        """The steering angle of its current action [rad]."""
-        return float(self.action["steering"])
 
     def control(self, acceleration: float, steering: float) -> None:
         """Set acceleration [m/s^2] and steering angle [rad] through the vehicle's own ``act``."""
         super().act({"steering": steering, "acceleration": acceleration})
 
 
-class StockPolicy:
+class StockPolicy(GuardedDriver):
     """The driver of the ego for a policy that observes and acts only through ``env.step``.
 
     ``outer`` is the environment, in its wrappers if it has any. ``view`` is a second environment, for a planner that
@@ -84,11 +64,17 @@ class StockPolicy:
     """
 
     def __init__(
-        self, ads: Callable[[Any], Any], outer: Any, every: int, view: View | None, sight: PolicySight | None
+        self,
+        ads: Callable[[Any], Any],
+        outer: Any,
+        ego: Body,
+        every: int,
+        guard: HangGuard,
+        view: View | None,
+        sight: PolicySight | None,
     ) -> None:
         check_action_space(outer.action_space)
-        self.vehicle = outer.unwrapped.vehicle
-        self.every = every
+        super().__init__(ego, every, guard)
         self.failure: BaseException | None = None
         self._seen: Any = None
         self._action: Any = None
@@ -119,7 +105,7 @@ class StockPolicy:
                 f"{type(plain).__name__}, whose `reset` adds vehicles afterwards; make all vehicles in `_reset`"
             )
 
-    def decide(self, tick: int) -> Any:
+    def decided(self, tick: int) -> Any:
         """Call the ADS, and return its checked action, which the environment applies in the next step."""
         if self.failure is not None:
             raise self.failure
@@ -129,7 +115,7 @@ class StockPolicy:
         self._action = checked_action(self._ads(self._seen), self._outer.action_space)
         return self._action
 
-    def step(self) -> None:
+    def take_step(self) -> None:
         """Do the environment's step with the last action."""
         self._see(lambda: self._outer.step(self._action))
 
@@ -147,16 +133,13 @@ class StockPolicy:
         """Apply the low-level control of highway-env's controlled vehicles."""
         if self._sight is not None:
             self._sight.note()
-        self.vehicle.act()
+        self._outer.unwrapped.vehicle.act()
 
 
 def _reset_result(env: Any) -> tuple[Any, dict[str, Any]]:
     """Return the result of highway-env's own reset for the current state."""
     seen = env.observation_type.observe()
     return seen, env._info(seen, env.action_space.sample())
-
-
-Driver = Planner | SelfDriving | StockPolicy
 
 
 def replay_highway(rules: Rules, scenario: Scenario, ads_factory: AdsFactory) -> Trace:
@@ -172,10 +155,9 @@ def replay_highway(rules: Rules, scenario: Scenario, ads_factory: AdsFactory) ->
     }
     env = _reset(gymnasium.make("highway-v0", config=config, disable_env_checker=True), scenario)
     env.road.network = RoadNetwork.straight_road_network(lanes, length=lane.length, speed_limit=lane.speed_limit)
-    put_new_ego(env, StockVehicle, rules.ego_position(scenario), scenario.ego_speed, None)
     ads = make_ads(ads_factory)
     with closing(ads, rules.hang_limit):
-        return _Loop(rules, scenario, env, _si_driver(rules, scenario, env, ads, None)).run()
+        return _si_run(rules, scenario, env, ads, None)
 
 
 def replay_environment(
@@ -185,8 +167,8 @@ def replay_environment(
     outer, route = environment.make(), environment.route
     env = _reset(outer, scenario)
     is_policy, view = not (is_planner or is_vehicle_class(ads_factory)), None
-    vehicle_class = env.action_type.vehicle_class if is_policy else StockVehicle
-    put_new_ego(env, vehicle_class, rules.ego_position(scenario), scenario.ego_speed, route)
+    start, vehicle_class = rules.ego_position(scenario), env.action_type.vehicle_class if is_policy else StockVehicle
+    put_ego(env, vehicle_of(vehicle_class, env.road, start, scenario.ego_speed, route))
     if is_policy and wants_env(ads_factory):
         if environment.wrappers is not None:
             raise WorldError(
@@ -197,15 +179,19 @@ def replay_environment(
         view = View(environment.make().unwrapped, env)
     ads = make_ads(ads_factory) if view is None else make_ads(ads_factory, env=view.env)
     if is_vehicle_class(ads):
-        return _Loop(rules, scenario, env, _si_driver(rules, scenario, env, ads, route)).run()
-    if is_planner:
-        with closing(ads, rules.hang_limit):
-            return _Loop(rules, scenario, env, _si_driver(rules, scenario, env, ads, route)).run()
-    seen = env if environment.wrappers is None else outer
+        return _si_run(rules, scenario, env, ads, route)
     with closing(ads, rules.hang_limit):
+        if is_planner:
+            return _si_run(rules, scenario, env, ads, route)
+        seen, ego, guard = (
+            env if environment.wrappers is None else outer,
+            _body_of(env.vehicle),
+            HangGuard(rules.hang_limit),
+        )
         ads, sight = ads_and_sight(ads)
-        policy = StockPolicy(ads, seen, rules.physics_hz // rules.ads_hz, view, policy_sight(env, sight, scenario))
-        return _Loop(rules, scenario, env, policy).run()
+        every, eyes = rules.physics_hz // rules.ads_hz, policy_sight(env, sight, scenario)
+        policy = StockPolicy(ads, seen, ego, every, guard, view, eyes)
+        return _Loop(VehiclesOfRun(rules, scenario, ego, env.road.network), env, policy, guard).run()
 
 
 def _reset(outer: Any, scenario: Scenario) -> Any:
@@ -220,25 +206,37 @@ def _reset(outer: Any, scenario: Scenario) -> Any:
     return env
 
 
-def _si_driver(
-    rules: Rules, scenario: Scenario, env: Any, ads: Any, route: tuple[Any, ...] | None
-) -> Planner | SelfDriving:
-    """Make the driver of an ego that does not use the environment's observations and actions.
+def _si_run(rules: Rules, scenario: Scenario, env: Any, ads: Any, route: tuple[Any, ...] | None) -> Trace:
+    """Simulate a run of an ego that does not use the environment's observations and actions.
 
     Observations, rewards and infos are disabled. Observations would take longer than all the rest, and some
     environments compute rewards only for their own egos.
     """
-    driver: Planner | SelfDriving
+    guard, start, driver = HangGuard(rules.hang_limit), rules.ego_position(scenario), None
+    # A vehicle class decides in every tick.
+    env.config["policy_frequency"] = env.config["simulation_frequency"] if is_vehicle_class(ads) else rules.ads_hz
+    put_ego(env, vehicle_of(ads if is_vehicle_class(ads) else StockVehicle, env.road, start, scenario.ego_speed, route))
+    ego = _body_of(env.vehicle)
+    vehicles = VehiclesOfRun(rules, scenario, ego, env.road.network)
     if is_vehicle_class(ads):
-        env.config["policy_frequency"] = env.config["simulation_frequency"]  # such a vehicle decides in every tick
-        driver = SelfDriving(ads, env.road, rules.ego_position(scenario), scenario.ego_speed, route)
-        put_ego(env, driver.vehicle, None)
+        driver = _VehicleClass(env.vehicle, ego, guard)
     else:
-        env.config["policy_frequency"] = rules.ads_hz
         ads, sight = ads_and_sight(ads)
-        driver = planner_of(rules, scenario, env.road, ads, sight, env.vehicle)
+        driver = planner_driver(vehicles, ads, guard, sight)
     env.observation_type.observe = env._reward = env._info = _nothing
-    return driver
+    return _Loop(vehicles, env, driver, guard).run()
+
+
+class _VehicleClass(GuardedDriver):
+    """The driver of an ego whose vehicle class decides at every tick how it drives."""
+
+    def __init__(self, vehicle: Any, ego: Body, guard: HangGuard) -> None:
+        super().__init__(ego, 1, guard)
+        self._vehicle = vehicle
+
+    def decided(self, tick: int) -> None:
+        """Call the vehicle's own ``act``."""
+        self._vehicle.act()
 
 
 def _nothing(*_: Any, **__: Any) -> None:
@@ -248,18 +246,19 @@ def _nothing(*_: Any, **__: Any) -> None:
 class _Loop:
     """One episode, with the NPCs' director added to the road's ``act``, and the record to its ``step``."""
 
-    def __init__(self, rules: Rules, scenario: Scenario, env: Any, driver: Driver) -> None:
-        def npc(x: float, y: float, heading: float, speed: float) -> StockVehicle:
-            vehicle = StockVehicle(env.road, [x, y], heading, speed)
-            vehicle.check_collisions = False
-            return vehicle
-
-        self._env, self._driver, self._guard = env, driver, HangGuard(rules.hang_limit)
-        self._traffic = VehiclesOfRun(rules, scenario, driver, npc)
-        env.road.vehicles = self._traffic.vehicles
-        self._last = rules.ticks(scenario)
-        self._ended: Trace | None = None
-        if isinstance(env.road, RegulatedRoad) and not is_regulated(driver.vehicle):
+    def __init__(self, vehicles: VehiclesOfRun, env: Any, driver: EgoDriver, guard: HangGuard) -> None:
+        self._env, self._driver, self._guard, self._run = env, driver, guard, vehicles
+        self._bodies = vehicles.vehicles
+        self._vehicles = [env.vehicle]
+        for body in self._bodies[1:]:
+            npc = StockVehicle(env.road, [body.x, body.y], body.heading, body.speed)
+            npc.check_collisions = False
+            self._vehicles.append(npc)
+        foresee(self._vehicles[1:], vehicles.places, vehicles.rules.road)
+        env.road.vehicles = self._vehicles
+        self._last = vehicles.rules.ticks(vehicles.scenario)
+        self._error: AdsError | None = None
+        if isinstance(env.road, RegulatedRoad) and not is_regulated(env.vehicle):
             env.road.enforce_road_rules = _nothing  # without effect here, and slow
         self._road_step = env.road.step
         env.road.act, env.road.step = self._act, self._step
@@ -270,42 +269,60 @@ class _Loop:
 
     def run(self) -> Trace:
         """Decide and step until the run ends, and return its trace."""
-        driver, record = self._driver, self._traffic.record
-        with self._guard as guard:
+        driver, loop = self._driver, self._run.loop
+        with self._guard:
             if isinstance(driver, StockPolicy):
-                driver.begin(record.scenario.seed)
-            while record.tick < self._last:
-                tick = record.tick
-                error = decide(driver, tick, record, guard)
-                if error is not None:
-                    return record.trace(error=error)
+                driver.begin(self._run.scenario.seed)
+            while not self._is_over:
+                tick = loop.tick
+                self._error = driver.decide(tick)
+                if self._error is not None:
+                    break
                 if isinstance(driver, StockPolicy):
-                    driver.step()
+                    driver.take_step()
                 else:  # the driver has set the ego's controls, and None does not change them
                     AbstractEnv.step(self._env, None)
-                if self._ended is not None:
-                    return self._ended
-                if record.tick == tick and getattr(driver, "failure", None) is None:
+                if loop.tick == tick and self._error is None and getattr(driver, "failure", None) is None:
                     raise WorldError(
                         f"wrappers: expected that a step of the wrappers steps the environment, received a step that "
-                        f"did not, at {tick / record.rules.physics_hz:.1f} s; leave out wrappers that end or reset "
+                        f"did not, at {tick / self._run.rules.physics_hz:.1f} s; leave out wrappers that end or reset "
                         f"episodes"
                     )
-        return record.trace()
+        return self._run.trace(driver, self._error)
 
     def _act(self) -> None:
         """Control the ego and then the NPCs; this replaces ``Road.act``, which calls each vehicle's ``act``."""
-        self._driver.actuate()
+        driver, (vehicle, *npcs), (ego, *bodies) = self._driver, self._vehicles, self._bodies
+        driver.actuate()
+        if isinstance(driver, PlannerDriver):
+            vehicle.control(ego.acceleration, ego.steering)
         if not self._is_over:
-            self._traffic.command()
+            self._run.loop.command()
+            for npc, body in zip(npcs, bodies, strict=True):
+                npc.control(body.acceleration, body.steering)
 
     def _step(self, dt: float) -> None:
         """Call ``Road.step``; then record and test for contact, unless the run has already ended."""
-        record = self._traffic.record
-        error = step_ego(record.tick, self._guard, lambda: self._road_step(dt))
+        loop = self._run.loop
+        try:
+            self._road_step(dt)
+        except UNFIT as error:
+            failed = error_of(error, loop.tick, self._guard)
+            self._error = self._error if self._is_over else failed
+            return
         if not self._is_over:
-            self._ended = self._traffic.note() if error is None else record.trace(error=error)
+            for vehicle, body in zip(self._vehicles, self._bodies, strict=True):
+                follow(body, vehicle)
+            loop.moved()
 
     @property
     def _is_over(self) -> bool:
-        return self._ended is not None or self._traffic.record.tick == self._last
+        loop = self._run.loop
+        return loop.is_over or loop.tick == self._last or self._error is not None
+
+
+def _body_of(vehicle: Any) -> Body:
+    """Return a body at the place of a vehicle."""
+    body = Body(float(vehicle.LENGTH), float(vehicle.WIDTH))
+    follow(body, vehicle)
+    return body

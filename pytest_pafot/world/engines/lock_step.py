@@ -9,7 +9,7 @@ its own run. Under these conditions, the runs are the same as if the ADS were ca
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -20,6 +20,7 @@ from pytest_pafot.support.errors import AdsFactoryError
 from pytest_pafot.support.text import shown
 from pytest_pafot.world.driving.ads import AdsFactory, is_vehicle_class, make_ads, wants_env
 from pytest_pafot.world.driving.perception import ads_and_sight
+from pytest_pafot.world.engines.run import SteppedRun
 from pytest_pafot.world.guard.failure import UNFIT, closing, let_through
 from pytest_pafot.world.guard.hang_guard import HangGuard
 from pytest_pafot.world.kernel.observation import Observation, stacked
@@ -45,18 +46,6 @@ class Observations(list[Any]):
         runs with fewer vehicles are NaN. In an environment it is the stack of the environment's own observations.
         """
         return stacked(self) if isinstance(self[0], Observation) else np.stack(self)
-
-
-class SteppedRun(Protocol):
-    """A run that proceeds from one decision to the next, until it has a trace."""
-
-    trace: Trace | None
-
-    def observe(self) -> Any:
-        """Return the ADS's current observation."""
-
-    def take(self, action: Any, seconds: float) -> None:
-        """Apply a decision that took ``seconds``, and drive until the next decision or the end of the run."""
 
 
 def batching_ads(factory: AdsFactory, hang_limit: float) -> Any:

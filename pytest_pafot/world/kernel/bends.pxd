@@ -3,6 +3,9 @@ from libc cimport math
 
 cdef double STEP, HALF_TURN, ON_LANE
 
+@cython.locals(below=Py_ssize_t, rest=double)
+cpdef Py_ssize_t even_rounded(double exact) except? -1
+
 @cython.final
 cdef class Bends:
     cdef readonly double along, across, angle, offset
@@ -13,7 +16,6 @@ cdef class Bends:
     cdef int _lanes
     cdef double _end, _lane_width, _share, _x0, _y0, _direction0
 
-    @cython.locals(exact=double, below=Py_ssize_t, rest=double)
     cpdef Py_ssize_t point(self, double along) except -1
 
     cpdef bint exists(self, int lane, double along) except -1

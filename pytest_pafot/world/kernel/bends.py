@@ -67,12 +67,7 @@ class Bends:
 
     def point(self, along: float) -> int:
         """Return the number of the line's point nearest to a place; of two equally near, the even one."""
-        exact = along / STEP
-        below = int(math.floor(exact))  # noqa: RUF046  (a C function returns a float)
-        rest = exact - below
-        if rest > 0.5 or (rest == 0.5 and below % 2 != 0):
-            below += 1
-        return min(max(below, 0), self._points - 1)
+        return min(max(even_rounded(along / STEP), 0), self._points - 1)
 
     def exists(self, lane: int, along: float) -> bool:
         """Return whether a lane exists at a place along the road."""
@@ -183,3 +178,10 @@ class Bends:
         """Return the lane whose centre is nearest to a nominal position."""
         nearest = int(math.ceil(lateral / self._lane_width - 0.5))  # noqa: RUF046  (a C function returns a float)
         return min(max(nearest, 0), self._lanes - 1)
+
+
+def even_rounded(exact: float) -> int:
+    """Return the nearest whole number; of two equally near, the even one, as Python rounds."""
+    below = int(math.floor(exact))  # noqa: RUF046  (a C function returns a float)
+    rest = exact - below
+    return below + 1 if rest > 0.5 or (rest == 0.5 and below % 2 != 0) else below

@@ -6,39 +6,44 @@ from pytest_pafot.world.kernel.bodies cimport Body, overlap
 from pytest_pafot.world.kernel.director cimport Director
 from pytest_pafot.world.kernel.driver cimport LaneTracker
 from pytest_pafot.world.kernel.idm cimport IdmEgo
-from pytest_pafot.world.kernel.lanes cimport Lanes
-from pytest_pafot.world.kernel.observation cimport Observer
+from pytest_pafot.world.kernel.observation cimport Sensor
+from pytest_pafot.world.kernel.places cimport Places
 
-cdef class Pilot:
+cdef class EgoDriver:
+    cdef readonly Body ego
     cdef readonly int every
+    cdef readonly list actions
+    cdef public double slowest
 
     cpdef decide(self, int tick)
     cpdef void actuate(self) except *
+    cpdef step(self, double dt)
 
-cdef class SelfPilot(Pilot):
-    cdef IdmEgo ego
+cdef class ModelDriver(EgoDriver):
+    cdef IdmEgo model
     cdef list others
 
     cpdef void actuate(self) except *
 
-cdef class GivenPilot(Pilot):
-    cdef readonly list actions
-    cdef readonly double slowest
-    cdef Body _ego
-    cdef Lanes _lanes
-    cdef int _lane
+cdef class GivenDriver(EgoDriver):
+    cdef Body _place
+    cdef Sensor _sensor
+    cdef int _lanes, _lane
     cdef LaneTracker _tracker
-    cdef double _dt, _wanted, _speed, _most, _jerk
+    cdef double _lane_width, _dt, _wanted, _speed, _angle, _most, _jerk
 
-    @cython.locals(acceleration=double, steering=double, ego=Body)
+    cpdef observe(self, int tick)
+
+    @cython.locals(acceleration=double, steering=double, sensor=Sensor, heading=double)
     cpdef take(self, action, double seconds)
 
-    @cython.locals(ego=Body, offset=double)
+    @cython.locals(ego=Body, across=double, heading=double, offset=double)
     cpdef void actuate(self) except *
 
-cdef class PlannerPilot(GivenPilot):
+    cdef void _steer(self, double angle) except *
+
+cdef class PlannerDriver(GivenDriver):
     cdef object _ads, _guard, _clock
-    cdef Observer _observer
     cdef tuple _decisions
     cdef Py_ssize_t _given
     cdef double _until
@@ -51,17 +56,21 @@ cdef class Loop:
     cdef readonly int tick
     cdef readonly bint ego_touched, npcs_touched
     cdef Body _ego
-    cdef Director _director
-    cdef Lanes _lanes
+    cdef object _director
+    cdef Places _places
     cdef double[::1] _record
     cdef double _dt, _reach
     cdef Py_ssize_t _row, _columns
-    cdef list _bodies
+    cdef list _vehicles
 
-    @cython.locals(due=int, body=Body)
-    cpdef run(self, Pilot pilot, int ticks)
+    @cython.locals(due=int, number=Py_ssize_t, body=Body)
+    cpdef run(self, EgoDriver driver, int ticks)
 
-    @cython.locals(body=Body, row=Py_ssize_t, columns=Py_ssize_t, record="double[::1]", lanes=Lanes)
+    cpdef void command(self) except *
+
+    cpdef bint moved(self) except -1
+
+    @cython.locals(body=Body, row=Py_ssize_t, columns=Py_ssize_t, record="double[::1]")
     cdef void _note(self) except *
 
     @cython.locals(record="double[::1]", columns=Py_ssize_t, reach=double, first=Py_ssize_t, second=Py_ssize_t,

@@ -1,5 +1,9 @@
 # cython: auto_pickle=False
-"""The loop of a run: the ego's driver decides, the director commands, all vehicles move one tick and are recorded."""
+"""The loop of a run, on every road and with every kind of ego.
+
+In each tick the ego's driver decides if it is due, and sets the ego's controls; the director sets those of the NPCs;
+all vehicles move; their places are found and recorded; and contacts are looked for.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +13,7 @@ from collections.abc import Callable, Sequence
 from typing import Any, cast
 
 from pytest_pafot.model.trace import AdsError
-from pytest_pafot.support.errors import OutOfTime
+from pytest_pafot.support.errors import BadAction, OutOfTime
 from pytest_pafot.world.guard.failure import UNFIT, error_of
 from pytest_pafot.world.guard.hang_guard import HangGuard
 from pytest_pafot.world.kernel.action import (
@@ -21,22 +25,29 @@ from pytest_pafot.world.kernel.action import (
     without_reversing,
 )
 from pytest_pafot.world.kernel.bodies import Body, overlap
-from pytest_pafot.world.kernel.director import Director
 from pytest_pafot.world.kernel.driver import LaneTracker
 from pytest_pafot.world.kernel.idm import IdmEgo
-from pytest_pafot.world.kernel.lanes import Lanes
-from pytest_pafot.world.kernel.observation import COLUMNS, Observer
+from pytest_pafot.world.kernel.observation import COLUMNS, Sensor
+from pytest_pafot.world.kernel.places import Places
 
 
-class Pilot:
-    """The driver of the ego.
+class EgoDriver:
+    """The driver of the ego in one run.
+
+    Args:
+        ego: the ego, in world coordinates.
+        every: the number of physics ticks between decisions.
 
     Attributes:
-        every: the number of physics ticks between decisions.
+        actions: all decisions so far.
+        slowest: the longest decision [s].
     """
 
-    def __init__(self, every: int) -> None:
+    def __init__(self, ego: Body, every: int) -> None:
+        self.ego = ego
         self.every = every
+        self.actions: list[Any] = []
+        self.slowest = 0.0
 
     def decide(self, tick: int) -> AdsError | None:
         """Decide what to do until the next decision, and return the error of the ADS, or None."""
@@ -45,46 +56,57 @@ class Pilot:
     def actuate(self) -> None:
         """Set the ego's controls for the coming tick."""
 
+    def step(self, dt: float) -> AdsError | None:
+        """Move the ego for one tick [s], and return the error of the ADS, or None."""
+        self.ego.step(dt)
+        return None
 
-class SelfPilot(Pilot):
+
+class ModelDriver(EgoDriver):
     """The driver of an ego whose own model sets its controls at every tick, so there is no ADS to call."""
 
     def __init__(self, ego: IdmEgo, others: list[Any]) -> None:
-        super().__init__(1)
-        self.ego = ego
+        super().__init__(ego, 1)
+        self.model = ego
         self.others = others
 
     def actuate(self) -> None:
         """Apply the vehicle's own model."""
-        self.ego.act(self.others)
+        self.model.act(self.others)
 
 
-class GivenPilot(Pilot):
+class GivenDriver(EgoDriver):
     """A driver whose decisions are passed in: acceleration [m/s^2] and steering [rad], or a :class:`Drive`.
 
     Args:
-        ego: the ego.
-        lanes: the road's lanes.
+        ego: the ego, in world coordinates.
+        place: the ego in road coordinates; the same object if the road starts at the world's origin.
+        sensor: the maker of the ADS's observations.
+        lanes: the number of lanes.
+        lane_width: their width [m].
         every: the number of physics ticks between decisions.
         dt: physics tick [s].
-
-    Attributes:
-        actions: all decisions so far.
-        slowest: the longest decision [s].
     """
 
-    def __init__(self, ego: Body, lanes: Lanes, *, every: int, dt: float) -> None:
-        super().__init__(every)
-        self._ego = ego
+    def __init__(
+        self, ego: Body, place: Body, sensor: Sensor, *, lanes: int, lane_width: float, every: int, dt: float
+    ) -> None:
+        super().__init__(ego, every)
+        self._place = place
+        self._sensor = sensor
         self._lanes = lanes
+        self._lane_width = lane_width
         self._dt = dt
         self._wanted = 0.0
         self._lane = -1  # -1 for none, if the decision is a pair
         self._speed = -1.0  # negative for none, if the decision has an acceleration
+        self._angle = 0.0  # of the wheels, without what a bend adds
         self._tracker = LaneTracker(ego.length, dt)
         self._most = self._jerk = 0.0  # lateral limits of a Drive
-        self.actions: list[tuple[float, float] | Drive] = []
-        self.slowest = 0.0
+
+    def observe(self, tick: int) -> Any:
+        """Return the ADS's observation at the current tick."""
+        return self._sensor.observation(tick)
 
     def take(self, action: Any, seconds: float) -> None:
         """Check and apply a decision that took ``seconds``.
@@ -92,68 +114,76 @@ class GivenPilot(Pilot):
         Raises:
             BadAction: if the action is not valid.
         """
-        checked = checked_si_action(action, self._lanes.count)
-        self.actions.append(checked)
-        self.slowest = max(self.slowest, seconds)
+        checked, sensor = checked_si_action(action, self._lanes), self._sensor
         self._speed = -1.0
         if type(checked) is tuple:  # faster than isinstance
             acceleration, steering = checked  # faster than two indices
             self._lane = -1
             self._wanted = possible_acceleration(acceleration)
-            self._ego.steering = possible_steering(steering)
-            return
-        drive, ego = cast("Drive", checked), self._ego
-        self._most, self._jerk = drive.lateral_acceleration, drive.lateral_jerk
-        if self._lane < 0:
-            self._tracker.begin(ego.heading, ego.steering, ego.speed, self._most)
-        self._lane = drive.lane
-        if drive.acceleration is not None:
-            self._wanted = possible_acceleration(drive.acceleration)
-        elif drive.speed is not None:
-            self._speed = drive.speed
+            self._steer(possible_steering(steering))
+        else:
+            drive = cast("Drive", checked)
+            if not sensor.has_lane(drive.lane):
+                raise BadAction(
+                    f"expected pafot.Drive with a lane that exists at {sensor.along:.0f} m, received {drive}"
+                )
+            self._most, self._jerk = drive.lateral_acceleration, drive.lateral_jerk
+            if self._lane < 0:
+                heading = sensor.heading if sensor.is_bent else self._place.heading
+                self._tracker.begin(heading, self._angle, self.ego.speed, self._most)
+            self._lane = drive.lane
+            if drive.acceleration is not None:
+                self._wanted = possible_acceleration(drive.acceleration)
+            elif drive.speed is not None:
+                self._speed = drive.speed
+        self.actions.append(checked)
+        self.slowest = max(self.slowest, seconds)
 
     def actuate(self) -> None:
-        """Set the controls of a tick: steer towards the lane and speed of a Drive, and never drive in reverse."""
-        ego = self._ego
+        """Set the controls of a tick: steer towards the lane and speed of a Drive, and never drive in reverse.
+
+        On a bent road, the ego's place is that of its last observation, and its steering is added to the lane's bend.
+        """
+        ego = self.ego
         if self._lane >= 0:
-            offset = ego.y - self._lane * self._lanes.width
-            ego.steering = self._tracker.steering(offset, ego.heading, ego.speed, self._most, self._jerk)
+            across, heading = self._place.y, self._place.heading
+            if self._sensor.is_bent:
+                across, heading = self._sensor.across, self._sensor.heading
+            offset = across - self._lane * self._lane_width
+            self._steer(self._tracker.steering(offset, heading, ego.speed, self._most, self._jerk))
         if self._speed >= 0.0:
             self._wanted = acceleration_to_speed(self._speed, ego.speed)
         ego.acceleration = without_reversing(self._wanted, ego.speed, self._dt)
 
+    def _steer(self, angle: float) -> None:
+        self._angle = angle
+        self.ego.steering = angle + self._sensor.bend if self._sensor.is_bent else angle
 
-class PlannerPilot(GivenPilot):
+
+class PlannerDriver(GivenDriver):
     """A driver of the ego that calls an ADS with an observation, and applies the decision that the ADS returns.
 
     Args:
         ads: the ADS, a callable from an observation to a decision.
-        ego: the ego.
-        lanes: the road's lanes.
-        observer: the maker of the ADS's observations.
         guard: the guard of the ADS's decisions.
-        every: the number of physics ticks between decisions.
-        dt: physics tick [s].
         decisions: the first decisions, which replace calls of the ADS.
+        ego, place, sensor, lanes, lane_width, every, dt: as for :class:`GivenDriver`.
     """
 
     def __init__(
         self,
         ads: Callable[[Any], Any],
-        ego: Body,
-        lanes: Lanes,
-        observer: Observer,
         guard: HangGuard,
-        *,
-        every: int,
-        dt: float,
-        decisions: Sequence[Any] = (),
+        decisions: Sequence[Any],
+        ego: Body,
+        place: Body,
+        sensor: Sensor,
+        **common: Any,
     ) -> None:
-        super().__init__(ego, lanes, every=every, dt=dt)
+        super().__init__(ego, place, sensor, **common)
         self._decisions = tuple(decisions)
         self._given = len(self._decisions)
         self._ads = ads
-        self._observer = observer
         self._guard = guard
         self._clock = guard.clock
         self._until = guard.until
@@ -176,7 +206,7 @@ class PlannerPilot(GivenPilot):
         try:
             try:
                 guard.started = started
-                action = self._ads(self._observer.observation(tick))
+                action = self._ads(self._sensor.observation(tick))
             finally:
                 guard.started = None  # before the clock is read; see HangGuard
                 seconds = self._clock() - started
@@ -192,9 +222,8 @@ class Loop:
     """The loop of one run.
 
     Args:
-        ego: the ego, at its start.
-        director: the director of the NPCs, which are at their starts.
-        lanes: the road's lanes.
+        director: the director of the NPCs.
+        places: the vehicles at their starts, and where they are on the road.
         record: a buffer for ``ticks + 1`` rows of all vehicles.
         dt: physics tick [s].
 
@@ -204,66 +233,83 @@ class Loop:
         npcs_touched: true if the run ended by a contact of two NPCs.
     """
 
-    def __init__(self, ego: Body, director: Director, lanes: Lanes, record: array[float], dt: float) -> None:
+    def __init__(self, director: Any, places: Places, record: array[float], dt: float) -> None:
         self.tick = 0
         self.ego_touched = False
         self.npcs_touched = False
-        self._ego = ego
         self._director = director
-        self._lanes = lanes
+        self._places = places
         self._record = record
         self._dt = dt
         self._row = 0
         self._columns = COLUMNS
-        self._bodies: list[Body] = [ego, *director.npcs]
+        self._vehicles: list[Body] = places.vehicles
+        self._ego: Body = places.bodies[0]
         self._reach = max(
-            [math.hypot(body.length, body.width) for body in self._bodies]
+            [math.hypot(body.length, body.width) for body in self._vehicles]
         )  # farther apart, none can touch
         self._note()
 
-    def run(self, pilot: Pilot, ticks: int) -> AdsError | None:
-        """Drive until two vehicles touch, ``ticks`` is reached, or the ADS fails; return the ADS's error, or None."""
+    @property
+    def is_over(self) -> bool:
+        """True if a contact or the end of the road has ended the run."""
+        return self.ego_touched or self.npcs_touched or self._places.left is not None
+
+    def run(self, driver: EgoDriver, ticks: int) -> AdsError | None:
+        """Drive until the run is over, ``ticks`` is reached, or the ADS fails; return the ADS's error, or None."""
         due = 0
         while self.tick < ticks:
             if due == 0:
-                due = pilot.every
-                error = pilot.decide(self.tick)
+                due = driver.every
+                error = driver.decide(self.tick)
                 if error is not None:
                     return error
             due -= 1
-            pilot.actuate()
-            self._director.command(self._ego)
-            for body in self._bodies:
-                body.step(self._dt)
-            self.tick += 1
-            self._note()
-            if self._contact():
+            driver.actuate()
+            self.command()
+            error = driver.step(self._dt)
+            if error is not None:
+                return error
+            for number in range(1, len(self._vehicles)):
+                self._vehicles[number].step(self._dt)
+            if self.moved():
                 break
         return None
 
+    def command(self) -> None:
+        """Set the controls of the NPCs for the coming tick."""
+        self._director.command(self._ego)
+        self._places.control()
+
+    def moved(self) -> bool:
+        """Record a tick in which all vehicles have moved, and return whether a contact or the road ends the run."""
+        self.tick += 1
+        self._note()
+        return self._contact() or self._places.left is not None
+
     def _note(self) -> None:
         """Record the state after a step, and the controls that led to it."""
-        row, record, lanes, columns = self._row, self._record, self._lanes, self._columns
-        for body in self._bodies:
+        row, record, columns = self._row, self._record, self._columns
+        for body in self._vehicles:
             record[row] = body.x
             record[row + 1] = body.y
             record[row + 2] = body.heading
             record[row + 3] = body.speed
             record[row + 4] = body.acceleration
             record[row + 5] = body.steering
-            record[row + 6] = lanes.locate(body)
             row += columns
+        self._places.see(record, self._row)
         self._row = row
 
     def _contact(self) -> bool:
         """Return whether two vehicles touch, and set which; a contact of the ego is found before contacts of NPCs."""
-        record, columns, reach, count = self._record, self._columns, self._reach, len(self._bodies)
+        record, columns, reach, count = self._record, self._columns, self._reach, len(self._vehicles)
         start = self._row - count * columns
         for first in range(count - 1):
             x = record[start + first * columns]
             for second in range(first + 1, count):
                 is_near = -reach < record[start + second * columns] - x < reach
-                if is_near and overlap(self._bodies[first], self._bodies[second]):
+                if is_near and overlap(self._vehicles[first], self._vehicles[second]):
                     self.ego_touched = first == 0
                     self.npcs_touched = first > 0
                     return True

@@ -4,13 +4,20 @@ from pytest_pafot.world.kernel.lanes cimport Lanes
 
 cpdef double lateral_velocity(double heading, double speed, double steering) except? -1e300
 
-@cython.final
-cdef class Observer:
+cdef class Sensor:
+    cdef public bint is_bent
+    cdef public double along, across, heading, bend
+
+    cpdef observation(self, int tick)
+    cpdef bint has_lane(self, int lane) except -1
+
+cdef class Observer(Sensor):
     cdef readonly double[::1] record
     cdef readonly list sizes
     cdef readonly Lanes lanes
     cdef readonly double speed_limit
     cdef readonly int physics_hz, every, columns
+    cdef double _x0, _y0
 
     @cython.locals(row=Py_ssize_t, x=double, y=double, heading=double, lane=int)
     cdef vehicle(self, int tick, int index)
@@ -26,7 +33,7 @@ cdef class Observer:
     cdef void fill(self, int tick, double[:, :, ::1] values, Py_ssize_t run) except *
 
     @cython.locals(seen=Observation)
-    cpdef Observation observation(self, int tick)
+    cpdef observation(self, int tick)
 
 cdef class Observation:
     cdef object _ego, _others, _details, _lateral

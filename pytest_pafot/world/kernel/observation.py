@@ -46,8 +46,32 @@ def lateral_velocity(heading: float, speed: float, steering: float) -> float:
     return speed * math.sin(heading + math.atan(0.5 * math.tan(steering)))
 
 
-class Observer:
-    """The maker of observations from the record of a run.
+class Sensor:
+    """The maker of an ADS's observations in one run.
+
+    Attributes:
+        is_bent: true on a bent road, which the ADS sees straightened. The following attributes are the ego's place in
+            the last observation on such a road.
+        along, across: the ego's place along the road and its nominal place across it [m].
+        heading: its heading relative to its lane [rad].
+        bend: the steering angle with which it follows its lane [rad].
+    """
+
+    def __init__(self) -> None:
+        self.is_bent = False
+        self.along = self.across = self.heading = self.bend = 0.0
+
+    def observation(self, tick: int) -> Observation:
+        """Return the observation at a tick."""
+        raise NotImplementedError
+
+    def has_lane(self, lane: int) -> bool:
+        """Return whether a lane exists at the ego's place."""
+        return True
+
+
+class Observer(Sensor):
+    """The maker of observations on a straight road, from the record of a run.
 
     Args:
         record: rows of :data:`COLUMNS` numbers for each vehicle at each tick.
@@ -56,6 +80,7 @@ class Observer:
         speed_limit: the speed limit [m/s].
         physics_hz: ticks per second.
         every: the number of ticks between decisions.
+        x0, y0: where the road starts in the record's coordinates [m].
     """
 
     def __init__(
@@ -66,7 +91,11 @@ class Observer:
         speed_limit: float,
         physics_hz: int,
         every: int,
+        x0: float = 0.0,
+        y0: float = 0.0,
     ) -> None:
+        super().__init__()
+        self._x0, self._y0 = x0, y0
         self.record = record
         self.sizes = sizes
         self.lanes = lanes
@@ -79,7 +108,7 @@ class Observer:
         """Return the state of a vehicle at a tick; index 0 is the ego."""
         length, width = self.sizes[index]
         row = (tick * len(self.sizes) + index) * self.columns
-        x, y, heading = self.record[row], self.record[row + 1], self.record[row + 2]
+        x, y, heading = self.record[row] - self._x0, self.record[row + 1] - self._y0, self.record[row + 2]
         lane = self.lanes.closest(x, y, heading)
         return tuple.__new__(VehicleState, (x, y, heading, self.record[row + 3], lane, length, width))
 
@@ -101,7 +130,7 @@ class Observer:
         """Write all vehicles at a tick into one run of an array of shape [runs, vehicles, 7]."""
         row = tick * len(self.sizes) * self.columns
         for index, (length, width) in enumerate(self.sizes):
-            x, y, heading = self.record[row], self.record[row + 1], self.record[row + 2]
+            x, y, heading = self.record[row] - self._x0, self.record[row + 1] - self._y0, self.record[row + 2]
             values[run, index, 0] = x
             values[run, index, 1] = y
             values[run, index, 2] = heading

@@ -18,12 +18,13 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from pytest_pafot.model.crossings import Crossings, Holder, Kind, Origin, Stretch, Way, Zone
-from pytest_pafot.model.trace import FloatArray, Outcome
-from pytest_pafot.world.kernel.bodies import NPC_LENGTH, NPC_WIDTH, Body
+from pytest_pafot.model.crossings import NOT_ON_WAY, Crossings, Holder, Kind, Origin, Stretch, Way, Zone
+from pytest_pafot.model.trace import FloatArray
+from pytest_pafot.world.kernel.bodies import NPC_LENGTH, NPC_WIDTH
 from pytest_pafot.world.kernel.crossing import Track
+from pytest_pafot.world.kernel.places import OwnWay
 from pytest_pafot.world.limits import NpcLimits
-from pytest_pafot.world.roads.network import SPEED_LAG, Column, NetworkFrame, NetworkRoad, Spot, State
+from pytest_pafot.world.roads.network import SPEED_LAG, Column, NetworkRoad, Spot
 from pytest_pafot.world.roads.route import STEP, LaneIndex, Line, Piece, is_drivable, line_of, wrapped
 from pytest_pafot.world.roads.route import way as way_of
 from pytest_pafot.world.roads.survey import TIGHTEST, curvature_of, lone_column
@@ -48,10 +49,6 @@ OPPOSITE, ALONGSIDE = 0.85 * math.pi, 0.25 * math.pi
 """Limits for the angle between two vehicles' directions of approach [rad]. Above the first, they come from opposite
 directions; below the second, they come side by side. In a roundabout the angle is three quarters of pi, and a
 circulating vehicle comes from the left."""
-OFF_WAY = (math.nan, math.nan, math.nan, math.nan, math.nan)
-"""The row of ``Trace.track`` for a vehicle that is not on the ego's way."""
-NOT_ON_WAY = 0.5
-"""The angle to the ego's way above which a vehicle is not on it [rad]."""
 STRAIGHTER = 0.2
 """The difference of the turning angles of two merging ways above which the way that turns less is the main lane [rad].
 """
@@ -150,6 +147,14 @@ class Junction:
             return None
         spot = road.spot(*pose, near)
         return spot if road.part(spot) >= 0 and abs(spot.angle) < NOT_ON_WAY else None
+
+    @cached_property
+    def own_ways(self) -> dict[str, OwnWay]:
+        """The ways by name in plain numbers, for the kernel."""
+        return {
+            name: OwnWay(each.track, each.column.part, each.way.zone.npc[0], self.along_ego[name])
+            for name, each in self.ways.items()
+        }
 
     def stretches(self, mine: str, theirs: str) -> list[tuple[Stretch, Stretch]]:
         """Return the stretches in which two ways meet; either may be the ego's way."""
@@ -474,68 +479,3 @@ def _circulates(network: Any, lane: LaneIndex) -> bool:
 def _turned(line: Line, stretch: Stretch) -> float:
     first, last = (int(place / STEP) for place in stretch)
     return abs(float(line.heading[last] - line.heading[first]))
-
-
-class JunctionFrame(NetworkFrame):
-    """The places of the vehicles on the ego's way, and of crossing NPCs on their own ways, tracked tick by tick."""
-
-    def __init__(
-        self, road: NetworkRoad, network: Any, starts: Sequence[float], junction: Junction, ways: Sequence[str | None]
-    ) -> None:
-        """Start with each vehicle's place along its way [m], the ego first; ``ways`` names the NPCs' ways."""
-        names = [None, *ways]
-        self._on_grid = [number for number, name in enumerate(names) if name is None]
-        self._crossers = [
-            (number, way, way.track, way.column.part, way.way.zone.npc[0])
-            for number, name in enumerate(names)
-            if name is not None and (way := junction.ways[name])
-        ]
-        super().__init__(road, network, [starts[number] for number in self._on_grid])
-        self._junction = junction
-        self._places = list(starts)
-        self._crossing: list[float] = []  # per crossing NPC: its place on its own way, its row of the track
-
-    def see(self, states: Sequence[State], bodies: Sequence[Body]) -> tuple[list[int], Outcome | None]:
-        """Place the bodies on their ways, and return each vehicle's lane, and the outcome if the run leaves the road.
-
-        A crossing NPC's body gets its place along its own way, its distance to the right of it, and its angle to it.
-        """
-        on_grid, lanes = self._on_grid, [-1] * len(states)
-        found, left = super().see([states[number] for number in on_grid], [bodies[number] for number in on_grid])
-        for number, lane in zip(on_grid, found, strict=True):
-            lanes[number] = lane
-        for number, way, track, parts, enters in self._crossers:
-            x, y, heading, speed = states[number]
-            track.locate(x, y, self._places[number])
-            along = self._places[number] = track.along
-            bodies[number].place(along, track.across, wrapped(heading - track.direction), speed)
-            if 0.0 <= along <= (len(parts) - 1) * STEP:
-                lanes[number] = parts[track.point(along)]
-            spot = None if along < enters else self._junction.spot(self._road, way, along, (x, y, heading))
-            self._crossing += (along, *self._row(spot))
-        return lanes, left
-
-    def _row(self, spot: Spot | None) -> tuple[float, float, float, float, float]:
-        """Return the row in the track for a vehicle at a spot on the ego's way; NaN if it is not on it."""
-        if spot is None:
-            return OFF_WAY
-        return *spot[:3], spot.offset, self._road.stretch(spot.along, spot.across)
-
-    def track(self) -> FloatArray:
-        """Return the places of all vehicles on the ego's way, with the columns of :attr:`pytest_pafot.Trace.track`."""
-        own, others = super().track(), self._recorded
-        track = np.empty((len(own), len(self._places), own.shape[2]))
-        track[:, self._on_grid] = own
-        track[:, [number for number, *_ in self._crossers]] = others[..., 1:]
-        return track
-
-    def on_way(self) -> FloatArray:
-        """Return the places of all NPCs on their own ways, in the form of :attr:`pytest_pafot.Trace.on_way`."""
-        others = self._recorded
-        places = np.full((len(others), len(self._places) - 1), np.nan)
-        places[:, [number - 1 for number, *_ in self._crossers]] = others[..., 0]
-        return places
-
-    @property
-    def _recorded(self) -> FloatArray:
-        return np.array(self._crossing).reshape(-1, len(self._crossers), 1 + len(OFF_WAY))

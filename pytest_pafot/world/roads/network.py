@@ -11,7 +11,6 @@ wherever the lane really is.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Literal, NamedTuple
@@ -21,10 +20,8 @@ import numpy as np
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.trace import FloatArray, Lane, Outcome
 from pytest_pafot.world.kernel.bends import Bends
-from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.limits import NpcLimits
 from pytest_pafot.world.roads.route import STEP, LaneIndex, Line
-from pytest_pafot.world.roads.straight import StraightRoad
 
 Meeting = Literal["crosses", "joins", "oncoming"]
 """The kind of meeting between the ego's way and a different road; a road that only leaves the way has none."""
@@ -238,6 +235,21 @@ class NetworkRoad:
         """Return the index in ``lanes`` of the way's lane that a vehicle's centre is on; -1 if it is on none."""
         return self.bends.part(spot.lane, spot.along, spot.offset)
 
+    def beside(self, network: Any, x: float, y: float, lane: int, along: float) -> tuple[int, Outcome | None]:
+        """Return the lane of an ego that is on no lane of its way, and the outcome of the run.
+
+        Args:
+            network: the road network of highway-env.
+            x, y: the ego's centre [m].
+            lane, along: the nearest lane of the way, and the ego's place along the way [m].
+        """
+        on = [index for index, each in network.lanes_dict().items() if each.on_lane(np.array([x, y]))]
+        if any(index[:2] in self.sections for index in on):
+            return self.columns[lane].part[self.point(along)], None
+        if on:
+            return len(self.lanes) - len(self.others) + self.others.index(on[0]), Outcome.LEFT_ROUTE
+        return -1, Outcome.OFF_ROAD
+
     def reference(self, along: float) -> tuple[float, float, float]:
         """Return world x [m], y [m] and heading [rad] of the line, which goes straight on beyond its ends."""
         return self.bends.reference(along)
@@ -274,72 +286,3 @@ class NetworkRoad:
         x, y = points[here + 1] - points[here]
         heading = self.line.heading[there]
         return "oncoming" if x * math.cos(heading) + y * math.sin(heading) < 0 else None
-
-
-State = tuple[float, float, float, float]
-"""The state of a vehicle: x [m], y [m], heading [rad], speed [m/s]."""
-
-
-class StraightFrame:
-    """The places of vehicles on a straight road, for the director and the record."""
-
-    def __init__(self, road: StraightRoad) -> None:
-        self._road = road
-
-    def see(self, states: Sequence[State], bodies: Sequence[Body]) -> tuple[list[int], Outcome | None]:
-        """Place the bodies on the road, and return the lane of each vehicle, and None.
-
-        A run on a straight road continues even if the ego leaves the road, so there is never an outcome.
-        """
-        road, lanes = self._road, []
-        for body, (x, y, heading, speed) in zip(bodies, states, strict=True):
-            body.place(*road.project(x, y, heading), speed)
-            lanes.append(road.grid.locate(body))
-        return lanes, None
-
-
-class NetworkFrame:
-    """The places of vehicles on a bent road, tracked from tick to tick, because the road may cross or repeat itself."""
-
-    def __init__(self, road: NetworkRoad, network: Any, starts: Sequence[float]) -> None:
-        """Start with each vehicle's place along the road at the start [m], the ego first."""
-        self._road = road
-        self._network = network  # highway-env's, to find the lane of an ego that has left the road
-        self._along = list(starts)
-        self._rows: list[float] = []
-
-    def see(self, states: Sequence[State], bodies: Sequence[Body]) -> tuple[list[int], Outcome | None]:
-        """Place the bodies on the road, and return each vehicle's lane, and the outcome if the run leaves the road.
-
-        Bodies get nominal positions across the road, and headings relative to the ego's way.
-        """
-        road, bends, lanes, has_ended = self._road, self._road.bends, [], False
-        for number, ((x, y, heading, speed), body) in enumerate(zip(states, bodies, strict=True)):
-            bends.locate(x, y, heading, self._along[number])
-            along, across, offset, lane = bends.along, bends.across, bends.offset, bends.lane
-            self._along[number] = along
-            body.place(along, bends.in_lanes(lane, along, offset), bends.angle, speed)
-            body.lane = bends.nearest_lane(body.y)
-            self._rows += (along, across, bends.angle, offset, bends.stretch(along, across))
-            lanes.append(bends.part(lane, along, offset))
-            has_ended |= along + body.length / 2 >= road.end
-        if has_ended:
-            return lanes, Outcome.END_OF_ROAD
-        if lanes[0] >= 0:
-            return lanes, None
-        own, ended = self._beside(np.array(states[0][:2]), road.spot(*states[0][:3], self._along[0]))
-        return [own, *lanes[1:]], ended
-
-    def track(self) -> FloatArray:
-        """Return the places of all vehicles at every tick, with the columns of :attr:`pytest_pafot.Trace.track`."""
-        return np.array(self._rows).reshape(-1, len(self._along), 5)
-
-    def _beside(self, position: FloatArray, spot: Spot) -> tuple[int, Outcome | None]:
-        """Return the lane of an ego that is on no lane of its way, and the outcome of the run."""
-        on = [index for index, lane in self._network.lanes_dict().items() if lane.on_lane(position)]
-        if any(index[:2] in self._road.sections for index in on):
-            return self._road.columns[spot.lane].part[self._road.point(spot.along)], None
-        if on:
-            first = len(self._road.lanes) - len(self._road.others)
-            return first + self._road.others.index(on[0]), Outcome.LEFT_ROUTE
-        return -1, Outcome.OFF_ROAD

@@ -1,24 +1,22 @@
-"""Planners in SI units on roads of any shape. They see the road straightened, and are steered along its bends."""
+"""The observations of planners in SI units on roads of any shape, which they see straightened."""
 
 from __future__ import annotations
 
 import math
-from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from pytest_pafot.criticality.relative import driven_between
 from pytest_pafot.model.crossings import CrossingVehicle, Zone
-from pytest_pafot.support.errors import BadAction
-from pytest_pafot.world.driving.ads import Planner
-from pytest_pafot.world.kernel.action import Drive
-from pytest_pafot.world.kernel.observation import Observation, VehicleState, lateral_velocity
-from pytest_pafot.world.roads.junction import CrossingWay, Junction
+from pytest_pafot.model.scenario import Scenario
+from pytest_pafot.model.sight import Sight
+from pytest_pafot.world.kernel.bodies import Body
+from pytest_pafot.world.kernel.observation import COLUMNS, Observation, Sensor, VehicleState, lateral_velocity
 from pytest_pafot.world.roads.network import NetworkRoad, Spot
 from pytest_pafot.world.roads.route import wrapped
+from pytest_pafot.world.run_config import Rules
 
 
 class Pose(NamedTuple):
@@ -34,91 +32,85 @@ class Pose(NamedTuple):
     steering: float
 
 
-@dataclass(eq=False)
-class RoadPlanner(Planner):
-    """The driver of the ego for a planner in SI units on a bent road, which the planner sees straightened.
+class RoadSensor(Sensor):
+    """The maker of observations on a bent road, from the record of a run.
 
     In its observations, x is along the ego's way and y nominal across it (see :class:`NetworkRoad`). Distances are
     driven distances, and headings are relative to the lane. The planner's steering is added to the steering that
     follows the lane. A :class:`Drive` can only use a lane that exists at the ego's place.
-
-    Attributes:
-        starts: the places along the road at which vehicles start [m].
-        junction: the ways on which other traffic meets the ego's way; None if there are none.
-        ways: the way of each crossing NPC, None for each NPC on the grid; empty if no NPC crosses.
     """
 
-    lanes: NetworkRoad
-    starts: Sequence[float]
-    junction: Junction | None = None
-    ways: Sequence[CrossingWay | None] = ()
-    _along: list[float] = field(default_factory=list, init=False)
-    _lean: float = field(default=0.0, init=False)
+    def __init__(
+        self, rules: Rules, scenario: Scenario, vehicles: Sequence[Body], rows: Sequence[float], sight: Sight | None
+    ) -> None:
+        super().__init__()
+        self.is_bent = True
+        self.lanes: NetworkRoad = rules.road
+        self.junction, self.ways = rules.junction, rules.ways(scenario)
+        far = rules.start_distance(scenario)
+        self.starts = [rules.ego_start + row * far for row in (-1, 0, 1)]
+        self.physics_hz, self._period = rules.physics_hz, 1 / rules.ads_hz
+        self.sight, self._seed = sight, scenario.seed
+        self._sizes = [(each.length, each.width) for each in vehicles]
+        self._rows = rows
+        self._along: list[float] = []
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        # With a latency, old world poses are put on today's straightened road. The base class stores observations,
-        # which have no places in the world.
-        self._poses: deque[list[Pose]] = deque(maxlen=self._past.maxlen)
-        self._past = deque(maxlen=0)
+    def has_lane(self, lane: int) -> bool:
+        """Return whether a lane exists at the ego's place."""
+        return self.lanes.exists(lane, self._along[0])
 
-    def apply(self, action: Any) -> tuple[float, float] | Drive:
-        """Check an action, apply it, and return the checked action."""
-        checked = super().apply(action)
-        if isinstance(checked, Drive) and not self.lanes.exists(checked.lane, self._along[0]):
-            raise BadAction(
-                f"expected pafot.Drive with a lane that exists at {self._along[0]:.0f} m, received {checked}"
-            )
-        return checked
-
-    def actuate(self) -> None:
-        """Set the controls of a tick as decided; with a latency, store all poses for later observations."""
-        if self._poses.maxlen:
-            self._poses.append(self._everybody())
-        super().actuate()
-
-    def observe(self, tick: int) -> Observation:
+    def observation(self, tick: int) -> Observation:
         """Return an observation of the straightened road; with imperfect sight, vehicles may be late or missing."""
-        network, everybody = self.lanes, self._everybody()
+        network, everybody = self.lanes, self._everybody(tick)
         self._along = [self._place_of(number, pose) for number, pose in enumerate(everybody)]
         ego, own = everybody[0], network.spot(*everybody[0][:3], self._along[0])
-        self._lean = network.lane_at(own.lane, own.along)[2]
-        self._own, drift = self._state(ego, own, own)
+        self.bend = math.atan(2 * math.tan(-network.lane_at(own.lane, own.along)[2]))
+        state, drift = self._state(ego, own, own)
+        self.along, self.across, self.heading = self._along[0], state.y, state.heading
         others, ids, lateral, crossing = [], [], [drift], []
         for npc, pose in self._seen(everybody, tick):
             spot, along = self._spot(npc, pose)
             if spot is not None:
-                state, drift = self._state(pose, spot, own)
-                others.append(state)
+                its, drift = self._state(pose, spot, own)
+                others.append(its)
                 ids.append(npc)
                 lateral.append(drift)
             elif (way := self.ways[npc]) is not None:
                 crossing.append(seen_on(way.way.zone, npc, pose, along, ego, own.along))
+        at = tick * len(self._sizes) * COLUMNS
         return Observation(
             tick / self.physics_hz,
-            self._own,
+            state,
             tuple(others),
             len(network.columns),
             network.lane_width,
             network.speed_limit,
-            **self._details(tuple(lateral)),
+            decision_period=self._period,
+            acceleration=self._rows[at + 4],
+            steering=self._rows[at + 5],
+            lateral_velocities=tuple(lateral),
             ids=tuple(ids),
             road_length=network.end,
             crossing=tuple(crossing),
         )
 
-    def _everybody(self) -> list[Pose]:
-        """Return the current poses of all vehicles, the ego first."""
-        return [Pose(v.x, v.y, v.heading, v.speed, 0, v.LENGTH, v.WIDTH, v.steering) for v in self.road.vehicles]
+    def _everybody(self, tick: int) -> list[Pose]:
+        """Return the poses of all vehicles at a tick, the ego first."""
+        count, poses = len(self._sizes), []
+        for number, size in enumerate(self._sizes):
+            at = (tick * count + number) * COLUMNS
+            x, y, heading, speed, _, steering = self._rows[at : at + 6]
+            poses.append(Pose(x, y, heading, speed, 0, *size, steering))
+        return poses
 
     def _seen(self, now: list[Pose], tick: int) -> list[tuple[int, Pose]]:
         """Return the number and the seen pose of each NPC that the ADS sees."""
         if self.sight is None:
             return list(enumerate(now[1:]))
-        then = self._poses[0] if self._poses else now
+        then = self._everybody(max(0, tick - self.sight.delay(self.physics_hz)))
         states = np.array([pose[:7] for pose in then])
         seen = []
-        for npc, x, y, speed in self.sight.sight.glimpses(states, self.sight.seed, tick):
+        for npc, x, y, speed in self.sight.glimpses(states, self._seed, tick):
             was = then[npc + 1]
             seen.append((npc, was._replace(x=was.x + x, y=was.y + y, speed=was.speed + speed)))
         return seen
@@ -138,12 +130,6 @@ class RoadPlanner(Planner):
             return self.lanes.spot(*pose[:3], near), near
         along = way.place(pose.x, pose.y, near)[0]
         return self.junction.spot(self.lanes, way, along, pose[:3]), along
-
-    def _bend(self) -> float:
-        return math.atan(2 * math.tan(-self._lean))
-
-    def _place(self) -> tuple[float, float]:
-        return self._own.y, self._own.heading
 
     def _state(self, vehicle: Pose, spot: Spot, own: Spot) -> tuple[VehicleState, float]:
         """Return a vehicle's state on the straightened road, and its velocity across the lane [m/s]."""

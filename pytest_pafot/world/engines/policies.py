@@ -1,9 +1,8 @@
-"""The engine for policies, which observe and act through a copy of an environment whose road is stepped directly."""
+"""The runs of egos in a copy of an environment, whose road the loop steps."""
 
 from __future__ import annotations
 
 import copy
-from collections.abc import Sequence
 from contextlib import ExitStack
 from typing import Any
 
@@ -12,20 +11,14 @@ import numpy as np
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.sight import Sight
 from pytest_pafot.model.trace import Trace
-from pytest_pafot.world.driving.ads import (
-    AdsFactory,
-    EgoDriver,
-    SelfDriving,
-    give_route,
-    is_vehicle_class,
-    make_ads,
-    wants_env,
-)
+from pytest_pafot.world.driving.ads import AdsFactory, is_vehicle_class, make_ads, wants_env
+from pytest_pafot.world.driving.object_driver import ObjectDriver, show_vehicles
 from pytest_pafot.world.driving.perception import ads_and_sight
-from pytest_pafot.world.driving.policy import Policy, View, copies_on
+from pytest_pafot.world.driving.policy import PolicyDriver, View, copies_on
 from pytest_pafot.world.driving.seeing import policy_sight
 from pytest_pafot.world.driving.vehicles import EgosRegulatedRoad, quick
-from pytest_pafot.world.engines.object_engine import ObjectRun, run
+from pytest_pafot.world.engines.egos import vehicle_of
+from pytest_pafot.world.engines.run import SteppedRun, VehiclesOfRun
 from pytest_pafot.world.guard.failure import closing
 from pytest_pafot.world.guard.hang_guard import HangGuard
 from pytest_pafot.world.gym_environment import GymEnvironment
@@ -34,60 +27,53 @@ from pytest_pafot.world.stock import RegulatedRoad, Road
 
 
 def rollout(environment: GymEnvironment, rules: Rules, scenario: Scenario, ads_factory: AdsFactory) -> Trace:
-    """Simulate a scenario, which fits the rules, with a fresh ADS of any kind."""
-    env, route, every = _env_of(environment, scenario), environment.route, rules.physics_hz // rules.ads_hz
-
-    at_the_end = ExitStack()
-
-    def make_ego(start: tuple[float, float, float]) -> EgoDriver:
-        ads, view = ads_factory, None
+    """Simulate a scenario, which fits the rules, with a fresh ADS that is a vehicle class or a policy."""
+    with ExitStack() as at_the_end:
+        ads, env, view = ads_factory, _env_of(environment, scenario), None
         if not is_vehicle_class(ads):
-            put_new_ego(env, quick(env.action_type.vehicle_class), start, scenario.ego_speed, route)
+            _put_policys_ego(environment, env, rules, scenario)
             if wants_env(ads_factory):
                 view = View(environment.make().unwrapped, env)
             ads = make_ads(ads_factory) if view is None else make_ads(ads_factory, env=view.env)
             at_the_end.enter_context(closing(ads, rules.hang_limit))
+        guard = HangGuard(rules.hang_limit)
         if is_vehicle_class(ads):
-            return SelfDriving(ads, env.road, start, scenario.ego_speed, route)
+            start = rules.ego_position(scenario)
+            ego = vehicle_of(ads, env.road, start, scenario.ego_speed, environment.route)
+            return _begun(rules, scenario, ObjectDriver(ego, guard), guard).finish()
         ads, sight = ads_and_sight(ads)
-        return Policy(ads, env, every, view, policy_sight(env, sight, scenario))
-
-    with at_the_end:
-        return run(rules, scenario, env.road, make_ego)
+        every = rules.physics_hz // rules.ads_hz
+        driver = PolicyDriver(ads, env, guard, every, view, policy_sight(env, sight, scenario))
+        return _begun(rules, scenario, driver, guard).finish()
 
 
 def begin(
     environment: GymEnvironment, rules: Rules, scenario: Scenario, guard: HangGuard, sight: Sight | None
-) -> ObjectRun:
+) -> SteppedRun:
     """Begin a run to which the caller passes the actions, for an ADS with the given sight."""
     env = _env_of(environment, scenario)
-
-    def make_ego(start: tuple[float, float, float]) -> Policy:
-        put_new_ego(env, quick(env.action_type.vehicle_class), start, scenario.ego_speed, environment.route)
-        every = rules.physics_hz // rules.ads_hz
-        return Policy(None, env, every, sight=policy_sight(env, sight, scenario))
-
-    return ObjectRun(rules, scenario, env.road, make_ego, guard)
+    _put_policys_ego(environment, env, rules, scenario)
+    every = rules.physics_hz // rules.ads_hz
+    driver = PolicyDriver(None, env, guard, every, sight=policy_sight(env, sight, scenario))
+    return _begun(rules, scenario, driver, guard)
 
 
-def put_ego(env: Any, ego: Any, route: Sequence[Any] | None) -> None:
-    """Make ``ego`` the only vehicle of an environment, and give it the route if it follows routes.
+def _begun(rules: Rules, scenario: Scenario, driver: ObjectDriver, guard: HangGuard) -> SteppedRun:
+    vehicles = VehiclesOfRun(rules, scenario, driver.ego, driver.vehicle.road.network)
+    show_vehicles(driver.vehicle, vehicles.places, rules.road)
+    return SteppedRun(vehicles, driver, guard)
 
-    highway-env's own check of collisions is turned off, because pafot tests for contact itself.
-    """
-    ego.check_collisions = False
-    give_route(ego, route)
+
+def put_ego(env: Any, ego: Any) -> None:
+    """Make ``ego`` the only vehicle of an environment."""
     env.road.vehicles = [ego]
     env.controlled_vehicles = [ego]
     env.define_spaces()
 
 
-def put_new_ego(
-    env: Any, vehicle_class: Any, start: tuple[float, float, float], speed: float, route: Sequence[Any] | None
-) -> None:
-    """Make a vehicle of a class, with a speed [m/s] at x [m], y [m], heading [rad]; then call :func:`put_ego`."""
-    x, y, heading = start
-    put_ego(env, vehicle_class(env.road, [x, y], heading, speed), route)
+def _put_policys_ego(environment: GymEnvironment, env: Any, rules: Rules, scenario: Scenario) -> None:
+    vehicle_class, start = quick(env.action_type.vehicle_class), rules.ego_position(scenario)
+    put_ego(env, vehicle_of(vehicle_class, env.road, start, scenario.ego_speed, environment.route))
 
 
 def _env_of(environment: GymEnvironment, scenario: Scenario) -> Any:

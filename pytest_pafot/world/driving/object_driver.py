@@ -1,0 +1,119 @@
+"""Drivers of egos that are highway-env vehicles with code of their own, and the other vehicles as they see them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from pytest_pafot.model.trace import AdsError
+from pytest_pafot.world.driving.vehicles import Car, EgosRegulatedRoad
+from pytest_pafot.world.guard.failure import UNFIT, error_of
+from pytest_pafot.world.guard.hang_guard import HangGuard
+from pytest_pafot.world.kernel.bodies import Body
+from pytest_pafot.world.kernel.crossing import CrossingNpc
+from pytest_pafot.world.kernel.loop import EgoDriver
+from pytest_pafot.world.kernel.places import Places
+from pytest_pafot.world.roads.network import NetworkRoad
+
+
+class GuardedDriver(EgoDriver):
+    """A driver whose decisions are made by Python code under guard."""
+
+    def __init__(self, ego: Body, every: int, guard: HangGuard) -> None:
+        super().__init__(ego, every)
+        self.guard = guard
+
+    def decide(self, tick: int) -> AdsError | None:
+        """Decide under guard, and return the error of the user's code, or None."""
+        guard = self.guard
+        started = guard.clock()
+        try:
+            try:
+                guard.decision_starts()
+                action = self.decided(tick)
+            finally:
+                guard.decision_ends()  # before the exception is handled, which nothing may interrupt
+        except UNFIT as error:
+            return error_of(error, tick, guard)
+        if action is not None:
+            self.actions.append(action)
+        self.slowest = max(self.slowest, guard.clock() - started)
+        return None
+
+    def decided(self, tick: int) -> Any:
+        """Decide, and return the action for the record; None if there is none."""
+        raise NotImplementedError
+
+
+class ObjectDriver(GuardedDriver):
+    """The driver of an ego that is a highway-env vehicle, whose class decides at every tick how it drives.
+
+    Args:
+        vehicle: the ego as a highway-env vehicle, at its start.
+        guard: the guard of its code.
+        every: the number of physics ticks between decisions.
+    """
+
+    def __init__(self, vehicle: Any, guard: HangGuard, every: int = 1) -> None:
+        super().__init__(Body(float(vehicle.LENGTH), float(vehicle.WIDTH)), every, guard)
+        self.vehicle = vehicle
+        self._regulated = vehicle.road if isinstance(vehicle.road, EgosRegulatedRoad) else None
+        self._tick = 0
+        follow(self.ego, self.vehicle)
+
+    def decided(self, tick: int) -> Any:
+        """Call the vehicle's own ``act``."""
+        self.vehicle.act()
+
+    def step(self, dt: float) -> AdsError | None:
+        """Move the vehicle by its class, which may be the user's code, and return its error, or None."""
+        self._tick += 1
+        try:
+            if self._regulated is not None:
+                self._regulated.regulate(dt)
+            self.vehicle.step(dt)
+        except UNFIT as error:
+            return error_of(error, self._tick - 1, self.guard)
+        follow(self.ego, self.vehicle)
+        return None
+
+
+def follow(body: Body, vehicle: Any) -> None:
+    """Give a body in the loop the state of a highway-env vehicle."""
+    x, y = vehicle.position
+    body.place(float(x), float(y), float(vehicle.heading), float(vehicle.speed))
+    body.acceleration, body.steering = float(vehicle.action["acceleration"]), float(vehicle.action["steering"])
+
+
+def show_vehicles(vehicle: Any, places: Places, road: Any) -> None:
+    """Put the ego, a highway-env vehicle, and the NPCs as it sees them on its road."""
+    cars = [Car(vehicle.road, body) for body in places.vehicles[1:]]
+    foresee(cars, places, road)
+    vehicle.road.vehicles = [vehicle, *cars]
+
+
+def foresee(npcs: Sequence[Any], places: Places, road: Any) -> None:
+    """Let highway-env's regulated roads predict NPCs along their ways or lanes; no other road predicts them."""
+    if isinstance(road, NetworkRoad):
+        for npc, body in zip(npcs, places.bodies[1:], strict=True):
+            npc.predict_trajectory_constant_speed = foresight(road, body)
+
+
+def foresight(road: NetworkRoad, body: Body) -> Callable[[Any], tuple[list[Any], list[float]]]:
+    """Return a prediction for highway-env's regulated road: an NPC continues along its way or lane at its speed.
+
+    highway-env predicts its own vehicles along their routes. An NPC has no such route, so highway-env would assume that
+    it keeps its steering angle.
+    """
+
+    def predicted(times: Any) -> tuple[list[Any], list[float]]:
+        places = [body.x + body.speed * float(time) for time in times]
+        if isinstance(body, CrossingNpc):
+            poses = [body.track.pose(along) for along in places]
+        else:
+            poses = [road.position(along, body.lane) for along in places]
+        return [np.array(pose[:2]) for pose in poses], [pose[2] for pose in poses]
+
+    return predicted

@@ -1,0 +1,113 @@
+"""The runs of the kinds of egos: planners in SI units, vehicle classes, and policies of an environment."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from pytest_pafot.model.scenario import Scenario
+from pytest_pafot.model.sight import Sight
+from pytest_pafot.world.driving.ads import give_route
+from pytest_pafot.world.driving.idm_model import idm_model
+from pytest_pafot.world.driving.perception import ads_and_sight
+from pytest_pafot.world.driving.road_sensor import RoadSensor
+from pytest_pafot.world.driving.seeing import ImperfectSensor
+from pytest_pafot.world.engines.run import SteppedRun, VehiclesOfRun
+from pytest_pafot.world.guard.hang_guard import HangGuard
+from pytest_pafot.world.kernel.bodies import NPC_LENGTH, NPC_WIDTH, Body
+from pytest_pafot.world.kernel.idm import IdmEgo
+from pytest_pafot.world.kernel.loop import GivenDriver, ModelDriver, PlannerDriver
+from pytest_pafot.world.kernel.observation import Observer, Sensor
+from pytest_pafot.world.roads.straight import StraightRoad
+from pytest_pafot.world.run_config import Rules
+
+
+def planner_run(
+    rules: Rules,
+    scenario: Scenario,
+    network: Callable[[], Any],
+    ads: Callable[[Any], Any] | None,
+    guard: HangGuard,
+    *,
+    sight: Sight | None = None,
+    decisions: Sequence[Any] = (),
+    body: Body | None = None,
+) -> SteppedRun:
+    """Begin a run of a planner in SI units, on any road.
+
+    Args:
+        rules, scenario: the world's rules, and a scenario that fits them.
+        network: returns the road as a road network of highway-env, which only a bent road needs.
+        ads: the planner; None if the decisions are passed in.
+        guard: the guard of its decisions.
+        sight: the sight of a planner whose decisions are passed in; None for perfect sight.
+        decisions: the first decisions of the run, which replace calls of the planner.
+        body: the ego, in place of its usual body.
+    """
+    if ads is not None:
+        ads, sight = ads_and_sight(ads)
+    ego, road = body or Body(NPC_LENGTH, NPC_WIDTH), rules.road
+    ego.place(*rules.ego_position(scenario), scenario.ego_speed)
+    is_straight = isinstance(road, StraightRoad)
+    vehicles = VehiclesOfRun(rules, scenario, ego, None if is_straight else network())
+    return SteppedRun(vehicles, planner_driver(vehicles, ads, guard, sight, decisions), guard)
+
+
+def planner_driver(
+    vehicles: VehiclesOfRun,
+    ads: Callable[[Any], Any] | None,
+    guard: HangGuard,
+    sight: Sight | None,
+    decisions: Sequence[Any] = (),
+) -> GivenDriver:
+    """Return the driver of an ego for a planner in SI units; the arguments are those of :func:`planner_run`."""
+    rules, scenario, road = vehicles.rules, vehicles.scenario, vehicles.rules.road
+    every, sensor = rules.physics_hz // rules.ads_hz, Sensor()
+    if isinstance(road, StraightRoad):
+        x, y, _ = road.position(0.0, 0)
+        sensor = Observer(vehicles.rows, vehicles.sizes, road.grid, road.speed_limit, rules.physics_hz, every, x, y)
+        if sight is not None:
+            sensor = ImperfectSensor(sensor, sight, scenario.seed, road.grid, rules.physics_hz)
+    else:
+        sensor = RoadSensor(rules, scenario, vehicles.vehicles, vehicles.rows, sight)
+    common: dict[str, Any] = {"lanes": road.lane_count, "lane_width": road.lane_width}
+    common |= {"every": every, "dt": 1 / rules.physics_hz}
+    ego, place = vehicles.vehicles[0], vehicles.places.bodies[0]
+    if ads is None:
+        return GivenDriver(ego, place, sensor, **common)
+    return PlannerDriver(ads, guard, decisions, ego, place, sensor, **common)
+
+
+def vehicle_run(rules: Rules, scenario: Scenario, network: Callable[[], Any], vehicle_class: Any) -> SteppedRun:
+    """Begin a run of a highway-env vehicle class, which drives itself, on a road without rules of its own."""
+    guard, road, start = HangGuard(rules.hang_limit), rules.road, rules.ego_position(scenario)
+    model = idm_model(vehicle_class) if isinstance(road, StraightRoad) and road.starts_at_origin else None
+    if model is not None and isinstance(road, StraightRoad):
+        ego = IdmEgo(model.constants, road.grid, road.speed_limit)
+        ego.start(*start, scenario.ego_speed, model.changes_lanes)
+        vehicles = VehiclesOfRun(rules, scenario, ego)
+        return SteppedRun(vehicles, ModelDriver(ego, vehicles.vehicles[1:]), guard)
+    from pytest_pafot.world.driving.object_driver import ObjectDriver, show_vehicles  # noqa: PLC0415  (a second of imports)
+    from pytest_pafot.world.stock import Road  # noqa: PLC0415
+
+    on = Road(network(), np_random=np.random.default_rng(scenario.seed))
+    driver = ObjectDriver(vehicle_of(vehicle_class, on, start, scenario.ego_speed, None), guard)
+    vehicles = VehiclesOfRun(rules, scenario, driver.ego, on.network)
+    show_vehicles(driver.vehicle, vehicles.places, road)
+    return SteppedRun(vehicles, driver, guard)
+
+
+def vehicle_of(
+    vehicle_class: Any, road: Any, start: tuple[float, float, float], speed: float, route: Sequence[Any] | None
+) -> Any:
+    """Return a new ego on a road of highway-env at x [m], y [m], heading [rad] and speed [m/s].
+
+    highway-env's own check of collisions is turned off, because this package tests for contact itself.
+    """
+    x, y, heading = start
+    vehicle = vehicle_class(road, [x, y], heading, speed)
+    vehicle.check_collisions = False
+    give_route(vehicle, route)
+    return vehicle

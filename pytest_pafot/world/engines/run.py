@@ -1,0 +1,199 @@
+"""One run of a scenario: its vehicles at their starts, its loop, and the trace that it leaves."""
+
+from __future__ import annotations
+
+from array import array
+from typing import Any
+
+import numpy as np
+
+from pytest_pafot.criticality.relative import RelativePositions
+from pytest_pafot.model.crossings import Zone
+from pytest_pafot.model.grid import Cell
+from pytest_pafot.model.scenario import Scenario
+from pytest_pafot.model.trace import HEADING, SPEED, STEERING, AdsError, Collision, FloatArray, Outcome, Trace
+from pytest_pafot.world.guard.failure import UNFIT, error_of
+from pytest_pafot.world.guard.hang_guard import HangGuard
+from pytest_pafot.world.kernel.bodies import Body, Box, depth, overlap, side_hit
+from pytest_pafot.world.kernel.loop import EgoDriver, Loop
+from pytest_pafot.world.kernel.observation import COLUMNS
+from pytest_pafot.world.kernel.places import Places, RoadPlaces
+from pytest_pafot.world.roads.straight import StraightRoad
+from pytest_pafot.world.run_config import Rules, starts_of
+
+
+class VehiclesOfRun:
+    """The vehicles of one run at their starts, and the record of their states.
+
+    Args:
+        rules: the rules that all runs share; the scenario fits them.
+        scenario: the scenario.
+        ego: the ego, at its start in world coordinates.
+        network: the road as a road network of highway-env; None on a straight road.
+
+    Attributes:
+        director: the director of the NPCs.
+        vehicles: all vehicles in world coordinates, the ego first.
+        places: where they are on the road.
+        rows: seven numbers for each vehicle at each tick; see :data:`pytest_pafot.world.kernel.observation.COLUMNS`.
+        loop: the loop, at tick 0.
+        sizes: length and width of each vehicle [m].
+    """
+
+    def __init__(self, rules: Rules, scenario: Scenario, ego: Body, network: Any = None) -> None:
+        self.rules = rules
+        self.scenario = scenario
+        self.director = director = rules.director(scenario, ego.length)
+        alongs, starts = starts_of(rules, scenario, director, ego.length)
+        road, ticks = rules.road, rules.ticks(scenario)
+        is_apart = not (isinstance(road, StraightRoad) and road.starts_at_origin)
+        npcs: list[Body] = [Body(npc.length, npc.width) for npc in director.npcs] if is_apart else list(director.npcs)
+        for npc, start in zip(npcs, starts, strict=True):
+            npc.place(*start)
+        self.vehicles = [ego, *npcs]
+        bodies = [Body(ego.length, ego.width), *director.npcs] if is_apart else self.vehicles
+        self.places: Places
+        if isinstance(road, StraightRoad):
+            x, y, _ = road.position(0.0, 0)
+            self.places = Places(self.vehicles, bodies, road.grid, x, y)
+        else:
+            own_ways = {} if rules.junction is None else rules.junction.own_ways
+            ways = [None if each is None else own_ways[each.zone] for each in scenario.crossings]
+            self.places = RoadPlaces(
+                self.vehicles,
+                bodies,
+                road.bends,
+                starts=alongs,
+                ways=[None, *(ways or [None] * len(npcs))],
+                end=road.end,
+                beside=lambda x, y, lane, along: road.beside(network, x, y, lane, along),
+                ticks=ticks,
+            )
+        self.sizes = [(each.length, each.width) for each in self.vehicles]
+        self.rows = array("d", bytes(8 * (ticks + 1) * len(self.sizes) * COLUMNS))
+        self.loop = Loop(director, self.places, self.rows, 1 / rules.physics_hz)
+
+    def trace(self, driver: EgoDriver, error: AdsError | None = None) -> Trace:
+        """Return the trace up to the current tick, given the ego's driver and the ADS's error that ended the run."""
+        loop, places, count = self.loop, self.places, len(self.sizes)
+        shape = (loop.tick + 1, count, COLUMNS)
+        rows = np.frombuffer(self.rows, count=shape[0] * count * COLUMNS)
+        # Read-only, and without a copy if the run has filled the whole buffer.
+        states = (rows if rows.size == len(self.rows) else rows.copy()).reshape(shape)
+        states.flags.writeable = False
+        track = on_way = None
+        if isinstance(places, RoadPlaces):
+            ticks = len(self.rows) // (count * COLUMNS)
+            track = np.array(places.track).reshape(ticks, count, -1)[: shape[0]]
+            if len(places.on_way):
+                on_way = np.array(places.on_way).reshape(ticks, -1)[: shape[0]]
+        off_road = states[:, 0, -1] < 0
+        off_road_tick = int(off_road.argmax()) if off_road.any() else None
+        outcome = Outcome.SAFE if off_road_tick is None else Outcome.OFF_ROAD
+        if error is not None:
+            outcome = Outcome.HANG if error.interrupted else Outcome.ADS_ERROR
+        elif loop.is_over:
+            touched = Outcome.COLLISION if loop.ego_touched else Outcome.INVALID
+            outcome = touched if loop.ego_touched or loop.npcs_touched else places.left or outcome
+        return Trace(
+            scenario=self.scenario,
+            executed=self.director.executed,
+            outcome=outcome,
+            collision=self._collision(states, track) if outcome is Outcome.COLLISION else None,
+            error=error,
+            states=states,
+            sizes=np.array(self.sizes),
+            lanes=self.rules.road.lanes,
+            physics_hz=self.rules.physics_hz,
+            ads_hz=self.rules.ads_hz,
+            actions=tuple(driver.actions),
+            arrivals=self.director.arrivals,
+            off_road_tick=off_road_tick,
+            max_decision_seconds=driver.slowest,
+            track=track,
+            zones=self._zones,
+            on_way=on_way,
+            driven=self.director.driven,
+        )
+
+    @property
+    def _zones(self) -> tuple[Zone | None, ...]:
+        if self.rules.crossings is None:
+            return ()
+        ways = self.rules.crossings.ways
+        return tuple(None if each is None else ways[each.zone].zone for each in self.scenario.crossings)
+
+    def _collision(self, states: FloatArray, track: FloatArray | None) -> Collision:
+        now = self._boxes(states[-1])
+        touching = [index for index, npc in enumerate(now[1:]) if overlap(now[0], npc)]
+        npc = min(touching, key=lambda index: depth(now[0], now[index + 1]))
+        tick = self.loop.tick
+        before = self._boxes(states[max(tick - 1, 0)])
+        ego, other = states[-1, 0], states[-1, npc + 1]
+        positions = RelativePositions(states, np.array(self.sizes), self.rules.road.lanes, track)
+        both = states[-1, [0, npc + 1]]
+        course = both[:, HEADING] + np.arctan(0.5 * np.tan(both[:, STEERING]))  # a vehicle with turned wheels slips
+        velocity = both[:, SPEED] * np.array([np.cos(course), np.sin(course)])
+        return Collision(
+            tick=tick,
+            time=tick / self.rules.physics_hz,
+            npc=npc,
+            side=side_hit(before[0], before[npc + 1]),
+            cell=self._cell(npc, positions, track),
+            ego_speed=float(ego[SPEED]),
+            npc_speed=float(other[SPEED]),
+            closing_speed=float(np.hypot(*(velocity[:, 0] - velocity[:, 1]))),
+        )
+
+    def _cell(self, npc: int, positions: RelativePositions, track: FloatArray | None) -> Cell | None:
+        """Return the cell of an NPC that the ego has touched; None if the NPC was not on the ego's way."""
+        if track is not None and np.isnan(track[-1, npc + 1, 0]):
+            return None
+        cell = positions.last_cell(npc, self.loop.tick)
+        crossings = self.scenario.crossings[: npc + 1]
+        if cell is not None or (crossings and crossings[-1] is not None):
+            return cell
+        return self.director.first_cells()[npc - sum(each is not None for each in crossings)]
+
+    def _boxes(self, row: FloatArray) -> list[Box]:
+        poses = row[:, :3].tolist()
+        return [Box(x, y, heading, *size) for (x, y, heading), size in zip(poses, self.sizes, strict=True)]
+
+
+class SteppedRun:
+    """A run that proceeds from one decision to the next, until it has a trace.
+
+    Args:
+        vehicles: the vehicles of the run, at their starts.
+        driver: the ego's driver, which decides itself in :meth:`finish`, or by decisions that are passed to
+            :meth:`take`.
+        guard: the guard of the ADS's decisions.
+    """
+
+    def __init__(self, vehicles: VehiclesOfRun, driver: EgoDriver, guard: HangGuard) -> None:
+        self.trace: Trace | None = None
+        self.vehicles = vehicles
+        self.driver: Any = driver
+        self._guard = guard
+        self._ticks = vehicles.rules.ticks(vehicles.scenario)
+
+    def observe(self) -> Any:
+        """Return the ADS's current observation."""
+        return self.driver.observe(self.vehicles.loop.tick)
+
+    def take(self, action: Any, seconds: float) -> None:
+        """Apply a decision that took ``seconds``, and drive until the next decision or the end of the run."""
+        loop = self.vehicles.loop
+        try:
+            self.driver.take(action, seconds)
+        except UNFIT as unfit:
+            error = error_of(unfit, loop.tick, self._guard)
+        else:
+            error = loop.run(self.driver, min(loop.tick + self.driver.every, self._ticks))
+        if error is not None or loop.is_over or loop.tick == self._ticks:
+            self.trace = self.vehicles.trace(self.driver, error)
+
+    def finish(self) -> Trace:
+        """Drive to the end of the run, with decisions of the driver itself, and return the trace."""
+        with self._guard:
+            return self.vehicles.trace(self.driver, self.vehicles.loop.run(self.driver, self._ticks))

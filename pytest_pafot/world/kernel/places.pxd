@@ -1,0 +1,49 @@
+cimport cython
+from libc cimport math
+from pytest_pafot.world.kernel.bends cimport Bends, even_rounded
+from pytest_pafot.world.kernel.bodies cimport Body
+from pytest_pafot.world.kernel.crossing cimport Track
+from pytest_pafot.world.kernel.lanes cimport Lanes
+
+cdef double STEP, NOT_ON_WAY, HALF_TURN, NOWHERE
+cdef int COLUMNS, TRACK_COLUMNS
+
+cdef class Places:
+    cdef readonly list vehicles, bodies
+    cdef public object left
+    cdef Lanes _lanes
+    cdef double _x, _y
+    cdef readonly bint _apart
+
+    @cython.locals(number=Py_ssize_t, vehicle=Body, body=Body)
+    cpdef void control(self) except *
+
+    @cython.locals(lanes=Lanes, number=Py_ssize_t, vehicle=Body, body=Body)
+    cpdef void see(self, double[::1] record, Py_ssize_t row) except *
+
+@cython.final
+cdef class OwnWay:
+    cdef Track track
+    cdef int[::1] parts
+    cdef double enters
+    cdef double[::1] along_ego
+
+cdef class RoadPlaces(Places):
+    cdef readonly double[::1] track, on_way
+    cdef Bends _bends
+    cdef list _ways
+    cdef double _end
+    cdef object _beside
+    cdef double[::1] _along
+    cdef bint _crosses
+    cdef Py_ssize_t _row
+
+    @cython.locals(bends=Bends, has_ended=bint, count=Py_ssize_t, first=Py_ssize_t, number=Py_ssize_t, vehicle=Body,
+                   body=Body, way=OwnWay, along=double, ego=Body)
+    cpdef void see(self, double[::1] record, Py_ssize_t row) except *
+
+    @cython.locals(track=Track, bends=Bends, along=double, turned=double, near=double, is_on=bint)
+    cdef int _on_own_way(self, Body vehicle, Body body, OwnWay way, Py_ssize_t number) except -2
+
+    @cython.locals(bends=Bends, track="double[::1]", row=Py_ssize_t)
+    cdef void _note(self, Py_ssize_t number) except *

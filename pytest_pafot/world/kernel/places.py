@@ -1,0 +1,186 @@
+"""The places of the vehicles of a run on their roads, found anew after each tick, for the director and the record."""
+
+from __future__ import annotations
+
+import math
+from array import array
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from pytest_pafot.model.crossings import NOT_ON_WAY, STEP
+from pytest_pafot.model.trace import Outcome
+from pytest_pafot.world.kernel.bends import Bends, even_rounded
+from pytest_pafot.world.kernel.bodies import Body
+from pytest_pafot.world.kernel.crossing import Track
+from pytest_pafot.world.kernel.lanes import Lanes
+from pytest_pafot.world.kernel.observation import COLUMNS
+
+HALF_TURN = math.pi
+"""Pi [rad]; unlike ``math.pi``, it is a C number in compiled code."""
+NOWHERE = float("nan")
+TRACK_COLUMNS = 5
+"""The number of values of a vehicle in a row of ``Trace.track``."""
+
+
+class Places:
+    """The places of vehicles on a straight road.
+
+    Args:
+        vehicles: the vehicles in world coordinates, the ego first.
+        bodies: the same vehicles in road coordinates; the same objects if the road starts at the world's origin.
+        lanes: the road's lanes.
+        x, y: where the road starts [m].
+
+    Attributes:
+        left: the outcome if the run has left its road, else None. A run on a straight road continues beside it.
+    """
+
+    def __init__(
+        self, vehicles: list[Any], bodies: list[Any], lanes: Lanes | None = None, x: float = 0.0, y: float = 0.0
+    ) -> None:
+        self.vehicles: list[Body] = vehicles
+        self.bodies: list[Body] = bodies
+        self.left: Outcome | None = None
+        self._lanes = lanes
+        self._x = x
+        self._y = y
+        self._apart = vehicles[0] is not bodies[0]
+
+    def control(self) -> None:
+        """Give the NPCs in world coordinates the controls that the director has set."""
+        if self._apart:
+            for number in range(1, len(self.vehicles)):
+                vehicle, body = self.vehicles[number], self.bodies[number]
+                vehicle.acceleration = body.acceleration
+                vehicle.steering = body.steering
+
+    def see(self, record: Any, row: int) -> None:
+        """Find all vehicles, place the bodies on the road, and write the vehicles' lanes into a row of a record."""
+        lanes: Any = self._lanes
+        for number in range(len(self.bodies)):
+            body = self.bodies[number]
+            if self._apart:
+                vehicle = self.vehicles[number]
+                body.place(vehicle.x - self._x, vehicle.y - self._y, vehicle.heading, vehicle.speed)
+            record[row + 6] = lanes.locate(body)
+            row += COLUMNS
+
+
+class OwnWay:
+    """The way of a crossing NPC, and where it is on the ego's way.
+
+    Attributes:
+        track: the way.
+        parts: the index in ``Trace.lanes`` of the lane at each of its points.
+        enters: the place at which it enters its zone [m].
+        along_ego: the place along the ego's way of each point of the way [m]; NaN for points that are not on it.
+    """
+
+    def __init__(self, track: Track, parts: Sequence[int], enters: float, along_ego: Sequence[float]) -> None:
+        self.track = track
+        self.parts = array("i", parts)
+        self.enters = enters
+        self.along_ego = array("d", along_ego)
+
+    def __reduce__(self) -> tuple[object, ...]:
+        """Return the parts for pickling, because worlds send their ways to other processes."""
+        return OwnWay, (self.track, list(self.parts), self.enters, list(self.along_ego))
+
+
+class RoadPlaces(Places):
+    """The places of vehicles on a bent road and on the ways that meet it.
+
+    They are tracked from tick to tick, because roads may cross or repeat themselves. On the ego's way, a body gets its
+    nominal position across the road, and its heading relative to the way. A crossing NPC's body gets its place along
+    its own way, its distance to the right of it, and its angle to it.
+
+    Args:
+        bends: the ego's way.
+        starts: each vehicle's place along its way at the start [m].
+        ways: the own way of each crossing NPC, None for each other vehicle; the ego is first.
+        end: the place along the ego's way at which the run ends [m].
+        beside: returns, for an ego that is on no lane of its way, the index of its lane in ``Trace.lanes`` and how the
+            run has left its road, by x and y [m], the nearest lane, and the place along the way [m].
+        ticks: the largest number of ticks of the run.
+
+    Attributes:
+        track: rows of ``Trace.track``.
+        on_way: rows of ``Trace.on_way``; empty without crossing NPCs.
+    """
+
+    def __init__(
+        self,
+        vehicles: list[Any],
+        bodies: list[Any],
+        bends: Bends,
+        *,
+        starts: Sequence[float],
+        ways: list[Any],
+        end: float,
+        beside: Callable[[float, float, int, float], tuple[int, Outcome | None]],
+        ticks: int,
+    ) -> None:
+        super().__init__(vehicles, bodies)
+        count = len(vehicles)
+        self._bends = bends
+        self._ways: list[OwnWay | None] = ways
+        self._end = end
+        self._beside = beside
+        self._along = array("d", starts)
+        self._crosses = count > ways.count(None)
+        self._row = 0  # of the tick in `track` and `on_way`, in vehicles
+        self.track = array("d", [NOWHERE]) * (TRACK_COLUMNS * count * (ticks + 1))
+        self.on_way = array("d", [NOWHERE]) * ((count - 1) * (ticks + 1) if self._crosses else 0)
+
+    def see(self, record: Any, row: int) -> None:
+        """Find all vehicles, place the bodies, and write the vehicles' lanes into a row of a record."""
+        bends, has_ended, count = self._bends, False, len(self.vehicles)
+        first = row
+        for number in range(count):
+            vehicle, body, way = self.vehicles[number], self.bodies[number], self._ways[number]
+            if way is not None:
+                record[row + 6] = self._on_own_way(vehicle, body, way, number)
+            else:
+                bends.locate(vehicle.x, vehicle.y, vehicle.heading, self._along[number])
+                along = bends.along
+                self._along[number] = along
+                body.place(along, bends.in_lanes(bends.lane, along, bends.offset), bends.angle, vehicle.speed)
+                body.lane = bends.nearest_lane(body.y)
+                record[row + 6] = bends.part(bends.lane, along, bends.offset)
+                self._note(number)
+                has_ended = has_ended or along + body.length / 2.0 >= self._end
+            row += COLUMNS
+        self._row += count
+        if has_ended:
+            self.left = Outcome.END_OF_ROAD
+        elif record[first + 6] < 0:
+            ego = self.vehicles[0]
+            bends.locate(ego.x, ego.y, ego.heading, self._along[0])
+            record[first + 6], self.left = self._beside(ego.x, ego.y, bends.lane, bends.along)
+
+    def _on_own_way(self, vehicle: Body, body: Body, way: OwnWay, number: int) -> int:
+        """Find a crossing NPC, note its places on both ways, and return its lane."""
+        track, bends = way.track, self._bends
+        track.locate(vehicle.x, vehicle.y, self._along[number])
+        along = self._along[number] = track.along
+        turned = vehicle.heading - track.direction
+        turned = (turned + HALF_TURN) % (2.0 * HALF_TURN) - HALF_TURN
+        body.place(along, track.across, turned, vehicle.speed)
+        self.on_way[self._row // len(self.vehicles) * (len(self.vehicles) - 1) + number - 1] = along
+        if along >= way.enters:  # before its zone, it is never on the ego's way
+            near = way.along_ego[min(even_rounded(along / STEP), len(way.along_ego) - 1)]
+            if not math.isnan(near):
+                bends.locate(vehicle.x, vehicle.y, vehicle.heading, near)
+                is_on = bends.part(bends.lane, bends.along, bends.offset) >= 0
+                if is_on and -NOT_ON_WAY < bends.angle < NOT_ON_WAY:
+                    self._note(number)
+        return way.parts[track.point(along)] if 0.0 <= along <= (len(way.parts) - 1) * STEP else -1
+
+    def _note(self, number: int) -> None:
+        """Record the place at which the last vehicle was located on the ego's way."""
+        bends, track, row = self._bends, self.track, TRACK_COLUMNS * (self._row + number)
+        track[row] = bends.along
+        track[row + 1] = bends.across
+        track[row + 2] = bends.angle
+        track[row + 3] = bends.offset
+        track[row + 4] = bends.stretch(bends.along, bends.across)
