@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 import numpy as np
 
@@ -45,7 +45,7 @@ class RoadSensor(Sensor):
     ) -> None:
         super().__init__()
         self.is_bent = True
-        self.lanes: NetworkRoad = rules.road
+        self.lanes = cast("NetworkRoad", rules.road)
         self.junction, self.ways = rules.junction, rules.ways(scenario)
         far = rules.start_distance(scenario)
         self.starts = [rules.ego_start + row * far for row in (-1, 0, 1)]

@@ -212,12 +212,13 @@ def _si_run(rules: Rules, scenario: Scenario, env: Any, ads: Any, route: tuple[A
     Observations, rewards and infos are disabled. Observations would take longer than all the rest, and some
     environments compute rewards only for their own egos.
     """
-    guard, start, driver = HangGuard(rules.hang_limit), rules.ego_position(scenario), None
+    guard, start = HangGuard(rules.hang_limit), rules.ego_position(scenario)
     # A vehicle class decides in every tick.
     env.config["policy_frequency"] = env.config["simulation_frequency"] if is_vehicle_class(ads) else rules.ads_hz
     put_ego(env, vehicle_of(ads if is_vehicle_class(ads) else StockVehicle, env.road, start, scenario.ego_speed, route))
     ego = _body_of(env.vehicle)
     vehicles = VehiclesOfRun(rules, scenario, ego, env.road.network)
+    driver: EgoDriver
     if is_vehicle_class(ads):
         driver = _VehicleClass(env.vehicle, ego, guard)
     else:

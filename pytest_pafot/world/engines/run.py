@@ -183,7 +183,7 @@ class SteppedRun:
 
     def take(self, action: Any, seconds: float) -> None:
         """Apply a decision that took ``seconds``, and drive until the next decision or the end of the run."""
-        loop = self.vehicles.loop
+        loop, error = self.vehicles.loop, None
         try:
             self.driver.take(action, seconds)
         except UNFIT as unfit:
