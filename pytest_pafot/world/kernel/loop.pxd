@@ -6,6 +6,7 @@ from pytest_pafot.world.kernel.bodies cimport Body, overlap
 from pytest_pafot.world.kernel.director cimport Director
 from pytest_pafot.world.kernel.driver cimport LaneTracker
 from pytest_pafot.world.kernel.idm cimport IdmEgo
+from pytest_pafot.world.kernel.lanes cimport Lanes
 from pytest_pafot.world.kernel.observation cimport Sensor
 from pytest_pafot.world.kernel.places cimport Places
 
@@ -16,14 +17,14 @@ cdef class EgoDriver:
     cdef public double slowest
 
     cpdef decide(self, int tick)
-    cpdef void actuate(self) except *
+    cpdef actuate(self)
     cpdef step(self, double dt)
 
 cdef class ModelDriver(EgoDriver):
     cdef IdmEgo model
     cdef list others
 
-    cpdef void actuate(self) except *
+    cpdef actuate(self)
 
 cdef class GivenDriver(EgoDriver):
     cdef Body _place
@@ -38,9 +39,9 @@ cdef class GivenDriver(EgoDriver):
     cpdef take(self, action, double seconds)
 
     @cython.locals(ego=Body, across=double, heading=double, offset=double)
-    cpdef void actuate(self) except *
+    cpdef actuate(self)
 
-    cdef void _steer(self, double angle) except *
+    cdef _steer(self, double angle)
 
 cdef class PlannerDriver(GivenDriver):
     cdef object _ads, _guard, _clock
@@ -56,22 +57,23 @@ cdef class Loop:
     cdef readonly int tick
     cdef readonly bint ego_touched, npcs_touched
     cdef Body _ego
-    cdef object _director
+    cdef Director _director
     cdef Places _places
+    cdef Lanes _lanes
     cdef double[::1] _record
     cdef double _dt, _reach
     cdef Py_ssize_t _row, _columns
-    cdef list _vehicles
+    cdef list _vehicles, _npcs
 
-    @cython.locals(due=int, number=Py_ssize_t, body=Body)
+    @cython.locals(due=int, body=Body)
     cpdef run(self, EgoDriver driver, int ticks)
 
-    cpdef void command(self) except *
+    cpdef command(self)
 
     cpdef bint moved(self) except -1
 
-    @cython.locals(body=Body, row=Py_ssize_t, columns=Py_ssize_t, record="double[::1]")
-    cdef void _note(self) except *
+    @cython.locals(body=Body, row=Py_ssize_t, columns=Py_ssize_t, record="double[::1]", lanes=Lanes)
+    cdef _note(self)
 
     @cython.locals(record="double[::1]", columns=Py_ssize_t, reach=double, first=Py_ssize_t, second=Py_ssize_t,
                    count=Py_ssize_t, start=Py_ssize_t, x=double, is_near=bint)

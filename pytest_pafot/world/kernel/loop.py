@@ -239,11 +239,13 @@ class Loop:
         self.npcs_touched = False
         self._director = director
         self._places = places
+        self._lanes = places.lanes
         self._record = record
         self._dt = dt
         self._row = 0
         self._columns = COLUMNS
         self._vehicles: list[Body] = places.vehicles
+        self._npcs: list[Body] = places.vehicles[1:]
         self._ego: Body = places.bodies[0]
         self._reach = max(
             [math.hypot(body.length, body.width) for body in self._vehicles]
@@ -270,8 +272,8 @@ class Loop:
             error = driver.step(self._dt)
             if error is not None:
                 return error
-            for number in range(1, len(self._vehicles)):
-                self._vehicles[number].step(self._dt)
+            for body in self._npcs:
+                body.step(self._dt)
             if self.moved():
                 break
         return None
@@ -279,7 +281,8 @@ class Loop:
     def command(self) -> None:
         """Set the controls of the NPCs for the coming tick."""
         self._director.command(self._ego)
-        self._places.control()
+        if self._lanes is None:
+            self._places.control()
 
     def moved(self) -> bool:
         """Record a tick in which all vehicles have moved, and return whether a contact or the road ends the run."""
@@ -289,7 +292,7 @@ class Loop:
 
     def _note(self) -> None:
         """Record the state after a step, and the controls that led to it."""
-        row, record, columns = self._row, self._record, self._columns
+        row, record, columns, lanes = self._row, self._record, self._columns, self._lanes
         for body in self._vehicles:
             record[row] = body.x
             record[row + 1] = body.y
@@ -297,8 +300,11 @@ class Loop:
             record[row + 3] = body.speed
             record[row + 4] = body.acceleration
             record[row + 5] = body.steering
+            if lanes is not None:
+                record[row + 6] = lanes.locate(body)
             row += columns
-        self._places.see(record, self._row)
+        if lanes is None:
+            self._places.see(record, self._row)
         self._row = row
 
     def _contact(self) -> bool:

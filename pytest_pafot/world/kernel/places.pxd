@@ -11,9 +11,9 @@ cdef int COLUMNS, TRACK_COLUMNS
 cdef class Places:
     cdef readonly list vehicles, bodies
     cdef public object left
+    cdef readonly Lanes lanes
     cdef Lanes _lanes
     cdef double _x, _y
-    cdef readonly bint _apart
 
     @cython.locals(number=Py_ssize_t, vehicle=Body, body=Body)
     cpdef void control(self) except *

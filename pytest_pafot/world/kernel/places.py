@@ -33,6 +33,8 @@ class Places:
 
     Attributes:
         left: the outcome if the run has left its road, else None. A run on a straight road continues beside it.
+        lanes: the road's lanes if world and road coordinates are the same, so that bodies need not be placed; else
+            None.
     """
 
     def __init__(
@@ -44,24 +46,21 @@ class Places:
         self._lanes = lanes
         self._x = x
         self._y = y
-        self._apart = vehicles[0] is not bodies[0]
+        self.lanes = lanes if vehicles[0] is bodies[0] else None
 
     def control(self) -> None:
         """Give the NPCs in world coordinates the controls that the director has set."""
-        if self._apart:
-            for number in range(1, len(self.vehicles)):
-                vehicle, body = self.vehicles[number], self.bodies[number]
-                vehicle.acceleration = body.acceleration
-                vehicle.steering = body.steering
+        for number in range(1, len(self.vehicles)):
+            vehicle, body = self.vehicles[number], self.bodies[number]
+            vehicle.acceleration = body.acceleration
+            vehicle.steering = body.steering
 
     def see(self, record: Any, row: int) -> None:
         """Find all vehicles, place the bodies on the road, and write the vehicles' lanes into a row of a record."""
         lanes: Any = self._lanes
         for number in range(len(self.bodies)):
-            body = self.bodies[number]
-            if self._apart:
-                vehicle = self.vehicles[number]
-                body.place(vehicle.x - self._x, vehicle.y - self._y, vehicle.heading, vehicle.speed)
+            vehicle, body = self.vehicles[number], self.bodies[number]
+            body.place(vehicle.x - self._x, vehicle.y - self._y, vehicle.heading, vehicle.speed)
             record[row + 6] = lanes.locate(body)
             row += COLUMNS
 
