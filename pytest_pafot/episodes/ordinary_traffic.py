@@ -16,7 +16,6 @@ from typing import Any
 import numpy as np
 from highway_env.envs.common.abstract import AbstractEnv
 from highway_env.road.road import Road
-from highway_env.vehicle.behavior import IDMVehicle
 from highway_env.vehicle.controller import ControlledVehicle, MDPVehicle
 from highway_env.vehicle.kinematics import Vehicle
 
@@ -24,7 +23,8 @@ from pytest_pafot.episodes.episode import Episode, EpisodeRecording, Kind, Start
 from pytest_pafot.model.trace import AdsError, Outcome
 from pytest_pafot.support.errors import AdsFactoryError, WorldError
 from pytest_pafot.world.driving.ads import AdsFactory, is_vehicle_class, make_ads, wants_env
-from pytest_pafot.world.driving.idm_model import CONSTANTS, idm_model
+from pytest_pafot.world.driving.compiled_vehicle import compiled_vehicle
+from pytest_pafot.world.driving.idm_model import idm_model
 from pytest_pafot.world.driving.kinematics import observer
 from pytest_pafot.world.driving.perception import ads_and_sight
 from pytest_pafot.world.driving.policy import View
@@ -126,7 +126,7 @@ class CompiledSteps:
 
 def _compiled(start: Start, record: array[float]) -> tuple[OrdinaryTraffic, _Mirror]:
     """Return the compiled traffic of an episode and its mirror; the traffic writes all states into ``record``."""
-    bodies = [_body(each, start.straight) for each in start.vehicles]
+    bodies = [compiled_vehicle(each, start.straight) for each in start.vehicles]
     return OrdinaryTraffic(bodies, record, 1 / start.physics_hz), _Mirror(start, bodies, start.straight)
 
 
@@ -236,26 +236,6 @@ class _VehicleDriver(EgoDriver):
         x, y = ego.position
         body.lead(*start.straight.project(float(x), float(y), float(ego.heading)), float(ego.speed))
         return None
-
-
-def _body(vehicle: Any, road: StraightRoad) -> TrafficVehicle:
-    """Return the compiled vehicle with the state of one of the environment's vehicles."""
-    constants = {name: getattr(vehicle, name, getattr(IDMVehicle, name)) for name in (*CONSTANTS, "KP_A")}
-    body = TrafficVehicle(
-        constants,
-        road.grid,
-        road.speed_limit,
-        has_goal=isinstance(vehicle, ControlledVehicle),
-        drives_itself=idm_model(type(vehicle)) is not None,
-        # highway-env's IDM treats a vehicle without a target speed as one that wants to stand still.
-        taken_for=math.nan if hasattr(vehicle, "target_speed") else 0.0,
-    )
-    pose = road.project(float(vehicle.position[0]), float(vehicle.position[1]), float(vehicle.heading))
-    body.start(*pose, float(vehicle.speed), bool(getattr(vehicle, "enable_lane_change", True)))
-    goal = getattr(vehicle, "target_lane_index", vehicle.lane_index)[2]
-    body.begin(goal, float(getattr(vehicle, "target_speed", 0.0)), float(getattr(vehicle, "timer", 0.0)))
-    body.checks = bool(vehicle.check_collisions)
-    return body
 
 
 # An episode by the environment's own steps, which works for any environment and any ADS.

@@ -54,14 +54,14 @@ class ObjectDriver(GuardedDriver):
         vehicle: the ego as a highway-env vehicle, at its start.
         guard: the guard of its code.
         every: the number of physics ticks between decisions.
+        ego: the ego in the loop; by default a body that follows the vehicle.
     """
 
-    def __init__(self, vehicle: Any, guard: HangGuard, every: int = 1) -> None:
-        super().__init__(Body(float(vehicle.LENGTH), float(vehicle.WIDTH)), every, guard)
+    def __init__(self, vehicle: Any, guard: HangGuard, every: int = 1, ego: Body | None = None) -> None:
+        super().__init__(ego or body_of(vehicle), every, guard)
         self.vehicle = vehicle
         self._regulated = vehicle.road if isinstance(vehicle.road, EgosRegulatedRoad) else None
         self._tick = 0
-        follow(self.ego, self.vehicle)
 
     def decided(self, tick: int) -> Any:
         """Call the vehicle's own ``act``."""
@@ -78,6 +78,13 @@ class ObjectDriver(GuardedDriver):
             return error_of(error, self._tick - 1, self.guard)
         follow(self.ego, self.vehicle)
         return None
+
+
+def body_of(vehicle: Any) -> Body:
+    """Return a body in the loop for a highway-env vehicle."""
+    body = Body(float(vehicle.LENGTH), float(vehicle.WIDTH))
+    follow(body, vehicle)
+    return body
 
 
 def follow(body: Body, vehicle: Any) -> None:

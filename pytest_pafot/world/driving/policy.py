@@ -13,12 +13,15 @@ from gymnasium import spaces
 from pytest_pafot.model.trace import AdsError
 from pytest_pafot.support.errors import BadAction, WorldError
 from pytest_pafot.support.text import shown
+from pytest_pafot.world.driving.compiled_vehicle import compiled_vehicle
 from pytest_pafot.world.driving.kinematics import observer
 from pytest_pafot.world.driving.object_driver import ObjectDriver
 from pytest_pafot.world.driving.seeing import PolicySight
 from pytest_pafot.world.guard.hang_guard import HangGuard
+from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.kernel.action import hint_at
-from pytest_pafot.world.stock import Road, class_from_path
+from pytest_pafot.world.roads.straight import StraightRoad
+from pytest_pafot.world.stock import ControlledVehicle, Road, class_from_path
 
 
 class PolicyDriver(ObjectDriver):
@@ -32,6 +35,7 @@ class PolicyDriver(ObjectDriver):
         view: a second environment, in which the ADS may simulate ahead; it shows the state of the run before each
             decision.
         sight: what limits the ADS's sight; then both environments contain only what it sees.
+        ego: the ego in the loop; by default a body that follows the environment's vehicle.
     """
 
     def __init__(
@@ -42,9 +46,10 @@ class PolicyDriver(ObjectDriver):
         every: int,
         view: View | None = None,
         sight: PolicySight | None = None,
+        ego: Body | None = None,
     ) -> None:
         check_action_space(env.action_space)
-        super().__init__(env.vehicle, guard, every)
+        super().__init__(env.vehicle, guard, every, ego)
         self.env = env
         self._ads = ads
         self._observe = observer(env)
@@ -89,6 +94,65 @@ class PolicyDriver(ObjectDriver):
         if self._sight is not None:
             self._sight.note()
         self.vehicle.act()
+
+
+class ModelPolicyDriver(PolicyDriver):
+    """A driver whose ego the kernel moves, as highway-env's own classes for actions would.
+
+    The environment's vehicle gets the state of the ego before anything reads it, which is once a decision, or at every
+    tick for a sight with a memory.
+    """
+
+    def __init__(
+        self,
+        ads: Any,
+        env: Any,
+        guard: HangGuard,
+        every: int,
+        view: View | None,
+        sight: PolicySight | None,
+        road: StraightRoad,
+    ) -> None:
+        self._model = compiled_vehicle(env.vehicle, road)
+        self._lanes = list(env.road.network.lanes_dict())
+        super().__init__(ads, env, guard, every, view, sight, self._model)
+
+    def observe(self, tick: int) -> Any:
+        """Return the ADS's observation at the current tick."""
+        self._show()
+        return super().observe(tick)
+
+    def _applied(self, action: Any) -> Any:
+        """Check an action, let the environment interpret it, and return the checked action."""
+        checked, model, vehicle = super()._applied(action), self._model, self.vehicle
+        if isinstance(vehicle, ControlledVehicle):
+            model.aim(vehicle.target_lane_index[2], float(vehicle.target_speed))
+        else:
+            model.acceleration, model.steering = (
+                float(vehicle.action["acceleration"]),
+                float(vehicle.action["steering"]),
+            )
+        return checked
+
+    def actuate(self) -> None:
+        """Set the controls of a tick."""
+        if self._sight is not None:
+            self._show()
+            self._sight.note()
+        self._model.act([])
+
+    def step(self, dt: float) -> None:
+        """Move the ego for one tick [s]."""
+        self._model.step(dt)
+
+    def _show(self) -> None:
+        """Give the environment's vehicle the state of the ego."""
+        vehicle, model = self.vehicle, self._model
+        x, y, vehicle.heading, vehicle.speed, lane, _ = model.seen()
+        vehicle.position = np.array([x, y])
+        vehicle.action = {"steering": model.steering, "acceleration": model.acceleration}
+        vehicle.lane_index = self._lanes[lane]
+        vehicle.lane = vehicle.road.network.get_lane(vehicle.lane_index)
 
 
 def check_action_space(space: Any) -> None:

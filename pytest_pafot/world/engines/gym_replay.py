@@ -19,7 +19,7 @@ from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import AdsError, Trace
 from pytest_pafot.support.errors import WorldError
 from pytest_pafot.world.driving.ads import AdsFactory, is_vehicle_class, make_ads, wants_env
-from pytest_pafot.world.driving.object_driver import GuardedDriver, follow, foresee
+from pytest_pafot.world.driving.object_driver import GuardedDriver, body_of, follow, foresee
 from pytest_pafot.world.driving.perception import ads_and_sight
 from pytest_pafot.world.driving.policy import View, check_action_space, checked_action
 from pytest_pafot.world.driving.seeing import PolicySight, policy_sight
@@ -185,7 +185,7 @@ def replay_environment(
             return _si_run(rules, scenario, env, ads, route)
         seen, ego, guard = (
             env if environment.wrappers is None else outer,
-            _body_of(env.vehicle),
+            body_of(env.vehicle),
             HangGuard(rules.hang_limit),
         )
         ads, sight = ads_and_sight(ads)
@@ -216,7 +216,7 @@ def _si_run(rules: Rules, scenario: Scenario, env: Any, ads: Any, route: tuple[A
     # A vehicle class decides in every tick.
     env.config["policy_frequency"] = env.config["simulation_frequency"] if is_vehicle_class(ads) else rules.ads_hz
     put_ego(env, vehicle_of(ads if is_vehicle_class(ads) else StockVehicle, env.road, start, scenario.ego_speed, route))
-    ego = _body_of(env.vehicle)
+    ego = body_of(env.vehicle)
     vehicles = VehiclesOfRun(rules, scenario, ego, env.road.network)
     driver: EgoDriver
     if is_vehicle_class(ads):
@@ -320,10 +320,3 @@ class _Loop:
     def _is_over(self) -> bool:
         loop = self._run.loop
         return loop.is_over or loop.tick == self._last or self._error is not None
-
-
-def _body_of(vehicle: Any) -> Body:
-    """Return a body at the place of a vehicle."""
-    body = Body(float(vehicle.LENGTH), float(vehicle.WIDTH))
-    follow(body, vehicle)
-    return body

@@ -14,16 +14,17 @@ from pytest_pafot.model.trace import Trace
 from pytest_pafot.world.driving.ads import AdsFactory, is_vehicle_class, make_ads, wants_env
 from pytest_pafot.world.driving.object_driver import ObjectDriver, show_vehicles
 from pytest_pafot.world.driving.perception import ads_and_sight
-from pytest_pafot.world.driving.policy import PolicyDriver, View, copies_on
+from pytest_pafot.world.driving.policy import ModelPolicyDriver, PolicyDriver, View, copies_on
 from pytest_pafot.world.driving.seeing import policy_sight
-from pytest_pafot.world.driving.vehicles import EgosRegulatedRoad, quick
+from pytest_pafot.world.driving.vehicles import EgosRegulatedRoad
 from pytest_pafot.world.engines.egos import vehicle_of
 from pytest_pafot.world.engines.run import SteppedRun, VehiclesOfRun
 from pytest_pafot.world.guard.failure import closing
 from pytest_pafot.world.guard.hang_guard import HangGuard
 from pytest_pafot.world.gym_environment import GymEnvironment
+from pytest_pafot.world.roads.straight import StraightRoad
 from pytest_pafot.world.run_config import Rules
-from pytest_pafot.world.stock import RegulatedRoad, Road
+from pytest_pafot.world.stock import MDPVehicle, RegulatedRoad, Road, Vehicle
 
 
 def rollout(environment: GymEnvironment, rules: Rules, scenario: Scenario, ads_factory: AdsFactory) -> Trace:
@@ -42,8 +43,7 @@ def rollout(environment: GymEnvironment, rules: Rules, scenario: Scenario, ads_f
             ego = vehicle_of(ads, env.road, start, scenario.ego_speed, environment.route)
             return _begun(rules, scenario, ObjectDriver(ego, guard), guard).finish()
         ads, sight = ads_and_sight(ads)
-        every = rules.physics_hz // rules.ads_hz
-        driver = PolicyDriver(ads, env, guard, every, view, policy_sight(env, sight, scenario))
+        driver = _policy_driver(rules, scenario, ads, env, guard, view, sight)
         return _begun(rules, scenario, driver, guard).finish()
 
 
@@ -53,9 +53,18 @@ def begin(
     """Begin a run to which the caller passes the actions, for an ADS with the given sight."""
     env = _env_of(environment, scenario)
     _put_policys_ego(environment, env, rules, scenario)
-    every = rules.physics_hz // rules.ads_hz
-    driver = PolicyDriver(None, env, guard, every, sight=policy_sight(env, sight, scenario))
-    return _begun(rules, scenario, driver, guard)
+    return _begun(rules, scenario, _policy_driver(rules, scenario, None, env, guard, None, sight), guard)
+
+
+def _policy_driver(
+    rules: Rules, scenario: Scenario, ads: Any, env: Any, guard: HangGuard, view: View | None, sight: Sight | None
+) -> PolicyDriver:
+    """Return the driver of a policy's ego, which the kernel moves if it knows the class of the ego and the road."""
+    seen, road = policy_sight(env, sight, scenario), rules.road
+    is_known = type(env.vehicle) in (MDPVehicle, Vehicle) and getattr(env.action_type, "speed_range", None) is None
+    if is_known and isinstance(road, StraightRoad) and road.starts_at_origin:
+        return ModelPolicyDriver(ads, env, guard, rules.physics_hz // rules.ads_hz, view, seen, road)
+    return PolicyDriver(ads, env, guard, rules.physics_hz // rules.ads_hz, view, seen)
 
 
 def _begun(rules: Rules, scenario: Scenario, driver: ObjectDriver, guard: HangGuard) -> SteppedRun:
@@ -72,7 +81,7 @@ def put_ego(env: Any, ego: Any) -> None:
 
 
 def _put_policys_ego(environment: GymEnvironment, env: Any, rules: Rules, scenario: Scenario) -> None:
-    vehicle_class, start = quick(env.action_type.vehicle_class), rules.ego_position(scenario)
+    vehicle_class, start = env.action_type.vehicle_class, rules.ego_position(scenario)
     put_ego(env, vehicle_of(vehicle_class, env.road, start, scenario.ego_speed, environment.route))
 
 

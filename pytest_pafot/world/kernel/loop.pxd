@@ -57,7 +57,7 @@ cdef class Loop:
     cdef readonly int tick
     cdef readonly bint ego_touched, npcs_touched
     cdef Body _ego
-    cdef Director _director
+    cdef object _director
     cdef Places _places
     cdef Lanes _lanes
     cdef double[::1] _record
