@@ -31,6 +31,8 @@ Origin = Literal["left", "right", "ahead", "behind"]
 Holder = Literal["ego", "npc", "none"]
 """The vehicle that has priority in a zone: the ego, the NPC or neither."""
 
+EGOS = ""
+"""The name of the ego's way; the names of other ways contain ``>``."""
 NOT_ON_WAY = 0.5
 """The angle to the ego's way above which a vehicle is not on it [rad]."""
 STEP = 0.5

@@ -12,6 +12,8 @@ from pytest_pafot.world.validation import number_within
 
 TOP_SPEED = 40.0
 """The highest speed of highway-env's vehicles [m/s]."""
+BEND_SHARE = 0.8
+"""The share of the lateral acceleration available for following a bend; the rest is reserved for control."""
 CLEARANCE, HEADWAY, HANG_LIMIT = 3.0, 2.0, 30.0
 """The defaults of worlds: the gap between the ego and the cells ahead of it and behind it [m], the headway with which
 NPCs start in these cells [s], and the wall-clock time after which a decision of an ADS is interrupted [s]."""

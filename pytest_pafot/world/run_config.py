@@ -15,13 +15,12 @@ from pytest_pafot.model.scenario import (
     Scenario,
     ScenarioError,
 )
-from pytest_pafot.world.driving.junction_director import JunctionDirector
-from pytest_pafot.world.driving.network_director import NetworkDirector
 from pytest_pafot.world.kernel.bodies import NPC_LENGTH, NPC_WIDTH
 from pytest_pafot.world.kernel.director import Director
-from pytest_pafot.world.limits import TOP_SPEED, NpcLimits
+from pytest_pafot.world.kernel.road_directors import JunctionDirector, NetworkDirector
+from pytest_pafot.world.limits import BEND_SHARE, TOP_SPEED, NpcLimits
 from pytest_pafot.world.roads.junction import CrossingWay, Junction
-from pytest_pafot.world.roads.network import BEND_SHARE, NetworkRoad
+from pytest_pafot.world.roads.network import NetworkRoad
 from pytest_pafot.world.roads.straight import StraightRoad
 
 

@@ -13,8 +13,8 @@ from importlib.util import module_from_spec
 from pathlib import Path
 
 MODULES = (
-    "driver", "action", "bodies", "lanes", "bends", "director", "crossing", "observation", "places", "idm", "loop",
-    "traffic",
+    "driver", "action", "bodies", "lanes", "bends", "director", "crossing", "road_directors", "observation", "places",
+    "idm", "loop", "traffic",
 )  # fmt: skip
 """The modules of this package, each after those that it imports."""
 VARIABLE = "PAFOT_KERNEL"

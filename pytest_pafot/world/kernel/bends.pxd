@@ -10,7 +10,7 @@ cpdef Py_ssize_t even_rounded(double exact) except? -1
 cdef class Bends:
     cdef readonly double along, across, angle, offset
     cdef readonly int lane
-    cdef double[::1] _x, _y, _heading, _across, _direction, _lean, _speed, _widths
+    cdef double[::1] _x, _y, _heading, _across, _direction, _lean, _speed, _sharpest, _widths
     cdef int[::1] _exists, _part
     cdef Py_ssize_t _points
     cdef int _lanes
@@ -30,6 +30,14 @@ cdef class Bends:
     cdef double _value(self, double[::1] values, int lane, double along) except? -1
 
     cpdef double across_at(self, int lane, double along) except? -1
+
+    cpdef double direction_at(self, int lane, double along) except? -1
+
+    cpdef double lean_at(self, int lane, double along) except? -1
+
+    cpdef double sharpest_at(self, int lane, double along) except? -1
+
+    cpdef double heading_at(self, double along) except? -1
 
     cpdef double speed_at(self, int lane, double along) except? -1
 

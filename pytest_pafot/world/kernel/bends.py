@@ -26,7 +26,8 @@ class Bends:
         flags: for each point of each lane, lane after lane: 1 if the lane exists there, else 0; and the lane's number
             in a trace.
         shape: for each point of each lane, lane after lane: the lane's distance to the right of the line [m], its
-            direction [rad], the lean of a vehicle in it [rad], and the highest speed of NPCs [m/s].
+            direction [rad], the lean of a vehicle in it [rad], the highest speed of NPCs [m/s], and the largest
+            curvature over the length of a lane change from there [1/m].
         widths: the widths of the trace's lanes [m].
         lane_width: the width of the ego's lane at the start [m].
 
@@ -38,17 +39,18 @@ class Bends:
         self,
         line: tuple[Sequence[float], Sequence[float], Sequence[float]],
         flags: tuple[Sequence[int], Sequence[int]],
-        shape: tuple[Sequence[float], Sequence[float], Sequence[float], Sequence[float]],
+        shape: tuple[Sequence[float], Sequence[float], Sequence[float], Sequence[float], Sequence[float]],
         widths: Sequence[float],
         lane_width: float,
     ) -> None:
         x, y, heading = line
         exists, part = flags
-        across, direction, lean, speed = shape
+        across, direction, lean, speed, sharpest = shape
         self._x, self._y, self._heading = array("d", x), array("d", y), array("d", heading)
         self._exists, self._part = array("i", exists), array("i", part)
         self._across, self._direction = array("d", across), array("d", direction)
         self._lean, self._speed = array("d", lean), array("d", speed)
+        self._sharpest = array("d", sharpest)
         self._widths = array("d", widths)
         self._points = len(x)
         self._lanes = len(exists) // len(x)
@@ -62,7 +64,7 @@ class Bends:
         """Return the parts for pickling, because worlds send their roads to other processes."""
         line = list(self._x), list(self._y), list(self._heading)
         flags = list(self._exists), list(self._part)
-        shape = list(self._across), list(self._direction), list(self._lean), list(self._speed)
+        shape = list(self._across), list(self._direction), list(self._lean), list(self._speed), list(self._sharpest)
         return Bends, (line, flags, shape, list(self._widths), self._lane_width)
 
     def point(self, along: float) -> int:
@@ -108,6 +110,23 @@ class Bends:
             self._value(self._direction, lane, along),
             self._value(self._lean, lane, along),
         )
+
+    def direction_at(self, lane: int, along: float) -> float:
+        """Return a lane's direction [rad]."""
+        return self._value(self._direction, lane, along)
+
+    def lean_at(self, lane: int, along: float) -> float:
+        """Return a vehicle's lean in a lane [rad]."""
+        return self._value(self._lean, lane, along)
+
+    def sharpest_at(self, lane: int, along: float) -> float:
+        """Return the largest curvature of a lane that an NPC meets during a lane change from a place [1/m]."""
+        return self._sharpest[lane * self._points + self.point(along)]
+
+    def heading_at(self, along: float) -> float:
+        """Return the direction of the line [rad]."""
+        self._refer(along)
+        return self._direction0
 
     def speed_at(self, lane: int, along: float) -> float:
         """Return the highest speed of an NPC in a lane at a place along the road [m/s]."""

@@ -16,8 +16,12 @@ cdef class Npc(Body):
     cdef public int row, column, kept_lane, shift_lane, heading_for, behind
     cdef public double target, target_speed, kept_speed, asked, course
 
-cdef class Director:
+cdef class BaseDirector:
     cdef readonly list npcs
+
+    cpdef command(self, Body ego)
+
+cdef class Director(BaseDirector):
     cdef public bint skips
     cdef readonly object _scenario, _road
     cdef readonly list _on_grid, _in_lanes
@@ -32,7 +36,7 @@ cdef class Director:
     cdef double[::1] _seen
 
     @cython.locals(npc=Npc)
-    cpdef void command(self, Body ego) except *
+    cpdef command(self, Body ego)
 
     @cython.final
     @cython.locals(npc=Npc, gene=int, wanted_lane=int, has_lane=bint)

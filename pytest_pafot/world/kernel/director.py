@@ -100,7 +100,21 @@ class Npc(Body):
         self.behind = NOT_BEHIND
 
 
-class Director:
+class BaseDirector:
+    """The director of the NPCs of one run on any road.
+
+    Attributes:
+        npcs: one NPC for each chain; the loop updates their places before each tick.
+    """
+
+    def __init__(self, npcs: list[Any]) -> None:
+        self.npcs = npcs
+
+    def command(self, ego: Body) -> None:
+        """Set acceleration and steering of each NPC for the coming tick."""
+
+
+class Director(BaseDirector):
     """The director of the NPCs of one run on a straight road; subclasses are for other roads.
 
     Args:
@@ -113,7 +127,6 @@ class Director:
         physics_hz: ticks per second.
 
     Attributes:
-        npcs: one NPC for each chain; the engine updates their places before each tick.
         skips: true if steps on the ring skip cells that do not exist.
     """
 
@@ -130,7 +143,7 @@ class Director:
         physics_hz: int,
     ) -> None:
         top_speed = limits.overspeed * road.speed_limit
-        self.npcs = [Npc(index, chain, length, width) for index, chain in enumerate(scenario.npcs)]
+        super().__init__([Npc(index, chain, length, width) for index, chain in enumerate(scenario.npcs)])
         self._scenario = scenario
         self._on_grid = [npc for npc in self.npcs if isinstance(npc.chain[0], PositionInstruction)]
         self._in_lanes = [npc for npc in self.npcs if isinstance(npc.chain[0], LaneInstruction)]

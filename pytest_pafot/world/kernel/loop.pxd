@@ -3,7 +3,7 @@ from pytest_pafot.world.kernel.action cimport (
     acceleration_to_speed, checked_si_action, possible_acceleration, possible_steering, without_reversing,
 )
 from pytest_pafot.world.kernel.bodies cimport Body, overlap
-from pytest_pafot.world.kernel.director cimport Director
+from pytest_pafot.world.kernel.director cimport BaseDirector
 from pytest_pafot.world.kernel.driver cimport LaneTracker
 from pytest_pafot.world.kernel.idm cimport IdmEgo
 from pytest_pafot.world.kernel.lanes cimport Lanes
@@ -57,7 +57,7 @@ cdef class Loop:
     cdef readonly int tick
     cdef readonly bint ego_touched, npcs_touched
     cdef Body _ego
-    cdef object _director
+    cdef BaseDirector _director
     cdef Places _places
     cdef Lanes _lanes
     cdef double[::1] _record

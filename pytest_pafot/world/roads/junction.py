@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from pytest_pafot.model.crossings import NOT_ON_WAY, Crossings, Holder, Kind, Origin, Stretch, Way, Zone
+from pytest_pafot.model.crossings import EGOS, NOT_ON_WAY, Crossings, Holder, Kind, Origin, Stretch, Way, Zone
 from pytest_pafot.model.trace import FloatArray
 from pytest_pafot.world.kernel.bodies import NPC_LENGTH, NPC_WIDTH
 from pytest_pafot.world.kernel.crossing import Track
@@ -33,8 +33,6 @@ IntArray = npt.NDArray[np.intp]
 Flags = npt.NDArray[np.bool_]
 Section = tuple[str, str]
 
-EGOS = ""
-"""The name of the ego's way; the names of other ways contain ``>``."""
 WIDER = 1.0
 """The extra width of both boxes in a zone [m], because an ego that cuts corners is up to 0.74 m off its way."""
 TOUCHING = 1e-6

@@ -20,14 +20,12 @@ import numpy as np
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.trace import FloatArray, Lane, Outcome
 from pytest_pafot.world.kernel.bends import Bends
-from pytest_pafot.world.limits import NpcLimits
+from pytest_pafot.world.limits import BEND_SHARE, NpcLimits
 from pytest_pafot.world.roads.route import STEP, LaneIndex, Line
 
 Meeting = Literal["crosses", "joins", "oncoming"]
 """The kind of meeting between the ego's way and a different road; a road that only leaves the way has none."""
 
-BEND_SHARE = 0.8
-"""The share of the lateral acceleration available for following a bend; the rest is reserved for control."""
 SLOWING = 2.0
 """The deceleration of an NPC before a bend or a lane's end [m/s^2]; at most a third of its braking limit is used."""
 SPEED_LAG = 1 / 1.5
@@ -180,8 +178,9 @@ class NetworkRoad:
         direction = [angle for each in columns for angle in each.direction]
         lean = [angle for each in columns for angle in each.lean]
         speed = [most for each in columns for most in each.speed]
+        sharpest = [most for each in columns for most in each.sharpest]
         points, widths = (line.x.tolist(), line.y.tolist(), line.heading.tolist()), [lane.width for lane in self.lanes]
-        return Bends(points, (exists, part), (across, direction, lean, speed), widths, self.lane_width)
+        return Bends(points, (exists, part), (across, direction, lean, speed, sharpest), widths, self.lane_width)
 
     def exists(self, lane: int, along: float) -> bool:
         """Return whether a lane exists at a place along the road."""
