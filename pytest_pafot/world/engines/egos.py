@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -12,7 +12,6 @@ from pytest_pafot.model.sight import Sight
 from pytest_pafot.world.driving.ads import give_route
 from pytest_pafot.world.driving.idm_model import idm_model
 from pytest_pafot.world.driving.perception import ads_and_sight
-from pytest_pafot.world.driving.road_sensor import RoadSensor
 from pytest_pafot.world.driving.seeing import ImperfectSensor
 from pytest_pafot.world.engines.run import SteppedRun, VehiclesOfRun
 from pytest_pafot.world.guard.hang_guard import HangGuard
@@ -20,6 +19,8 @@ from pytest_pafot.world.kernel.bodies import NPC_LENGTH, NPC_WIDTH, Body
 from pytest_pafot.world.kernel.idm import IdmEgo
 from pytest_pafot.world.kernel.loop import GivenDriver, ModelDriver, PlannerDriver
 from pytest_pafot.world.kernel.observation import Observer, Sensor
+from pytest_pafot.world.kernel.places import RoadPlaces
+from pytest_pafot.world.kernel.road_sensor import RoadSensor
 from pytest_pafot.world.roads.straight import StraightRoad
 from pytest_pafot.world.run_config import Rules
 
@@ -71,7 +72,16 @@ def planner_driver(
         if sight is not None:
             sensor = ImperfectSensor(sensor, sight, scenario.seed, road.grid, rules.physics_hz)
     else:
-        sensor = RoadSensor(rules, scenario, vehicles.vehicles, vehicles.rows, sight)
+        sensor = RoadSensor(
+            cast("RoadPlaces", vehicles.places),
+            vehicles.rows,
+            road.bends,
+            [None if way is None else way.way.zone for way in rules.ways(scenario)],
+            (road.lane_count, road.lane_width, road.speed_limit, road.end),
+            rules.physics_hz,
+            every,
+            None if sight is None else (sight, scenario.seed),
+        )
     common: dict[str, Any] = {"lanes": road.lane_count, "lane_width": road.lane_width}
     common |= {"every": every, "dt": 1 / rules.physics_hz}
     ego, place = vehicles.vehicles[0], vehicles.places.bodies[0]

@@ -14,7 +14,7 @@ from pathlib import Path
 
 MODULES = (
     "driver", "action", "bodies", "lanes", "bends", "director", "crossing", "road_directors", "observation", "places",
-    "idm", "loop", "traffic",
+    "road_sensor", "idm", "loop", "traffic",
 )  # fmt: skip
 """The modules of this package, each after those that it imports."""
 VARIABLE = "PAFOT_KERNEL"

@@ -42,7 +42,14 @@ cdef class RoadPlaces(Places):
                    body=Body, way=OwnWay, along=double, ego=Body)
     cpdef void see(self, double[::1] record, Py_ssize_t row) except *
 
-    @cython.locals(track=Track, bends=Bends, along=double, turned=double, near=double, is_on=bint)
+    cdef double along(self, Py_ssize_t number) except? -1
+
+    cdef OwnWay way(self, Py_ssize_t number)
+
+    @cython.locals(bends=Bends, near=double, is_on=bint)
+    cdef bint is_on_way(self, OwnWay way, double x, double y, double heading, double along) except -1
+
+    @cython.locals(track=Track, along=double, turned=double)
     cdef int _on_own_way(self, Body vehicle, Body body, OwnWay way, Py_ssize_t number) except -2
 
     @cython.locals(bends=Bends, track="double[::1]", row=Py_ssize_t)

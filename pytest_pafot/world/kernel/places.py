@@ -159,21 +159,43 @@ class RoadPlaces(Places):
 
     def _on_own_way(self, vehicle: Body, body: Body, way: OwnWay, number: int) -> int:
         """Find a crossing NPC, note its places on both ways, and return its lane."""
-        track, bends = way.track, self._bends
+        track = way.track
         track.locate(vehicle.x, vehicle.y, self._along[number])
         along = self._along[number] = track.along
         turned = vehicle.heading - track.direction
         turned = (turned + HALF_TURN) % (2.0 * HALF_TURN) - HALF_TURN
         body.place(along, track.across, turned, vehicle.speed)
         self.on_way[self._row // len(self.vehicles) * (len(self.vehicles) - 1) + number - 1] = along
-        if along >= way.enters:  # before its zone, it is never on the ego's way
-            near = way.along_ego[min(even_rounded(along / STEP), len(way.along_ego) - 1)]
-            if not math.isnan(near):
-                bends.locate(vehicle.x, vehicle.y, vehicle.heading, near)
-                is_on = bends.part(bends.lane, bends.along, bends.offset) >= 0
-                if is_on and -NOT_ON_WAY < bends.angle < NOT_ON_WAY:
-                    self._note(number)
+        if self.is_on_way(way, vehicle.x, vehicle.y, vehicle.heading, along):
+            self._note(number)
         return way.parts[track.point(along)] if 0.0 <= along <= (len(way.parts) - 1) * STEP else -1
+
+    def along(self, number: int) -> float:
+        """Return the place of a vehicle along its way [m]."""
+        return self._along[number]
+
+    def way(self, number: int) -> OwnWay | None:
+        """Return the own way of a vehicle that crosses, else None."""
+        return self._ways[number]
+
+    def is_on_way(self, way: OwnWay | None, x: float, y: float, heading: float, along: float) -> bool:
+        """Locate a vehicle on the ego's way, and return whether it is there.
+
+        It is at x and y [m] with a heading [rad], at a place along its own way [m], or along the ego's if it has none.
+        Before its zone, a crossing NPC is never on the ego's way.
+        """
+        bends = self._bends
+        if way is None:
+            bends.locate(x, y, heading, along)
+            return True
+        if along < way.enters:
+            return False
+        near = way.along_ego[min(even_rounded(along / STEP), len(way.along_ego) - 1)]
+        if math.isnan(near):
+            return False
+        bends.locate(x, y, heading, near)
+        is_on = bends.part(bends.lane, bends.along, bends.offset) >= 0
+        return is_on and -NOT_ON_WAY < bends.angle < NOT_ON_WAY
 
     def _note(self, number: int) -> None:
         """Record the place at which the last vehicle was located on the ego's way."""
