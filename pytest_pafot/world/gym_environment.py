@@ -21,7 +21,9 @@ from gymnasium.envs.registration import load_env_creator
 from gymnasium.wrappers import OrderEnforcing, PassiveEnvChecker, TimeLimit
 
 from pytest_pafot.support.errors import WorldError
+from pytest_pafot.world.driving.compiled_vehicle import compiled_network
 from pytest_pafot.world.driving.vehicles import ParallelLanes, SearchedLanes, straight_road
+from pytest_pafot.world.kernel.network import Network
 from pytest_pafot.world.roads.straight import StraightRoad
 from pytest_pafot.world.stock import AbstractEnv, IntersectionEnv, RegulatedRoad, Road, Vehicle, action, observation
 from pytest_pafot.world.validation import ADS_HZ, OTHER_KIND, PHYSICS_HZ, plain_data, whole_within
@@ -160,6 +162,14 @@ class GymEnvironment:
         """The road as a road network of highway-env."""
         lanes = SearchedLanes if self.straight_road is None else ParallelLanes
         return lanes(self.unwrapped.road.network)
+
+    @cached_property
+    def compiled_lanes(self) -> StraightRoad | Network | None:
+        """The road in plain numbers for the kernel; None if it has lanes that the kernel does not know."""
+        road = self.straight_road
+        if road is not None and road.starts_at_origin:
+            return road
+        return compiled_network(self.unwrapped.road.network)
 
     @property
     def route(self) -> tuple[Any, ...] | None:

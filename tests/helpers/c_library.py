@@ -20,7 +20,7 @@ def _power(base: float, exponent: float) -> float:
 
 
 FUNCTIONS: dict[str, Callable[..., float]] = {
-    "tan": math.tan, "arctan": math.atan, "arcsin": math.asin, "sin": math.sin, "cos": math.cos, "power": _power,
+    "tan": math.tan, "arctan": math.atan, "arctan2": math.atan2, "arcsin": math.asin, "sin": math.sin, "cos": math.cos, "power": _power,
 }  # fmt: skip
 
 
@@ -44,15 +44,27 @@ def dot_of_products() -> Callable[[Any, Any], Any]:
     return dot
 
 
+def norm_of_products() -> Callable[..., Any]:
+    """Return a version of ``numpy.linalg.norm`` that rounds both squares of a point, then their sum."""
+    numpys = np.linalg.norm
+
+    def norm(x: Any, *args: Any, **kwargs: Any) -> Any:
+        return np.sqrt(x[0] * x[0] + x[1] * x[1]) if np.shape(x) == (2,) else numpys(x, *args, **kwargs)
+
+    return norm
+
+
 @contextmanager
 def c_library() -> Iterator[None]:
     """Replace these functions of numpy for the length of a ``with`` block, for every caller."""
     functions = {"dot": dot_of_products(), **{name: of_the_c_library(name) for name in FUNCTIONS}}
     before = {name: getattr(np, name) for name in functions}
+    norm, np.linalg.norm = np.linalg.norm, norm_of_products()
     try:
         for name, function in functions.items():
             setattr(np, name, function)
         yield
     finally:
+        np.linalg.norm = norm
         for name, function in before.items():
             setattr(np, name, function)

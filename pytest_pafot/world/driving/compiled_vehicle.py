@@ -1,23 +1,36 @@
-"""Vehicles of highway-env's own classes as compiled vehicles."""
+"""Vehicles and road networks of highway-env as compiled ones."""
 
 from __future__ import annotations
 
 import math
 from typing import Any
 
+import numpy as np
 from highway_env.vehicle.behavior import IDMVehicle
+from highway_env.vehicle.objects import Landmark
 
 from pytest_pafot.world.driving.idm_model import CONSTANTS, idm_model
+from pytest_pafot.world.kernel.bodies import Body
+from pytest_pafot.world.kernel.idm import GoalVehicle
+from pytest_pafot.world.kernel.network import Network
+from pytest_pafot.world.kernel.network_vehicle import NetworkVehicle, StaticObstacle
 from pytest_pafot.world.kernel.traffic import TrafficVehicle
 from pytest_pafot.world.roads.straight import StraightRoad
-from pytest_pafot.world.stock import ControlledVehicle
+from pytest_pafot.world.stock import CircularLane, ControlledVehicle, SineLane, StraightLane
+
+KINDS = (StraightLane, SineLane, CircularLane)
+"""The classes of lanes in the order of the kinds of a :class:`Network`."""
+
+
+def constants_of(vehicle: Any) -> dict[str, float]:
+    """Return the constants of a vehicle of highway-env, or of its IDM if the vehicle lacks one."""
+    return {name: getattr(vehicle, name, getattr(IDMVehicle, name)) for name in CONSTANTS}
 
 
 def compiled_vehicle(vehicle: Any, road: StraightRoad) -> TrafficVehicle:
-    """Return a compiled vehicle, in road coordinates, with the state of a vehicle of highway-env."""
-    constants = {name: getattr(vehicle, name, getattr(IDMVehicle, name)) for name in (*CONSTANTS, "KP_A")}
+    """Return a compiled vehicle of ordinary traffic, in road coordinates, with the state of a vehicle of highway-env."""
     body = TrafficVehicle(
-        constants,
+        constants_of(vehicle),
         road.grid,
         road.speed_limit,
         has_goal=isinstance(vehicle, ControlledVehicle),
@@ -31,3 +44,70 @@ def compiled_vehicle(vehicle: Any, road: StraightRoad) -> TrafficVehicle:
     body.begin(goal, float(getattr(vehicle, "target_speed", 0.0)), float(getattr(vehicle, "timer", 0.0)))
     body.checks = bool(vehicle.check_collisions)
     return body
+
+
+def compiled_network(network: Any) -> Network | None:
+    """Return a road network of highway-env in plain numbers; None if it has lanes of other classes."""
+    lanes = network.lanes_dict()
+    kinds, shapes = [], []
+    for lane in lanes.values():
+        if type(lane) not in KINDS or lane.speed_limit is None:
+            return None
+        kinds.append(KINDS.index(type(lane)))
+        if type(lane) is CircularLane:
+            shape = *lane.center, lane.radius, lane.start_phase, lane.direction
+        else:
+            wave = (lane.amplitude, lane.pulsation, lane.phase) if type(lane) is SineLane else ()
+            shape = *lane.start, *lane.direction, lane.heading, *wave
+        shapes += (*shape, *([0.0] * (9 - len(shape))))
+    sections = {section: number for number, section in enumerate(dict.fromkeys(index[:2] for index in lanes))}
+    return Network(
+        kinds,
+        [float(each) for each in shapes],
+        [float(lane.length) for lane in lanes.values()],
+        [float(lane.width) for lane in lanes.values()],
+        [float(lane.speed_limit) for lane in lanes.values()],
+        [sections[index[:2]] for index in lanes],
+        [index[2] for index in lanes],
+        [int(bool(lane.forbidden)) for lane in lanes.values()],
+    )
+
+
+def goal_vehicle(vehicle: Any, lanes: StraightRoad | Network) -> GoalVehicle:
+    """Return a compiled vehicle with a goal, at the start of a vehicle of highway-env.
+
+    At the end of a lane of a network, it asks highway-env's network for the next lane, which shortens the vehicle's
+    route. A straight road must start at the world's origin.
+    """
+    road, indexes = vehicle.road, list(vehicle.road.network.lanes_dict())
+    numbers = {index: number for number, index in enumerate(indexes)}
+
+    def routed() -> int:
+        route = getattr(vehicle, "route", None)
+        return -1 if not route or route[0][2] is None else int(route[0][2])
+
+    def following(lane: int, x: float, y: float) -> tuple[int, int]:
+        here, route = np.array([x, y]), getattr(vehicle, "route", None)
+        after = road.network.next_lane(indexes[lane], route=route, position=here, np_random=road.np_random)
+        return numbers[after[0], after[1], int(after[2])], routed()
+
+    body: GoalVehicle
+    if isinstance(lanes, Network):
+        body = NetworkVehicle(constants_of(vehicle), lanes, following, routed())
+    else:
+        body = GoalVehicle(constants_of(vehicle), lanes.grid, lanes.speed_limit)
+    x, y = map(float, vehicle.position)
+    body.start(x, y, float(vehicle.heading), float(vehicle.speed), bool(getattr(vehicle, "enable_lane_change", True)))
+    if isinstance(vehicle, ControlledVehicle):
+        body.aim(numbers[vehicle.target_lane_index], float(vehicle.target_speed))
+    return body
+
+
+def obstacles_on(road: Any) -> list[Body]:
+    """Return the objects on a road of highway-env behind which its vehicles brake."""
+    bodies: list[Body] = []
+    for each in road.objects:
+        if not isinstance(each, Landmark):
+            bodies.append(StaticObstacle(float(each.LENGTH), float(each.WIDTH)))
+            bodies[-1].place(*map(float, each.position), float(each.heading), float(each.speed))
+    return bodies

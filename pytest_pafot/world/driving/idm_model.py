@@ -12,7 +12,7 @@ from typing import Any
 CONSTANTS = (
     "LENGTH", "WIDTH", "ACC_MAX", "COMFORT_ACC_MAX", "COMFORT_ACC_MIN", "DISTANCE_WANTED", "TIME_WANTED", "DELTA",
     "POLITENESS", "LANE_CHANGE_MIN_ACC_GAIN", "LANE_CHANGE_MAX_BRAKING_IMPOSED", "LANE_CHANGE_DELAY", "KP_HEADING",
-    "KP_LATERAL", "MAX_STEERING_ANGLE",
+    "KP_LATERAL", "MAX_STEERING_ANGLE", "KP_A",
 )  # fmt: skip
 """The constants of ``IDMVehicle`` that a subclass may set."""
 ORDINARY = frozenset({

@@ -13,13 +13,14 @@ from gymnasium import spaces
 from pytest_pafot.model.trace import AdsError
 from pytest_pafot.support.errors import BadAction, WorldError
 from pytest_pafot.support.text import shown
-from pytest_pafot.world.driving.compiled_vehicle import compiled_vehicle
+from pytest_pafot.world.driving.compiled_vehicle import goal_vehicle
 from pytest_pafot.world.driving.kinematics import observer
 from pytest_pafot.world.driving.object_driver import ObjectDriver
 from pytest_pafot.world.driving.seeing import PolicySight
 from pytest_pafot.world.guard.hang_guard import HangGuard
 from pytest_pafot.world.kernel.action import hint_at
 from pytest_pafot.world.kernel.bodies import Body
+from pytest_pafot.world.kernel.network import Network
 from pytest_pafot.world.roads.straight import StraightRoad
 from pytest_pafot.world.stock import ControlledVehicle, Road, class_from_path
 
@@ -111,10 +112,11 @@ class ModelPolicyDriver(PolicyDriver):
         every: int,
         view: View | None,
         sight: PolicySight | None,
-        road: StraightRoad,
+        lanes: StraightRoad | Network,
     ) -> None:
-        self._model = compiled_vehicle(env.vehicle, road)
-        self._lanes = list(env.road.network.lanes_dict())
+        self._model = goal_vehicle(env.vehicle, lanes)
+        self._indexes = list(env.road.network.lanes_dict())
+        self._has_goal = isinstance(env.vehicle, ControlledVehicle)
         super().__init__(ads, env, guard, every, view, sight, self._model)
 
     def observe(self, tick: int) -> Any:
@@ -125,8 +127,9 @@ class ModelPolicyDriver(PolicyDriver):
     def _applied(self, action: Any) -> Any:
         """Check an action, let the environment interpret it, and return the checked action."""
         checked, model, vehicle = super()._applied(action), self._model, self.vehicle
-        if isinstance(vehicle, ControlledVehicle):
-            model.aim(vehicle.target_lane_index[2], float(vehicle.target_speed))
+        if self._has_goal:
+            origin, end, number = vehicle.target_lane_index
+            model.aim(self._indexes.index((origin, end, int(number))), float(vehicle.target_speed))
         else:
             model.acceleration, model.steering = (
                 float(vehicle.action["acceleration"]),
@@ -139,7 +142,8 @@ class ModelPolicyDriver(PolicyDriver):
         if self._sight is not None:
             self._show()
             self._sight.note()
-        self._model.act([])
+        if self._has_goal:
+            self._model.pursue()
 
     def step(self, dt: float) -> None:
         """Move the ego for one tick [s]."""
@@ -148,11 +152,13 @@ class ModelPolicyDriver(PolicyDriver):
     def _show(self) -> None:
         """Give the environment's vehicle the state of the ego."""
         vehicle, model = self.vehicle, self._model
-        x, y, vehicle.heading, vehicle.speed, lane, _ = model.seen()
+        x, y, vehicle.heading, vehicle.speed, lane, goal, _ = model.seen()
         vehicle.position = np.array([x, y])
         vehicle.action = {"steering": model.steering, "acceleration": model.acceleration}
-        vehicle.lane_index = self._lanes[lane]
+        vehicle.lane_index = self._indexes[lane]
         vehicle.lane = vehicle.road.network.get_lane(vehicle.lane_index)
+        if self._has_goal:
+            vehicle.target_lane_index = self._indexes[goal]
 
 
 def check_action_space(space: Any) -> None:

@@ -16,7 +16,7 @@ from pytest_pafot.world.driving.seeing import ImperfectSensor
 from pytest_pafot.world.engines.run import SteppedRun, VehiclesOfRun
 from pytest_pafot.world.guard.hang_guard import HangGuard
 from pytest_pafot.world.kernel.bodies import NPC_LENGTH, NPC_WIDTH, Body
-from pytest_pafot.world.kernel.idm import IdmEgo
+from pytest_pafot.world.kernel.idm import GoalVehicle
 from pytest_pafot.world.kernel.loop import GivenDriver, ModelDriver, PlannerDriver
 from pytest_pafot.world.kernel.observation import Observer, Sensor
 from pytest_pafot.world.kernel.places import RoadPlaces
@@ -95,7 +95,7 @@ def vehicle_run(rules: Rules, scenario: Scenario, network: Callable[[], Any], ve
     guard, road, start = HangGuard(rules.hang_limit), rules.road, rules.ego_position(scenario)
     model = idm_model(vehicle_class) if isinstance(road, StraightRoad) and road.starts_at_origin else None
     if model is not None and isinstance(road, StraightRoad):
-        ego = IdmEgo(model.constants, road.grid, road.speed_limit)
+        ego = GoalVehicle(model.constants, road.grid, road.speed_limit)
         ego.start(*start, scenario.ego_speed, model.changes_lanes)
         vehicles = VehiclesOfRun(rules, scenario, ego)
         return SteppedRun(vehicles, ModelDriver(ego, vehicles.vehicles[1:]), guard)

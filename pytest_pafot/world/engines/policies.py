@@ -22,7 +22,6 @@ from pytest_pafot.world.engines.run import SteppedRun, VehiclesOfRun
 from pytest_pafot.world.guard.failure import closing
 from pytest_pafot.world.guard.hang_guard import HangGuard
 from pytest_pafot.world.gym_environment import GymEnvironment
-from pytest_pafot.world.roads.straight import StraightRoad
 from pytest_pafot.world.run_config import Rules
 from pytest_pafot.world.stock import MDPVehicle, RegulatedRoad, Road, Vehicle
 
@@ -43,7 +42,7 @@ def rollout(environment: GymEnvironment, rules: Rules, scenario: Scenario, ads_f
             ego = vehicle_of(ads, env.road, start, scenario.ego_speed, environment.route)
             return _begun(rules, scenario, ObjectDriver(ego, guard), guard).finish()
         ads, sight = ads_and_sight(ads)
-        driver = _policy_driver(rules, scenario, ads, env, guard, view, sight)
+        driver = _policy_driver(environment, rules, scenario, ads, env, guard, view, sight)
         return _begun(rules, scenario, driver, guard).finish()
 
 
@@ -53,18 +52,26 @@ def begin(
     """Begin a run to which the caller passes the actions, for an ADS with the given sight."""
     env = _env_of(environment, scenario)
     _put_policys_ego(environment, env, rules, scenario)
-    return _begun(rules, scenario, _policy_driver(rules, scenario, None, env, guard, None, sight), guard)
+    return _begun(rules, scenario, _policy_driver(environment, rules, scenario, None, env, guard, None, sight), guard)
 
 
 def _policy_driver(
-    rules: Rules, scenario: Scenario, ads: Any, env: Any, guard: HangGuard, view: View | None, sight: Sight | None
+    environment: GymEnvironment,
+    rules: Rules,
+    scenario: Scenario,
+    ads: Any,
+    env: Any,
+    guard: HangGuard,
+    view: View | None,
+    sight: Sight | None,
 ) -> PolicyDriver:
     """Return the driver of a policy's ego, which the kernel moves if it knows the class of the ego and the road."""
-    seen, road = policy_sight(env, sight, scenario), rules.road
+    seen, every = policy_sight(env, sight, scenario), rules.physics_hz // rules.ads_hz
+    lanes = environment.compiled_lanes
     is_known = type(env.vehicle) in (MDPVehicle, Vehicle) and getattr(env.action_type, "speed_range", None) is None
-    if is_known and isinstance(road, StraightRoad) and road.starts_at_origin:
-        return ModelPolicyDriver(ads, env, guard, rules.physics_hz // rules.ads_hz, view, seen, road)
-    return PolicyDriver(ads, env, guard, rules.physics_hz // rules.ads_hz, view, seen)
+    if is_known and lanes is not None:
+        return ModelPolicyDriver(ads, env, guard, every, view, seen, lanes)
+    return PolicyDriver(ads, env, guard, every, view, seen)
 
 
 def _begun(rules: Rules, scenario: Scenario, driver: ObjectDriver, guard: HangGuard) -> SteppedRun:

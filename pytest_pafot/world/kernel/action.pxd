@@ -12,7 +12,7 @@ cpdef double without_reversing(double wanted, double speed, double dt) except? -
 cpdef double acceleration_to_speed(double wanted, double speed) except? -1
 
 @cython.locals(divisor=double, sideways=double, turn=double, slip=double)
-cpdef double lane_steering(double offset, double heading, double speed, double length, double kp_heading,
-                           double kp_lateral) except? -1
+cpdef double lane_steering(double offset, double ahead, double heading, double speed, double length,
+                           double kp_heading, double kp_lateral) except? -1
 
 cpdef double not_zero(double value) except? -1

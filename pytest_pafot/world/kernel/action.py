@@ -86,20 +86,27 @@ def acceleration_to_speed(wanted: float, speed: float) -> float:
 
 
 def lane_steering(
-    offset: float, heading: float, speed: float, length: float, kp_heading: float, kp_lateral: float
+    offset: float,
+    ahead: float,
+    heading: float,
+    speed: float,
+    length: float,
+    kp_heading: float,
+    kp_lateral: float,
 ) -> float:
     """Return the steering angle towards the centre of a lane, which may be larger than wheels can turn [rad].
 
     Args:
         offset: offset from the lane's centre, positive to the right [m].
-        heading: heading relative to the lane [rad].
+        ahead: direction of the lane where the vehicle will be shortly [rad].
+        heading: heading [rad].
         speed: the current speed [m/s].
         length: the vehicle's length [m].
         kp_heading, kp_lateral: gains [1/s].
     """
     divisor = not_zero(speed)
     sideways = math.asin(clamped(-kp_lateral * offset / divisor, 1.0))
-    turn = (clamped(sideways, STEEPEST) - heading + math.pi) % (2.0 * math.pi) - math.pi
+    turn = (ahead + clamped(sideways, STEEPEST) - heading + math.pi) % (2.0 * math.pi) - math.pi
     slip = math.asin(clamped(length / 2.0 / divisor * (kp_heading * turn), 1.0))
     return math.atan(2.0 * math.tan(slip))
 

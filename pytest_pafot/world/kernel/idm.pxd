@@ -7,19 +7,33 @@ from pytest_pafot.world.kernel.lanes cimport Lanes
 
 cdef double ON_LANE, LANE_ENDS
 
-cdef class IdmEgo(Body):
+cdef class GoalVehicle(Body):
     cdef Lanes _lanes
     cdef double _speed_limit, _acc_max, _comfort, _braking, _distance, _time, _delta, _politeness, _min_gain
-    cdef double _max_imposed, _delay, _kp_heading, _kp_lateral, _max_steering, _target_speed, _timer
+    cdef double _max_imposed, _delay, _kp_heading, _kp_lateral, _kp_speed, _max_steering, _target_speed, _timer
     cdef bint _changes_lanes
-    cdef int _closest, _goal
+    cdef int _closest, _goal, _routed
 
-    cpdef void start(self, double x, double y, double heading, double speed, bint changes_lanes) except *
+    cpdef start(self, double x, double y, double heading, double speed, bint changes_lanes)
+
+    cpdef aim(self, int goal, double wanted)
+
+    cpdef tuple seen(self)
+
+    cpdef pursue(self)
 
     @cython.locals(acceleration=double, there=double)
     cpdef void act(self, list others) except *
 
     cpdef void step(self, double dt) except *
+
+    cdef int _found(self, Body vehicle) except -1
+
+    cdef _follow_road(self)
+
+    cdef bint _is_demanded(self, int lane) except -1
+
+    cdef bint _has_beside(self, int lane, int side) except -1
 
     @cython.locals(lane=int, side=int)
     cdef void _choose_lane(self, list others) except *
@@ -27,12 +41,16 @@ cdef class IdmEgo(Body):
     @cython.locals(lateral=double, inside=bint)
     cdef bint _reaches(self, int lane) except -1
 
-    @cython.locals(ahead=Body, behind=Body, left=Body, follower=Body, behind_then=double, own_gain=double,
+    @cython.locals(ahead=Body, behind=Body, left=Body, follower=Body, behind_then=double, own=double, own_gain=double,
                    others_gain=double)
     cdef bint _gains(self, int lane, list others) except -1
 
     @cython.locals(liked=double, share=double, acceleration=double, gap=double)
     cdef double _pulled(self, Body vehicle, Body front) except? -1
+
+    cdef double _apart(self, Body vehicle, Body front) except? -1
+
+    cdef double _limit(self, Body vehicle) except? -1
 
     cdef double _liked(self, Body vehicle) except? -1
 
@@ -42,11 +60,11 @@ cdef class IdmEgo(Body):
     @cython.locals(offset=double, angle=double)
     cdef double _steering(self) except? -1
 
-@cython.locals(found=Body, other=Body)
-cdef Body _ahead(list others, Body mine, int lane, Lanes lanes)
+    @cython.locals(found=Body, other=Body)
+    cdef Body _ahead(self, list others, int lane)
 
-@cython.locals(found=Body, other=Body)
-cdef Body _behind(list others, Body mine, int lane, Lanes lanes)
+    @cython.locals(found=Body, other=Body)
+    cdef Body _behind(self, list others, int lane)
 
 @cython.locals(inside=bint)
 cdef bint _is_on(Body vehicle, int lane, Lanes lanes) except -1

@@ -1,4 +1,7 @@
-"""The IDMVehicle of highway-env on a straight road, operation by operation: Intelligent Driver Model and MOBIL.
+"""highway-env's vehicles with a goal, operation by operation; some find it by Intelligent Driver Model and MOBIL.
+
+:class:`GoalVehicle` is highway-env's ``ControlledVehicle``, ``MDPVehicle`` and ``IDMVehicle`` on a straight road;
+:class:`pytest_pafot.world.kernel.network_vehicle.NetworkVehicle` is the same on any road.
 
 Sources: Treiber, Hennecke, Helbing, "Congested traffic states in empirical observations and microscopic simulations",
 Physical Review E 62, 2000; Kesting, Treiber, Helbing, "General lane-changing model MOBIL for car-following models",
@@ -22,8 +25,8 @@ LANE_ENDS = 5.0
 """The distance beyond a lane's ends up to which a vehicle is still in the lane [m]."""
 
 
-class IdmEgo(Body):
-    """A vehicle that drives itself by IDM and MOBIL.
+class GoalVehicle(Body):
+    """A vehicle that steers for a lane and drives at a speed, its goal, which it may find itself by IDM and MOBIL.
 
     Args:
         constants: the constants of the vehicle class, by name.
@@ -48,11 +51,13 @@ class IdmEgo(Body):
         self._kp_heading = constants["KP_HEADING"]
         self._kp_lateral = constants["KP_LATERAL"]
         self._max_steering = constants["MAX_STEERING_ANGLE"]
+        self._kp_speed = constants["KP_A"]
         self._changes_lanes = True
         self._closest = 0
         self._goal = 0
         self._target_speed = 0.0
         self._timer = 0.0
+        self._routed = -1  # the lane that a route demands, counted from the left; -1 for none
 
     def start(self, x: float, y: float, heading: float, speed: float, changes_lanes: bool) -> None:
         """Begin a run at x [m], y [m], heading [rad] and speed [m/s], which becomes the desired speed."""
@@ -62,14 +67,30 @@ class IdmEgo(Body):
         self._target_speed = speed
         self._timer = ((x + y) * math.pi) % self._delay  # as in highway-env, so that not all vehicles decide at once
 
+    def aim(self, goal: int, wanted: float) -> None:
+        """Set the lane and speed of its goal [m/s]."""
+        self._goal = goal
+        self._target_speed = wanted
+
+    def seen(self) -> tuple[float, float, float, float, int, int, float]:
+        """Return its x [m], y [m], heading [rad], speed [m/s], its lane, and the lane and speed of its goal [m/s]."""
+        return self.x, self.y, self.heading, self.speed, self._closest, self._goal, self._target_speed
+
+    def pursue(self) -> None:
+        """Set acceleration and steering for the coming tick towards the goal, whatever others do."""
+        self._follow_road()
+        self.steering = self._steering()
+        self.acceleration = self._kp_speed * (self._target_speed - self.speed)
+
     def act(self, others: list[Body]) -> None:
-        """Set acceleration and steering for the coming tick."""
+        """Set acceleration and steering for the coming tick by IDM and MOBIL."""
+        self._follow_road()
         if self._changes_lanes:
             self._choose_lane(others)
         self.steering = self._steering()
-        acceleration = self._pulled(self, _ahead(others, self, self._closest, self._lanes))
+        acceleration = self._pulled(self, self._ahead(others, self._closest))
         if self._closest != self._goal:
-            there = self._pulled(self, _ahead(others, self, self._goal, self._lanes))
+            there = self._pulled(self, self._ahead(others, self._goal))
             acceleration = min(acceleration, there)
         self.acceleration = min(max(acceleration, -self._acc_max), self._acc_max)
 
@@ -77,7 +98,24 @@ class IdmEgo(Body):
         """Move for one time step [s]."""
         self._timer += dt
         Body.step(self, dt)  # C methods have no super()
-        self._closest = self._lanes.closest(self.x, self.y, self.heading)
+        self._closest = self._found(self)
+
+    # What a road of another shape replaces.
+
+    def _found(self, vehicle: Body) -> int:
+        """Return the lane that is closest to a vehicle."""
+        return self._lanes.closest(vehicle.x, vehicle.y, vehicle.heading)
+
+    def _follow_road(self) -> None:
+        """Take the next lane at the end of a lane; this road has none."""
+
+    def _is_demanded(self, lane: int) -> bool:
+        """Return whether a lane is towards the one that the route demands; this road has no routes."""
+        return False
+
+    def _has_beside(self, lane: int, side: int) -> bool:
+        """Return whether a lane is next to another one."""
+        return 0 <= side < self._lanes.count
 
     def _choose_lane(self, others: list[Body]) -> None:
         if self._closest != self._goal or self._timer <= self._delay:
@@ -85,7 +123,7 @@ class IdmEgo(Body):
         self._timer = 0.0
         lane = self._closest
         for side in (lane - 1, lane + 1):
-            if 0 <= side < self._lanes.count and self._reaches(side) and self._gains(side, others):
+            if self._has_beside(lane, side) and self._reaches(side) and self._gains(side, others):
                 self._goal = side
 
     def _reaches(self, lane: int) -> bool:
@@ -95,15 +133,15 @@ class IdmEgo(Body):
 
     def _gains(self, lane: int, others: list[Body]) -> bool:
         """Return whether MOBIL advises a change to a lane."""
-        ahead, behind = _ahead(others, self, lane, self._lanes), _behind(others, self, lane, self._lanes)
+        ahead, behind = self._ahead(others, lane), self._behind(others, lane)
         behind_then = self._pulled(behind, self)
         if behind_then < -self._max_imposed:
             return False
-        left, follower = (
-            _ahead(others, self, self._closest, self._lanes),
-            _behind(others, self, self._closest, self._lanes),
-        )
-        own_gain = self._pulled(self, ahead) - self._pulled(self, left)
+        left, follower = self._ahead(others, self._closest), self._behind(others, self._closest)
+        own = self._pulled(self, ahead)
+        if self._routed >= 0:
+            return self._is_demanded(lane) and own >= -self._max_imposed
+        own_gain = own - self._pulled(self, left)
         others_gain = (
             behind_then - self._pulled(behind, ahead) + self._pulled(follower, left) - self._pulled(follower, self)
         )
@@ -113,13 +151,21 @@ class IdmEgo(Body):
         """Return the acceleration of a vehicle behind ``front`` by the IDM [m/s^2]; 0 if ``vehicle`` is None."""
         if vehicle is None:
             return 0.0
-        liked = min(max(self._liked(vehicle), 0.0), self._speed_limit)
+        liked = min(max(self._liked(vehicle), 0.0), self._limit(vehicle))
         share = max(vehicle.speed, 0.0) / abs(not_zero(liked))
         acceleration = self._comfort * (1.0 - math.pow(share, self._delta))
         if front is not None:
-            gap = self._desired_gap(vehicle, front) / not_zero(front.x - vehicle.x)
+            gap = self._desired_gap(vehicle, front) / not_zero(self._apart(vehicle, front))
             acceleration -= self._comfort * (gap * gap)
         return acceleration
+
+    def _apart(self, vehicle: Body, front: Body) -> float:
+        """Return the distance to another vehicle along the lane [m]."""
+        return front.x - vehicle.x
+
+    def _limit(self, vehicle: Body) -> float:
+        """Return the speed limit of a vehicle's lane [m/s]."""
+        return self._speed_limit
 
     def _liked(self, vehicle: Body) -> float:
         """Return the desired speed of a vehicle, as far as this vehicle knows [m/s]."""
@@ -135,31 +181,29 @@ class IdmEgo(Body):
 
     def _steering(self) -> float:
         offset = self.y - self._goal * self._lanes.width
-        angle = lane_steering(offset, self.heading, self.speed, self.length, self._kp_heading, self._kp_lateral)
+        angle = lane_steering(offset, 0.0, self.heading, self.speed, self.length, self._kp_heading, self._kp_lateral)
         return clamped(angle, self._max_steering)
 
+    def _ahead(self, others: list[Body], lane: int) -> Body | None:
+        """Return the nearest vehicle ahead in a lane; if several are at the same place, the last of them."""
+        found = None
+        for other in others:
+            if (
+                other is not self
+                and other.x >= self.x
+                and (found is None or other.x <= found.x)
+                and _is_on(other, lane, self._lanes)
+            ):
+                found = other
+        return found
 
-def _ahead(others: list[Body], mine: Body, lane: int, lanes: Lanes) -> Body | None:
-    """Return the nearest vehicle ahead in a lane; if several are at the same place, the last of them."""
-    found = None
-    for other in others:
-        if (
-            other is not mine
-            and other.x >= mine.x
-            and (found is None or other.x <= found.x)
-            and _is_on(other, lane, lanes)
-        ):
-            found = other
-    return found
-
-
-def _behind(others: list[Body], mine: Body, lane: int, lanes: Lanes) -> Body | None:
-    """Return the nearest vehicle behind in a lane; if several are at the same place, the first of them."""
-    found = None
-    for other in others:
-        if other.x < mine.x and (found is None or other.x > found.x) and _is_on(other, lane, lanes):
-            found = other
-    return found
+    def _behind(self, others: list[Body], lane: int) -> Body | None:
+        """Return the nearest vehicle behind in a lane; if several are at the same place, the first of them."""
+        found = None
+        for other in others:
+            if other.x < self.x and (found is None or other.x > found.x) and _is_on(other, lane, self._lanes):
+                found = other
+        return found
 
 
 def _is_on(vehicle: Body, lane: int, lanes: Lanes) -> bool:

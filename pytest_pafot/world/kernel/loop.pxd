@@ -5,7 +5,7 @@ from pytest_pafot.world.kernel.action cimport (
 from pytest_pafot.world.kernel.bodies cimport Body, overlap
 from pytest_pafot.world.kernel.director cimport BaseDirector
 from pytest_pafot.world.kernel.driver cimport LaneTracker
-from pytest_pafot.world.kernel.idm cimport IdmEgo
+from pytest_pafot.world.kernel.idm cimport GoalVehicle
 from pytest_pafot.world.kernel.lanes cimport Lanes
 from pytest_pafot.world.kernel.observation cimport Sensor
 from pytest_pafot.world.kernel.places cimport Places
@@ -21,7 +21,7 @@ cdef class EgoDriver:
     cpdef step(self, double dt)
 
 cdef class ModelDriver(EgoDriver):
-    cdef IdmEgo model
+    cdef GoalVehicle model
     cdef list others
 
     cpdef actuate(self)

@@ -26,7 +26,7 @@ from pytest_pafot.world.kernel.action import (
 )
 from pytest_pafot.world.kernel.bodies import Body, overlap
 from pytest_pafot.world.kernel.driver import LaneTracker
-from pytest_pafot.world.kernel.idm import IdmEgo
+from pytest_pafot.world.kernel.idm import GoalVehicle
 from pytest_pafot.world.kernel.observation import COLUMNS, Sensor
 from pytest_pafot.world.kernel.places import Places
 
@@ -65,7 +65,7 @@ class EgoDriver:
 class ModelDriver(EgoDriver):
     """The driver of an ego whose own model sets its controls at every tick, so there is no ADS to call."""
 
-    def __init__(self, ego: IdmEgo, others: list[Any]) -> None:
+    def __init__(self, ego: GoalVehicle, others: list[Any]) -> None:
         super().__init__(ego, 1)
         self.model = ego
         self.others = others

@@ -1,18 +1,16 @@
 cimport cython
 from libc cimport math
 from pytest_pafot.world.kernel.bodies cimport Body
-from pytest_pafot.world.kernel.idm cimport IdmEgo
+from pytest_pafot.world.kernel.idm cimport GoalVehicle
 from pytest_pafot.world.kernel.lanes cimport Lanes
 
-cdef class TrafficVehicle(IdmEgo):
+cdef class TrafficVehicle(GoalVehicle):
     cdef public bint checks, crashed
-    cdef double _taken_for, _kp_speed, _push_x, _push_y, _diagonal, _next_x, _next_y, _next_heading, _next_speed
+    cdef double _taken_for, _push_x, _push_y, _diagonal, _next_x, _next_y, _next_heading, _next_speed
     cdef bint _has_goal, _drives_itself, _is_led, _is_pushed
 
     cpdef void begin(self, int goal, double wanted, double timer)
-    cpdef void aim(self, int goal, double wanted)
     cpdef void lead(self, double x, double y, double heading, double speed)
-    cpdef tuple seen(self)
     cpdef void act(self, list others) except *
     cpdef void step(self, double dt) except *
     cdef void _push(self, double x, double y)

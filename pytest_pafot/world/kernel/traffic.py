@@ -12,12 +12,12 @@ from collections.abc import Mapping
 from typing import Any
 
 from pytest_pafot.world.kernel.bodies import Body
-from pytest_pafot.world.kernel.idm import IdmEgo
+from pytest_pafot.world.kernel.idm import GoalVehicle
 from pytest_pafot.world.kernel.lanes import Lanes
 from pytest_pafot.world.kernel.observation import COLUMNS
 
 
-class TrafficVehicle(IdmEgo):
+class TrafficVehicle(GoalVehicle):
     """A vehicle of highway-env's ordinary traffic, or the ego in that traffic.
 
     Args:
@@ -51,7 +51,6 @@ class TrafficVehicle(IdmEgo):
         self._has_goal = has_goal
         self._drives_itself = drives_itself
         self._taken_for = taken_for
-        self._kp_speed = constants["KP_A"]
         self._is_led = self._is_pushed = False
         self._next_x = self._next_y = self._next_heading = self._next_speed = 0.0
         self._push_x = self._push_y = 0.0
@@ -65,11 +64,6 @@ class TrafficVehicle(IdmEgo):
         self.aim(goal, wanted)
         self._timer = timer
 
-    def aim(self, goal: int, wanted: float) -> None:
-        """Set the lane and speed of its goal [m/s]."""
-        self._goal = goal
-        self._target_speed = wanted
-
     def lead(self, x: float, y: float, heading: float, speed: float) -> None:
         """Move to the given state in the next tick, whatever the controls are [m, m, rad, m/s]."""
         self._is_led = True
@@ -78,17 +72,12 @@ class TrafficVehicle(IdmEgo):
         self._next_heading = heading
         self._next_speed = speed
 
-    def seen(self) -> tuple[float, float, float, float, int, int]:
-        """Return its x [m], y [m], heading [rad], speed [m/s], its lane, and the lane of its goal."""
-        return self.x, self.y, self.heading, self.speed, self._closest, self._goal
-
     def act(self, others: list[Any]) -> None:
         """Set acceleration and steering for the coming tick, unless they are set from outside."""
         if self._drives_itself and not self.crashed:
-            IdmEgo.act(self, others)
+            GoalVehicle.act(self, others)
         elif self._has_goal and not self._drives_itself and not self._is_led:
-            self.steering = self._steering()
-            self.acceleration = self._kp_speed * (self._target_speed - self.speed)
+            self.pursue()
 
     def step(self, dt: float) -> None:
         """Move for one time step [s]; a crashed vehicle stops, and a vehicle in a contact is pushed aside."""
@@ -114,7 +103,7 @@ class TrafficVehicle(IdmEgo):
 
     def _choose_lane(self, others: list[Any]) -> None:
         if self._closest == self._goal:
-            IdmEgo._choose_lane(self, others)
+            GoalVehicle._choose_lane(self, others)
             return
         for each in others:  # as in highway-env, it gives way to a vehicle ahead that enters the same lane
             other: TrafficVehicle = each
