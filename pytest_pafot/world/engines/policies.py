@@ -12,6 +12,8 @@ from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.sight import Sight
 from pytest_pafot.model.trace import Trace
 from pytest_pafot.world.driving.ads import AdsFactory, is_vehicle_class, make_ads, wants_env
+from pytest_pafot.world.driving.compiled_vehicle import goal_vehicle, obstacles_on
+from pytest_pafot.world.driving.idm_model import idm_model
 from pytest_pafot.world.driving.object_driver import ObjectDriver, show_vehicles
 from pytest_pafot.world.driving.perception import ads_and_sight
 from pytest_pafot.world.driving.policy import ModelPolicyDriver, PolicyDriver, View, copies_on
@@ -22,6 +24,8 @@ from pytest_pafot.world.engines.run import SteppedRun, VehiclesOfRun
 from pytest_pafot.world.guard.failure import closing
 from pytest_pafot.world.guard.hang_guard import HangGuard
 from pytest_pafot.world.gym_environment import GymEnvironment
+from pytest_pafot.world.kernel.loop import ModelDriver
+from pytest_pafot.world.roads.straight import StraightRoad
 from pytest_pafot.world.run_config import Rules
 from pytest_pafot.world.stock import MDPVehicle, RegulatedRoad, Road, Vehicle
 
@@ -40,7 +44,12 @@ def rollout(environment: GymEnvironment, rules: Rules, scenario: Scenario, ads_f
         if is_vehicle_class(ads):
             start = rules.ego_position(scenario)
             ego = vehicle_of(ads, env.road, start, scenario.ego_speed, environment.route)
-            return _begun(rules, scenario, ObjectDriver(ego, guard), guard).finish()
+            if idm_model(ads) is None or not _are_known(environment, env.road):
+                return _begun(rules, scenario, ObjectDriver(ego, guard), guard).finish()
+            model = goal_vehicle(ego, environment.compiled_lanes)
+            vehicles = VehiclesOfRun(rules, scenario, model, env.road.network)
+            others = [*vehicles.vehicles[1:], *obstacles_on(env.road)]
+            return SteppedRun(vehicles, ModelDriver(model, others), guard).finish()
         ads, sight = ads_and_sight(ads)
         driver = _policy_driver(environment, rules, scenario, ads, env, guard, view, sight)
         return _begun(rules, scenario, driver, guard).finish()
@@ -53,6 +62,13 @@ def begin(
     env = _env_of(environment, scenario)
     _put_policys_ego(environment, env, rules, scenario)
     return _begun(rules, scenario, _policy_driver(environment, rules, scenario, None, env, guard, None, sight), guard)
+
+
+def _are_known(environment: GymEnvironment, road: Any) -> bool:
+    """Return whether the kernel knows the lanes of a road and what an IDM vehicle considers on it."""
+    has_objects = isinstance(environment.compiled_lanes, StraightRoad) and road.objects
+    is_plain = type(road) is Road and not road.neighbour_vehicles_connected_lanes
+    return environment.compiled_lanes is not None and is_plain and not has_objects
 
 
 def _policy_driver(
