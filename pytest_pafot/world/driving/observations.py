@@ -19,11 +19,10 @@ _REPLACED = {
     Road: ("close_objects_to", "close_vehicles_to"),
     RoadObject: ("to_dict",),
     Vehicle: (
-        *("to_dict", "velocity", "direction", "destination", "destination_direction", "lane_offset"),
-        "lane_distance_to",
+        "to_dict", "velocity", "direction", "destination", "destination_direction", "lane_offset", "lane_distance_to",
     ),
     MDPVehicle: ("index_to_speed",),
-}
+}  # fmt: skip
 """What highway-env's observations read of each class, but the compiled code does not."""
 
 
@@ -51,7 +50,7 @@ class FastObservation:
     @staticmethod
     def is_fit(stock: Any) -> bool:
         """Return whether the options of highway-env's observation are supported."""
-        raise NotImplementedError
+        return True
 
     def __call__(self) -> Any:
         """Return the observation."""
@@ -131,11 +130,6 @@ class FastGrid(FastObservation):
 
 class FastCollisions(FastObservation):
     """A faster function for TimeToCollision."""
-
-    @staticmethod
-    def is_fit(stock: Any) -> bool:
-        """Return whether the options of highway-env's observation are supported, which all are."""
-        return True
 
     def _observe(self, ego: Any, road: Any) -> Any:
         # With a single speed, highway-env returns the grid for two speeds.
