@@ -25,7 +25,7 @@ from pytest_pafot.support.errors import AdsFactoryError, WorldError
 from pytest_pafot.world.driving.ads import AdsFactory, is_vehicle_class, make_ads, wants_env
 from pytest_pafot.world.driving.compiled_vehicle import compiled_vehicle
 from pytest_pafot.world.driving.idm_model import idm_model
-from pytest_pafot.world.driving.kinematics import observer
+from pytest_pafot.world.driving.observations import observer
 from pytest_pafot.world.driving.perception import ads_and_sight
 from pytest_pafot.world.driving.policy import View
 from pytest_pafot.world.guard.failure import UNFIT, closing, error_of

@@ -25,7 +25,16 @@ from pytest_pafot.world.driving.compiled_vehicle import compiled_network
 from pytest_pafot.world.driving.vehicles import ParallelLanes, SearchedLanes, straight_road
 from pytest_pafot.world.kernel.network import Network
 from pytest_pafot.world.roads.straight import StraightRoad
-from pytest_pafot.world.stock import AbstractEnv, IntersectionEnv, RegulatedRoad, Road, Vehicle, action, observation
+from pytest_pafot.world.stock import (
+    AbstractEnv,
+    ExitEnv,
+    IntersectionEnv,
+    RegulatedRoad,
+    Road,
+    Vehicle,
+    action,
+    observation,
+)
 from pytest_pafot.world.validation import ADS_HZ, OTHER_KIND, PHYSICS_HZ, plain_data, whole_within
 
 TRAFFIC = ("initial_vehicle_count", "other_vehicles", "spawn_probability")
@@ -180,13 +189,14 @@ class GymEnvironment:
     def steps_itself(self, *, drives_itself: bool) -> bool:
         """Return whether runs must call the environment's own ``step``, because highway-env's ``step`` is overridden.
 
-        For an ego that drives itself, only the ``step`` of the road matters. highway-env's intersections are an
-        exception: their ``step`` spawns and removes traffic, which runs do not have, and their ``RegulatedRoad`` makes
-        vehicles yield, which this package's engines reproduce.
+        For an ego that drives itself, only the ``step`` of the road matters. Two of highway-env's own are exceptions.
+        The ``step`` of intersections spawns and removes traffic, which runs do not have, and their ``RegulatedRoad``
+        makes vehicles yield, which this package's engines reproduce. The ``step`` of exits only adds to ``info``.
         """
         env, road = type(self.unwrapped), type(self.unwrapped.road)
         has_own_road = road is not RegulatedRoad and (road.step is not Road.step or road.act is not Road.act)
-        is_known = env.step in (AbstractEnv.step, IntersectionEnv.step) and env._simulate is AbstractEnv._simulate
+        steps = AbstractEnv.step, IntersectionEnv.step, ExitEnv.step
+        is_known = env.step in steps and env._simulate is AbstractEnv._simulate
         return has_own_road or not (is_known or drives_itself)
 
     @property

@@ -47,6 +47,7 @@ with _later():
     import highway_env  # noqa: F401  (registers its environments)
     from highway_env.envs.common import action, observation
     from highway_env.envs.common.abstract import AbstractEnv
+    from highway_env.envs.exit_env import ExitEnv
     from highway_env.envs.intersection_env import IntersectionEnv
     from highway_env.road.lane import AbstractLane, CircularLane, SineLane, StraightLane
     from highway_env.road.regulation import RegulatedRoad
@@ -54,17 +55,20 @@ with _later():
     from highway_env.utils import class_from_path, not_zero, wrap_to_pi
     from highway_env.vehicle.controller import ControlledVehicle, MDPVehicle
     from highway_env.vehicle.kinematics import Vehicle
+    from highway_env.vehicle.objects import RoadObject
 
 __all__ = [
     "AbstractEnv",
     "AbstractLane",
     "CircularLane",
     "ControlledVehicle",
+    "ExitEnv",
     "IntersectionEnv",
     "MDPVehicle",
     "RegulatedRoad",
     "Road",
     "RoadNetwork",
+    "RoadObject",
     "SineLane",
     "StraightLane",
     "Vehicle",

@@ -1,8 +1,9 @@
 """Versions of numpy's functions that round like the C library and IEEE 754, for single numbers and points.
 
-On some processors, numpy rounds tan, arctan, arcsin and power differently from the C library, and its dot product
-multiplies and adds in one operation. So highway-env's results differ between machines. To compare equations to the last
-bit on every machine, highway-env gets the C library's functions and a dot product that rounds each product.
+On some processors, numpy rounds tan, arctan, arctan2, arcsin and power differently from the C library, and its dot
+product and norm multiply and add in one operation. So highway-env's results differ between machines. To compare
+equations to the last bit on every machine, highway-env gets the C library's functions, and a dot product and a norm
+that round each product.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
+from unittest.mock import patch
 
 import numpy as np
 
@@ -20,7 +22,8 @@ def _power(base: float, exponent: float) -> float:
 
 
 FUNCTIONS: dict[str, Callable[..., float]] = {
-    "tan": math.tan, "arctan": math.atan, "arctan2": math.atan2, "arcsin": math.asin, "sin": math.sin, "cos": math.cos, "power": _power,
+    "tan": math.tan, "arctan": math.atan, "arctan2": math.atan2, "arcsin": math.asin, "sin": math.sin, "cos": math.cos,
+    "power": _power,
 }  # fmt: skip
 
 
@@ -58,13 +61,5 @@ def norm_of_products() -> Callable[..., Any]:
 def c_library() -> Iterator[None]:
     """Replace these functions of numpy for the length of a ``with`` block, for every caller."""
     functions = {"dot": dot_of_products(), **{name: of_the_c_library(name) for name in FUNCTIONS}}
-    before = {name: getattr(np, name) for name in functions}
-    norm, np.linalg.norm = np.linalg.norm, norm_of_products()
-    try:
-        for name, function in functions.items():
-            setattr(np, name, function)
+    with patch.multiple(np, **functions), patch.object(np.linalg, "norm", norm_of_products()):
         yield
-    finally:
-        np.linalg.norm = norm
-        for name, function in before.items():
-            setattr(np, name, function)

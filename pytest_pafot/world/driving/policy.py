@@ -14,8 +14,8 @@ from pytest_pafot.model.trace import AdsError
 from pytest_pafot.support.errors import BadAction, WorldError
 from pytest_pafot.support.text import shown
 from pytest_pafot.world.driving.compiled_vehicle import goal_vehicle
-from pytest_pafot.world.driving.kinematics import observer
 from pytest_pafot.world.driving.object_driver import ObjectDriver
+from pytest_pafot.world.driving.observations import observer
 from pytest_pafot.world.driving.seeing import PolicySight
 from pytest_pafot.world.guard.hang_guard import HangGuard
 from pytest_pafot.world.kernel.action import hint_at

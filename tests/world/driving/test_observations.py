@@ -1,0 +1,280 @@
+"""Observations equal highway-env's own to the last bit, compiled or interpreted, or are highway-env's own."""
+
+from __future__ import annotations
+
+import functools
+from contextlib import nullcontext
+
+import numpy as np
+import pytest
+from highway_env.envs.common.observation import observation_factory
+from highway_env.vehicle.behavior import IDMVehicle
+from highway_env.vehicle.controller import MDPVehicle
+from highway_env.vehicle.kinematics import Vehicle
+from highway_env.vehicle.objects import Landmark, Obstacle
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from pytest_pafot.model.scenario import PositionInstruction, Scenario
+from pytest_pafot.world import World
+from pytest_pafot.world.driving.observations import FastObservation, observer
+from pytest_pafot.world.driving.vehicles import Car, SearchedLanes
+from pytest_pafot.world.kernel.bodies import Body
+from pytest_pafot.world.kernel.features import FEATURES
+from tests.helpers.c_library import c_library
+from tests.helpers.interpreted import InterpretedWorld
+from tests.helpers.road_cases import ENVIRONMENTS
+from tests.helpers.stages import mostly_oracle
+
+ranges = st.dictionaries(
+    st.sampled_from(FEATURES), st.tuples(st.integers(-40, 0) | st.floats(-3, 0), st.floats(1, 100)), max_size=5
+)
+
+
+def tables(kind):
+    """Return a strategy for tables with all options that are supported."""
+    names = "absolute", "normalize", "clip", "see_behind", "observe_intentions", "include_obstacles"
+    options = {
+        "features": st.lists(st.sampled_from(FEATURES), min_size=1, unique=True),
+        "vehicles_count": st.integers(1, 8),
+        "features_range": st.none() | ranges,
+        "order": st.just("sorted"),
+        **dict.fromkeys(names, st.booleans()),
+    }
+    return st.fixed_dictionaries({"type": st.just(kind)}, optional=options)
+
+
+grids = st.fixed_dictionaries(
+    {"type": st.just("OccupancyGrid")},
+    optional={
+        "features": st.lists(st.sampled_from([*FEATURES, "on_road", "unknown"]), min_size=1, max_size=4),
+        "features_range": st.none() | ranges,
+        "grid_size": st.sampled_from([[[-18, 18], [-18, 18]], [[-50.0, 50.0], [-12.0, 13.5]]]),
+        "grid_step": st.sampled_from([[3, 3], [5, 2.5]]),
+        **dict.fromkeys(("align_to_vehicle_axes", "clip", "as_image"), st.booleans()),
+    },
+)
+times = st.fixed_dictionaries({"type": st.just("TimeToCollision")}, optional={"horizon": st.integers(1, 12)})
+shares = st.floats(0, 1, exclude_max=True)
+# The lane, the distance along it and across it, the angle to it, the speed, and where its route ends, if it has one.
+vehicles = st.tuples(
+    *(shares, st.floats(-10, 200), st.just(0.0) | st.floats(-9, 9), st.just(0.0) | st.floats(-4, 4)),
+    *(st.sampled_from([0.0, 20.0]) | st.floats(-5, 42), st.none() | shares),
+)
+
+
+@functools.cache
+def environment(env_id):
+    env = World(env_id).make().unwrapped
+    env.road.network = SearchedLanes(env.road.network)  # NPCs need it
+    return env
+
+
+def car(road, x, y, heading, speed):
+    body = Body(5.0, 2.0)
+    body.place(x, y, heading, speed)
+    return Car(road, body)
+
+
+def placed(kind, road, state):
+    lane_share, along, across, angle, speed, route_share = state
+    lanes, nodes = road.network.lanes_list(), list(road.network.graph)
+    lane = lanes[int(lane_share * len(lanes))]
+    position, heading = lane.position(along, across), float(lane.heading_at(along) + angle)
+    made = car(road, *position, heading, speed) if kind is Car else kind(road, position, heading, speed)
+    if route_share is not None and hasattr(made, "plan_route_to"):
+        made.plan_route_to(nodes[int(route_share * len(nodes))])
+    return made
+
+
+def populate(env, ego_class, states, objects=()):
+    """Put vehicles of three classes on an environment's road, the ego somewhere among them, and objects."""
+    ego = placed(ego_class, env.road, states[0])
+    others = [placed((Car, IDMVehicle, MDPVehicle)[k % 3], env.road, state) for k, state in enumerate(states[1:])]
+    env.road.vehicles = [*others[:2], ego, *others[2:]]
+    env.road.vehicles[-1].LENGTH = 12.0
+    env.road.objects = [placed((Obstacle, Landmark)[k % 2], env.road, state) for k, state in enumerate(objects)]
+    env.controlled_vehicles = [ego]
+
+
+def turn_with_rounded_products(stock):
+    """Let a grid of highway-env turn positions as the C library would; numpy's ``@`` cannot be replaced."""
+    plain, stock.align_to_vehicle_axes = stock.pos_to_index, False
+
+    def pos_to_index(position, relative=False):
+        ego = stock.observer_vehicle
+        x, y = position if relative else position - ego.position
+        cos, sin = np.cos(ego.heading), np.sin(ego.heading)
+        return plain((cos * x + sin * y, -sin * x + cos * y), relative=True)
+
+    stock.pos_to_index = pos_to_index
+
+
+@pytest.fixture(scope="module")
+def observers():
+    """Return the function that is tested in the kernel of this process and in the interpreted one."""
+    interpreted = InterpretedWorld()
+    with interpreted.in_place():
+        from pytest_pafot.world.driving import observations
+    return [(observer, nullcontext), (observations.observer, interpreted.in_place)]
+
+
+def assert_the_same_is_observed(env, config, observers):
+    stock = observation_factory(env, config)
+    if config.get("align_to_vehicle_axes"):
+        turn_with_rounded_products(stock)
+    with c_library(), np.errstate(invalid="ignore"):  # highway-env casts NaN to pixels
+        expected = [stock.observe() for _ in range(2)]  # it keeps its ranges after the first
+        for make, in_place in observers:
+            with in_place():
+                env.observation_type = observation_factory(env, config)
+                fast = make(env)
+                env.observation_type.observe = None  # must not be called
+                received = [fast() for _ in range(2)]
+            assert [each.tobytes() for each in received] == [each.tobytes() for each in expected]
+            assert [(each.dtype, each.shape) for each in received] == [(each.dtype, each.shape) for each in expected]
+            assert vars(env.observation_type).get("features_range") == vars(stock).get("features_range")
+
+
+EVERY_ROAD = pytest.mark.parametrize(
+    "env_id",
+    mostly_oracle(
+        ("highway-v0", *ENVIRONMENTS), "highway-v0", "merge-v1", "racetrack-v1", "intersection-v1", "lane-keeping-v0"
+    ),
+)
+several = st.lists(vehicles, min_size=1, max_size=8)
+
+
+@EVERY_ROAD
+@settings(max_examples=15)
+@given(
+    config=tables("Kinematics"),
+    states=several,
+    objects=st.lists(vehicles, max_size=2),
+    ego=st.sampled_from([Car, MDPVehicle, Vehicle]),
+)
+def test_tables_equal_those_of_highway_env(env_id, observers, config, states, objects, ego):
+    populate(environment(env_id), ego, states, objects)
+    assert_the_same_is_observed(environment(env_id), config, observers)
+
+
+@settings(max_examples=15)
+@given(config=tables("ExitObservation"), states=several, objects=st.lists(vehicles, max_size=2))
+def test_tables_with_an_exit_equal_those_of_highway_env(observers, config, states, objects):
+    populate(environment("exit-v1"), MDPVehicle, states, objects)
+    assert_the_same_is_observed(environment("exit-v1"), config, observers)
+
+
+@EVERY_ROAD
+@settings(max_examples=15)
+@given(config=grids, states=several)
+def test_grids_equal_those_of_highway_env(env_id, observers, config, states):
+    populate(environment(env_id), Vehicle, states)
+    assert_the_same_is_observed(environment(env_id), config, observers)
+
+
+@EVERY_ROAD
+@settings(max_examples=15)
+@given(
+    config=times, states=several, speeds=st.sampled_from([[20, 25, 30], [0, 4.5, 9], [10, 20]]), index=st.integers(0, 1)
+)
+def test_times_to_collision_equal_those_of_highway_env(env_id, observers, config, states, speeds, index):
+    env = environment(env_id)
+    populate(env, MDPVehicle, states)
+    env.vehicle.target_speeds, env.vehicle.speed_index = np.array(speeds), index
+    assert_the_same_is_observed(env, config, observers)
+
+
+@pytest.fixture
+def env():
+    return environment("highway-v0")
+
+
+def test_equally_distant_vehicles_come_in_road_order(env):
+    ego = car(env.road, 300.0, 4.0, 0.0, 20.0)
+    env.road.vehicles = [ego, *(car(env.road, 320.0, y, 0.0, 20.0 + y) for y in (8.0, 0.0, 4.0))]
+    env.controlled_vehicles = [ego]
+    env.observation_type = observation_factory(env, {"type": "Kinematics", "vehicles_count": 3})
+    assert observer(env)().tobytes() == env.observation_type.observe().tobytes()
+
+
+@pytest.mark.parametrize(
+    "config",
+    [
+        {"type": "LidarObservation"},
+        {"type": "Kinematics", "order": "shuffled"},
+        {"type": "Kinematics", "features": ["x", "x"]},
+        {"type": "Kinematics", "vehicles_count": 0},
+        {"type": "OccupancyGrid", "absolute": True},
+        {"type": "KinematicsGoal", "features": ["x", "y"], "scales": [1, 1], "normalize": False},
+        {"type": "MultiAgentObservation", "observation_config": {"type": "Kinematics"}},
+    ],
+    ids=lambda config: "-".join(map(str, config.values()))[:40],
+)
+def test_every_other_observation_is_left_to_highway_env(env, config):
+    env.observation_type = observation_factory(env, config)
+    assert observer(env) == env.observation_type.observe
+
+
+class Ghost(Vehicle):
+    """A vehicle that describes itself as if it were elsewhere."""
+
+    def to_dict(self, *args, **kwargs):
+        return {**super().to_dict(*args, **kwargs), "x": 7.0}
+
+
+@pytest.mark.parametrize("config", [{"type": "Kinematics"}, {"type": "OccupancyGrid"}], ids=["table", "grid"])
+def test_vehicle_that_describes_itself_is_left_to_highway_env(env, config):
+    env.road.vehicles = [car(env.road, 300.0, 4.0, 0.0, 20.0), Ghost(env.road, (320.0, 4.0))]
+    env.controlled_vehicles = env.road.vehicles[:1]
+    env.observation_type = observation_factory(env, config)
+    fast = observer(env)
+    assert isinstance(fast, FastObservation)
+    assert fast().tobytes() == env.observation_type.observe().tobytes()
+
+
+SCENARIO = Scenario(npcs=[[PositionInstruction(1, 25.0)], [PositionInstruction(6, 20.0)]], gene_seconds=4.0)
+
+
+@pytest.mark.parametrize(
+    ("observation", "shape"),
+    [
+        ({"type": "Kinematics"}, (5, 5)),
+        ({"type": "Kinematics", "vehicles_count": 15, "features": list(FEATURES)}, (15, 13)),
+        ({"type": "Kinematics", "order": "shuffled", "vehicles_count": 3}, (3, 5)),
+        ({"type": "OccupancyGrid"}, (4, 11, 11)),
+        ({"type": "TimeToCollision", "horizon": 10}, (3, 3, 10)),
+        ({"type": "LidarObservation", "cells": 16}, (16, 2)),
+    ],
+    ids=lambda value: value["type"] if isinstance(value, dict) else "",
+)
+def test_policy_observations_match_their_space_and_repeat(observation, shape):
+    world = World("highway-v0", config={"observation": observation})
+
+    def rollout():
+        seen = []
+
+        def policy(received):
+            seen.append(np.array(received))
+            return 1
+
+        world.rollout(SCENARIO, lambda: policy)
+        return seen
+
+    first, second = rollout(), rollout()
+    assert {array.shape for array in first} == {shape}
+    assert [array.tobytes() for array in first] == [array.tobytes() for array in second]
+    assert len({array.tobytes() for array in first}) > 1
+
+
+def test_policy_may_change_its_own_observation():
+    world = World("highway-v0")
+    seen = []
+
+    def policy(observation):
+        seen.append(observation.copy())
+        observation[:] = np.nan
+        return 1
+
+    world.rollout(SCENARIO, lambda: policy)
+    assert np.isfinite(seen).all()
