@@ -17,8 +17,7 @@ from pytest_pafot.world import WorldError
 from tests.helpers.tables import table
 
 PI = PositionInstruction
-WORLDS = {engine: Highway(duration=30.0, engine=engine) for engine in ("kernel", "highway-env")}
-WORLD = WORLDS["kernel"]
+WORLD = Highway(duration=30.0)
 PARENT = Scenario(
     npcs=((PI(2, 22.0), PI(1, 24.0), PI(2, 20.0)), (PI(6, 22.0), PI(7, 22.0), PI(6, 25.0))), gene_seconds=3.0
 )

@@ -44,7 +44,7 @@ class PolicyDriver(ObjectDriver):
         sight: PolicySight | None = None,
     ) -> None:
         check_action_space(env.action_space)
-        super().__init__(env.vehicle, guard, every)
+        super().__init__(env.vehicle, env.road, guard, every)
         self.env = env
         self._ads = ads
         self._observe = observer(env)

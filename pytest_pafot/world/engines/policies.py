@@ -12,7 +12,7 @@ from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.sight import Sight
 from pytest_pafot.model.trace import Trace
 from pytest_pafot.world.driving.ads import AdsFactory, is_vehicle_class, make_ads, wants_env
-from pytest_pafot.world.driving.object_driver import ObjectDriver, show_vehicles
+from pytest_pafot.world.driving.object_driver import ObjectDriver
 from pytest_pafot.world.driving.perception import ads_and_sight
 from pytest_pafot.world.driving.policy import PolicyDriver, View, copies_on
 from pytest_pafot.world.driving.seeing import policy_sight
@@ -40,7 +40,7 @@ def rollout(environment: GymEnvironment, rules: Rules, scenario: Scenario, ads_f
         if is_vehicle_class(ads):
             start = rules.ego_position(scenario)
             ego = vehicle_of(ads, env.road, start, scenario.ego_speed, environment.route)
-            return _begun(rules, scenario, ObjectDriver(ego, guard), guard).finish()
+            return _begun(rules, scenario, ObjectDriver(ego, env.road, guard), guard).finish()
         ads, sight = ads_and_sight(ads)
         every = rules.physics_hz // rules.ads_hz
         driver = PolicyDriver(ads, env, guard, every, view, policy_sight(env, sight, scenario))
@@ -59,8 +59,8 @@ def begin(
 
 
 def _begun(rules: Rules, scenario: Scenario, driver: ObjectDriver, guard: HangGuard) -> SteppedRun:
-    vehicles = VehiclesOfRun(rules, scenario, driver.ego, driver.vehicle.road.network)
-    show_vehicles(driver.vehicle, vehicles.places, rules.road)
+    vehicles = VehiclesOfRun(rules, scenario, driver.ego, driver.road.network)
+    driver.show(vehicles.places, rules.road)
     return SteppedRun(vehicles, driver, guard)
 
 
