@@ -14,21 +14,29 @@ from hypothesis import strategies as st
 from pytest_pafot.model.scenario import PositionInstruction, Scenario
 from pytest_pafot.world import World
 from pytest_pafot.world.driving.kinematics import FastKinematics, observer
-from pytest_pafot.world.driving.vehicles import Car
 from tests.helpers.stages import oracle
+from tests.helpers.world_cases import car
 
 FEATURES = ["presence", "x", "y", "vx", "vy", "heading", "cos_h", "sin_h"]
 RANGES = {"x": [-100, 100], "y": [-12, 12], "vx": [-20.0, 40.0], "heading": [-1.5, 1.5], "presence": [0, 2]}
 
 
+def environment(env_id):
+    """Return an environment whose lanes are searched as in a run."""
+    world = World(env_id)
+    env = world.make().unwrapped
+    env.road.network = world.network
+    return env
+
+
 @pytest.fixture(scope="module")
 def env():
-    return World("highway-v0").make().unwrapped
+    return environment("highway-v0")
 
 
 @pytest.fixture(scope="module")
 def intersection():
-    return World("intersection-v0").make().unwrapped
+    return environment("intersection-v0")
 
 
 configs = st.fixed_dictionaries(
@@ -52,7 +60,7 @@ motions = st.floats(-4, 4), st.floats(-5, 42)
 states = st.tuples(positions, *motions)
 
 
-@pytest.mark.parametrize("ego_class", [Car, oracle(MDPVehicle), oracle(Vehicle)])
+@pytest.mark.parametrize("ego_class", [car, oracle(MDPVehicle), oracle(Vehicle)])
 @settings(max_examples=50)  # of eleven options, any of which may be left out
 @given(config=configs, others=st.lists(states, min_size=1, max_size=9))
 def test_observations_equal_those_of_highway_env_exactly(env, config, others, ego_class):
@@ -68,7 +76,7 @@ def test_intersection_observations_equal_those_of_highway_env(intersection, conf
 def assert_the_same_is_observed(env, config, others, ego_class):
     env.road.vehicles = [ego_class(env.road, *others[0])]
     env.controlled_vehicles = env.road.vehicles[:1]
-    env.road.vehicles += [(Car, IDMVehicle)[k % 2](env.road, *other) for k, other in enumerate(others[1:])]
+    env.road.vehicles += [(car, IDMVehicle)[k % 2](env.road, *other) for k, other in enumerate(others[1:])]
     stock = observation_factory(env, config)
     env.observation_type = observation_factory(env, config)
     fast = observer(env)
@@ -81,8 +89,8 @@ def assert_the_same_is_observed(env, config, others, ego_class):
 
 
 def test_equally_distant_vehicles_come_in_road_order(env):
-    ego = Car(env.road, (300.0, 4.0), 0.0, 20.0)
-    env.road.vehicles = [ego, *(Car(env.road, (320.0, y), 0.0, 20.0 + y) for y in (8.0, 0.0, 4.0))]
+    ego = car(env.road, (300.0, 4.0), 0.0, 20.0)
+    env.road.vehicles = [ego, *(car(env.road, (320.0, y), 0.0, 20.0 + y) for y in (8.0, 0.0, 4.0))]
     env.controlled_vehicles = [ego]
     env.observation_type = observation_factory(env, {"type": "Kinematics", "vehicles_count": 3})
     assert observer(env)().tobytes() == env.observation_type.observe().tobytes()
