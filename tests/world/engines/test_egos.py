@@ -159,7 +159,12 @@ def test_compiled_model_drives_whichever_class_it_equals(drivers, ads, expected)
 
 
 def test_world_says_which_classes_the_compiled_model_drives():
-    assert [Highway().runs_in_kernel(each) for each in (IDMVehicle, Hurried, OwnRules, idle)] == [True, True, False, False]
+    assert [Highway().runs_in_kernel(each) for each in (IDMVehicle, Hurried, OwnRules, idle)] == [
+        True,
+        True,
+        False,
+        False,
+    ]
 
 
 @pytest.mark.parametrize("world", [Highway(), World("highway-v0")])
