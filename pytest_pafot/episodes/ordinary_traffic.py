@@ -365,7 +365,8 @@ class _Steps:
                 pose = start.straight.project(float(each.position[0]), float(each.position[1]), float(each.heading))
                 held = each.action["acceleration"], each.action["steering"]
                 record[at : at + 6] = array("d", (*pose, each.speed, *held))
-            body.place(*start.straight.project(*map(float, ego.position), ego.heading), ego.speed)
+            x, y = map(float, ego.position)
+            body.place(*start.straight.project(x, y, ego.heading), ego.speed)
             error = driver.decide(self.tick) if self.tick % driver.every == 0 else None
             self.error = self.error or error
             driver.actuate()

@@ -172,7 +172,7 @@ class GymEnvironment:
 
         For an ego that drives itself, only the ``step`` of the road matters. highway-env's intersections are an
         exception: their ``step`` spawns and removes traffic, which runs do not have, and their ``RegulatedRoad`` makes
-        vehicles yield, which this package's engines reproduce.
+        vehicles yield, which this package's runs reproduce.
         """
         env, road = type(self.unwrapped), type(self.unwrapped.road)
         has_own_road = road is not RegulatedRoad and (road.step is not Road.step or road.act is not Road.act)
