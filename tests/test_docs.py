@@ -45,7 +45,7 @@ import pytest_pafot.plugin.item_checks
 import pytest_pafot.plugin.replay_item
 import pytest_pafot.plugin.search_item
 import pytest_pafot.strategies
-import pytest_pafot.world.engines.object_engine
+import pytest_pafot.world.engines.policies
 from pytest_pafot.campaign.options import OPTIONS
 from pytest_pafot.corpus.reader import parsed
 from pytest_pafot.world import Highway, from_dict

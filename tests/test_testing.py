@@ -74,12 +74,11 @@ def with_states(trace, change):
     ("world", "given"),
     [
         (ROAD, {}),
-        (Highway(duration=4.0, engine="highway-env"), {}),
         (World("highway-v0", duration=4.0, hang_limit=0.3), {"ads": lambda: lambda seen: 1}),
         (Own(), {}),
         (Lasting(), {}),
     ],
-    ids=["Highway", "by highway-env's objects", "World", "of one's own", "one that lasts"],
+    ids=["Highway", "World", "of one's own", "one that lasts"],
 )
 def test_a_world_that_keeps_its_promises_passes(world, given):
     check_world(world, runs=3, **SHORT, **given)

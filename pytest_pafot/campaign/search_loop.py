@@ -554,7 +554,7 @@ UNCONFIRMED = "not confirmed: out of time"
 def difference(run: Run, simulation: Simulation) -> str:
     """Return what differs when the scenario of a run is run again; empty if the finding is confirmed.
 
-    The same engine must give a run that is equal to the last bit. In highway-env's own environment, if the world has
+    The same world must give a run that is equal to the last bit. In highway-env's own environment, if the world has
     it, the run must end in the same way.
     """
     try:

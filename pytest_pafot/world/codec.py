@@ -95,7 +95,7 @@ def _built_in(kind: str, values: dict[str, Any]) -> Highway | World:
 
 
 def _check_names(place: str, values: dict[str, Any], cls: type[Any]) -> None:
-    known = {field.name for field in fields(cls) if field.compare}  # the engine does not change results
+    known = {field.name for field in fields(cls) if field.compare}  # it is part of the world
     unknown = sorted(str(key) for key in values if key not in known)
     if unknown:
         expected = f"the fields {', '.join(sorted(known))}"

@@ -191,7 +191,7 @@ class GymEnvironment:
 
         For an ego that drives itself, only the ``step`` of the road matters. Two of highway-env's own are exceptions.
         The ``step`` of intersections spawns and removes traffic, which runs do not have, and their ``RegulatedRoad``
-        makes vehicles yield, which this package's engines reproduce. The ``step`` of exits only adds to ``info``.
+        makes vehicles yield, which this package's runs reproduce. The ``step`` of exits only adds to ``info``.
         """
         env, road = type(self.unwrapped), type(self.unwrapped.road)
         has_own_road = road is not RegulatedRoad and (road.step is not Road.step or road.act is not Road.act)

@@ -217,14 +217,13 @@ def test_who_neither_brakes_nor_accelerates_keeps_its_speed():
     assert chance.sentence == ("Last chance at 3.0 s: careful-human accelerates at 1.5 m/s^2, the ego keeps its speed")
 
 
-@pytest.mark.parametrize("engine", ["kernel", "highway-env"])
 @pytest.mark.parametrize("closing", [3.0, 5.0])
-def test_last_chance_is_where_full_braking_still_suffices(engine, closing):
+def test_last_chance_is_where_full_braking_still_suffices(closing):
     """The leader has arrived ahead and keeps its speed, so the textbook formula gives the distance.
 
     The driver expects full braking by then: the time to collision has been below 2 s for 1.43 s.
     """
-    world = Highway(engine=engine, clearance=30.0)  # at that gap the leader has arrived
+    world = Highway(clearance=30.0)  # at that gap the leader has arrived
     scenario = Scenario(npcs=[[PositionInstruction(2, 22.0 - closing)]], ego_speed=22.0, gene_seconds=20.0)
     trace = world.rollout(scenario, lambda: lambda observation: (0.0, 0.0))
     gap = trace.npcs[:, 0, X] - trace.ego[:, X] - LENGTH

@@ -8,8 +8,9 @@ from pytest_pafot import Scenario
 from pytest_pafot.world.guard.hang_guard import HangGuard
 from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.kernel.director import Director
-from pytest_pafot.world.kernel.loop import Loop, PlannerPilot
+from pytest_pafot.world.kernel.loop import Loop, PlannerDriver
 from pytest_pafot.world.kernel.observation import COLUMNS, Observer
+from pytest_pafot.world.kernel.places import Places
 from pytest_pafot.world.limits import NpcLimits
 from pytest_pafot.world.roads.straight import StraightRoad
 
@@ -25,7 +26,7 @@ class Crowd(Scenario):
         """Check nothing."""
 
 
-def crowd(count: int) -> tuple[Loop, PlannerPilot, int]:
+def crowd(count: int) -> tuple[Loop, PlannerDriver, int]:
     """Return a loop with NPCs that keep lane and speed around an ego, four side by side every 30 m.
 
     They follow each other, are recorded and are tested for contact as in every run.
@@ -50,5 +51,7 @@ def crowd(count: int) -> tuple[Loop, PlannerPilot, int]:
     ticks = SECONDS * HZ
     rows = array("d", bytes(8 * (ticks + 1) * (count + 1) * COLUMNS))
     observer = Observer(rows, [(5.0, 2.0)] * (count + 1), road.grid, road.speed_limit, HZ, 3)
-    pilot = PlannerPilot(lambda observation: (0.0, 0.0), ego, road.grid, observer, HangGuard(30.0), every=3, dt=1 / HZ)
-    return Loop(ego, director, road.grid, rows, 1 / HZ), pilot, ticks
+    common = {"lanes": 4, "lane_width": 4.0, "every": 3, "dt": 1 / HZ}
+    driver = PlannerDriver(lambda observation: (0.0, 0.0), HangGuard(30.0), (), ego, ego, observer, **common)
+    vehicles = [ego, *director.npcs]
+    return Loop(director, Places(vehicles, vehicles, road.grid), rows, 1 / HZ), driver, ticks

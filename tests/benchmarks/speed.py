@@ -3,8 +3,8 @@
     python -m tests.benchmarks.speed [--rounds 7] [--parts engines ads npcs search batch pure start memory comparison]
 
 - ``engines``: one run of 60 s with two NPCs, by the usual ``gymnasium.make`` + ``env.step`` loop with its Kinematics
-  observation, by the same with the observation stubbed, by highway-env's objects, and by the kernel compiled and
-  interpreted. All take turns in one process, and their trajectories are compared by hash in that process.
+  observation, by the same with the observation stubbed, and by the kernel compiled and interpreted. All take turns in
+  one process, and their trajectories are compared by hash in that process.
 - ``ads``: policies of different cost, and the share of the time inside them.
 - ``npcs``: cost per vehicle and tick for 1 to 32 NPCs.
 - ``search``: the cost of searches in addition to their rollouts.
@@ -137,7 +137,6 @@ def _engines_at(world: Highway, rounds: int) -> None:
     ways = {
         stock: (gym(False, stock), 1),
         stubbed: (gym(True, stubbed), 1),
-        "highway-env's objects": (own(replace(world, engine="highway-env"), "highway-env's objects"), 2),
         "kernel, interpreted": (interpreted, 5),
         KERNEL: (own(world, KERNEL), 50),
     }
@@ -248,9 +247,9 @@ def npcs(rounds: int) -> None:
     for count in (1, 2, 4, 8, 16, 32):
         times = []
         for _ in range(rounds):
-            loop, pilot, ticks = crowd(count)
+            loop, driver, ticks = crowd(count)
             started = time.process_time()
-            loop.run(pilot, ticks)
+            loop.run(driver, ticks)
             times.append((time.process_time() - started) / ticks / (count + 1))
         print(f"  {count:2} NPCs, loop    {statistics.median(times) * 1e9:7.1f} ns")
 

@@ -84,7 +84,7 @@ def test_events_equal_those_a_listener_hears_except_runs(exploration, heard):
     }
 
 
-def test_few_frames_separate_search_loop_and_engine():
+def test_few_frames_separate_search_loop_and_run():
     class Planner:
         stacks = ()
 
@@ -93,7 +93,7 @@ def test_few_frames_separate_search_loop_and_engine():
             return 0.0, 0.0
 
     pafot.explore(Planner, holds=lambda run: None, seed=5, runs=1, genes=1)
-    assert Planner.stacks[0] == "run_planner"
+    assert Planner.stacks[0] == "SteppedRun.finish"
     assert Planner.stacks.index("_ahead.<locals>.events") < 8
 
 

@@ -113,7 +113,7 @@ def test_error_gives_place_expected_value_and_remedy(path):
         (WORLD, "world:", 3, "world"),
         ("lanes: 4", "lanes: .nan", 3, "world.lanes"),
         ("lanes: 4, ", "", 3, "world"),
-        ("lanes: 4", "lanes: 4, engine: kernel", 3, "world.engine"),
+        ("lanes: 4", "lanes: 4, colour: red", 3, "world.colour"),
         ("jerk: 10.0, ", "", 5, "world.limits"),
         ("jerk: 10.0", "yerk: 10.0", 5, "world.limits.yerk"),
         ("lanes: 4", "'" + "x" * 65 + "': 4", 3, "world." + "x" * 65),

@@ -1,7 +1,6 @@
 """NPCs' places relative to the ego in a bend, from every source, against angles and radii of a circle."""
 
 import math
-from array import array
 from types import SimpleNamespace
 
 import numpy as np
@@ -11,11 +10,14 @@ from hypothesis import strategies as st
 
 from pytest_pafot.criticality import Encounters, RoadFrame, longitudinal_gap
 from pytest_pafot.model.grid import Cell
-from pytest_pafot.model.trace import Lane, Outcome
+from pytest_pafot.model.trace import HEADING, SPEED, Lane, X, Y
 from pytest_pafot.oracle.run import Run
-from pytest_pafot.world.engines.record import Record
+from pytest_pafot.world.engines.run import VehiclesOfRun
 from pytest_pafot.world.kernel.bodies import Body
-from pytest_pafot.world.roads.network import Column, NetworkFrame, NetworkRoad
+from pytest_pafot.world.kernel.loop import EgoDriver
+from pytest_pafot.world.kernel.observation import COLUMNS
+from pytest_pafot.world.kernel.places import RoadPlaces
+from pytest_pafot.world.roads.network import Column, NetworkRoad
 from pytest_pafot.world.roads.route import STEP, Line
 from tests.helpers.traces import LANE_WIDTH, LENGTH, WIDTH, scenario_of, trace_of, vehicle
 from tests.report.builders import view_of
@@ -69,24 +71,24 @@ def circle():
 def driven(*vehicles, touched=False):
     """Return the trace of a recorded run; each vehicle has angles and radii around the centre, in rad and m."""
     angles, radii = (np.array(rows).T for rows in zip(*vehicles, strict=True))
-    road, bodies = circle(), [Body(LENGTH, WIDTH) for _ in vehicles]
-    frame, rows = NetworkFrame(road, None, angles[0] * RADIUS), array("d")
-    for angle, radius in zip(angles, radii, strict=True):
-        x, y = radius * np.sin(angle), RADIUS - radius * np.cos(angle)
-        states = [(float(a), float(b), float(c), 10.0) for a, b, c in zip(x, y, angle, strict=True)]
-        lanes, _ = frame.see(states, bodies)
-        for state, lane in zip(states, lanes, strict=True):
-            rows.extend((*state, 0.0, 0.0, lane))
-    scenario = scenario_of(len(vehicles) - 1)
-    return Record(
-        rules=SimpleNamespace(physics_hz=15, ads_hz=5, road=road, crossings=None),
-        scenario=scenario,
-        director=SimpleNamespace(executed=scenario, arrivals=(), driven=()),
-        sizes=[(LENGTH, WIDTH)] * len(vehicles),
-        rows=rows,
-        tick=len(angles) - 1,
-        frame=frame,
-    ).trace(Outcome.COLLISION if touched else None)
+    states = np.zeros((*angles.shape, COLUMNS))
+    states[..., X], states[..., Y] = radii * np.sin(angles), RADIUS - radii * np.cos(angles)
+    states[..., HEADING], states[..., SPEED] = angles, 10.0
+    road, count, ticks, rows = circle(), len(vehicles), len(states) - 1, states.ravel()
+    bodies, shown = ([Body(LENGTH, WIDTH) for _ in vehicles] for _ in range(2))
+    way = {"starts": angles[0] * RADIUS, "ways": [None] * count, "end": road.end, "beside": None}
+    places = RoadPlaces(bodies, shown, road.bends, **way, ticks=ticks)
+    for tick, now in enumerate(states):
+        for body, state in zip(bodies, now, strict=True):
+            body.place(*state[:4])
+        places.see(rows, tick * count * COLUMNS)
+    scenario = scenario_of(count - 1)
+    run = object.__new__(VehiclesOfRun)
+    run.rules = SimpleNamespace(physics_hz=15, ads_hz=5, road=road, crossings=None)
+    run.scenario, run.director = scenario, SimpleNamespace(executed=scenario, arrivals=(), driven=())
+    run.places, run.rows, run.sizes = places, rows, [(LENGTH, WIDTH)] * count
+    run.loop = SimpleNamespace(tick=ticks, is_over=touched, ego_touched=touched, npcs_touched=False)
+    return run.trace(EgoDriver(bodies[0], 3))
 
 
 def approach(last, radius):

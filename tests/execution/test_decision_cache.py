@@ -17,8 +17,7 @@ from pytest_pafot.world import WorldError
 from tests.helpers.tables import table
 
 PI = PositionInstruction
-WORLDS = {engine: Highway(duration=30.0, engine=engine) for engine in ("kernel", "highway-env")}
-WORLD = WORLDS["kernel"]
+WORLD = Highway(duration=30.0)
 PARENT = Scenario(
     npcs=((PI(2, 22.0), PI(1, 24.0), PI(2, 20.0)), (PI(6, 22.0), PI(7, 22.0), PI(6, 25.0))), gene_seconds=3.0
 )
@@ -42,10 +41,10 @@ class Counting:
         return 0.1 * min(gap - 12.0, 24.0 - ego.speed), 0.0005 * beside - 0.2 * ego.heading
 
 
-def driven(scenario, decisions=(), world=WORLD):
+def driven(scenario, decisions=()):
     """Return a run, and the number of decisions that the policy made."""
     ads = Counting()
-    return world.rollout(scenario, lambda: ads, decisions=decisions), ads.asked
+    return WORLD.rollout(scenario, lambda: ads, decisions=decisions), ads.asked
 
 
 def differences(trace, other):
@@ -57,10 +56,10 @@ def differences(trace, other):
     return found if errors[0] == errors[1] else [*found, "error"]
 
 
-def remembering(*scenarios, world=WORLD):
+def remembering(*scenarios):
     prefixes = DecisionCache()
     for scenario in scenarios:
-        prefixes.remember(driven(scenario, world=world)[0])
+        prefixes.remember(driven(scenario)[0])
     return prefixes
 
 
@@ -74,7 +73,6 @@ def shared_decisions(child, parent=PARENT):
     return all_of_them - asked
 
 
-@pytest.mark.parametrize("name", WORLDS)
 @settings(max_examples=8)
 @given(
     seed=st.integers(0, 2**32),
@@ -84,14 +82,14 @@ def shared_decisions(child, parent=PARENT):
     ego_lane=st.sampled_from([0, 1, 3]),
 )
 @example(seed=0, npcs=4, lanes=True, gene_seconds=2.6, ego_lane=3)
-def test_related_runs_with_recalled_decisions_drive_the_same(name, seed, npcs, lanes, gene_seconds, ego_lane):
-    world, prefixes, rng = WORLDS[name], DecisionCache(decisions=200), np.random.default_rng(seed)
+def test_related_runs_with_recalled_decisions_drive_the_same(seed, npcs, lanes, gene_seconds, ego_lane):
+    prefixes, rng = DecisionCache(decisions=200), np.random.default_rng(seed)
     space = SearchSpace(npcs=npcs, genes=4, gene_seconds=gene_seconds, ego_lane=ego_lane)
     scenario = laned(sample(space, rng), rng) if lanes else sample(space, rng)
-    for _ in range(4 if name == "highway-env" else 12):
+    for _ in range(12):
         decisions = prefixes.recall(scenario)
-        whole, all_of_them = driven(scenario, world=world)
-        resumed, asked = driven(scenario, decisions, world)
+        whole, all_of_them = driven(scenario)
+        resumed, asked = driven(scenario, decisions)
         assert differences(resumed, whole) == []
         assert all_of_them - asked == min(len(decisions), all_of_them)
         prefixes.remember(resumed)
@@ -225,17 +223,14 @@ def test_run_larger_than_the_cache_is_not_stored():
 def test_only_asked_decisions_are_timed():
     trace, _ = driven(PARENT)
     assert trace.max_decision_seconds > 0
-    for world in WORLDS.values():
-        assert driven(PARENT, trace.actions, world)[0].max_decision_seconds == 0
+    assert driven(PARENT, trace.actions)[0].max_decision_seconds == 0
 
 
-@pytest.mark.parametrize("world", WORLDS.values(), ids=WORLDS)
-def test_a_decision_that_is_none_is_refused(world):
+def test_a_decision_that_is_none_is_refused():
     with pytest.raises(BadAction, match="expected"):
-        driven(PARENT, [(0.0, 0.0), "left"], world)
+        driven(PARENT, [(0.0, 0.0), "left"])
 
 
-@pytest.mark.parametrize("world", WORLDS.values(), ids=WORLDS)
-def test_a_vehicle_class_takes_no_decisions(world):
+def test_a_vehicle_class_takes_no_decisions():
     with pytest.raises(WorldError, match=r"IDMVehicle.*a vehicle class.*received 1"):
-        world.rollout(PARENT, IDMVehicle, decisions=[(0.0, 0.0)])
+        WORLD.rollout(PARENT, IDMVehicle, decisions=[(0.0, 0.0)])

@@ -16,7 +16,7 @@ SCENARIOS = [
 ]
 
 FRAMES = 8
-"""The number of frames from the function that requests a run to the engine's function, both included."""
+"""The number of frames from the function that requests a run to that of the run's loop, both included."""
 
 
 class Planner:
@@ -63,8 +63,8 @@ def runner_of(job_of):
     """Return a function that makes runners, and close their crash records at the end."""
     records = []
 
-    def make(ads, engine="auto", **options):
-        job = job_of(ads, engine=engine)
+    def make(ads, **options):
+        job = job_of(ads)
         records.append(job.crash_record())
         return runner_for(job, records[-1], **options)
 
@@ -73,16 +73,14 @@ def runner_of(job_of):
         record.close()
 
 
-@pytest.mark.parametrize(("engine", "function"), [("kernel", "run_planner"), ("highway-env", "run")])
-def test_call_depth_from_search_to_engine_is_limited(runner_of, engine, function):
-    with runner_of(Planner, engine=engine) as runner:
+def test_call_depth_from_search_to_run_is_limited(runner_of):
+    with runner_of(Planner) as runner:
         runner.announce(SCENARIOS[:4])
         for scenario in SCENARIOS[:4]:
             runner.run(scenario)
     names = callers[-1]
-    here = names.index("test_call_depth_from_search_to_engine_is_limited")
-    engines = [place for place, name in enumerate(names[:here]) if name == function]
-    assert here - engines[0] + 1 <= FRAMES, names[: here + 1]
+    here = names.index("test_call_depth_from_search_to_run_is_limited")
+    assert here - names.index("finish") + 1 <= FRAMES, names[: here + 1]
 
 
 def test_call_depth_from_search_to_batch_is_limited(runner_of):

@@ -11,6 +11,8 @@ from highway_env.vehicle.behavior import IDMVehicle
 from pytest_pafot.model.driving_style import STYLES, Traffic
 from pytest_pafot.model.scenario import PositionInstruction, Scenario
 from pytest_pafot.model.trace import ACCELERATION, HEADING, SPEED, STEERING, X, Y
+from pytest_pafot.world.driving.vehicles import Car
+from pytest_pafot.world.kernel.bodies import Body
 
 LENGTH, WIDTH, LANE_WIDTH = 5.0, 2.0, 4.0
 STANDING = 1e-6
@@ -51,6 +53,13 @@ TRAFFICS = (
     Traffic("hostile", least_speed_share=0.3, least_gap=20.0, braking=0.5, lateral_speed=0.8),
 )
 """One traffic of each style, and one with changed parameters."""
+
+
+def car(road, position, heading, speed):
+    """Return an NPC as highway-env's code sees it."""
+    body = Body(LENGTH, WIDTH)
+    body.place(*position, heading, speed)
+    return Car(road, body)
 
 
 def chains(rng: random.Random, npcs: int, genes: int, speed_limit: float) -> list[list[PositionInstruction]]:

@@ -18,7 +18,7 @@ GARBLED = {
         "cell",
     ),
     "a world that is not complete": (r", lanes: 4", "", "world"),
-    "a world with an engine": (r"lanes: 4", "lanes: 4, engine: kernel", "world.engine"),
+    "a world with an unknown key": (r"lanes: 4", "lanes: 4, colour: red", "world.colour"),
     "cell 0": (r"cell: \d, speed", "cell: 0, speed", "cell"),
     "cell 9": (r"cell: \d, speed", "cell: 9, speed", "cell"),
     "a speed that is no number": (r"speed: [\d.]+\}", "speed: .nan}", "speed"),

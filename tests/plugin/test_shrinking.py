@@ -224,9 +224,9 @@ def test_simplification_unfit_for_the_road_is_skipped(monkeypatch):
     assert (len(finding.scenario.npcs), finding.scenario.ego_lane, finding.scenario.genes) == (6, 1, 2)
 
 
-def rollouts_without_an_option(ads, **road):
+def rollouts_without_an_option(ads):
     request = SimpleNamespace(settings=SimpleNamespace(shrink_rollouts=None))
-    return rollouts_for(SimpleNamespace(request=request, world=Highway(**road), ads=ads))
+    return rollouts_for(SimpleNamespace(request=request, world=Highway(), ads=ads))
 
 
 def test_vehicle_class_in_the_kernel_gets_more_rollouts():
@@ -239,7 +239,6 @@ def test_vehicle_class_in_the_kernel_gets_more_rollouts():
 
     assert rollouts_without_an_option(IDMVehicle) == rollouts_without_an_option(Near) == ROLLOUTS_IN_KERNEL
     assert rollouts_without_an_option(Coasts) == ROLLOUTS
-    assert rollouts_without_an_option(Near, engine="highway-env") == ROLLOUTS
     assert rollouts_without_an_option(lambda: lambda observation: (0.0, 0.0)) == ROLLOUTS
 
 

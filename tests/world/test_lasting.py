@@ -7,7 +7,7 @@ from functools import partial
 
 import pytest
 from gymnasium.wrappers import FlattenObservation
-from highway_env.vehicle.behavior import IDMVehicle
+from highway_env.vehicle.behavior import IDMVehicle, LinearVehicle
 
 from example_ads.junctions import CarefulDriver
 from pytest_pafot.model.scenario import CrossingInstruction, PositionInstruction, Scenario
@@ -36,7 +36,7 @@ def hard_to_please(observation):
 JUNCTION = World("intersection-v0", planner_hz=5, duration=DURATION, config={"destination": "o2"})
 CASES = [
     *((Highway(duration=DURATION), ego) for ego in (*EGOS, lambda: hard_to_please)),
-    (Highway(duration=DURATION, engine="highway-env"), lambda: hard_to_please),
+    (Highway(duration=DURATION), LinearVehicle),
     (World("highway-v0", duration=DURATION), idle),
     (World("highway-v0", duration=DURATION), simulating),
     (World("highway-v0", duration=DURATION), IDMVehicle),

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from gymnasium.wrappers import FlattenObservation
-from highway_env.vehicle.behavior import IDMVehicle
+from highway_env.vehicle.behavior import IDMVehicle, LinearVehicle
 from highway_env.vehicle.controller import ControlledVehicle
 
 from pytest_pafot.attribution.last_chance import avoidance, last_chance
@@ -44,9 +44,10 @@ def on(env_id, drive, **config):
 
 
 CASES = {
-    "kernel": lambda: (HIGHWAY, HIGHWAY.rollout(BRAKES, changing_lanes)),
-    "objects": lambda: ((world := Highway(duration=14.0, engine="highway-env")), world.rollout(BRAKES, weaving)),
+    "planner": lambda: (HIGHWAY, HIGHWAY.rollout(BRAKES, changing_lanes)),
+    "planner off the road": lambda: (HIGHWAY, HIGHWAY.rollout(BRAKES, weaving)),
     "vehicle class": lambda: (HIGHWAY, HIGHWAY.rollout(BRAKES, IDMVehicle)),
+    "vehicle class with own code": lambda: (HIGHWAY, HIGHWAY.rollout(BRAKES, LinearVehicle)),
     "larger vehicle": lambda: (HIGHWAY, HIGHWAY.rollout(BRAKES, Lorry)),
     "policy": lambda: on("highway-v0", lambda: lambda seen: 3),
     "policy in wrappers": lambda: on("highway-v0", lambda: lambda seen: 3, wrappers=[FlattenObservation]),
@@ -55,7 +56,7 @@ CASES = {
 }
 
 
-@pytest.mark.parametrize("name", mostly_oracle(CASES, "kernel", "larger vehicle", "policy", "bend"))
+@pytest.mark.parametrize("name", mostly_oracle(CASES, "planner", "larger vehicle", "policy", "bend"))
 def test_run_before_taking_over_equals_the_recording(name):
     world, trace = CASES[name]()
     for tick in (0, trace.ticks // 2, trace.ticks - 1):

@@ -28,7 +28,7 @@ def constants_of(vehicle: Any) -> dict[str, float]:
 
 
 def compiled_vehicle(vehicle: Any, road: StraightRoad) -> TrafficVehicle:
-    """Return a compiled vehicle of ordinary traffic, in road coordinates, with the state of a vehicle of highway-env."""
+    """Return a compiled vehicle of ordinary traffic, in road coordinates, in the state of a highway-env vehicle."""
     body = TrafficVehicle(
         constants_of(vehicle),
         road.grid,
@@ -49,7 +49,8 @@ def compiled_vehicle(vehicle: Any, road: StraightRoad) -> TrafficVehicle:
 def compiled_network(network: Any) -> Network | None:
     """Return a road network of highway-env in plain numbers; None if it has lanes of other classes."""
     lanes = network.lanes_dict()
-    kinds, shapes = [], []
+    kinds = list[int]()
+    shapes = list[Any]()
     for lane in lanes.values():
         if type(lane) not in KINDS or lane.speed_limit is None:
             return None
@@ -109,5 +110,6 @@ def obstacles_on(road: Any) -> list[Body]:
     for each in road.objects:
         if not isinstance(each, Landmark):
             bodies.append(StaticObstacle(float(each.LENGTH), float(each.WIDTH)))
-            bodies[-1].place(*map(float, each.position), float(each.heading), float(each.speed))
+            x, y = map(float, each.position)
+            bodies[-1].place(x, y, float(each.heading), float(each.speed))
     return bodies

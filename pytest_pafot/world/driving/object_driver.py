@@ -52,16 +52,24 @@ class ObjectDriver(GuardedDriver):
 
     Args:
         vehicle: the ego as a highway-env vehicle, at its start.
+        road: the road of highway-env; the vehicle's own ``road`` may be the user's.
         guard: the guard of its code.
         every: the number of physics ticks between decisions.
         ego: the ego in the loop; by default a body that follows the vehicle.
     """
 
-    def __init__(self, vehicle: Any, guard: HangGuard, every: int = 1, ego: Body | None = None) -> None:
+    def __init__(self, vehicle: Any, road: Any, guard: HangGuard, every: int = 1, ego: Body | None = None) -> None:
         super().__init__(ego or body_of(vehicle), every, guard)
         self.vehicle = vehicle
-        self._regulated = vehicle.road if isinstance(vehicle.road, EgosRegulatedRoad) else None
+        self.road = road
+        self._regulated = road if isinstance(road, EgosRegulatedRoad) else None
         self._tick = 0
+
+    def show(self, places: Places, road: Any) -> None:
+        """Put the ego on its road, and the NPCs as it sees them; ``road`` is the road in the grid's coordinates."""
+        cars = [Car(self.road, body) for body in places.vehicles[1:]]
+        foresee(cars, places, road)
+        self.road.vehicles = [self.vehicle, *cars]
 
     def decided(self, tick: int) -> Any:
         """Call the vehicle's own ``act``."""
@@ -92,13 +100,6 @@ def follow(body: Body, vehicle: Any) -> None:
     x, y = vehicle.position
     body.place(float(x), float(y), float(vehicle.heading), float(vehicle.speed))
     body.acceleration, body.steering = float(vehicle.action["acceleration"]), float(vehicle.action["steering"])
-
-
-def show_vehicles(vehicle: Any, places: Places, road: Any) -> None:
-    """Put the ego, a highway-env vehicle, and the NPCs as it sees them on its road."""
-    cars = [Car(vehicle.road, body) for body in places.vehicles[1:]]
-    foresee(cars, places, road)
-    vehicle.road.vehicles = [vehicle, *cars]
 
 
 def foresee(npcs: Sequence[Any], places: Places, road: Any) -> None:

@@ -50,7 +50,7 @@ class PolicyDriver(ObjectDriver):
         ego: Body | None = None,
     ) -> None:
         check_action_space(env.action_space)
-        super().__init__(env.vehicle, guard, every, ego)
+        super().__init__(env.vehicle, env.road, guard, every, ego)
         self.env = env
         self._ads = ads
         self._observe = observer(env)

@@ -24,7 +24,7 @@ OF_THE_ROAD = ("KinematicObservation", "OccupancyGridObservation", "TimeToCollis
 
 @dataclass(frozen=True, eq=False)
 class SeeingAds:
-    """An ADS with an imperfect sight; the engine passes to ``ads`` only what this sight lets it see."""
+    """An ADS with an imperfect sight; a run passes to ``ads`` only what this sight lets it see."""
 
     ads: Any
     sight: Sight

@@ -1,1 +1,1 @@
-"""The engines that simulate runs: in the kernel, with highway-env's objects, in lock step, or with ``env.step``."""
+"""Runs of scenarios: of every kind of ego by one loop, many in lock step, and by ``env.step`` as a check."""

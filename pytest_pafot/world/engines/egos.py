@@ -99,13 +99,13 @@ def vehicle_run(rules: Rules, scenario: Scenario, network: Callable[[], Any], ve
         ego.start(*start, scenario.ego_speed, model.changes_lanes)
         vehicles = VehiclesOfRun(rules, scenario, ego)
         return SteppedRun(vehicles, ModelDriver(ego, vehicles.vehicles[1:]), guard)
-    from pytest_pafot.world.driving.object_driver import ObjectDriver, show_vehicles  # noqa: PLC0415  (a second of imports)
+    from pytest_pafot.world.driving.object_driver import ObjectDriver  # noqa: PLC0415  (a second of imports)
     from pytest_pafot.world.stock import Road  # noqa: PLC0415
 
     on = Road(network(), np_random=np.random.default_rng(scenario.seed))
-    driver = ObjectDriver(vehicle_of(vehicle_class, on, start, scenario.ego_speed, None), guard)
+    driver = ObjectDriver(vehicle_of(vehicle_class, on, start, scenario.ego_speed, None), on, guard)
     vehicles = VehiclesOfRun(rules, scenario, driver.ego, on.network)
-    show_vehicles(driver.vehicle, vehicles.places, road)
+    driver.show(vehicles.places, road)
     return SteppedRun(vehicles, driver, guard)
 
 

@@ -14,7 +14,7 @@ from pytest_pafot.model.trace import Trace
 from pytest_pafot.world.driving.ads import AdsFactory, is_vehicle_class, make_ads, wants_env
 from pytest_pafot.world.driving.compiled_vehicle import goal_vehicle, obstacles_on
 from pytest_pafot.world.driving.idm_model import idm_model
-from pytest_pafot.world.driving.object_driver import ObjectDriver, show_vehicles
+from pytest_pafot.world.driving.object_driver import ObjectDriver
 from pytest_pafot.world.driving.perception import ads_and_sight
 from pytest_pafot.world.driving.policy import ModelPolicyDriver, PolicyDriver, View, copies_on
 from pytest_pafot.world.driving.seeing import policy_sight
@@ -25,6 +25,7 @@ from pytest_pafot.world.guard.failure import closing
 from pytest_pafot.world.guard.hang_guard import HangGuard
 from pytest_pafot.world.gym_environment import GymEnvironment
 from pytest_pafot.world.kernel.loop import ModelDriver
+from pytest_pafot.world.kernel.network import Network
 from pytest_pafot.world.roads.straight import StraightRoad
 from pytest_pafot.world.run_config import Rules
 from pytest_pafot.world.stock import MDPVehicle, RegulatedRoad, Road, Vehicle
@@ -44,9 +45,10 @@ def rollout(environment: GymEnvironment, rules: Rules, scenario: Scenario, ads_f
         if is_vehicle_class(ads):
             start = rules.ego_position(scenario)
             ego = vehicle_of(ads, env.road, start, scenario.ego_speed, environment.route)
-            if idm_model(ads) is None or not _are_known(environment, env.road):
-                return _begun(rules, scenario, ObjectDriver(ego, guard), guard).finish()
-            model = goal_vehicle(ego, environment.compiled_lanes)
+            lanes = _lanes_of_idm(environment, env.road)
+            if idm_model(ads) is None or lanes is None:
+                return _begun(rules, scenario, ObjectDriver(ego, env.road, guard), guard).finish()
+            model = goal_vehicle(ego, lanes)
             vehicles = VehiclesOfRun(rules, scenario, model, env.road.network)
             others = [*vehicles.vehicles[1:], *obstacles_on(env.road)]
             return SteppedRun(vehicles, ModelDriver(model, others), guard).finish()
@@ -64,11 +66,12 @@ def begin(
     return _begun(rules, scenario, _policy_driver(environment, rules, scenario, None, env, guard, None, sight), guard)
 
 
-def _are_known(environment: GymEnvironment, road: Any) -> bool:
-    """Return whether the kernel knows the lanes of a road and what an IDM vehicle considers on it."""
-    has_objects = isinstance(environment.compiled_lanes, StraightRoad) and road.objects
+def _lanes_of_idm(environment: GymEnvironment, road: Any) -> StraightRoad | Network | None:
+    """Return the lanes for an IDM vehicle; None if the kernel does not know them or all that it considers there."""
+    lanes = environment.compiled_lanes
+    has_objects = isinstance(lanes, StraightRoad) and road.objects
     is_plain = type(road) is Road and not road.neighbour_vehicles_connected_lanes
-    return environment.compiled_lanes is not None and is_plain and not has_objects
+    return lanes if is_plain and not has_objects else None
 
 
 def _policy_driver(
@@ -91,8 +94,8 @@ def _policy_driver(
 
 
 def _begun(rules: Rules, scenario: Scenario, driver: ObjectDriver, guard: HangGuard) -> SteppedRun:
-    vehicles = VehiclesOfRun(rules, scenario, driver.ego, driver.vehicle.road.network)
-    show_vehicles(driver.vehicle, vehicles.places, rules.road)
+    vehicles = VehiclesOfRun(rules, scenario, driver.ego, driver.road.network)
+    driver.show(vehicles.places, rules.road)
     return SteppedRun(vehicles, driver, guard)
 
 

@@ -85,7 +85,10 @@ class NetworkDirector(Director):
         return self._bends.exists(lane, npc.x)
 
     def _existing(self, ego: Body) -> frozenset[Cell]:
-        return self._road.cells(ego.x, ego.lane, (self._row + self._clearance) / self._stretch(ego))
+        existing: frozenset[Cell] = self._road.cells(
+            ego.x, ego.lane, (self._row + self._clearance) / self._stretch(ego)
+        )
+        return existing
 
     def _stretch(self, body: Body) -> float:
         """Return how many metres a vehicle drives in its lane per metre of the way."""

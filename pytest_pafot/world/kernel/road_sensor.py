@@ -56,7 +56,10 @@ class RoadSensor(Sensor):
         self._common = common
         self._physics_hz = physics_hz
         self._every = every
-        self._sight, self._seed = sight or (None, 0)
+        self._sight: Any = None
+        self._seed = 0
+        if sight is not None:
+            self._sight, self._seed = sight
         self._sizes = [(each.length, each.width) for each in places.vehicles]
         self._drift = 0.0
 
@@ -78,7 +81,8 @@ class RoadSensor(Sensor):
         self.across, self.heading = ego.y, ego.heading
         cos, sin = math.cos(heading), math.sin(heading)
         others, ids, lateral, crossing = [], [], [self._drift], []
-        then, glimpses = row, [(npc, 0.0, 0.0, 0.0) for npc in range(count - 1)]
+        then = row
+        glimpses: Any = [(npc, 0.0, 0.0, 0.0) for npc in range(count - 1)]
         if self._sight is not None:
             before = max(0, tick - self._sight.delay(self._physics_hz))
             then = before * count * COLUMNS

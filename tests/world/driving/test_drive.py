@@ -18,9 +18,8 @@ from hypothesis import strategies as st
 from pytest_pafot import Drive, Highway, PositionInstruction, Scenario, World
 from pytest_pafot.campaign.setup_fault import unit_doubt
 from pytest_pafot.model.trace import ACCELERATION, HEADING, OFFSET, SPEED, STEERING, Outcome, X, Y
-from pytest_pafot.world.engines.selection import rollout_planner
 from tests.helpers.c_library import c_library
-from tests.helpers.engine_cases import Case, differences
+from tests.helpers.run_cases import Case, differences
 from tests.helpers.tables import table
 
 BEHIND = Scenario(npcs=[[PositionInstruction(6, 15.0)]], gene_seconds=8.0)
@@ -52,17 +51,18 @@ def changing(seed):
 
 
 @table("seed", range(12))
-def test_both_engines_drive_to_lanes_identically(seed):
+def test_env_step_drives_to_lanes_identically(seed):
     case = replace(Case.random(seed), ego=changing(seed))
-    assert differences(case.run("kernel"), case.run("highway-env")) == []
+    with c_library():
+        assert differences(case.run(), case.run_in_gym()) == []
 
 
-def test_highway_env_step_drives_to_lanes_the_same():
+def test_numpy_rounding_changes_drives_to_lanes_by_less_than_centimetre():
     for seed in range(4):
         case = replace(Case.random(seed), ego=changing(seed))
-        fast, stock = case.run("kernel"), case.world.rollout_in_gym(case.scenario, case.ego)
-        assert (fast.outcome, fast.actions) == (stock.outcome, stock.actions)
-        assert abs(fast.states[..., :2] - stock.states[..., :2]).max() < 0.01
+        own, stock = case.run(), case.run_in_gym()
+        assert (own.outcome, own.actions) == (stock.outcome, stock.actions)
+        assert abs(own.states[..., :2] - stock.states[..., :2]).max() < 0.01
 
 
 class ToSpeed25(ControlledVehicle):
@@ -251,9 +251,8 @@ def test_pair_after_a_drive_is_held_as_usual():
         (Drive(lane=1, speed=20.0, lateral_jerk="5"), "lateral_jerk= from 0.1"),
     ],
 )
-@table("engine", ["kernel", "highway-env"])
-def test_empty_drive_or_missing_lane_is_bad_action(drive, said, engine):
-    error = Highway(engine=engine).rollout(BEHIND, always(drive)).error
+def test_empty_drive_or_missing_lane_is_bad_action(drive, said):
+    error = Highway().rollout(BEHIND, always(drive)).error
     assert error.kind == "BadAction"
     assert re.match(f"expected pafot.Drive with {said}.*, received Drive", error.message)
 
@@ -300,11 +299,10 @@ def test_decisions_that_were_recorded_are_driven_again():
 
 
 def driven_on(env_id, action, seconds=6.0):
-    world = World(env_id, duration=seconds)
+    world = World(env_id, duration=seconds, planner_hz=15)
     lane, speed = world.start
     scenario = Scenario(npcs=[[PositionInstruction(6, 1.0)]], ego_lane=lane, ego_speed=speed, gene_seconds=seconds)
-    rules = replace(world.rules, ads_hz=world.rules.physics_hz)
-    return world, rollout_planner(world, rules, scenario, action)
+    return world, world.rollout(scenario, lambda: action)
 
 
 @pytest.mark.parametrize("env_id", ["roundabout-v0", "racetrack-v0"])

@@ -13,7 +13,7 @@ from pytest_pafot.world.engines.lock_step import batching_ads
 from tests.helpers.stopped_clock import StoppedClock
 from tests.helpers.tables import table
 
-HIGHWAYS = {engine: Highway(duration=12.0, engine=engine) for engine in ("kernel", "highway-env")}
+HIGHWAY = Highway(duration=12.0)
 ENVIRONMENT = World("highway-v0", duration=12.0)
 ALONE = Scenario(npcs=[[PositionInstruction(2, 15.0)]])
 
@@ -60,10 +60,9 @@ def differences(traces, others):
     ]  # fmt: skip
 
 
-@pytest.mark.parametrize("world", HIGHWAYS.values(), ids=HIGHWAYS)
-def test_planner_in_lock_step_drives_as_alone(world):
-    alone = [world.rollout(scenario, Planner) for scenario in scenarios()]
-    assert differences(world.rollout_batch(scenarios(), Planner), alone) == []
+def test_planner_in_lock_step_drives_as_alone():
+    alone = [HIGHWAY.rollout(scenario, Planner) for scenario in scenarios()]
+    assert differences(HIGHWAY.rollout_batch(scenarios(), Planner), alone) == []
     assert len({trace.ticks for trace in alone}) > 1, "they should end at different times"
 
 
@@ -95,8 +94,7 @@ def test_actions_may_be_rows_of_an_array():
     assert differences(world.rollout_batch(scenarios(), Stacked), world.rollout_batch(scenarios(), Planner)) == []
 
 
-@pytest.mark.parametrize("world", HIGHWAYS.values(), ids=HIGHWAYS)
-def test_batch_array_has_nan_rows_for_missing_vehicles(world):
+def test_batch_array_has_nan_rows_for_missing_vehicles():
     class Looking(Planner):
         def batch(self, observations):
             values = observations.array
@@ -107,7 +105,7 @@ def test_batch_array_has_nan_rows_for_missing_vehicles(world):
                 assert np.isnan(rows[len(vehicles) :]).all()
             return super().batch(observations)
 
-    traces = world.rollout_batch(scenarios(), Looking)
+    traces = HIGHWAY.rollout_batch(scenarios(), Looking)
     assert [trace.error for trace in traces] == [None] * 6
 
 
@@ -177,9 +175,8 @@ class Panic(BaseException):
     ],
     ids=["raises", "panics", "hangs", "not finite", "no action"],
 )
-@pytest.mark.parametrize("engine", ["kernel", "highway-env"])
-def test_failing_decision_ends_only_its_own_run(engine, how, outcome, kind, monkeypatch):
-    world, clock = Highway(duration=4.0, engine=engine), StoppedClock(monkeypatch)
+def test_failing_decision_ends_only_its_own_run(how, outcome, kind, monkeypatch):
+    world, clock = Highway(duration=4.0), StoppedClock(monkeypatch)
     traces = world.rollout_batch(scenarios(4), lambda: Failing(how or (lambda: clock.sleep(1000.0))))
     healthy = [world.rollout(scenario, Planner) for scenario in scenarios(4)]
     assert [(trace.outcome, trace.error.kind) for trace in traces[:1]] == [(outcome, kind)]

@@ -9,19 +9,21 @@ import pytest
 
 from pytest_pafot.model.scenario import PositionInstruction, Scenario
 from pytest_pafot.world import Highway, Observation, VehicleState
+from tests.helpers.c_library import c_library
 from tests.helpers.tables import table
 
 SCENARIO = Scenario(npcs=[[PositionInstruction(1, 25.0)], [PositionInstruction(5, 20.0)]], gene_seconds=4.0)
 
 
-def seen_by(engine):
+def seen_in(rollout):
     seen = []
-    Highway(engine=engine).rollout(SCENARIO, lambda: lambda observation: seen.append(observation) or (0.5, 0.002))
+    rollout(SCENARIO, lambda: lambda observation: seen.append(observation) or (0.5, 0.002))
     return seen
 
 
-def test_both_engines_show_the_same_after_the_run():
-    assert seen_by("kernel") == seen_by("highway-env")
+def test_env_step_shows_the_same_after_the_run():
+    with c_library():
+        assert seen_in(Highway().rollout) == seen_in(Highway().rollout_in_gym)
 
 
 def test_observation_matches_last_tick_of_the_trace():
@@ -35,10 +37,10 @@ def test_observation_matches_last_tick_of_the_trace():
 
 
 def test_observations_of_different_times_differ():
-    first, second, *_ = seen_by("kernel")
+    first, second, *_ = seen_in(Highway().rollout)
     assert first != second
     assert first != tuple(first._values())
-    assert len({hash(observation) for observation in seen_by("kernel")}) == 20
+    assert len({hash(observation) for observation in seen_in(Highway().rollout)}) == 20
 
 
 def test_an_observation_can_be_made_printed_and_pickled():
@@ -48,11 +50,11 @@ def test_an_observation_can_be_made_printed_and_pickled():
     assert (made.ids, made.lateral_velocities, made.lane_centres) == ((0,), (0.0, 0.0), (0.0, 4.0, 8.0, 12.0))
     assert eval(repr(made)) == made
     assert made.array.tolist() == [list(state), list(state)]
-    for observation in (made, seen_by("kernel")[3]):
+    for observation in (made, seen_in(Highway().rollout)[3]):
         assert pickle.loads(pickle.dumps(observation)) == observation
 
 
 @table("name", ["time", "ego", "others", "lanes", "lane_width", "speed_limit", "ids", "steering"])
 def test_an_observation_is_read_only(name):
     with pytest.raises(AttributeError):
-        setattr(seen_by("kernel")[0], name, 1)
+        setattr(seen_in(Highway().rollout)[0], name, 1)

@@ -1,23 +1,25 @@
-"""A planner in SI units sees vehicles along its way there, and all others at junctions."""
+"""The observations of a planner in SI units: vehicles on its way along that way, and all others at junctions."""
 
 from __future__ import annotations
 
 import math
+from array import array
 from dataclasses import replace
 from types import SimpleNamespace
 
 import gymnasium
 import numpy as np
 import pytest
-from highway_env.road.road import Road
 
 from pytest_pafot import CrossingInstruction, Drive, Perception, PositionInstruction, Scenario, World, WorldError
 from pytest_pafot.model.sight import Sight
 from pytest_pafot.model.trace import ALONG
 from pytest_pafot.world import AdsFactoryError, from_dict
-from pytest_pafot.world.driving.road_planner import RoadPlanner
-from pytest_pafot.world.driving.seeing import PlannerSight
-from pytest_pafot.world.driving.vehicles import Car
+from pytest_pafot.world.kernel.bodies import Body
+from pytest_pafot.world.kernel.observation import COLUMNS
+from pytest_pafot.world.kernel.places import RoadPlaces
+from pytest_pafot.world.kernel.road_sensor import RoadSensor
+from pytest_pafot.world.roads.route import STEP
 
 WORLD = World("intersection-v0", config={"destination": "o2"}, planner_hz=5)
 JUNCTION = WORLD.rules.junction
@@ -26,16 +28,31 @@ HALF = 111.0
 """The distance from the middle of the intersection to the outer ends of the roads [m]."""
 
 
-def planner_on(*npcs, ways=(), sight=None):
-    """Return a planner whose ego has driven 60 m from the south, among vehicles at x, y, heading, speed."""
-    road = Road(WORLD.network, np_random=np.random.default_rng(0))
-    cars = [Car(road, place[:2], *place[2:]) for place in ((2.0, HALF - 60.0, -math.pi / 2, 10.0), *npcs)]
-    road.vehicles = cars
-    network = WORLD.road
-    seen = None if sight is None else PlannerSight(sight, 7, 15, None)
-    starts = [network.start + row * 20.0 for row in (-1, 0, 1)]
-    common = {"starts": starts, "junction": JUNCTION, "ways": ways, "sight": seen}
-    return RoadPlanner(lambda _: (0.0, 0.0), road, network, cars[0], 15, 3, **common)
+def sensor_on(*npcs, ways, sight=None):
+    """Return the sensor of an ego that has driven 60 m from the south, among vehicles at x, y, heading, speed.
+
+    The record of its run has four ticks, in which all drive straight on. ``ways`` has the way of each vehicle that
+    crosses, and None for each other vehicle.
+    """
+    road, states = WORLD.road, ((2.0, HALF - 60.0, -math.pi / 2, 10.0), *npcs)
+    vehicles, bodies = ([Body(5.0, 2.0) for _ in states] for _ in range(2))
+    lines = [road.line, *(road.line if way is None else JUNCTION.ways[way].line for way in ways)]
+    starts = [np.hypot(line.x - x, line.y - y).argmin() * STEP for line, (x, y, *_) in zip(lines, states, strict=True)]
+    own = [None, *(None if way is None else JUNCTION.own_ways[way] for way in ways)]
+    places = RoadPlaces(
+        vehicles, bodies, road.bends, starts=starts, ways=own, end=road.end, beside=lambda *_: (-1, None), ticks=3
+    )
+    rows = array("d", bytes(8 * 4 * len(states) * COLUMNS))
+    for tick in range(4):
+        for number, (vehicle, (x, y, heading, speed)) in enumerate(zip(vehicles, states, strict=True)):
+            far = speed * tick / 15
+            vehicle.place(x + far * math.cos(heading), y + far * math.sin(heading), heading, speed)
+            row = (tick * len(states) + number) * COLUMNS
+            rows[row : row + 4] = array("d", (vehicle.x, vehicle.y, heading, speed))
+        places.see(rows, tick * len(states) * COLUMNS)
+    zones = [None if way is None else JUNCTION.ways[way].way.zone for way in ways]
+    common = road.lane_count, road.lane_width, road.speed_limit, road.end
+    return RoadSensor(places, rows, road.bends, zones, common, 15, 3, None if sight is None else (sight, 7))
 
 
 EGO_ENTERS, ENTERS = FROM_THE_RIGHT.way.zone.ego[0], FROM_THE_RIGHT.way.zone.npc[0]
@@ -44,8 +61,7 @@ EAST = (HALF - 90.0, -2.0, math.pi, 8.0)
 
 
 def test_crossing_vehicle_is_seen_on_its_own_way():
-    planner = planner_on((2.0, HALF - 75.0, -math.pi / 2, 9.0), EAST, ways=[None, FROM_THE_RIGHT])
-    seen = planner.observe(0)
+    seen = sensor_on((2.0, HALF - 75.0, -math.pi / 2, 9.0), EAST, ways=[None, "o3>o1"]).observation(0)
     assert seen.ids == (0,)
     assert [other.x - seen.ego.x for other in seen.others] == pytest.approx([15.0])
     (crossing,) = seen.crossing
@@ -57,11 +73,10 @@ def test_crossing_vehicle_is_seen_on_its_own_way():
 
 
 def test_who_has_merged_is_one_of_the_others():
-    ways = [TURNS_IN]
-    before = planner_on((HALF - 105.0, -3.5, math.pi + 0.59, 6.0), ways=ways).observe(0)
+    before = sensor_on((HALF - 105.0, -3.5, math.pi + 0.59, 6.0), ways=["o3>o2"]).observation(0)
     assert (len(before.others), [each.is_inside for each in before.crossing]) == (0, [True])
     assert before.crossing[0].to_leave == pytest.approx(TURNS_IN.way.zone.npc[1] - 105.3, abs=0.2)
-    after = planner_on((2.2, -30.0, -math.pi / 2 - 0.1, 6.0), ways=ways).observe(0)
+    after = sensor_on((2.2, -30.0, -math.pi / 2 - 0.1, 6.0), ways=["o3>o2"]).observation(0)
     assert ([other.x - after.ego.x for other in after.others], after.crossing) == (pytest.approx([81.0], abs=0.2), ())
 
 
@@ -69,23 +84,17 @@ def test_who_has_merged_is_one_of_the_others():
     ("sight", "is_seen"), [({"range": 50.0}, False), ({"range": 60.0}, True), ({"dropout": 1.0}, False)]
 )
 def test_an_imperfect_sight_hides_who_crosses(sight, is_seen):
-    seen = planner_on(EAST, ways=[FROM_THE_RIGHT], sight=Sight(**sight)).observe(0)
+    seen = sensor_on(EAST, ways=["o3>o1"], sight=Sight(**sight)).observation(0)
     assert bool(seen.crossing) is is_seen
 
 
 def test_who_crosses_is_seen_late_and_with_errors():
-    ways = [FROM_THE_RIGHT]
-    planner = planner_on(EAST, ways=ways, sight=Sight(latency=0.2))
-    (was,) = planner.observe(0).crossing
-    for _ in range(3):
-        planner.apply(Drive(lane=0, speed=10.0))
-        planner.actuate()
-        for car in planner.road.vehicles:
-            car.step(1 / 15)
-    (now,) = planner.observe(3).crossing
+    sensor = sensor_on(EAST, ways=["o3>o1"], sight=Sight(latency=0.2))
+    (was,), (now,) = (sensor.observation(tick).crossing for tick in (0, 3))
     assert (now.distance, now.ahead - was.ahead) == pytest.approx((was.distance, -2.0), abs=1e-6)
     assert was.ego_distance - now.ego_distance == pytest.approx(2.0, abs=1e-6)
-    (noisy,) = planner_on(EAST, ways=ways, sight=Sight(noise={"position": 1.0, "speed": 1.0})).observe(0).crossing
+    noise = Sight(noise={"position": 1.0, "speed": 1.0})
+    (noisy,) = sensor_on(EAST, ways=["o3>o1"], sight=noise).observation(0).crossing
     assert noisy.distance - was.distance == pytest.approx(noisy.right - was.right, abs=0.01)
     assert noisy.ahead != was.ahead
     assert noisy.speed != was.speed

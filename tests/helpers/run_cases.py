@@ -1,4 +1,4 @@
-"""Random runs for both engines, and the differences between two traces."""
+"""Random runs on a highway, and the differences between two traces."""
 
 from __future__ import annotations
 
@@ -86,8 +86,12 @@ class Case:
             scenario = in_lanes(scenario, rng, share=0.5 if seed % 4 == 1 else 1.0)
         return cls(world, scenario, rng.choice(ALL_EGOS))
 
-    def run(self, engine: str):
-        return replace(self.world, engine=engine).rollout(self.scenario, self.ego)
+    def run(self):
+        return self.world.rollout(self.scenario, self.ego)
+
+    def run_in_gym(self):
+        """Return the run by ``env.step`` of highway-env's own environment."""
+        return self.world.rollout_in_gym(self.scenario, self.ego)
 
 
 def in_lanes(scenario: Scenario, rng: random.Random, share: float = 1.0) -> Scenario:

@@ -1,0 +1,170 @@
+"""Which driver drives an ego, and that every run equals the run by highway-env's own ``env.step``."""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import replace
+
+import pytest
+from highway_env.vehicle.behavior import AggressiveVehicle, IDMVehicle, LinearVehicle
+from highway_env.vehicle.controller import MDPVehicle
+from highway_env.vehicle.kinematics import Vehicle
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+
+from example_ads import defects
+from pytest_pafot import Highway, Outcome, PositionInstruction, Scenario, World
+from pytest_pafot.world.driving.idm_model import CONSTANTS, idm_model
+from pytest_pafot.world.driving.object_driver import ObjectDriver
+from pytest_pafot.world.engines import egos
+from pytest_pafot.world.engines.run import SteppedRun
+from pytest_pafot.world.kernel.loop import ModelDriver, PlannerDriver
+from pytest_pafot.world.reference_drivers import REFERENCES
+from tests.helpers.c_library import c_library
+from tests.helpers.run_cases import ALL_EGOS, Case, Hurried, differences
+from tests.helpers.stages import oracle
+from tests.helpers.world_cases import TRAFFICS
+
+SCENARIO = Scenario(npcs=[[PositionInstruction(2, 15.0)], [PositionInstruction(4, 20.0)]], gene_seconds=4.0)
+
+
+def idle():
+    return lambda observation: (0.0, 0.0)
+
+
+# --- the same results
+
+
+def assert_same(case):
+    with c_library():
+        assert differences(case.run(), case.run_in_gym()) == []
+
+
+@given(st.integers(10_000, 2**32))
+@example(133_539)  # where the dot product of numpy's linear algebra rounds otherwise than its products and their sum
+def test_run_equals_that_of_env_step_exactly(seed):
+    assert_same(Case.random(seed))
+
+
+@pytest.mark.oracle
+@pytest.mark.parametrize("ego", ALL_EGOS, ids=lambda ego: ego.__name__)
+@settings(max_examples=12)
+@given(seed=st.integers(10_000, 2**32))
+def test_every_ego_drives_exactly_as_by_env_step(ego, seed):
+    assert_same(replace(Case.random(seed), ego=ego))
+
+
+def in_python(vehicle_class):
+    """Return a vehicle class that drives the same, but has code of its own, so that its objects drive."""
+    return type("InPython", (vehicle_class,), {"act": lambda self, action=None: vehicle_class.act(self, action)})
+
+
+@given(st.integers(10_000, 2**32), st.sampled_from([IDMVehicle, Hurried]))
+def test_vehicle_objects_drive_exactly_as_the_compiled_model(seed, vehicle_class):
+    case = replace(Case.random(seed), ego=vehicle_class)
+    with c_library():
+        assert differences(case.run(), replace(case, ego=in_python(vehicle_class)).run()) == []
+
+
+@pytest.mark.parametrize("first", [10_000, oracle(10_020)])
+def test_numpy_rounding_changes_positions_by_less_than_centimetre(first):
+    """This is true of nearly all runs, but rounding can decide a vehicle's action, so the test names these runs."""
+    cases = [Case.random(seed) for seed in range(first, first + 20)]
+    # The model of an IDM ego that wants to stand oscillates around 0 m/s, which amplifies any rounding.
+    cases = [case for case in cases if case.ego not in (IDMVehicle, Hurried) or case.scenario.ego_speed > 0]
+    assert len(cases) > 13
+    for case in cases:
+        own, stock = case.run(), case.run_in_gym()
+        assert (own.outcome, own.executed, own.arrivals) == (stock.outcome, stock.executed, stock.arrivals)
+        assert abs(own.states[..., :2] - stock.states[..., :2]).max() < 0.01
+
+
+def test_compared_random_runs_cover_all_egos_and_ends():
+    cases = [Case.random(seed) for seed in range(150)]
+    outcomes = {case.run().outcome for case in cases}
+    assert {case.ego for case in cases} == set(ALL_EGOS)
+    assert {Outcome.SAFE, Outcome.COLLISION, Outcome.OFF_ROAD, Outcome.ADS_ERROR} <= outcomes
+    assert {len(case.scenario.npcs) for case in cases} == set(range(1, 9))
+    assert {case.scenario.traffic for case in cases} == set(TRAFFICS)
+
+
+def test_a_model_that_drives_otherwise_is_noticed(monkeypatch):
+    case = Case(Highway(), SCENARIO, IDMVehicle)
+    slower = {name: getattr(IDMVehicle, name) for name in CONSTANTS} | {"TIME_WANTED": 1.5000001}
+    model = replace(idm_model(IDMVehicle), constants=slower)
+    monkeypatch.setattr(egos, "idm_model", lambda ads: model)
+    with c_library():
+        assert differences(case.run(), case.run_in_gym()) != []
+
+
+@pytest.mark.parametrize("name", ["careful-human", "fuzzy-safety", "idm-aeb"])
+def test_reference_drivers_drive_exactly_as_by_env_step(name):
+    for seed in range(5):
+        case = Case.random(seed)
+        every_tick = replace(case.world, ads_hz=case.world.physics_hz)
+        with c_library():
+            own = case.world.rollout_reference(case.scenario, name)
+            assert differences(own, every_tick.rollout_in_gym(case.scenario, REFERENCES[name])) == []
+
+
+# --- which driver drives
+
+
+@pytest.fixture
+def drivers(monkeypatch):
+    """Return the classes of the drivers that drove, in order."""
+    classes, finish = [], SteppedRun.finish
+    monkeypatch.setattr(SteppedRun, "finish", lambda run: classes.append(type(run.driver)) or finish(run))
+    return classes
+
+
+class OwnRules(IDMVehicle):
+    def mobil(self, lane_index):
+        return False
+
+
+class OwnStart(Hurried):
+    def __init__(self, *args, **kwargs):
+        super().__init__(*args, **kwargs)
+
+
+class OwnAttribute(IDMVehicle):
+    MAX_SPEED = 30.0
+
+
+@pytest.mark.parametrize(
+    ("ads", "expected"),
+    [
+        (idle, PlannerDriver),
+        (IDMVehicle, ModelDriver),
+        (Hurried, ModelDriver),
+        (lambda: Hurried, ModelDriver),
+        (functools.partial(IDMVehicle, enable_lane_change=False), ModelDriver),
+        (functools.partial(IDMVehicle, target_speed=20.0), ObjectDriver),
+        (functools.partial(IDMVehicle, timer=0.3), ObjectDriver),
+        (in_python(IDMVehicle), ObjectDriver),
+        (OwnRules, ObjectDriver),
+        (OwnStart, ObjectDriver),
+        (OwnAttribute, ObjectDriver),
+        (LinearVehicle, ObjectDriver),
+        (AggressiveVehicle, ObjectDriver),
+        (MDPVehicle, ObjectDriver),
+        (Vehicle, ObjectDriver),
+        *((defects.make(name), ObjectDriver) for name in ("healthy", "brakes-weakly")),
+    ],
+)
+def test_compiled_model_drives_whichever_class_it_equals(drivers, ads, expected):
+    Highway().rollout(SCENARIO, ads)
+    assert drivers == [expected]
+
+
+def test_world_says_which_classes_the_compiled_model_drives():
+    told = {ads: Highway().runs_in_kernel(ads) for ads in (IDMVehicle, Hurried, OwnRules, idle)}
+    assert told == {IDMVehicle: True, Hurried: True, OwnRules: False, idle: False}
+
+
+@pytest.mark.parametrize("world", [Highway(), World("highway-v0")])
+def test_reference_drivers_get_through_as_planners(world, drivers):
+    trace = world.rollout_reference(SCENARIO, "idm-aeb")
+    assert trace.outcome is Outcome.SAFE
+    assert drivers == [PlannerDriver]

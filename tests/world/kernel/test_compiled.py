@@ -1,0 +1,92 @@
+"""The compiled kernel: it is that of the present source, and gives the same traces as the interpreted source."""
+
+from __future__ import annotations
+
+import pickle
+from dataclasses import replace
+from importlib import import_module
+from pathlib import Path
+
+import numpy as np
+import pytest
+from highway_env.vehicle.behavior import IDMVehicle
+from highway_env.vehicle.kinematics import Vehicle
+
+from pytest_pafot import Highway, PositionInstruction, Scenario
+from pytest_pafot.model.driving_style import STYLES
+from pytest_pafot.model.scenario import CrossingInstruction
+from pytest_pafot.searching import sample
+from pytest_pafot.world import kernel
+from pytest_pafot.world.kernel import bodies
+from tests.helpers.interpreted import InterpretedWorld
+from tests.helpers.road_cases import space_of, world_of
+from tests.helpers.run_cases import Case, digest
+from tests.helpers.stages import mostly_oracle, oracle
+
+
+@pytest.fixture(scope="module")
+def interpreted():
+    return InterpretedWorld()
+
+
+@pytest.mark.parametrize("seeds", [range(12), oracle(range(12, 40))], ids=str)
+def test_interpreted_and_compiled_kernel_give_same_traces(interpreted, seeds):
+    for case in map(Case.random, seeds):
+        compiled = digest(case.run())
+        with interpreted.in_place():
+            world = interpreted.room.from_dict(case.world.to_dict())
+            assert digest(replace(case, world=world).run()) == compiled
+
+
+@pytest.mark.parametrize("style", mostly_oracle(STYLES, STYLES[0]))
+def test_interpreted_and_compiled_npcs_match_in_bends(interpreted, style):
+    world = world_of("roundabout-v1", duration=10.0)
+    scenario = sample(space_of(world, traffic=style), np.random.default_rng(2))
+    compiled = digest(world.rollout(scenario, IDMVehicle))
+    with interpreted.in_place():
+        again = interpreted.room.from_dict(world.to_dict())
+        assert digest(again.rollout(scenario, IDMVehicle)) == compiled
+
+
+def test_interpreted_and_compiled_npcs_cross_the_same(interpreted):
+    world = world_of("intersection-v0")
+    crossing = [CrossingInstruction("o1>o3", 0.5, 7.0)], [CrossingInstruction("o3>o0", 1.5, 8.0, "hold")]
+    on_grid = [PositionInstruction(2, 8.0)]
+    scenario = Scenario(npcs=[*crossing, on_grid], ego_lane=0, ego_speed=10.0)
+    compiled = digest(world.rollout(scenario, IDMVehicle))
+    with interpreted.in_place():
+        again = interpreted.room.from_dict(world.to_dict())
+        assert digest(again.rollout(scenario, IDMVehicle)) == compiled
+
+
+def test_the_kernel_knows_highway_envs_vehicles():
+    from pytest_pafot.world.kernel.bodies import NPC_LENGTH, NPC_WIDTH
+
+    assert (Vehicle.LENGTH, Vehicle.WIDTH) == (NPC_LENGTH, NPC_WIDTH)
+    body = bodies.Body(5.0, 2.0)
+    body.place(0.0, 0.0, 0.0, Vehicle.MAX_SPEED + 1)
+    body.acceleration = 3.0
+    body.step(0.1)
+    assert (body.acceleration, Vehicle.MIN_SPEED) == (-1.0, -Vehicle.MAX_SPEED)
+
+
+@pytest.mark.skipif(not kernel.is_compiled(), reason="the kernel is not compiled here")
+def test_compiled_kernel_matches_the_present_source():
+    folder = Path(kernel.__file__).parent
+    for name in kernel.MODULES:
+        compiled = Path(import_module(f"{kernel.__name__}.{name}").__file__).stat().st_mtime
+        for source in (folder / f"{name}.py", folder / f"{name}.pxd"):
+            assert source.stat().st_mtime <= compiled + 1, f"{source.name} is newer; run: python -m pip install ."
+
+
+def test_every_kernel_module_has_types_for_compiler():
+    folder = Path(kernel.__file__).parent
+    names = {path.stem for path in folder.glob("*.py")} - {"__init__"}
+    assert names == set(kernel.MODULES) == {path.stem for path in folder.glob("*.pxd")}
+
+
+def test_road_and_lanes_can_be_pickled():
+    world = Highway()
+    again = pickle.loads(pickle.dumps(world.rules))
+    assert again == world.rules
+    assert (again.road.grid.count, again.road.grid.width) == (4, 4.0)
