@@ -94,7 +94,7 @@ def goal_vehicle(vehicle: Any, lanes: StraightRoad | Network) -> GoalVehicle:
 
     body: GoalVehicle
     if isinstance(lanes, Network):
-        body = NetworkVehicle(constants_of(vehicle), lanes, following, routed())
+        body = NetworkVehicle(constants_of(vehicle), lanes, following, routed(), _searched(road, numbers))
     else:
         body = GoalVehicle(constants_of(vehicle), lanes.grid, lanes.speed_limit)
     x, y = map(float, vehicle.position)
@@ -102,6 +102,24 @@ def goal_vehicle(vehicle: Any, lanes: StraightRoad | Network) -> GoalVehicle:
     if isinstance(vehicle, ControlledVehicle):
         body.aim(numbers[vehicle.target_lane_index], float(vehicle.target_speed))
     return body
+
+
+def _searched(road: Any, numbers: dict[Any, int]) -> list[list[tuple[int, float]]]:
+    """Return, for each lane, the lanes in which highway-env's IDM looks for vehicles, and where each begins [m].
+
+    These are the lane itself and, if the road asks for it, the lanes that follow it and those that lead to it.
+    """
+    lanes, graph = road.network.lanes_dict(), road.network.graph
+    searched = [[(number, 0.0)] for number in numbers.values()]
+    for (origin, end, lane), number in numbers.items() if road.neighbour_vehicles_connected_lanes else ():
+        after = [(end, node) for node in graph.get(end, {})]
+        before = [(node, origin) for node, ends in graph.items() if origin in ends]
+        for section in (*after, *before):
+            count = len(graph[section[0]][section[1]])
+            index = (*section, lane if lane < count else 0)
+            begins = lanes[origin, end, lane].length if section in after else -lanes[index].length
+            searched[number].append((numbers[index], float(begins)))
+    return searched
 
 
 def obstacles_on(road: Any) -> list[Body]:

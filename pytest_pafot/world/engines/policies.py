@@ -70,8 +70,7 @@ def _lanes_of_idm(environment: GymEnvironment, road: Any) -> StraightRoad | Netw
     """Return the lanes for an IDM vehicle; None if the kernel does not know them or all that it considers there."""
     lanes = environment.compiled_lanes
     has_objects = isinstance(lanes, StraightRoad) and road.objects
-    is_plain = type(road) is Road and not road.neighbour_vehicles_connected_lanes
-    return lanes if is_plain and not has_objects else None
+    return lanes if type(road) is Road and not has_objects else None
 
 
 def _policy_driver(

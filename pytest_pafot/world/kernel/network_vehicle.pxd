@@ -6,7 +6,7 @@ from pytest_pafot.world.kernel.driver cimport clamped
 from pytest_pafot.world.kernel.idm cimport GoalVehicle
 from pytest_pafot.world.kernel.network cimport Network
 
-cdef double PURSUIT, ON_LANE
+cdef double PURSUIT, ON_LANE, NOWHERE
 
 cdef class StaticObstacle(Body):
     pass
@@ -14,6 +14,7 @@ cdef class StaticObstacle(Body):
 cdef class NetworkVehicle(GoalVehicle):
     cdef Network _network
     cdef object _following
+    cdef list _searched
 
     cpdef start(self, double x, double y, double heading, double speed, bint changes_lanes)
 
@@ -40,8 +41,11 @@ cdef class NetworkVehicle(GoalVehicle):
     @cython.locals(network=Network, goal=int, offset=double, ahead=double, angle=double)
     cdef double _steering(self) except? -1
 
-    @cython.locals(network=Network, found=Body, nearest=double, own=double, other=Body)
+    @cython.locals(found=Body, nearest=double, own=double, other=Body, along=double)
     cdef Body _ahead(self, list others, int lane)
 
-    @cython.locals(network=Network, found=Body, nearest=double, own=double, other=Body)
+    @cython.locals(found=Body, nearest=double, own=double, other=Body, along=double)
     cdef Body _behind(self, list others, int lane)
+
+    @cython.locals(network=Network, each=int, begins=double)
+    cdef double _along(self, int lane, Body other) except? -1

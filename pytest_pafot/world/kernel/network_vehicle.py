@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from pytest_pafot.world.kernel.action import lane_steering
@@ -15,6 +15,7 @@ from pytest_pafot.world.kernel.network import Network
 
 ON_LANE = 1.0
 """The distance beyond a lane's lines up to which a vehicle is still in the lane [m]."""
+NOWHERE = float("nan")
 PURSUIT = 0.1
 """The time for which a vehicle looks ahead along its lane to steer [s]."""
 
@@ -32,6 +33,7 @@ class NetworkVehicle(GoalVehicle):
         following: returns the lane that follows a lane for a vehicle at x and y [m], and the lane that the rest of its
             route demands, counted from the left, or -1.
         routed: the lane that its route demands at the start, or -1.
+        searched: for each lane, the lanes in which it looks for vehicles, and where each begins along the lane [m].
     """
 
     def __init__(
@@ -40,11 +42,13 @@ class NetworkVehicle(GoalVehicle):
         network: Network,
         following: Callable[[int, float, float], tuple[int, int]],
         routed: int,
+        searched: Sequence[Sequence[tuple[int, float]]],
     ) -> None:
         super().__init__(constants, Lanes(1, 1.0, 1.0), 0.0)
         self._network = network
         self._following = following
         self._routed = routed
+        self._searched = list(searched)
 
     def start(self, x: float, y: float, heading: float, speed: float, changes_lanes: bool) -> None:
         """Begin a run at x [m], y [m], heading [rad] and speed [m/s], which becomes the desired speed."""
@@ -92,19 +96,29 @@ class NetworkVehicle(GoalVehicle):
         return clamped(angle, self._max_steering)
 
     def _ahead(self, others: list[Any], lane: int) -> Body | None:
-        network, found, nearest = self._network, None, math.inf
-        network.locate(lane, self.x, self.y)
-        own = network.along
+        found, nearest = None, math.inf
+        self._network.locate(lane, self.x, self.y)
+        own = self._network.along
         for other in others:
-            if network.is_on(lane, other.x, other.y, ON_LANE) and own <= network.along <= nearest:
-                nearest, found = network.along, other
+            along = self._along(lane, other)
+            if own <= along <= nearest:  # also false for NaN
+                nearest, found = along, other
         return found
 
     def _behind(self, others: list[Any], lane: int) -> Body | None:
-        network, found, nearest = self._network, None, -math.inf
-        network.locate(lane, self.x, self.y)
-        own = network.along
+        found, nearest = None, -math.inf
+        self._network.locate(lane, self.x, self.y)
+        own = self._network.along
         for other in others:
-            if network.is_on(lane, other.x, other.y, ON_LANE) and nearest < network.along < own:
-                nearest, found = network.along, other
+            along = self._along(lane, other)
+            if nearest < along < own:  # also false for NaN
+                nearest, found = along, other
         return found
+
+    def _along(self, lane: int, other: Body) -> float:
+        """Return the place of another vehicle along a lane [m]; NaN if it is on none of the lanes that are searched."""
+        network = self._network
+        for each, begins in self._searched[lane]:
+            if network.is_on(each, other.x, other.y, ON_LANE):
+                return network.along + begins
+        return NOWHERE

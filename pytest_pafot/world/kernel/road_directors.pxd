@@ -53,7 +53,7 @@ cdef class JunctionDirector(BaseDirector):
     cpdef command(self, Body ego)
 
     @cython.locals(number=int)
-    cdef double ceiling(self, Npc npc) except? -1
+    cpdef double ceiling(self, Npc npc) except? -1
 
     @cython.locals(leader=LeaderAhead, theirs=Body, along=double, front=Body, rear=Body)
-    cdef bint leaves_room(self, Npc npc, int lane) except -1
+    cpdef bint leaves_room(self, Npc npc, int lane) except -1
