@@ -10,12 +10,17 @@ from highway_env.vehicle.behavior import IDMVehicle
 from highway_env.vehicle.objects import Landmark
 
 from pytest_pafot.world.driving.idm_model import CONSTANTS, idm_model
+from pytest_pafot.world.driving.vehicles import EgosRegulatedRoad
 from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.kernel.idm import GoalVehicle
 from pytest_pafot.world.kernel.network import Network
 from pytest_pafot.world.kernel.network_vehicle import NetworkVehicle, StaticObstacle
+from pytest_pafot.world.kernel.places import Places
+from pytest_pafot.world.kernel.road_rules import RoadRules
 from pytest_pafot.world.kernel.traffic import TrafficVehicle
+from pytest_pafot.world.roads.network import NetworkRoad
 from pytest_pafot.world.roads.straight import StraightRoad
+from pytest_pafot.world.run_config import Rules
 from pytest_pafot.world.stock import CircularLane, ControlledVehicle, SineLane, StraightLane
 
 KINDS = (StraightLane, SineLane, CircularLane)
@@ -120,6 +125,35 @@ def _searched(road: Any, numbers: dict[Any, int]) -> list[list[tuple[int, float]
             begins = lanes[origin, end, lane].length if section in after else -lanes[index].length
             searched[number].append((numbers[index], float(begins)))
     return searched
+
+
+def rules_for(ego: Any, model: GoalVehicle, places: Places, rules: Rules, network: Any) -> RoadRules | None:
+    """Return the rules of a regulated road for an ego of highway-env, which ``model`` drives; None on other roads."""
+    road, way = ego.road, rules.road
+    if not (isinstance(road, EgosRegulatedRoad) and isinstance(model, NetworkVehicle) and isinstance(way, NetworkRoad)):
+        return None
+    lanes = road.network.lanes_dict()
+    indexes, numbers = list(lanes), {index: number for number, index in enumerate(lanes)}
+
+    def route(lane: int) -> list[int]:
+        """Return the lanes of the ego's route; where the route leaves the lane open, the ego keeps its number."""
+        origin, end, own = indexes[lane]
+        kept = own if own < len(road.network.graph[origin][end]) else 0
+        steps = ego.route or [indexes[lane]]
+        return [numbers[a, b, kept if number is None else int(number)] for a, b, number in steps]
+
+    frequency = road.REGULATION_FREQUENCY
+    return RoadRules(
+        model,
+        places,
+        way.bends,
+        network,
+        priorities=[int(each.priority) for each in lanes.values()],
+        route=route,
+        steps=road.steps,
+        every=int(1 / (1 / rules.physics_hz) / frequency),  # as highway-env rounds it
+        lasts=road.YIELD_DURATION * frequency,
+    )
 
 
 def obstacles_on(road: Any) -> list[Body]:

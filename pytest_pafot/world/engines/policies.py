@@ -12,7 +12,7 @@ from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.sight import Sight
 from pytest_pafot.model.trace import Trace
 from pytest_pafot.world.driving.ads import AdsFactory, is_vehicle_class, make_ads, wants_env
-from pytest_pafot.world.driving.compiled_vehicle import goal_vehicle, obstacles_on
+from pytest_pafot.world.driving.compiled_vehicle import goal_vehicle, obstacles_on, rules_for
 from pytest_pafot.world.driving.idm_model import idm_model
 from pytest_pafot.world.driving.object_driver import ObjectDriver
 from pytest_pafot.world.driving.perception import ads_and_sight
@@ -51,7 +51,8 @@ def rollout(environment: GymEnvironment, rules: Rules, scenario: Scenario, ads_f
             model = goal_vehicle(ego, lanes)
             vehicles = VehiclesOfRun(rules, scenario, model, env.road.network)
             others = [*vehicles.vehicles[1:], *obstacles_on(env.road)]
-            return SteppedRun(vehicles, ModelDriver(model, others), guard).finish()
+            driver = ModelDriver(model, others, rules_for(ego, model, vehicles.places, rules, lanes))
+            return SteppedRun(vehicles, driver, guard).finish()
         ads, sight = ads_and_sight(ads)
         driver = _policy_driver(environment, rules, scenario, ads, env, guard, view, sight)
         return _begun(rules, scenario, driver, guard).finish()
@@ -70,7 +71,7 @@ def _lanes_of_idm(environment: GymEnvironment, road: Any) -> StraightRoad | Netw
     """Return the lanes for an IDM vehicle; None if the kernel does not know them or all that it considers there."""
     lanes = environment.compiled_lanes
     has_objects = isinstance(lanes, StraightRoad) and road.objects
-    return lanes if type(road) is Road and not has_objects else None
+    return None if has_objects else lanes
 
 
 def _policy_driver(

@@ -123,6 +123,16 @@ class Bends:
         """Return the largest curvature of a lane that an NPC meets during a lane change from a place [1/m]."""
         return self._sharpest[lane * self._points + self.point(along)]
 
+    def x_at(self, along: float) -> float:
+        """Return world x of the line [m]."""
+        self._refer(along)
+        return self._x0
+
+    def y_at(self, along: float) -> float:
+        """Return world y of the line [m]."""
+        self._refer(along)
+        return self._y0
+
     def heading_at(self, along: float) -> float:
         """Return the direction of the line [rad]."""
         self._refer(along)

@@ -18,6 +18,8 @@ cdef class GoalVehicle(Body):
 
     cpdef aim(self, int goal, double wanted)
 
+    cpdef want(self, double speed)
+
     cpdef tuple seen(self)
 
     cpdef pursue(self)

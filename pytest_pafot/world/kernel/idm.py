@@ -72,6 +72,10 @@ class GoalVehicle(Body):
         self._goal = goal
         self._target_speed = wanted
 
+    def want(self, speed: float) -> None:
+        """Set the speed of its goal [m/s]."""
+        self._target_speed = speed
+
     def seen(self) -> tuple[float, float, float, float, int, int, float]:
         """Return its x [m], y [m], heading [rad], speed [m/s], its lane, and the lane and speed of its goal [m/s]."""
         return self.x, self.y, self.heading, self.speed, self._closest, self._goal, self._target_speed

@@ -29,6 +29,7 @@ from pytest_pafot.world.kernel.driver import LaneTracker
 from pytest_pafot.world.kernel.idm import GoalVehicle
 from pytest_pafot.world.kernel.observation import COLUMNS, Sensor
 from pytest_pafot.world.kernel.places import Places
+from pytest_pafot.world.kernel.road_rules import RoadRules
 
 
 class EgoDriver:
@@ -63,16 +64,30 @@ class EgoDriver:
 
 
 class ModelDriver(EgoDriver):
-    """The driver of an ego whose own model sets its controls at every tick, so there is no ADS to call."""
+    """The driver of an ego whose own model sets its controls at every tick, so there is no ADS to call.
 
-    def __init__(self, ego: GoalVehicle, others: list[Any]) -> None:
+    Args:
+        ego: the ego.
+        others: the NPCs and the objects on the road that it considers.
+        rules: the rules of the road that it obeys; None if there are none.
+    """
+
+    def __init__(self, ego: GoalVehicle, others: list[Any], rules: RoadRules | None = None) -> None:
         super().__init__(ego, 1)
         self.model = ego
         self.others = others
+        self.rules = rules
 
     def actuate(self) -> None:
         """Apply the vehicle's own model."""
         self.model.act(self.others)
+
+    def step(self, dt: float) -> AdsError | None:
+        """Apply the rules of the road, and move the ego for one tick [s]."""
+        if self.rules is not None:
+            self.rules.apply()
+        self.model.step(dt)
+        return None
 
 
 class GivenDriver(EgoDriver):
