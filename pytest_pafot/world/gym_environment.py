@@ -23,7 +23,7 @@ from gymnasium.wrappers import OrderEnforcing, PassiveEnvChecker, TimeLimit
 from pytest_pafot.support.errors import WorldError
 from pytest_pafot.world.driving.compiled_vehicle import compiled_network
 from pytest_pafot.world.driving.vehicles import ParallelLanes, SearchedLanes, straight_road
-from pytest_pafot.world.kernel.network import Network
+from pytest_pafot.world.kernel.lane_network import Network
 from pytest_pafot.world.roads.straight import StraightRoad
 from pytest_pafot.world.stock import (
     AbstractEnv,

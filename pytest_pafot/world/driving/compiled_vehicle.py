@@ -13,7 +13,7 @@ from pytest_pafot.world.driving.idm_model import CONSTANTS, idm_model
 from pytest_pafot.world.driving.vehicles import EgosRegulatedRoad
 from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.kernel.idm import GoalVehicle
-from pytest_pafot.world.kernel.network import Network
+from pytest_pafot.world.kernel.lane_network import Network
 from pytest_pafot.world.kernel.network_vehicle import NetworkVehicle, StaticObstacle
 from pytest_pafot.world.kernel.places import Places
 from pytest_pafot.world.kernel.road_rules import RoadRules

@@ -20,7 +20,7 @@ from pytest_pafot.world.driving.seeing import PolicySight
 from pytest_pafot.world.guard.hang_guard import HangGuard
 from pytest_pafot.world.kernel.action import hint_at
 from pytest_pafot.world.kernel.bodies import Body
-from pytest_pafot.world.kernel.network import Network
+from pytest_pafot.world.kernel.lane_network import Network
 from pytest_pafot.world.roads.straight import StraightRoad
 from pytest_pafot.world.stock import ControlledVehicle, Road, class_from_path
 

@@ -24,8 +24,8 @@ from pytest_pafot.world.engines.run import SteppedRun, VehiclesOfRun
 from pytest_pafot.world.guard.failure import closing
 from pytest_pafot.world.guard.hang_guard import HangGuard
 from pytest_pafot.world.gym_environment import GymEnvironment
+from pytest_pafot.world.kernel.lane_network import Network
 from pytest_pafot.world.kernel.loop import ModelDriver
-from pytest_pafot.world.kernel.network import Network
 from pytest_pafot.world.roads.straight import StraightRoad
 from pytest_pafot.world.run_config import Rules
 from pytest_pafot.world.stock import MDPVehicle, RegulatedRoad, Road, Vehicle
@@ -51,8 +51,8 @@ def rollout(environment: GymEnvironment, rules: Rules, scenario: Scenario, ads_f
             model = goal_vehicle(ego, lanes)
             vehicles = VehiclesOfRun(rules, scenario, model, env.road.network)
             others = [*vehicles.vehicles[1:], *obstacles_on(env.road)]
-            driver = ModelDriver(model, others, rules_for(ego, model, vehicles.places, rules, lanes))
-            return SteppedRun(vehicles, driver, guard).finish()
+            model_driver = ModelDriver(model, others, rules_for(ego, model, vehicles.places, rules, lanes))
+            return SteppedRun(vehicles, model_driver, guard).finish()
         ads, sight = ads_and_sight(ads)
         driver = _policy_driver(environment, rules, scenario, ads, env, guard, view, sight)
         return _begun(rules, scenario, driver, guard).finish()

@@ -1,6 +1,6 @@
 cimport cython
 from libc cimport math
-from pytest_pafot.world.kernel.network cimport Network
+from pytest_pafot.world.kernel.lane_network cimport Network
 
 cdef int ON_ROAD
 cdef double LANE_REACH, SLOWEST, HALF_TURN

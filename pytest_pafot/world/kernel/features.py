@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from pytest_pafot.world.kernel.network import Network
+from pytest_pafot.world.kernel.lane_network import Network
 
 FEATURES = (
     "presence", "x", "y", "vx", "vy", "heading", "cos_h", "sin_h", "cos_d", "sin_d", "long_off", "lat_off", "ang_off",

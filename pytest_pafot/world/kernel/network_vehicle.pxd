@@ -4,7 +4,7 @@ from pytest_pafot.world.kernel.action cimport lane_steering
 from pytest_pafot.world.kernel.bodies cimport Body
 from pytest_pafot.world.kernel.driver cimport clamped
 from pytest_pafot.world.kernel.idm cimport GoalVehicle
-from pytest_pafot.world.kernel.network cimport Network
+from pytest_pafot.world.kernel.lane_network cimport Network
 
 cdef double PURSUIT, ON_LANE, NOWHERE
 

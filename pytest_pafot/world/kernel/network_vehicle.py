@@ -10,8 +10,8 @@ from pytest_pafot.world.kernel.action import lane_steering
 from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.kernel.driver import clamped
 from pytest_pafot.world.kernel.idm import GoalVehicle
+from pytest_pafot.world.kernel.lane_network import Network
 from pytest_pafot.world.kernel.lanes import Lanes
-from pytest_pafot.world.kernel.network import Network
 
 ON_LANE = 1.0
 """The distance beyond a lane's lines up to which a vehicle is still in the lane [m]."""

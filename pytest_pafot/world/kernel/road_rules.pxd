@@ -3,7 +3,7 @@ from libc cimport math
 from pytest_pafot.world.kernel.bends cimport Bends
 from pytest_pafot.world.kernel.bodies cimport Body
 from pytest_pafot.world.kernel.crossing cimport CrossingNpc
-from pytest_pafot.world.kernel.network cimport Network
+from pytest_pafot.world.kernel.lane_network cimport Network
 from pytest_pafot.world.kernel.network_vehicle cimport NetworkVehicle
 from pytest_pafot.world.kernel.places cimport Places
 

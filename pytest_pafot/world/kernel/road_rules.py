@@ -10,7 +10,7 @@ from typing import Any
 from pytest_pafot.world.kernel.bends import Bends
 from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.kernel.crossing import CrossingNpc
-from pytest_pafot.world.kernel.network import Network
+from pytest_pafot.world.kernel.lane_network import Network
 from pytest_pafot.world.kernel.network_vehicle import NetworkVehicle
 from pytest_pafot.world.kernel.places import Places
 
