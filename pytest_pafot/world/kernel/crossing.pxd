@@ -49,6 +49,8 @@ cdef class CrossingNpc(Body):
     cdef int noticed
     cdef public list conflicts, leaders
 
+    @cython.locals(speeds="double[::1]", times="double[::1]", point=Py_ssize_t, most=double)
+    cdef void _plan(self) except *
 
     cpdef double lasts(self, double since, double until) except? -1
 

@@ -199,13 +199,8 @@ class CrossingNpc(Body):
         self.middle = middle
         self.wanted = speed
         self.speeds = array("d", speeds)
-        for point in range(len(speeds)):
-            most = gap_speed(max(middle - point * STEP, 0.0)) if act == STOP else speed
-            self.speeds[point] = min(self.speeds[point], speed, most)
         self.times = array("d", [0.0]) * len(speeds)
-        for point in range(1, len(speeds)):
-            driven = max(self.speeds[point] + self.speeds[point - 1], 2e-3)
-            self.times[point] = self.times[point - 1] + 2.0 * STEP / driven
+        self._plan()
         self.asked = 0.0
         self.course = 0.0
         self.entry = UNENDING
@@ -216,6 +211,15 @@ class CrossingNpc(Body):
         self.noticed = 0
         self.conflicts: list[SharedPlace] = []
         self.leaders: list[LeaderAhead] = []
+
+    def _plan(self) -> None:
+        """Limit the speeds at all points to those of the instruction, and set the times there."""
+        speeds, times = self.speeds, self.times
+        for point in range(len(speeds)):
+            most = gap_speed(max(self.middle - point * STEP, 0.0)) if self.act == STOP else self.wanted
+            speeds[point] = min(speeds[point], self.wanted, most)
+            if point > 0:
+                times[point] = times[point - 1] + 2.0 * STEP / max(speeds[point] + speeds[point - 1], 2e-3)
 
     def lasts(self, since: float, until: float) -> float:
         """Return the time that the NPC needs from one place to a later place at its planned speeds [s]."""
