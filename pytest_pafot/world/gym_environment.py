@@ -21,8 +21,7 @@ from gymnasium.envs.registration import load_env_creator
 from gymnasium.wrappers import OrderEnforcing, PassiveEnvChecker, TimeLimit
 
 from pytest_pafot.support.errors import WorldError
-from pytest_pafot.world.driving.compiled_vehicle import compiled_network
-from pytest_pafot.world.driving.vehicles import ParallelLanes, SearchedLanes, straight_road
+from pytest_pafot.world.driving.vehicles import SearchedLanes, compiled_network, straight_road
 from pytest_pafot.world.kernel.lane_network import Network
 from pytest_pafot.world.roads.straight import StraightRoad
 from pytest_pafot.world.stock import (
@@ -169,8 +168,7 @@ class GymEnvironment:
     @cached_property
     def network(self) -> Any:
         """The road as a road network of highway-env."""
-        lanes = SearchedLanes if self.straight_road is None else ParallelLanes
-        return lanes(self.unwrapped.road.network)
+        return SearchedLanes(self.unwrapped.road.network)
 
     @cached_property
     def compiled_lanes(self) -> StraightRoad | Network | None:

@@ -145,10 +145,10 @@ class Highway(BuiltInWorld):
     @cached_property
     def network(self) -> Any:
         """The road as a road network of highway-env."""
-        from pytest_pafot.world.driving.vehicles import ParallelLanes, straight_network  # noqa: PLC0415  (imports highway-env)
+        from pytest_pafot.world.driving.vehicles import SearchedLanes, straight_network  # noqa: PLC0415  (imports highway-env)
 
         lane = self.road.lanes[0]
-        return ParallelLanes(straight_network(self.lanes, lane.length, lane.width, self.speed_limit))
+        return SearchedLanes(straight_network(self.lanes, lane.length, lane.width, self.speed_limit))
 
     @cached_property
     def _rules(self) -> Rules:

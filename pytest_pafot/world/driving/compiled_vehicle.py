@@ -21,10 +21,7 @@ from pytest_pafot.world.kernel.traffic import TrafficVehicle
 from pytest_pafot.world.roads.network import NetworkRoad
 from pytest_pafot.world.roads.straight import StraightRoad
 from pytest_pafot.world.run_config import Rules
-from pytest_pafot.world.stock import CircularLane, ControlledVehicle, SineLane, StraightLane
-
-KINDS = (StraightLane, SineLane, CircularLane)
-"""The classes of lanes in the order of the kinds of a :class:`Network`."""
+from pytest_pafot.world.stock import ControlledVehicle
 
 
 def constants_of(vehicle: Any) -> dict[str, float]:
@@ -49,34 +46,6 @@ def compiled_vehicle(vehicle: Any, road: StraightRoad) -> TrafficVehicle:
     body.begin(goal, float(getattr(vehicle, "target_speed", 0.0)), float(getattr(vehicle, "timer", 0.0)))
     body.checks = bool(vehicle.check_collisions)
     return body
-
-
-def compiled_network(network: Any) -> Network | None:
-    """Return a road network of highway-env in plain numbers; None if it has lanes of other classes."""
-    lanes = network.lanes_dict()
-    kinds = list[int]()
-    shapes = list[Any]()
-    for lane in lanes.values():
-        if type(lane) not in KINDS or lane.speed_limit is None:
-            return None
-        kinds.append(KINDS.index(type(lane)))
-        if type(lane) is CircularLane:
-            shape = *lane.center, lane.radius, lane.start_phase, lane.direction
-        else:
-            wave = (lane.amplitude, lane.pulsation, lane.phase) if type(lane) is SineLane else ()
-            shape = *lane.start, *lane.direction, lane.heading, *wave
-        shapes += (*shape, *([0.0] * (9 - len(shape))))
-    sections = {section: number for number, section in enumerate(dict.fromkeys(index[:2] for index in lanes))}
-    return Network(
-        kinds,
-        [float(each) for each in shapes],
-        [float(lane.length) for lane in lanes.values()],
-        [float(lane.width) for lane in lanes.values()],
-        [float(lane.speed_limit) for lane in lanes.values()],
-        [sections[index[:2]] for index in lanes],
-        [index[2] for index in lanes],
-        [int(bool(lane.forbidden)) for lane in lanes.values()],
-    )
 
 
 def goal_vehicle(vehicle: Any, lanes: StraightRoad | Network) -> GoalVehicle:

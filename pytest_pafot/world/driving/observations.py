@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from pytest_pafot.world.driving.compiled_vehicle import compiled_network
+from pytest_pafot.world.driving.vehicles import compiled_network
 from pytest_pafot.world.kernel.features import FEATURES, Collisions, Features, Grid, Table
 from pytest_pafot.world.kernel.lane_network import Network
 from pytest_pafot.world.stock import AbstractLane, MDPVehicle, Road, RoadObject, Vehicle, observation

@@ -1,13 +1,7 @@
-"""Faster subclasses of highway-env's road networks and vehicles, with the same results.
-
-The vehicles are real subclasses, so that highway-env's own drivers treat them as vehicles. They are faster, because
-their state is plain floats instead of arrays, and because the lane search uses that lanes are parallel. The equations
-are highway-env's, operation by operation.
-"""
+"""highway-env's road networks and vehicles as its own code sees them in a run, with the same results but faster."""
 
 from __future__ import annotations
 
-import functools
 import math
 from typing import Any
 
@@ -15,10 +9,9 @@ import numpy as np
 
 from pytest_pafot.model.trace import Lane
 from pytest_pafot.world.kernel.bodies import Body
-from pytest_pafot.world.kernel.lanes import Lanes
+from pytest_pafot.world.kernel.lane_network import Network
 from pytest_pafot.world.roads.straight import StraightRoad
 from pytest_pafot.world.stock import (
-    AbstractLane,
     CircularLane,
     ControlledVehicle,
     MDPVehicle,
@@ -28,104 +21,58 @@ from pytest_pafot.world.stock import (
     SineLane,
     StraightLane,
     Vehicle,
-    not_zero,
-    wrap_to_pi,
 )
 
-OUTLINE_STEP = 1.0
-"""The largest distance between the points of a lane's outline [m]."""
-SQUARE = 4.0
-"""The side of the squares for which the distances of lanes are cached [m]."""
-ROUNDING = 1e-6
-"""A bound far above the rounding errors of a distance [m]."""
+KINDS = (StraightLane, SineLane, CircularLane)
+"""The classes of lanes in the order of the kinds of a :class:`Network`."""
 
 
-class ParallelLanes(RoadNetwork):  # type: ignore[misc]
-    """A road network of parallel straight lanes along x, whose lane search takes only a few additions."""
-
-    def __init__(self, network: RoadNetwork) -> None:
-        super().__init__()
-        self.graph = network.graph
-        ((self._start, ends),) = self.graph.items()
-        ((self._end, lanes),) = ends.items()
-        first = lanes[0]
-        self._x, self._y = float(first.start[0]), float(first.start[1])
-        self._grid = Lanes(len(lanes), float(first.width), float(first.length))
-
-    def get_closest_lane_index(self, position: Any, heading: float | None = None) -> tuple[str, str, int]:
-        """Return the index of the lane with the smallest sum of lateral distance and angle, as highway-env does."""
-        return self.closest(float(position[0]), float(position[1]), 0.0 if heading is None else heading)
-
-    def closest(self, x: float, y: float, heading: float) -> tuple[str, str, int]:
-        """Return highway-env's index of the closest lane to a vehicle at x, y [m] with a heading [rad]."""
-        return self._start, self._end, self._grid.closest(x - self._x, y - self._y, heading)
+def compiled_network(network: Any) -> Network | None:
+    """Return a road network of highway-env in plain numbers; None if it has lanes of other classes."""
+    lanes = network.lanes_dict()
+    kinds = list[int]()
+    shapes = list[Any]()
+    for lane in lanes.values():
+        if type(lane) not in KINDS or lane.speed_limit is None:
+            return None
+        kinds.append(KINDS.index(type(lane)))
+        if type(lane) is CircularLane:
+            shape = *lane.center, lane.radius, lane.start_phase, lane.direction
+        else:
+            wave = (lane.amplitude, lane.pulsation, lane.phase) if type(lane) is SineLane else ()
+            shape = *lane.start, *lane.direction, lane.heading, *wave
+        shapes += (*shape, *([0.0] * (9 - len(shape))))
+    sections = {section: number for number, section in enumerate(dict.fromkeys(index[:2] for index in lanes))}
+    return Network(
+        kinds,
+        [float(each) for each in shapes],
+        [float(lane.length) for lane in lanes.values()],
+        [float(lane.width) for lane in lanes.values()],
+        [float(lane.speed_limit) for lane in lanes.values()],
+        [sections[index[:2]] for index in lanes],
+        [index[2] for index in lanes],
+        [int(bool(lane.forbidden)) for lane in lanes.values()],
+    )
 
 
 class SearchedLanes(RoadNetwork):  # type: ignore[misc]
-    """Any road network, with highway-env's lane search restricted to the lanes that are near enough.
-
-    highway-env's distance from a vehicle to a lane is at least a known share of the distance to the lane's outline. A
-    lane whose lower limit exceeds the best distance found so far need not be computed. The lower limits are cached for
-    each square of the plane that a vehicle has visited.
-    """
+    """A road network whose lane search is compiled if its lanes are of highway-env's own classes."""
 
     def __init__(self, network: RoadNetwork) -> None:
         super().__init__()
         self.graph = network.graph
-        self._lanes: list[tuple[tuple[str, str, int], Any]] = list(network.lanes_dict().items())
-        self._outlines = [_outline(lane) for _, lane in self._lanes]
-        self._squares: dict[tuple[int, int], list[tuple[float, int]]] = {}
+        self._indexes = list(network.lanes_dict())
+        self._compiled = compiled_network(network)
 
     def get_closest_lane_index(self, position: Any, heading: float | None = None) -> tuple[str, str, int]:
-        """Return the index of the lane with the smallest sum of lateral distance and angle, as highway-env does."""
+        """Return the index of the lane with the smallest sum of distance and angle, as highway-env does."""
         index: tuple[str, str, int]
         x, y = float(position[0]), float(position[1])
-        if not (math.isfinite(x) and math.isfinite(y)):
+        if self._compiled is None or heading is None or not (math.isfinite(x) and math.isfinite(y)):
             index = super().get_closest_lane_index(position, heading)
-            return index
-        square = math.floor(x / SQUARE), math.floor(y / SQUARE)
-        near = self._squares.get(square)
-        if near is None:
-            near = self._squares[square] = self._near(square)
-        best, nearest = math.inf, 0
-        for least, number in near:
-            if least > best + ROUNDING:
-                break
-            distance = self._lanes[number][1].distance_with_heading(position, heading)
-            if distance < best or (distance == best and number < nearest):
-                best, nearest = distance, number
-        index = self._lanes[nearest][0]
+        else:
+            index = self._indexes[self._compiled.closest(x, y, heading)]
         return index
-
-    def closest(self, x: float, y: float, heading: float | None) -> tuple[str, str, int]:
-        """Return highway-env's index of the closest lane."""
-        return self.get_closest_lane_index(np.array([x, y]), heading)
-
-    def _near(self, square: tuple[int, int]) -> list[tuple[float, int]]:
-        """Return each lane's least distance from all points of a square [m], and its number; the nearest first."""
-        x, y = ((each + 0.5) * SQUARE for each in square)
-        least = []
-        for number, (points, share) in enumerate(self._outlines):
-            away = float(np.hypot(points[:, 0] - x, points[:, 1] - y).min())
-            # Any point of the square is nearer by at most half its diagonal, any of the lane by at most one step.
-            least.append((share * max(away - SQUARE * math.sqrt(0.5) - OUTLINE_STEP, 0.0), number))
-        return sorted(least)
-
-
-def _outline(lane: AbstractLane) -> tuple[Any, float]:
-    """Return points of a lane, and a lower limit of highway-env's distance as a share of the distance to them.
-
-    Beyond an end, highway-env measures along the lane, but for a :class:`SineLane` along its axis, which is shorter
-    than the line itself. For other classes of lanes no limit is known, and the share is 0.
-    """
-    share = 0.0
-    if type(lane) in (StraightLane, CircularLane):
-        share = 1.0
-    elif type(lane) is SineLane:
-        share = 1.0 / math.hypot(1.0, lane.amplitude * lane.pulsation)
-    count = math.ceil(lane.length / OUTLINE_STEP / (share or 1.0)) + 1
-    places = np.linspace(0.0, lane.length, max(2, count))
-    return np.array([lane.position(float(place), 0) for place in places]), share
 
 
 def is_regulated(vehicle: Vehicle) -> bool:
@@ -222,7 +169,7 @@ class Car(Vehicle):  # type: ignore[misc]
         """The index of the closest lane in highway-env, found on demand."""
         pose = self.body.x, self.body.y, self.body.heading
         if self._found is None or self._found[0] != pose:
-            self._found = pose, self.road.network.closest(*pose)
+            self._found = pose, self.road.network.get_closest_lane_index(self.position, pose[2])
         index: tuple[str, str, int] = self._found[1]
         return index
 
@@ -261,35 +208,6 @@ class Car(Vehicle):  # type: ignore[misc]
     def step(self, dt: float) -> None:
         """Do one step of highway-env's kinematic bicycle model [s], as its predictions of copies ask for."""
         self.body.step(dt)
-
-
-class DirectedVehicle(MDPVehicle):  # type: ignore[misc]
-    """The vehicle of highway-env for discrete actions, with the same steering computed in half the time.
-
-    For a single number, ``numpy.clip`` takes longer than all other operations together.
-    """
-
-    def steering_control(self, target_lane_index: Any) -> float:
-        """Return the steering to the centre of a lane, like :meth:`ControlledVehicle.steering_control` [rad]."""
-        lane = self.road.network.get_lane(target_lane_index)
-        longitudinal, lateral = lane.local_coordinates(self.position)
-        speed = not_zero(self.speed)
-        heading = np.arcsin(_clipped(-self.KP_LATERAL * lateral / speed, 1.0))
-        wanted = lane.heading_at(longitudinal + self.speed * self.TAU_PURSUIT) + _clipped(heading, np.pi / 4)
-        rate = self.KP_HEADING * wrap_to_pi(wanted - self.heading)
-        slip = np.arcsin(_clipped(self.LENGTH / 2 / speed * rate, 1.0))
-        return float(_clipped(np.arctan(2 * np.tan(slip)), self.MAX_STEERING_ANGLE))
-
-
-def _clipped(value: Any, bound: float) -> Any:
-    return bound if value > bound else -bound if value < -bound else value
-
-
-def quick(vehicle_class: Any) -> Any:
-    """Return a faster class with the same behaviour as a class of ego vehicles, or the given class if none is known."""
-    if isinstance(vehicle_class, functools.partial) and vehicle_class.func is MDPVehicle:
-        return functools.partial(DirectedVehicle, *vehicle_class.args, **vehicle_class.keywords)
-    return vehicle_class
 
 
 def straight_network(lanes: int, length: float, lane_width: float, speed_limit: float) -> RoadNetwork:

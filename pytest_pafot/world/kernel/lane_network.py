@@ -59,6 +59,10 @@ class Network:
         places = list(self._sections), list(self._numbers), list(self._forbidden)
         return Network, (list(self._kinds), list(self._shapes), *sizes, *places)
 
+    def __deepcopy__(self, _: object) -> Network:
+        """Return itself, because highway-env deep-copies vehicles with their road to predict them, which is slow."""
+        return self
+
     def length(self, lane: int) -> float:
         """Return a lane's length [m]."""
         return self._lengths[lane]

@@ -24,7 +24,7 @@ from pytest_pafot.world.kernel.bodies import NPC_LENGTH, NPC_WIDTH
 from pytest_pafot.world.kernel.crossing import Track
 from pytest_pafot.world.kernel.places import OwnWay
 from pytest_pafot.world.limits import NpcLimits
-from pytest_pafot.world.roads.network import SPEED_LAG, Column, NetworkRoad, Spot
+from pytest_pafot.world.roads.network import SPEED_LAG, Column, NetworkRoad
 from pytest_pafot.world.roads.route import STEP, LaneIndex, Line, Piece, is_drivable, line_of, wrapped
 from pytest_pafot.world.roads.route import way as way_of
 from pytest_pafot.world.roads.survey import TIGHTEST, curvature_of, lone_column
@@ -93,18 +93,6 @@ class CrossingWay:
         line, column = self.line, self.column
         return Track(line.x.tolist(), line.y.tolist(), column.direction, column.lean, column.speed, column.sharpest)
 
-    def place(self, x: float, y: float, near: float) -> tuple[float, float, float]:
-        """Return a vehicle's place along the way and to the right of it [m], and the way's direction there [rad].
-
-        ``near`` is a place close to the vehicle, because ways may cross themselves [m].
-        """
-        self.track.locate(x, y, near)
-        return self.track.along, self.track.across, self.track.direction
-
-    def nearest(self, x: float, y: float) -> float:
-        """Return the place along the way of the point that is nearest to a vehicle [m]."""
-        return float(np.hypot(self.line.x - x, self.line.y - y).argmin()) * STEP
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Junction:
@@ -129,22 +117,6 @@ class Junction:
     def __deepcopy__(self, _: dict[int, object]) -> Junction:
         """Return itself, because it is immutable and highway-env deep-copies the road to predict vehicles."""
         return self
-
-    def spot(self, road: NetworkRoad, way: CrossingWay, along: float, pose: tuple[float, float, float]) -> Spot | None:
-        """Return the place on the ego's way of a vehicle on a different way; None if it is not on the ego's way.
-
-        ``along`` is its place along its own way [m], ``pose`` its x [m], y [m] and heading [rad]. Before its zone, a
-        vehicle is never on the ego's way.
-        """
-        zone = way.way.zone
-        if along < zone.npc[0]:
-            return None
-        places = self.along_ego[zone.way]
-        near = places[min(round(along / STEP), len(places) - 1)]
-        if math.isnan(near):
-            return None
-        spot = road.spot(*pose, near)
-        return spot if road.part(spot) >= 0 and abs(spot.angle) < NOT_ON_WAY else None
 
     @cached_property
     def own_ways(self) -> dict[str, OwnWay]:

@@ -186,10 +186,6 @@ class NetworkRoad:
         """Return whether a lane exists at a place along the road."""
         return self.bends.exists(lane, along)
 
-    def continues(self, lane: int, since: float, until: float) -> bool:
-        """Return whether a lane exists from one place to another, or to the end of the road."""
-        return self.bends.continues(lane, since, until)
-
     def cells(self, along: float, ego_lane: int, rows: float) -> frozenset[Cell]:
         """Return the cells around an ego whose centres are on lanes; ``rows`` is the distance between rows [m]."""
         return frozenset(cell for cell in Cell if self.exists(ego_lane + cell.column, along + cell.row * rows))
@@ -204,10 +200,6 @@ class NetworkRoad:
         """Return the nominal position of a lane's centre across the road [m]."""
         return lane * self.lane_width
 
-    def nearest_lane(self, lateral: float) -> int:
-        """Return the lane whose centre is nearest to a nominal position."""
-        return self.bends.nearest_lane(lateral)
-
     def lane_at(self, lane: int, along: float) -> tuple[float, float, float]:
         """Return a lane's distance to the right of the line [m], direction [rad] and lean [rad]; see Column."""
         return self.bends.lane_at(lane, along)
@@ -216,23 +208,11 @@ class NetworkRoad:
         """Return the highest speed of an NPC in a lane at a place along the road [m/s]."""
         return self.bends.speed_at(lane, along)
 
-    def stretch(self, along: float, across: float) -> float:
-        """Return the metres that a vehicle drives per metre of the line: above 1 on the outside of a bend."""
-        return self.bends.stretch(along, across)
-
     def spot(self, x: float, y: float, heading: float, near: float) -> Spot:
         """Return a vehicle's place on the road; ``near`` is a place close to it, because the road may cross itself."""
         bends = self.bends
         bends.locate(x, y, heading, near)
         return Spot(bends.along, bends.across, bends.angle, bends.lane, bends.offset)
-
-    def in_lanes(self, spot: Spot) -> float:
-        """Return the nominal position of a vehicle across the road [m]."""
-        return self.bends.in_lanes(spot.lane, spot.along, spot.offset)
-
-    def part(self, spot: Spot) -> int:
-        """Return the index in ``lanes`` of the way's lane that a vehicle's centre is on; -1 if it is on none."""
-        return self.bends.part(spot.lane, spot.along, spot.offset)
 
     def beside(self, network: Any, x: float, y: float, lane: int, along: float) -> tuple[int, Outcome | None]:
         """Return the lane of an ego that is on no lane of its way, and the outcome of the run.

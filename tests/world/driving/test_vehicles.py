@@ -24,9 +24,7 @@ from pytest_pafot.model.trace import HEADING, LANE, X, Y
 from pytest_pafot.world import World
 from pytest_pafot.world.driving.vehicles import (
     Car,
-    DirectedVehicle,
     EgosRegulatedRoad,
-    ParallelLanes,
     SearchedLanes,
     straight_network,
     straight_road,
@@ -58,7 +56,7 @@ NETWORKS = [RoadNetwork.straight_road_network(4), parallel(), parallel(5, x=100.
 )
 def test_the_closest_lane_is_highway_envs(network, x, y, heading):
     position = np.array([x, y])
-    assert ParallelLanes(network).get_closest_lane_index(position, heading) == network.get_closest_lane_index(
+    assert SearchedLanes(network).get_closest_lane_index(position, heading) == network.get_closest_lane_index(
         position, heading
     )
 
@@ -70,8 +68,8 @@ class Shifted(StraightLane):
         return super().local_coordinates(np.asarray(position) - [0.0, 60.0])
 
 
-def tangled():
-    """Return lanes of all kinds that cross and cover each other, some of them twice."""
+def tangled(*others):
+    """Return lanes of all kinds that cross and cover each other, some of them twice, and other lanes."""
     network = RoadNetwork()
     lanes = [
         StraightLane([-40, -10], [60, 30]),
@@ -82,7 +80,7 @@ def tangled():
         SineLane([0, -60], [4, -60], 12.0, 0.3, -1.2),
         StraightLane([20, -45], [-20, -45]),
         SineLane([0, -40], [0, 40], 0.5, 0.2, 0.0),
-        Shifted([-60, -30], [60, -30]),
+        *others,
     ]
     for number, lane in enumerate(lanes):
         network.add_lane("abc"[number % 3], "def"[number % 2], lane)
@@ -100,10 +98,17 @@ def places(network, rng, count):
 
 @pytest.mark.parametrize(
     ("name", "count"),
-    [("tangled", 600), oracle("racetrack-v1", 150), oracle("roundabout-v1", 100), oracle("intersection-v0", 100)],
+    [
+        ("tangled", 600),
+        ("an unknown lane", 100),
+        oracle("racetrack-v1", 150),
+        oracle("roundabout-v1", 100),
+        oracle("intersection-v0", 100),
+    ],
 )
 def test_closest_lane_equals_highway_env_on_winding_roads(name, count):
-    network, found = tangled() if name == "tangled" else World(name).network, set()
+    others = {"tangled": (), "an unknown lane": (Shifted([-60, -30], [60, -30]),)}
+    network, found = tangled(*others[name]) if name in others else World(name).network, set()
     searched = SearchedLanes(network)
     for position, heading in places(network, np.random.default_rng(0), count):
         closest = RoadNetwork.get_closest_lane_index(network, position, heading)
@@ -124,7 +129,7 @@ def test_invalid_position_gets_closest_lane_of_highway_env(position):
 def test_car_steps_like_a_highway_env_vehicle(heading, speed, steps, physics_hz):
     road = Road(NETWORKS[0], np_random=np.random.default_rng(0))
     stock = Vehicle(road, [300.0, 4.0], heading, speed)
-    own = car(Road(ParallelLanes(NETWORKS[0])), [300.0, 4.0], heading, speed)
+    own = car(Road(SearchedLanes(NETWORKS[0])), [300.0, 4.0], heading, speed)
     for acceleration, steering in steps:
         for vehicle in (stock, own):
             vehicle.act({"acceleration": acceleration, "steering": steering})
@@ -139,7 +144,7 @@ def test_car_steps_like_a_highway_env_vehicle(heading, speed, steps, physics_hz)
 def test_car_shows_where_its_body_is():
     body = Body(5.0, 2.0)
     body.place(300.0, 4.5, 0.1, 20.0)
-    own = Car(Road(ParallelLanes(NETWORKS[0])), body)
+    own = Car(Road(SearchedLanes(NETWORKS[0])), body)
     first, lane = own.position, own.lane_index
     body.place(310.0, 8.5, 0.2, 21.0)
     body.acceleration, body.steering = 1.0, 0.05
@@ -151,21 +156,13 @@ def test_car_shows_where_its_body_is():
 
 @table("copied", [copy.copy, copy.deepcopy])
 def test_copy_of_a_car_leaves_its_body_alone(copied):
-    own = car(Road(ParallelLanes(NETWORKS[0])), [300.0, 4.5], 0.1, 20.0)
+    own = car(Road(SearchedLanes(NETWORKS[0])), [300.0, 4.5], 0.1, 20.0)
     own.act({"acceleration": 1.0, "steering": 0.05})
     twin = copied(own)
     twin.step(0.1)
     twin.act({"acceleration": 2.0, "steering": 0.0})
     assert (own.body.x, own.speed, own.action["acceleration"]) == (300.0, 20.0, 1.0)
     assert (twin.body.x > 301.0, twin.speed, twin.action["acceleration"]) == (True, pytest.approx(20.1), 2.0)
-
-
-@given(st.tuples(st.floats(-70, 70), st.floats(-70, 70)), st.floats(-7, 7), st.floats(-20, 42), st.integers(0, 11))
-def test_a_directed_vehicle_steers_as_highway_envs_own(position, heading, speed, number):
-    network = tangled()
-    road, index = Road(network, np_random=np.random.default_rng(0)), list(network.lanes_dict())[number % 9]
-    stock, own = (each(road, position, heading, speed) for each in (MDPVehicle, DirectedVehicle))
-    assert own.steering_control(index) == stock.steering_control(index)
 
 
 def crossroads(kind, seed, ego_class):
@@ -203,7 +200,7 @@ def test_ego_yields_exactly_where_regulated_road_says_so(ego_class):
 
 
 def test_car_works_as_vehicle_in_highway_env_code():
-    road = Road(ParallelLanes(NETWORKS[0]), np_random=np.random.default_rng(0))
+    road = Road(SearchedLanes(NETWORKS[0]), np_random=np.random.default_rng(0))
     own, stock = (each(road, [300.0, 4.5], 0.1, 20.0) for each in (car, Vehicle))
     for vehicle in (own, stock):
         vehicle.act({"acceleration": 1.0, "steering": 0.05})

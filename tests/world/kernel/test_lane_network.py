@@ -1,0 +1,90 @@
+"""The lanes of a network in plain numbers, and the vehicles on them, against highway-env's own to the last bit."""
+
+from __future__ import annotations
+
+import pickle
+
+import numpy as np
+import pytest
+from highway_env.vehicle.behavior import IDMVehicle
+from highway_env.vehicle.controller import MDPVehicle
+
+from pytest_pafot.searching import sample
+from pytest_pafot.world import World
+from pytest_pafot.world.driving.vehicles import compiled_network
+from pytest_pafot.world.engines import policies
+from pytest_pafot.world.kernel.loop import ModelDriver
+from tests.helpers.c_library import c_library
+from tests.helpers.road_cases import ENVIRONMENTS, space_of
+from tests.helpers.stages import mostly_oracle
+
+BENT = mostly_oracle(ENVIRONMENTS, "roundabout-v0", "intersection-v0", "merge-v1")
+
+
+@pytest.mark.parametrize("env_id", BENT)
+def test_each_lane_is_where_highway_env_says(env_id):
+    network, rng = World(env_id).make().unwrapped.road.network, np.random.default_rng(0)
+    compiled = pickle.loads(pickle.dumps(compiled_network(network)))
+    with c_library():
+        for number, (index, lane) in enumerate(network.lanes_dict().items()):
+            for along, across in zip(rng.uniform(-9, lane.length + 9, 12), rng.normal(0, 4, 12), strict=True):
+                compiled.position(number, along, across)
+                assert (compiled.x, compiled.y) == tuple(lane.position(along, across)), index
+                assert compiled.heading_at(number, along) == lane.heading_at(along)
+                x, y = lane.position(along, across) + rng.normal(0, 20, 2)
+                compiled.locate(number, x, y)
+                assert (compiled.along, compiled.across) == lane.local_coordinates(np.array([x, y]))
+                assert compiled.is_on(number, x, y, 1.0) == lane.on_lane(np.array([x, y]), margin=1.0)
+                assert compiled.is_reachable(number, x, y) == lane.is_reachable_from(np.array([x, y]))
+                assert compiled.is_after_end(number, x, y) == lane.after_end(np.array([x, y]))
+
+
+def swerves(actions):
+    """Return the factory of a policy that cycles through actions, with what it has seen in between."""
+
+    def make():
+        taken = []
+        return lambda seen: taken.append(np.sum(seen)) or actions[len(taken) // 3 % len(actions)]
+
+    return make
+
+
+class Own(IDMVehicle):
+    """IDM with code of its own, which the kernel does not know."""
+
+    def act(self, action=None):
+        super().act(action)
+
+
+@pytest.mark.parametrize("env_id", BENT)
+def test_every_kind_of_ego_drives_as_in_steps_of_the_environment(env_id):
+    """The bits are equal with the C library's functions: IDM, a class with code of its own, and the policy's actions.
+
+    The ego of lane-keeping-v0 must have a state that only its own class has.
+    """
+    world = World(env_id, duration=12.0)
+    space = world.action_space
+    actions = [*range(space.n), 1] if hasattr(space, "n") else [np.full(space.shape, 0.01, np.float32)]
+    egos = [swerves(actions)] if env_id == "lane-keeping-v0" else [IDMVehicle, Own, swerves(actions)]
+    for seed, ads in enumerate(egos):
+        scenario = sample(space_of(world), np.random.default_rng(seed))
+        with c_library():
+            ours, stocks = world.rollout(scenario, ads), world.rollout_in_gym(scenario, ads)
+        assert (ours.outcome, ours.executed, ours.collision) == (stocks.outcome, stocks.executed, stocks.collision), ads
+        assert ours.states.tobytes() == stocks.states.tobytes(), ads
+
+
+@pytest.mark.parametrize("env_id", BENT)
+def test_the_kernel_moves_the_egos_that_it_knows(env_id, monkeypatch):
+    drivers = []
+    original = policies.SteppedRun
+    monkeypatch.setattr(
+        policies,
+        "SteppedRun",
+        lambda vehicles, driver, guard: drivers.append(driver) or original(vehicles, driver, guard),
+    )
+    world = World(env_id, duration=2.0)
+    scenario = sample(space_of(world), np.random.default_rng(0))
+    for ads in (IDMVehicle, Own, MDPVehicle):
+        world.rollout(scenario, ads)
+    assert [isinstance(driver, ModelDriver) for driver in drivers] == [True, False, False]
