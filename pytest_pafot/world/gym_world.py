@@ -14,6 +14,7 @@ from pytest_pafot.model.trace import Trace
 from pytest_pafot.support.errors import AdsFactoryError, WorldError
 from pytest_pafot.world.built_in import BuiltInWorld
 from pytest_pafot.world.driving.ads import AdsFactory, check_drives_in, is_vehicle_class, make_ads, wants_env
+from pytest_pafot.world.engines.egos import planner_run
 from pytest_pafot.world.engines.run import SteppedRun
 from pytest_pafot.world.guard.failure import closing
 from pytest_pafot.world.guard.hang_guard import HangGuard
@@ -233,6 +234,8 @@ class World(BuiltInWorld):
         return replay_environment(self.environment, self.rules, scenario, ads_factory, is_planner=is_planner)
 
     def _begin(self, scenario: Scenario, guard: HangGuard, sight: Sight | None) -> SteppedRun:
+        if self.planner_hz is not None:
+            return planner_run(self.rules, scenario, lambda: self.network, None, guard, sight=sight)
         from pytest_pafot.world.engines.policies import begin  # noqa: PLC0415  (imports highway-env)
 
         return begin(self.environment, self.rules, scenario, guard, sight)
@@ -241,11 +244,9 @@ class World(BuiltInWorld):
     def has_lock_step(self) -> bool:
         """True if several runs can proceed in lock step.
 
-        They cannot on a road that is not straight, with wrappers or ``planner_hz``, or if the environment overrides
-        highway-env's ``step``.
+        They cannot with wrappers, or if the environment overrides highway-env's ``step``.
         """
-        is_bare = isinstance(self.road, StraightRoad) and self.wrappers is None
-        return is_bare and self.planner_hz is None and not self.environment.steps_itself(drives_itself=False)
+        return self.wrappers is None and not self.environment.steps_itself(drives_itself=self.planner_hz is not None)
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data for a corpus file; :func:`pytest_pafot.world.from_dict` reads it.

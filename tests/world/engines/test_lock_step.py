@@ -10,6 +10,8 @@ from pytest_pafot.model.scenario import PositionInstruction, Scenario, ScenarioE
 from pytest_pafot.searching import SearchSpace, sample
 from pytest_pafot.world import AdsFactoryError
 from pytest_pafot.world.engines.lock_step import batching_ads
+from tests.helpers.road_cases import space_of
+from tests.helpers.stages import oracle
 from tests.helpers.stopped_clock import StoppedClock
 from tests.helpers.tables import table
 
@@ -70,6 +72,24 @@ def test_policy_in_lock_step_drives_as_alone():
     alone = [ENVIRONMENT.rollout(scenario, MetaPolicy) for scenario in scenarios()]
     assert differences(ENVIRONMENT.rollout_batch(scenarios(), MetaPolicy), alone) == []
     assert len({trace.ticks for trace in alone}) > 1, "they should end at different times"
+
+
+@pytest.mark.parametrize(
+    ("world", "ads"),
+    [
+        (World("intersection-v0", duration=9.0, planner_hz=5), Planner),
+        (World("roundabout-v0", duration=9.0), MetaPolicy),
+        oracle(World("merge-v1", duration=9.0), MetaPolicy),
+        oracle(World("racetrack-v0", duration=9.0, planner_hz=5), Planner),
+    ],
+)
+def test_runs_on_bent_roads_do_not_disturb_each_other(world, ads):
+    """They share what is known of the road, and proceed in turn."""
+    rng, space, asked = np.random.default_rng(5), space_of(world), []
+    several = [sample(space, rng) for _ in range(5)]
+    alone = [world.rollout(scenario, ads) for scenario in several]
+    assert differences(world.rollout_batch(several, lambda: ads(asked)), alone) == []
+    assert asked[0] == 5
 
 
 def test_batch_is_asked_once_per_decision_tick():
