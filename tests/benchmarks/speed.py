@@ -1,6 +1,6 @@
 """How fast does a world run, and where does the time go? One command for all figures of docs/explanation/speed.md:
 
-    python -m tests.benchmarks.speed [--rounds 7] [--parts engines ads npcs search batch pure start memory comparison]
+    python -m tests.benchmarks.speed [--rounds 7] [--parts engines ads npcs search batch roads pure start memory comparison]
 
 - ``engines``: one run of 60 s with two NPCs, by the usual ``gymnasium.make`` + ``env.step`` loop with its Kinematics
   observation, by the same with the observation stubbed, and by the kernel compiled and interpreted. All take turns in
@@ -9,6 +9,8 @@
 - ``npcs``: cost per vehicle and tick for 1 to 32 NPCs.
 - ``search``: the cost of searches in addition to their rollouts.
 - ``batch``: runs in lock step, with policies that decide for all of them at once, compared with one by one.
+- ``roads``: a simulated second of a trivial planner, of IDM and of a trivial policy on the roads of highway-env, beside
+  the same policy by ``env.step``.
 - ``pure``: searches with a policy of 1 ms that is declared pure, compared with the same policy called for everything.
 - ``start``: a fresh process until its first run is over, and whether that imported highway_env.
 - ``memory``: the memory of this process over 10,000 scenarios.
@@ -35,7 +37,7 @@ from typing import Any
 import numpy as np
 from highway_env.vehicle.behavior import IDMVehicle
 
-from pytest_pafot import Highway, PositionInstruction, Run, Scenario, Trace, explore
+from pytest_pafot import Highway, PositionInstruction, Run, Scenario, Trace, World, explore
 from pytest_pafot.campaign.simplification import ROLLOUTS, driven
 from pytest_pafot.execution.runner import DecisionCache
 from pytest_pafot.findings.shrink import shrink
@@ -50,6 +52,7 @@ from pytest_pafot.searching import (
     sample,
 )
 from pytest_pafot.searching.fitness import resolve
+from pytest_pafot.training import random_scenarios
 from pytest_pafot.world import kernel
 from tests.benchmarks.command import options
 from tests.benchmarks.crowd import crowd
@@ -348,6 +351,27 @@ class Slow:
         return small_python()(observation)
 
 
+def roads(rounds: int) -> None:
+    """Run part ``roads``."""
+    for env_id in ("highway-v0", "merge-v1", "roundabout-v0", "intersection-v0", "racetrack-v0", "exit-v0"):
+        environment, in_si_units = World(env_id), World(env_id, planner_hz=5)
+        space = environment.action_space
+        action: Any = 1 if hasattr(space, "n") else np.zeros(space.shape, np.float32)
+        kinds: dict[str, tuple[World, Any, bool]] = {
+            "planner": (in_si_units, idle, False),
+            "IDM": (environment, IDMVehicle, False),
+            "policy": (environment, lambda: lambda observation, action=action: action, False),
+            "policy by env.step": (environment, lambda: lambda observation, action=action: action, True),
+        }
+        for kind, (world, ads, is_gym) in kinds.items():
+            draw = random_scenarios(world)
+            scenarios = [draw(np.random.default_rng(seed)) for seed in range(10)]
+            run = world.rollout_in_gym if is_gym else world.rollout
+            seconds = sum(run(scenario, ads).duration for scenario in scenarios)
+            took = median_ms(lambda: [run(scenario, ads) for scenario in scenarios], rounds)  # noqa: B023  (called here)
+            print(f"{env_id:16} {kind:20} {took / seconds:8.3f} ms a simulated second")
+
+
 def pure(rounds: int) -> None:
     """Run part ``pure``."""
     print(f"\ndecisions of a pure policy of 1 ms taken from earlier runs, {KERNEL}, 20 generations, 15/5 Hz")
@@ -481,8 +505,8 @@ def _compared(job: tuple[str, int]) -> int:
 
 
 PARTS: dict[str, Callable[[int], None]] = {
-    "engines": engines, "ads": ads_ladder, "npcs": npcs, "search": search, "batch": batch, "pure": pure, "start": start,
-    "memory": memory, "comparison": comparison,
+    "engines": engines, "ads": ads_ladder, "npcs": npcs, "search": search, "batch": batch, "roads": roads, "pure": pure,
+    "start": start, "memory": memory, "comparison": comparison,
 }  # fmt: skip
 
 
