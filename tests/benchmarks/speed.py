@@ -1,6 +1,7 @@
 """How fast does a world run, and where does the time go? One command for all figures of docs/explanation/speed.md:
 
-    python -m tests.benchmarks.speed [--rounds 7] [--parts engines ads npcs search batch roads pure start memory comparison]
+    python -m tests.benchmarks.speed [--rounds 7]
+        [--parts engines ads npcs search batch roads pure start memory comparison]
 
 - ``engines``: one run of 60 s with two NPCs, by the usual ``gymnasium.make`` + ``env.step`` loop with its Kinematics
   observation, by the same with the observation stubbed, and by the kernel compiled and interpreted. All take turns in
@@ -351,17 +352,23 @@ class Slow:
         return small_python()(observation)
 
 
+def always(action: Any) -> Callable[[object], Any]:
+    """Return a policy that returns the same action at every decision."""
+    return lambda observation: action
+
+
 def roads(rounds: int) -> None:
     """Run part ``roads``."""
     for env_id in ("highway-v0", "merge-v1", "roundabout-v0", "intersection-v0", "racetrack-v0", "exit-v0"):
         environment, in_si_units = World(env_id), World(env_id, planner_hz=5)
         space = environment.action_space
         action: Any = 1 if hasattr(space, "n") else np.zeros(space.shape, np.float32)
+        policy = partial(always, action)
         kinds: dict[str, tuple[World, Any, bool]] = {
             "planner": (in_si_units, idle, False),
             "IDM": (environment, IDMVehicle, False),
-            "policy": (environment, lambda: lambda observation, action=action: action, False),
-            "policy by env.step": (environment, lambda: lambda observation, action=action: action, True),
+            "policy": (environment, policy, False),
+            "policy by env.step": (environment, policy, True),
         }
         for kind, (world, ads, is_gym) in kinds.items():
             draw = random_scenarios(world)
