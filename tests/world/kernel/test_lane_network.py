@@ -74,6 +74,17 @@ def test_every_kind_of_ego_drives_as_in_steps_of_the_environment(env_id):
         assert ours.states.tobytes() == stocks.states.tobytes(), ads
 
 
+@pytest.mark.parametrize("env_id", [each for each in BENT if each != "lane-keeping-v0"])
+def test_idm_in_the_kernel_drives_as_highway_envs_own(env_id):
+    """It changes lanes, follows routes, brakes behind obstacles, and yields where the road has rules."""
+    world = World(env_id, duration=20.0)
+    for seed in range(12):
+        scenario = sample(space_of(world), np.random.default_rng(seed))
+        with c_library():
+            ours, stocks = world.rollout(scenario, IDMVehicle), world.rollout(scenario, Own)
+        assert ours.states.tobytes() == stocks.states.tobytes(), seed
+
+
 @pytest.mark.parametrize("env_id", BENT)
 def test_the_kernel_moves_the_egos_that_it_knows(env_id, monkeypatch):
     drivers = []
