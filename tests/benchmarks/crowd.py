@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from array import array
 
-from pytest_pafot import Scenario
+from pytest_pafot import LaneInstruction, Scenario
 from pytest_pafot.world.guard.hang_guard import HangGuard
 from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.kernel.director import Director
@@ -18,9 +18,10 @@ SECONDS, HZ, SPACING = 60, 15, 30.0
 
 
 class Crowd(Scenario):
-    """A scenario with any number of NPCs, whose chains are empty."""
+    """A scenario with any number of NPCs, whose genes never begin."""
 
     positions = ()
+    genes = 0
 
     def __post_init__(self) -> None:
         """Check nothing."""
@@ -32,8 +33,8 @@ def crowd(count: int) -> tuple[Loop, PlannerDriver, int]:
     They follow each other, are recorded and are tested for contact as in every run.
     """
     road = StraightRoad.uniform(4, 10_000.0, 4.0, 26.8)
-    director = Director(  # empty chains, so that no gene begins
-        Crowd(npcs=((),) * count),
+    director = Director(
+        Crowd(npcs=((LaneInstruction("keep", 22.0),),) * count),
         road,
         NpcLimits(),
         clearance=3.0,

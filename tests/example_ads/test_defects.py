@@ -10,7 +10,8 @@ from highway_env.vehicle.kinematics import Vehicle
 
 import pytest_pafot as pafot
 from example_ads import defects
-from pytest_pafot import Cell, Highway, Outcome, PositionInstruction, Scenario
+from pytest_pafot import Cell, Highway, Outcome, PositionInstruction, Scenario, World
+from pytest_pafot.model.trace import SPEED
 from tests.helpers.c_library import c_library
 from tests.helpers.stages import mostly_oracle, oracle
 from tests.helpers.tables import table
@@ -179,6 +180,17 @@ def test_the_healthy_one_drives_as_highway_envs_own(scenario):
     with c_library():  # numpy may round differently
         healthy, stock = (ROAD.rollout(scenario, policy) for policy in (defects.make("healthy"), IDMVehicle))
     assert (healthy.states == stock.states).all()
+
+
+@pytest.mark.parametrize("env_id", ["highway-v0", "intersection-v0"])
+def test_the_healthy_one_sees_others_in_an_environment(env_id):
+    """Its road is its own, but everybody on the environment's road is on it, and it yields as others do."""
+    world = World(env_id, duration=10.0)
+    lane, speed = world.start or (1, 22.0)
+    scenario = Scenario(npcs=BRAKES_AHEAD.npcs, ego_lane=lane, ego_speed=speed, gene_seconds=10.0)
+    healthy, stock = (world.rollout(scenario, policy) for policy in (defects.make("healthy"), IDMVehicle))
+    assert healthy.states.tobytes() == stock.states.tobytes()
+    assert healthy.ego[:, SPEED].min() < speed - 5.0
 
 
 def never_collides(run):
