@@ -236,6 +236,10 @@ class PlannerDriver(GivenDriver):
 class Loop:
     """The loop of one run.
 
+    It needs little of whoever moves the vehicles. A :class:`Body` is put at its start by ``place``, moved by ``step``
+    for one tick with the acceleration and steering that were set, and read as the numbers that :meth:`moved` records;
+    ``EgoDriver.step`` may move the ego in another way. :class:`Places` says where vehicles are on their road.
+
     Args:
         director: the director of the NPCs.
         places: the vehicles at their starts, and where they are on the road.
