@@ -164,7 +164,7 @@ class _Mirror:
     def show(self) -> None:
         """Copy the state of the compiled vehicles into the environment's vehicles."""
         for vehicle, body in self._pairs:
-            x, y, vehicle.heading, vehicle.speed, lane, goal, _ = body.seen()
+            x, y, vehicle.heading, vehicle.speed, lane, goal = body.seen()
             vehicle.position = np.array([x + self._x, y + self._y])
             vehicle.action = {"steering": body.steering, "acceleration": body.acceleration}
             vehicle.lane_index, vehicle.lane = self._lanes[lane]

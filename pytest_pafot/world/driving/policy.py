@@ -152,7 +152,7 @@ class ModelPolicyDriver(PolicyDriver):
     def _show(self) -> None:
         """Give the environment's vehicle the state of the ego."""
         vehicle, model = self.vehicle, self._model
-        x, y, vehicle.heading, vehicle.speed, lane, goal, _ = model.seen()
+        x, y, vehicle.heading, vehicle.speed, lane, goal = model.seen()
         vehicle.position = np.array([x, y])
         vehicle.action = {"steering": model.steering, "acceleration": model.acceleration}
         vehicle.lane_index = self._indexes[lane]

@@ -76,9 +76,9 @@ class GoalVehicle(Body):
         """Set the speed of its goal [m/s]."""
         self._target_speed = speed
 
-    def seen(self) -> tuple[float, float, float, float, int, int, float]:
-        """Return its x [m], y [m], heading [rad], speed [m/s], its lane, and the lane and speed of its goal [m/s]."""
-        return self.x, self.y, self.heading, self.speed, self._closest, self._goal, self._target_speed
+    def seen(self) -> tuple[float, float, float, float, int, int]:
+        """Return its x [m], y [m], heading [rad], speed [m/s], its lane, and the lane of its goal."""
+        return self.x, self.y, self.heading, self.speed, self._closest, self._goal
 
     def pursue(self) -> None:
         """Set acceleration and steering for the coming tick towards the goal, whatever others do."""
