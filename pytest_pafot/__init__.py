@@ -32,9 +32,11 @@ if TYPE_CHECKING:
     from pytest_pafot.model.scenario import Chromosome as Chromosome
     from pytest_pafot.model.scenario import CrossingInstruction as CrossingInstruction
     from pytest_pafot.model.scenario import LaneInstruction as LaneInstruction
+    from pytest_pafot.model.scenario import Manoeuvre as Manoeuvre
     from pytest_pafot.model.scenario import PositionInstruction as PositionInstruction
     from pytest_pafot.model.scenario import Scenario as Scenario
     from pytest_pafot.model.scenario import ScenarioError as ScenarioError
+    from pytest_pafot.model.scenario import Step as Step
     from pytest_pafot.model.trace import Collision as Collision
     from pytest_pafot.model.trace import Outcome as Outcome
     from pytest_pafot.model.trace import Trace as Trace
@@ -43,8 +45,11 @@ if TYPE_CHECKING:
     from pytest_pafot.oracle.checks import reject as reject
     from pytest_pafot.oracle.checks import target as target
     from pytest_pafot.oracle.run import Run as Run
+    from pytest_pafot.plugin.marks import catalogue as catalogue
     from pytest_pafot.plugin.marks import search as search
     from pytest_pafot.searching.fitness import Weights as Weights
+    from pytest_pafot.sweeps.maps import Sweep as Sweep
+    from pytest_pafot.sweeps.maps import sweep as sweep
     from pytest_pafot.training import training_env as training_env
     from pytest_pafot.world import Drive as Drive
     from pytest_pafot.world import Highway as Highway
@@ -69,6 +74,7 @@ _HOMES = {
     "Highway": "world",
     "LaneInstruction": "model.scenario",
     "LastChance": "attribution.last_chance",
+    "Manoeuvre": "model.scenario",
     "Measure": "criticality.signals",
     "NpcLimits": "world",
     "Observation": "world",
@@ -80,6 +86,8 @@ _HOMES = {
     "Scenario": "model.scenario",
     "ScenarioError": "model.scenario",
     "Signal": "criticality.signals",
+    "Step": "model.scenario",
+    "Sweep": "sweeps.maps",
     "Trace": "model.trace",
     "Traffic": "model.driving_style",
     "Weights": "searching.fitness",
@@ -91,11 +99,13 @@ _HOMES = {
     "always": "criticality.temporal",
     "below": "criticality.temporal",
     "eventually": "criticality.temporal",
+    "catalogue": "plugin.marks",
     "check": "oracle.checks",
     "explore": "campaign.explore",
     "load": "campaign.saved_scenario",
     "reject": "oracle.checks",
     "search": "plugin.marks",
+    "sweep": "sweeps.maps",
     "target": "oracle.checks",
     "training_env": "training",
     "until": "criticality.temporal",

@@ -26,6 +26,7 @@ def main(arguments: list[str] | None = None) -> int:
     from pytest_pafot.report.animation import AnimationError  # noqa: PLC0415
     from pytest_pafot.support.errors import AdsFactoryError, FieldError, RequestError  # noqa: PLC0415
     from pytest_pafot.support.interrupts import Ended, interrupted_by_signals  # noqa: PLC0415
+    from pytest_pafot.sweeps import map_command as mapping  # noqa: PLC0415
 
     # The errors that the user can correct. A worker that dies raises a ChildProcessError.
     errors = (RequestError, FieldError, AdsFactoryError, RevisionError, AnimationError, ChildProcessError)
@@ -83,6 +84,15 @@ def main(arguments: list[str] | None = None) -> int:
     )
     exporting.add_arguments(export)
     export.set_defaults(run=exporting.run)
+    of_map = commands.add_parser(
+        "map",
+        help="drive a scenario over a grid of two of its numbers",
+        description="Drive a named scenario of the catalogue, or that of a saved finding, for all values of one or two "
+        "of its numbers, and print the map: where the policy avoids a failure, where it fails though a reference "
+        "driver avoids it, and where nobody does.",
+    )
+    mapping.add_arguments(of_map)
+    of_map.set_defaults(run=mapping.run)
     of_corpus = commands.add_parser(
         "corpus",
         help="list, count, join, prune and accept saved scenarios",

@@ -22,6 +22,7 @@ from pytest_pafot.model.scenario import (
     EGO_SPEED,
     GENE_SECONDS,
     LARGEST_SLOT,
+    MOST_STEPS,
     PAPER_SPEED_LIMIT,
     SHIFTS,
     SLOT_STEPS_PER_SECOND,
@@ -30,13 +31,15 @@ from pytest_pafot.model.scenario import (
     Chromosome,
     CrossingInstruction,
     LaneInstruction,
+    Manoeuvre,
     PositionInstruction,
     Scenario,
+    Step,
 )
 
 
 def _register() -> None:
-    """Register strategies for ``PositionInstruction``, ``LaneInstruction`` and ``Scenario``, to be inferred from types.
+    """Register strategies for instructions, manoeuvres and ``Scenario``, to be inferred from types.
 
     Hypothesis calls this function when it is imported. The function is defined before the import of hypothesis below,
     because that import may already call it.
@@ -45,13 +48,23 @@ def _register() -> None:
 
     strategies.register_type_strategy(PositionInstruction, lambda _: position_instructions())
     strategies.register_type_strategy(LaneInstruction, lambda _: lane_instructions())
+    strategies.register_type_strategy(Step, lambda _: steps())
+    strategies.register_type_strategy(Manoeuvre, lambda _: manoeuvres())
     strategies.register_type_strategy(Scenario, lambda _: scenarios())
 
 
 from hypothesis import strategies as st  # noqa: E402
 from hypothesis.strategies import SearchStrategy  # noqa: E402
 
-__all__ = ["chromosomes", "lane_instructions", "position_instructions", "scenarios", "scenarios_in"]
+__all__ = [
+    "chromosomes",
+    "lane_instructions",
+    "manoeuvres",
+    "position_instructions",
+    "scenarios",
+    "scenarios_in",
+    "steps",
+]
 
 _STEPS = round(LARGEST_SLOT * SLOT_STEPS_PER_SECOND)
 _SLOTS = [
@@ -87,6 +100,59 @@ def lane_instructions(
         ValueError: if no speed is within the bounds.
     """
     return st.builds(LaneInstruction, st.sampled_from(SHIFTS), _speeds(min_speed, max_speed))
+
+
+def steps(*, min_speed: float = 0.0, max_speed: float = PAPER_SPEED_LIMIT) -> SearchStrategy[Step]:
+    """Return a strategy for single steps of a manoeuvre, of any trigger and act.
+
+    Args:
+        min_speed, max_speed: bounds of the target speed [m/s], rounded to multiples of 0.1.
+
+    Raises:
+        ValueError: if no speed is within the bounds.
+    """
+    triggers: SearchStrategy[dict[str, float]] = st.one_of(
+        st.builds(dict, after=_tenths(0, 50)),
+        st.builds(dict, gap=_tenths(-500, 1000)),
+        st.builds(dict, headway=_tenths(-20, 50)),
+    )
+    acts = {"lane": st.sampled_from(SHIFTS), "lateral_speed": _tenths(3, 30), "offset": _tenths(-15, 15)}
+    speed = st.none() | _speeds(min_speed, max_speed)
+    return st.builds(
+        lambda trigger, **act: Step(**trigger, **act), triggers, **acts, speed=speed, acceleration=_tenths(5, 80)
+    )
+
+
+def manoeuvres(
+    *,
+    beside: Iterable[int] = (0, 1, -1),
+    max_distance: float = 100.0,
+    max_steps: int = 3,
+    min_speed: float = 0.0,
+    max_speed: float = PAPER_SPEED_LIMIT,
+) -> SearchStrategy[Manoeuvre]:
+    """Return a strategy for manoeuvres. Whether their lanes exist depends on the ego's lane and the world.
+
+    Args:
+        beside: the first lanes to choose from, as numbers of lanes to the right of the ego's.
+        max_distance: the largest distance at the start [m].
+        max_steps: the largest number of steps.
+        min_speed, max_speed: bounds of the speeds [m/s], rounded to multiples of 0.1.
+
+    Raises:
+        ValueError: if no manoeuvre is within the bounds.
+    """
+    lanes, most, speeds = tuple(beside), round(10 * max_distance), _speeds(min_speed, max_speed)
+    if not lanes or most < 10 or not 0 <= max_steps <= MOST_STEPS:
+        expected = f"some lanes, a distance of 1 m or more and 0 to {MOST_STEPS} steps"
+        raise ValueError(f"manoeuvres: expected {expected}, received {lanes!r}, {max_distance!r} and {max_steps!r}")
+    distances = (_tenths(10, most) | _tenths(-most, -10)).filter(bool)
+    chains = st.lists(steps(min_speed=min_speed, max_speed=max_speed), max_size=max_steps).map(tuple)
+    return st.builds(Manoeuvre, beside=st.sampled_from(lanes), ahead=distances, speed=speeds, steps=chains)
+
+
+def _tenths(low: int, high: int) -> SearchStrategy[float]:
+    return st.integers(low, high).map(lambda number: number / 10)
 
 
 def chromosomes(

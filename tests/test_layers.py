@@ -12,7 +12,7 @@ PACKAGE = Path(pytest_pafot.__file__).parent
 ROOMS = (
     "support", "model", "criticality", "attribution", "oracle", "properties", "findings", "searching", "corpus",
     "world", "policies", "execution", "strategies", "testing", "campaign", "commands", "comparison", "report",
-    "episodes", "training", "export", "plugin", "__main__",
+    "episodes", "training", "export", "sweeps", "plugin", "__main__",
 )  # fmt: skip
 """The rooms in order: each may import the rooms before it, and itself."""
 
@@ -29,7 +29,7 @@ HOMES = {
     "PIL": {"report"},
     "pandas": {"comparison", "oracle"},
     "scipy": {"comparison"},
-    "matplotlib": {"comparison"},
+    "matplotlib": {"comparison", "sweeps"},
     "pymoo": {"searching"},
     "ribs": {"searching"},
     "cmaes": {"searching"},

@@ -32,8 +32,10 @@ from pytest_pafot.model.scenario import (
     CrossingInstruction,
     Gene,
     LaneInstruction,
+    Manoeuvre,
     PositionInstruction,
     Scenario,
+    Step,
 )
 from pytest_pafot.model.sight import Sight
 from pytest_pafot.model.trace import Outcome
@@ -86,12 +88,22 @@ SIGNED = frozenset(
         "ego_speed",
         "npc_speed",
         "ego_mean_speed",
+        "beside",
+        "gap",
+        "headway",
+        "offset",
     }
 )
 """The fields of dataclasses whose numbers may be negative."""
 
 MARKS: Mapping[str, type] = MappingProxyType(
-    {"cell": PositionInstruction, "lane": LaneInstruction, "zone": CrossingInstruction, "npc_enters": ZoneSituation}
+    {
+        "beside": Manoeuvre,
+        "cell": PositionInstruction,
+        "lane": LaneInstruction,
+        "zone": CrossingInstruction,
+        "npc_enters": ZoneSituation,
+    }
 )
 """The keys that tell the dataclasses of a union apart; the first of them decides. Without any, it is the union's first
 dataclass."""
@@ -292,10 +304,12 @@ def _value(field: Field, kind: Any, own: Mapping[str, Read]) -> Any:
     if kind in _SIMPLE:
         return _SIMPLE[kind](field)
     value = _record(field, kind, **own)
-    if isinstance(value, Gene):
-        for name, unit in (("slot", "seconds"), ("speed", "m/s")):
-            if name in field.value and getattr(value, name) != field.value[name]:  # the gene has rounded the number
-                raise field.at(name).error(f"{unit} in steps of 0.1", f"write {getattr(value, name)}")
+    if isinstance(value, Gene | Step):
+        for name in field.value:
+            now = getattr(value, name)
+            if type(now) is float and now != field.value[name]:  # the gene has rounded the number
+                unit = {"slot": "seconds", "speed": "m/s"}.get(name, "a number")
+                raise field.at(name).error(f"{unit} in steps of 0.1", f"write {now}")
     return value
 
 

@@ -209,11 +209,8 @@ def execution_time(trace: Trace) -> float:
 
 
 def planned_duration(trace: Trace) -> float:
-    """Return the duration of the scenario's genes [s]; if an NPC crosses, that of the run.
-
-    The gene of an NPC that crosses has no duration.
-    """
-    return trace.duration if trace.scenario.crossings else trace.scenario.seconds
+    """Return the duration of the scenario's genes [s]; that of the run if one of them has no duration."""
+    return trace.duration if trace.scenario.seconds == np.inf else trace.scenario.seconds
 
 
 def _lowest(values: FloatArray) -> float:

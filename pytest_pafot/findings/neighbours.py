@@ -15,6 +15,7 @@ from itertools import islice, zip_longest
 from types import MappingProxyType
 
 from pytest_pafot.model.scenario import (
+    ALONE,
     LARGEST_SLOT,
     LONGEST_GENE,
     SHIFTS,
@@ -22,7 +23,9 @@ from pytest_pafot.model.scenario import (
     CrossingInstruction,
     Gene,
     LaneInstruction,
+    Manoeuvre,
     Scenario,
+    Step,
 )
 
 SHARES: Mapping[float, str] = MappingProxyType({1.0: "all", 0.5: "half", 0.25: "a quarter of", 0.125: "an eighth of"})
@@ -36,6 +39,8 @@ WHOLE_TICKS = 0.2
 """Other durations of a gene are multiples of this [s], because a world needs whole ticks, of 1/15 s by default."""
 SLOT = 0.5
 """The largest step of a slot [s]."""
+DISTANCE = 0.1
+"""The largest step of a distance that begins a step of a manoeuvre, as a share of the distance."""
 LEAST_SPEED = 0.1
 """The lowest speed of an NPC that crosses [m/s]."""
 STAYING = ("seed", "ego_lane", "ego_speed", "gene_seconds", "traffic")
@@ -167,10 +172,10 @@ def _scaling(scenario: Scenario, limits: Limits) -> _Neighbour:
 
 def _longer(scenario: Scenario, longest_run: float) -> Scenario:
     """Return a scenario whose longest chains last one gene longer, unless the scenario would be too long then."""
-    timed = [len(chain) for chain in scenario.npcs if not isinstance(chain[0], CrossingInstruction)]
+    timed = [len(chain) for chain in scenario.npcs if not isinstance(chain[0], ALONE)]
     if not timed or (max(timed) + 1) * scenario.gene_seconds > longest_run + 1e-9:
         return scenario
-    is_longest = [len(chain) == max(timed) and not isinstance(chain[0], CrossingInstruction) for chain in scenario.npcs]
+    is_longest = [len(chain) == max(timed) and not isinstance(chain[0], ALONE) for chain in scenario.npcs]
     chains = [(*chain, chain[-1]) if is_it else chain for chain, is_it in zip(scenario.npcs, is_longest, strict=True)]
     return replace(scenario, npcs=tuple(chains))
 
@@ -232,6 +237,11 @@ class _Neighbour:
         """Return a gene with another speed, which the traffic allows unless it did not allow the gene's own."""
         if isinstance(gene, CrossingInstruction):
             return replace(gene, speed=self._speed(speed, LEAST_SPEED))
+        if isinstance(gene, Manoeuvre):
+            factor = speed / gene.speed if gene.speed else 1.0
+            steps = [step if step.speed is None else replace(step, speed=self._speed(factor * step.speed, 0.0))
+                     for step in gene.steps]  # fmt: skip
+            return replace(gene, speed=self._speed(speed, 0.0), steps=tuple(steps))
         least = min(self.scenario.traffic.least_speed(self.top_speed), gene.speed)
         return replace(gene, speed=self._speed(speed, least))
 
@@ -241,11 +251,21 @@ class _Neighbour:
         if isinstance(moved, CrossingInstruction):
             slot = round(moved.slot + self._step(SLOT), 1)
             return replace(moved, slot=min(max(slot, -LARGEST_SLOT), LARGEST_SLOT))
+        if isinstance(moved, Manoeuvre):
+            return replace(moved, steps=tuple(map(self._nudged, moved.steps)))
         return moved
+
+    def _nudged(self, step: Step) -> Step:
+        """Return a step that begins at a slightly different distance."""
+        if step.gap is not None:
+            return replace(step, gap=round(step.gap * (1 + self._step(DISTANCE)), 1))
+        if step.headway is not None:
+            return replace(step, headway=round(step.headway * (1 + self._step(DISTANCE)), 1))
+        return step
 
     def _changed(self, gene: Gene) -> Gene:
         """Return a gene with a cell or a lane beside its own; with smaller steps, or at a zone, only moved."""
-        if self.share < 1 or isinstance(gene, CrossingInstruction):
+        if self.share < 1 or isinstance(gene, ALONE):
             return self._moved(gene)
         if isinstance(gene, LaneInstruction):
             others = [lane for lane in SHIFTS if lane != gene.lane]

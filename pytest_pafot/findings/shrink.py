@@ -21,6 +21,8 @@ from typing import Any
 from pytest_pafot.model.driving_style import PAPERS, Traffic
 from pytest_pafot.model.grid import Cell, cell_at
 from pytest_pafot.model.scenario import (
+    ALONE,
+    DEFAULT_STEP,
     EGO_LANE,
     EGO_SPEED,
     GENE_SECONDS,
@@ -33,9 +35,11 @@ from pytest_pafot.model.scenario import (
     CrossingInstruction,
     Gene,
     LaneInstruction,
+    Manoeuvre,
     PositionInstruction,
     Scenario,
     ScenarioError,
+    Step,
     gene_of,
     retimed,
 )
@@ -64,6 +68,9 @@ FIVE, ONE, TENTH = 5 * SPEED_STEPS_PER_MPS, SPEED_STEPS_PER_MPS, 1
 SECOND, HALF = SLOT_STEPS_PER_SECOND, SLOT_STEPS_PER_SECOND // 2
 """Steps of a slot, in tenths of a second."""
 
+
+PLAIN_OF_STEPS = ("lateral_speed", "offset", "acceleration")
+"""The numbers of a step that are simplest at their defaults."""
 
 SMALL_SPEEDS = (0.0, 10.0, 20.0, 25.0)
 """Speeds of the instructions in small scenarios [m/s]; if one of them fails, the passes try other speeds in it."""
@@ -131,28 +138,32 @@ def sort_key(scenario: Scenario) -> tuple[int, ...]:
     1. The number of NPCs, because a reader has to understand each of them.
     2. The number of instructions to read: equal instructions in a row are read as one, except changes of lanes.
     3. The number of moves to a different cell or lane, because staying is simpler. For an NPC that crosses, 1 if it
-       holds or stops, because passing is simpler.
+       holds or stops, because passing is simpler. Each step of a manoeuvre is an instruction.
     4. The number of NPCs in lanes, because a cell says where an NPC is, whereas the start of an NPC in lanes depends on
        the other NPCs.
     5. The number of genes of the longest chain, which decides the length of the run; then the number of all genes.
     6. The ego's start: lane 1 and 22 m/s are simplest, then round speeds. Genes of 10 s are simpler than genes of any
        other duration.
     7. The roughness of the speeds: multiples of 5 m/s are simpler than whole numbers, and whole numbers are simpler
-       than tenths. For slots, whole seconds are simpler than halves, and halves are simpler than tenths.
+       than tenths. For slots, whole seconds are simpler than halves, and halves are simpler than tenths. The distances
+       of manoeuvres are as speeds, and a step's other numbers are simplest at their defaults.
     8. The sum of the instructions' speeds, because slower is simpler. For an NPC that crosses, the distance of its slot
-       from 0 instead of its speed.
+       from 0 instead of its speed; nothing for a manoeuvre.
     9. The traffic: the paper's is simplest, because it adds no rules.
     10. The seed of the repair: 0 is simplest.
 
     Every part is a non-negative integer, so every chain of simplifications ends.
     """
     speeds = [_tenths(chain[start]) for chain in scenario.npcs for start, _ in _parts(chain)]
+    asked = [chain[0] for chain in scenario.npcs if isinstance(chain[0], Manoeuvre)]
+    steps = [step for manoeuvre in asked for step in manoeuvre.steps]
+    distances = [each.ahead for each in asked] + [step.gap or step.headway or step.after for step in steps]
     slots = [round(abs(each.slot) * SLOT_STEPS_PER_SECOND) for each in scenario.crossings if each is not None]
-    crossing = sum(_tenths(each) for each in scenario.crossings if each is not None)
+    crossing = sum(_tenths(each) for each in (*scenario.crossings, *asked) if each is not None)
     start = round(scenario.ego_speed * SPEED_STEPS_PER_MPS)
     return (
         len(scenario.npcs),
-        len(speeds),
+        len(speeds) + len(steps),
         sum(map(_moves, scenario.npcs)),
         sum(isinstance(chain[0], LaneInstruction) for chain in scenario.npcs),
         scenario.genes,
@@ -160,7 +171,10 @@ def sort_key(scenario: Scenario) -> tuple[int, ...]:
         (scenario.ego_lane != EGO_LANE)
         + (scenario.ego_speed != EGO_SPEED and 1 + _roughness(start))
         + (scenario.gene_seconds != GENE_SECONDS),
-        sum(map(_roughness, speeds)) + sum((slot % SECOND > 0) + (slot % HALF > 0) for slot in slots),
+        sum(map(_roughness, speeds))
+        + sum((slot % SECOND > 0) + (slot % HALF > 0) for slot in slots)
+        + sum(_roughness(round(abs(distance) * SPEED_STEPS_PER_MPS)) for distance in distances)
+        + sum(getattr(step, name) != getattr(DEFAULT_STEP, name) for step in steps for name in PLAIN_OF_STEPS),
         sum(speeds) - crossing + sum(slots),
         int(scenario.traffic != PAPERS),
         scenario.seed,
@@ -323,7 +337,7 @@ def _shorter(scenario: Scenario) -> Candidates:
     for genes in sorted({1 << power for power in range(most.bit_length())} | {most} - {0}):  # 1, 2, 4 ... most
         yield scenario.truncated(genes)
     for start, end in _slices(scenario.genes, most):
-        cut = (chain if _crosses(chain) else chain[:start] + chain[end:] for chain in scenario.npcs)
+        cut = (chain if _is_alone(chain) else chain[:start] + chain[end:] for chain in scenario.npcs)
         yield _valid(scenario, tuple(cut))
 
 
@@ -349,9 +363,9 @@ def _plainer_start(scenario: Scenario, plain: Start | None) -> Candidates:
 def _plainer_duration(scenario: Scenario, seconds: float | None) -> Candidates:
     """Give genes the preferred duration, with the same instructions at the same times.
 
-    If all NPCs cross, the duration has no effect, so try the usual one.
+    If no instruction has a duration, it has no effect, so try the usual one.
     """
-    if all(map(_crosses, scenario.npcs)):
+    if all(map(_is_alone, scenario.npcs)):
         yield replace(scenario, gene_seconds=GENE_SECONDS)
         return
     if seconds is None or seconds == scenario.gene_seconds:
@@ -423,8 +437,34 @@ def _rounder(scenario: Scenario) -> Candidates:
 def _slower(scenario: Scenario) -> Candidates:
     """Reduce each speed to 0, or by 5, 1 or 0.1 m/s; the pass is repeated as long as it simplifies."""
     for npc, start, end, speed in _all_blocks(scenario):
-        for lower in (speed, FIVE, ONE, TENTH) if not _crosses(scenario.npcs[npc]) else ():
+        for lower in (speed, FIVE, ONE, TENTH) if not _is_alone(scenario.npcs[npc]) else ():
             yield _with_speed(scenario, npc, start, end, speed - lower)
+
+
+def _plainer_manoeuvres(scenario: Scenario) -> Candidates:
+    """Leave out each step of a manoeuvre, give it the default numbers, and round its distance."""
+    for npc, (manoeuvre, *_) in enumerate(scenario.npcs):
+        if not isinstance(manoeuvre, Manoeuvre):
+            continue
+        steps = manoeuvre.steps
+        for number, step in enumerate(steps):
+            simpler: list[tuple[Step, ...]] = [()]
+            simpler.append((replace(step, lateral_speed=DEFAULT_STEP.lateral_speed),))
+            simpler.append((replace(step, offset=DEFAULT_STEP.offset),))
+            simpler.append((replace(step, acceleration=DEFAULT_STEP.acceleration),))
+            for unit in (5, 1):
+                if step.gap is not None:
+                    simpler.append((replace(step, gap=float(round(step.gap / unit) * unit)),))
+                if step.headway is not None:
+                    simpler.append((replace(step, headway=float(round(step.headway / unit) * unit)),))
+            for each in simpler:
+                chain = (replace(manoeuvre, steps=(*steps[:number], *each, *steps[number + 1 :])),)
+                yield _with_chain(scenario, npc, chain)
+        for unit in (5, 1):
+            with suppress(ScenarioError):  # in the ego's lane, no manoeuvre starts level with it
+                yield _with_chain(
+                    scenario, npc, (replace(manoeuvre, ahead=float(round(manoeuvre.ahead / unit) * unit)),)
+                )
 
 
 def _plain_seed(scenario: Scenario) -> Candidates:
@@ -439,7 +479,7 @@ def _papers_traffic(scenario: Scenario) -> Candidates:
 
 
 STRUCTURE: tuple[Pass, ...] = (_on_grid, _fewer_npcs, _shorter, _merged, _staying, _shorter_chains, _passing)
-PASSES: tuple[Pass, ...] = (*STRUCTURE, _plainer_slots, _rounder, _slower, _plain_seed)
+PASSES: tuple[Pass, ...] = (*STRUCTURE, _plainer_manoeuvres, _plainer_slots, _rounder, _slower, _plain_seed)
 """All passes; the first ones shorten runs most. The passes are repeated until none finds a simpler scenario."""
 
 
@@ -580,10 +620,17 @@ def _crosses(chain: Chromosome) -> bool:
     return isinstance(chain[0], CrossingInstruction)
 
 
+def _is_alone(chain: Chromosome) -> bool:
+    """Return whether an NPC has a single gene without a duration."""
+    return isinstance(chain[0], ALONE)
+
+
 def _moves(chain: Chromosome) -> int:
     """Count changes of cell, changes of lane by Lane-Instructions, and 1 for an NPC that crosses but does not pass."""
     if isinstance(chain[0], CrossingInstruction):
         return int(chain[0].act != "pass")
+    if isinstance(chain[0], Manoeuvre):
+        return sum(step.lane != "keep" for step in chain[0].steps)
     cells = [instruction.cell for instruction in chain if isinstance(instruction, PositionInstruction)]
     shifts = sum(isinstance(each, LaneInstruction) and each.lane != "keep" for each in chain)
     return shifts + sum(a != b for a, b in pairwise(cells))

@@ -1,8 +1,8 @@
 """Instructions, chromosomes and scenarios, which a search evolves and a corpus file stores.
 
-Position-Instructions place an NPC around the ego, Lane-Instructions make it change lanes wherever the ego is, and a
-Crossing-Instruction sends it across or into the ego's way. All genes of a chain are of one kind, and the NPCs of a
-scenario may have different kinds.
+Position-Instructions place an NPC around the ego, Lane-Instructions make it change lanes wherever the ego is, a
+Crossing-Instruction sends it across or into the ego's way, and a Manoeuvre does what is asked for at a distance from
+the ego. All genes of a chain are of one kind, and the NPCs of a scenario may have different kinds.
 
 Source: Crespo-Rodriguez, Neelofar, Aleti, "PAFOT", AST 2024, sections 2 and 3.2.
 """
@@ -14,7 +14,7 @@ import json
 import math
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import lru_cache
 from itertools import pairwise, zip_longest
 from typing import Any, Literal, cast, get_args
@@ -230,7 +230,165 @@ class CrossingInstruction:
         return {"pass": "", "hold": "holds at the line", "stop": "stops there", "late": "starts late"}[self.act]
 
 
-Gene = PositionInstruction | LaneInstruction | CrossingInstruction
+FARTHEST = 500.0
+"""The largest distance of a manoeuvre's start, and of its triggers [m]."""
+
+FASTEST_ASIDE = 5.0
+"""The largest lateral speed that a step can ask for [m/s]."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Step:
+    """A step of a :class:`Manoeuvre`: when it begins, and what the NPC does then.
+
+    It begins when ``gap`` or ``headway`` is reached, from either side, or else ``after`` the end of the step before. A
+    step ends when the NPC is in its lane, at its offset and at its speed. A step whose distance comes earlier begins
+    while the one before it still goes on: the NPC then has the lane of the first and the speed of the second.
+
+    Attributes:
+        gap: distance between the ego and the NPC, from bumper to bumper [m]; negative if the NPC is behind the ego.
+        headway: the same distance in the time that the rear vehicle takes for it [s]; negative if the NPC is behind.
+        after: time since the end of the step before, or since the beginning of the run [s].
+        lane: ``"keep"``, ``"left"`` or ``"right"`` of the lane of the step before.
+        lateral_speed: highest speed across the road [m/s]. A change to a lane of 4 m at 1.5 m/s takes about 4 s.
+        offset: offset from the centre of that lane, positive to the right [m].
+        speed: target speed [m/s]; None keeps the speed of the step before.
+        acceleration: acceleration or deceleration towards that speed, as a positive number [m/s^2].
+    """
+
+    gap: float | None = None
+    headway: float | None = None
+    after: float = 0.0
+    lane: Shift = "keep"
+    lateral_speed: float = 1.5
+    offset: float = 0.0
+    speed: float | None = None
+    acceleration: float = 3.0
+
+    def __post_init__(self) -> None:
+        given = [name for name in ("gap", "headway") if getattr(self, name) is not None] + ["after"] * (self.after != 0)
+        if len(given) > 1:
+            expected, received = "one of gap, headway and after", " and ".join(given)
+            raise ScenarioError(field="step", expected=expected, received=received, fix="the others begin steps, too")
+        for name, least, most in STEP_BOUNDS:
+            if getattr(self, name) is not None:
+                object.__setattr__(self, name, _tenths_within(name, getattr(self, name), least, most))
+        if self.lane not in SHIFTS:
+            raise ScenarioError(field="lane", expected=f"one of {', '.join(SHIFTS)}", received=repr(self.lane))
+
+    @property
+    def column(self) -> int:
+        """The target lane as a number of lanes to the right of that of the step before: -1, 0 or +1."""
+        return (0, -1, 1)[SHIFTS.index(self.lane)]
+
+    @property
+    def is_by_distance(self) -> bool:
+        """True if a distance to the ego begins the step."""
+        return self.gap is not None or self.headway is not None
+
+    @property
+    def trigger(self) -> str:
+        """What begins the step, in words: ``at a gap of 20 m``; empty if it begins as the step before ends."""
+        for value, what, unit in ((self.gap, "gap", "m"), (self.headway, "headway", "s")):
+            if value is not None:
+                return f"at a {what} of {abs(value):g} {unit}{' behind' if value < 0 else ''}"
+        return f"{self.after:g} s later" if self.after else ""
+
+    @property
+    def act(self) -> str:
+        """What the NPC does, in words: ``left at 1.5 m/s, to 5 m/s at 3 m/s^2``."""
+        aside = "" if self.lane == "keep" else f"{self.lane} at {self.lateral_speed:g} m/s"
+        offset = f"{abs(self.offset):g} m {'left' if self.offset < 0 else 'right'} of the centre" if self.offset else ""
+        speed = "" if self.speed is None else f"to {self.speed:g} m/s at {self.acceleration:g} m/s^2"
+        return ", ".join(filter(None, (aside, offset, speed))) or "hold"
+
+
+STEP_BOUNDS = (
+    ("gap", -FARTHEST, FARTHEST),
+    ("headway", -20.0, 20.0),
+    ("after", 0.0, 600.0),
+    ("lateral_speed", 0.1, FASTEST_ASIDE),
+    ("offset", -5.0, 5.0),
+    ("speed", 0.0, MAX_SPEED),
+    ("acceleration", 0.1, 20.0),
+)
+"""The smallest and largest number that each field of a step may have."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Manoeuvre:
+    """The only gene of an NPC that does what is asked for: a start relative to the ego, and steps.
+
+    In the traffic of the paper's style, the NPC does it whatever is in its way; in hostile or everyday traffic it gives
+    way as the others there. Physical limits hold in both. ``run.asked`` tells what became of it.
+
+    Attributes:
+        beside: lane at the start: the number of lanes to the right of the ego's, 0 for the ego's lane.
+        ahead: distance at the start from the ego's front to the NPC's rear [m]. Negative: from the ego's rear to the
+            NPC's front. 0: level with the ego, in another lane.
+        speed: speed at the start [m/s].
+        steps: what it does then; without a step, and after the last one, it keeps lane and speed.
+    """
+
+    beside: int
+    ahead: float
+    speed: float
+    steps: tuple[Step, ...] = ()
+
+    def __post_init__(self) -> None:
+        least, most = -8, 8
+        beside = plain_whole(self.beside)
+        if beside is None or not least <= beside <= most:
+            expected = f"a whole number of lanes from {least} to {most}, positive to the right"
+            raise ScenarioError(field="beside", expected=expected, received=repr(self.beside))
+        object.__setattr__(self, "beside", beside)
+        object.__setattr__(self, "ahead", _tenths_within("ahead", self.ahead, -FARTHEST, FARTHEST))
+        object.__setattr__(self, "speed", _checked_speed(self.speed))
+        if self.ahead == 0 and self.beside == 0:
+            expected, fix = "a distance other than 0 in the ego's lane", "0 is level with the ego"
+            raise ScenarioError(field="ahead", expected=expected, received="0", fix=fix)
+        steps = tuple(self.steps) if isinstance(self.steps, (list, tuple)) else (self.steps,)
+        if not all(isinstance(step, Step) for step in steps) or len(steps) > MOST_STEPS:
+            expected = f"at most {MOST_STEPS} of pafot.Step(...)"
+            raise ScenarioError(field="steps", expected=expected, received=repr(self.steps))
+        object.__setattr__(self, "steps", steps)
+
+    @property
+    def target(self) -> str:
+        """The gene's name in canonical texts and tables."""
+        return "manoeuvre"
+
+    @property
+    def code(self) -> Manoeuvre:
+        """The gene itself, in the place of the number of other genes."""
+        return self
+
+    @property
+    def text(self) -> str:
+        """The gene in canonical texts."""
+        return _encoded(_plain(self))
+
+    @property
+    def place(self) -> str:
+        """The start in words: ``30 m ahead, 1 lane right``."""
+        along = f"{abs(self.ahead):g} m {'ahead' if self.ahead > 0 else 'behind'}" if self.ahead else "level"
+        lanes = f"{abs(self.beside)} lane{'s' * (abs(self.beside) > 1)} {'left' if self.beside < 0 else 'right'}"
+        return f"{along}, {lanes if self.beside else 'in lane'}"
+
+    @property
+    def goal(self) -> str:
+        """The start and the steps in words."""
+        told = (" ".join(filter(None, (step.trigger, step.act))) for step in self.steps)
+        return "; ".join([self.place, *told])
+
+
+MOST_STEPS = 16
+"""The largest number of steps of a manoeuvre."""
+
+Gene = PositionInstruction | LaneInstruction | CrossingInstruction | Manoeuvre
+
+ALONE = (CrossingInstruction, Manoeuvre)
+"""The kinds of genes that are the only one of their NPC, and have no duration."""
 
 
 def gene_of(target: Any, speed: Any, *crossing: Any) -> Gene:
@@ -272,11 +430,12 @@ class Scenario(_Hashed):
 
     Attributes:
         npcs: chains of one to eight NPCs, one non-empty chain per NPC; lengths may differ. After its last gene an NPC
-            keeps its lane and speed (paper, section 2). Each NPC has Position-Instructions, Lane-Instructions or one
-            Crossing-Instruction.
+            keeps its lane and speed (paper, section 2). Each NPC has Position-Instructions, Lane-Instructions, one
+            Crossing-Instruction or one Manoeuvre.
         seed: seed of all random choices in the run, 0 to 2**63 - 1.
         ego_lane: the ego's first lane, counted from 0 at the left.
-        ego_speed: first speed of the ego, and of all NPCs that do not cross unless a bend makes them slower [m/s].
+        ego_speed: first speed of the ego, and of all NPCs that neither cross nor have a Manoeuvre, unless a bend makes
+            them slower [m/s].
         gene_seconds: duration of one gene [s].
         traffic: driving style of the NPCs; the paper's by default.
 
@@ -369,8 +528,9 @@ class Scenario(_Hashed):
 
     @property
     def seconds(self) -> float:
-        """The duration of the longest chain [s]; infinite if an NPC crosses, because its gene has no duration."""
-        return math.inf if self.crossings else self.genes * self.gene_seconds
+        """The duration of the longest chain [s]; infinite if an NPC has a gene without a duration."""
+        has_duration = not any(isinstance(chain[0], ALONE) for chain in self.npcs)
+        return self.genes * self.gene_seconds if has_duration else math.inf
 
     @property
     def id(self) -> str:
@@ -404,7 +564,7 @@ class Scenario(_Hashed):
             ScenarioError, TypeError, ValueError: if ``fields`` is anything else.
         """
         npcs, seed, ego_lane, ego_speed, gene_seconds, *traffic = fields
-        chains = tuple(tuple(known_gene(*gene) for gene in chain) for chain in npcs)
+        chains = tuple(tuple(map(_gene_from, chain)) for chain in npcs)
         return cls(
             npcs=chains,
             seed=seed,
@@ -447,15 +607,44 @@ _encoded = json.JSONEncoder(separators=(",", ":")).encode
 
 
 def _short(gene: Gene) -> str:
+    if isinstance(gene, Manoeuvre):
+        return f"{gene.speed:g} m/s {gene.goal}"
     if not isinstance(gene, CrossingInstruction):
         return f"{gene.target}@{gene.speed:g}"
     return f"{gene.zone}@{gene.speed:g} {gene.slot:+g} s{'' if gene.act == 'pass' else f' {gene.act}'}"
 
 
+def _gene_from(fields: Any) -> Gene:
+    """Return the gene whose :func:`_plain` form is ``fields``."""
+    if fields[0] == "manoeuvre":
+        _, speed, beside, ahead, steps = fields
+        return Manoeuvre(beside=beside, ahead=ahead, speed=speed, steps=tuple(Step(**each) for each in steps))
+    gene: Gene = known_gene(*fields)
+    return gene
+
+
 def _plain(gene: Gene) -> list[Any]:
+    if isinstance(gene, Manoeuvre):
+        return ["manoeuvre", gene.speed, gene.beside, gene.ahead, [told(step) for step in gene.steps]]
     if isinstance(gene, CrossingInstruction):
         return [gene.zone, gene.speed, gene.slot, gene.act]
     return [gene.target, gene.speed]
+
+
+def told(step: Step) -> dict[str, Any]:
+    """Return the fields of a step that differ from their defaults, as files contain them."""
+    values = {each.name: getattr(step, each.name) for each in fields(step)}
+    return {name: value for name, value in values.items() if value != getattr(DEFAULT_STEP, name)}
+
+
+def _tenths_within(name: str, value: object, least: float, most: float) -> float:
+    """Return a number in steps of 0.1 within bounds."""
+    number = _number(name, value)
+    rounded = round(max(min(number, most), least) * 10) / 10 + 0.0
+    if not least <= number <= most or abs(number - rounded) > 1e-7:
+        expected = f"a number from {least:g} to {most:g} in steps of 0.1"
+        raise ScenarioError(field=name, expected=expected, received=repr(value), fix=f"the nearest is {rounded:g}")
+    return rounded
 
 
 def _checked_slot(value: object) -> float:
@@ -514,14 +703,14 @@ def _checked_chains(npcs: object) -> tuple[Chromosome, ...]:
             expected = "at least one instruction"
             raise ScenarioError(field=f"npcs[{npc}]", expected=expected, received="an empty chain")
         for gene, each in enumerate(chain):
-            if not isinstance(each, (PositionInstruction, LaneInstruction, CrossingInstruction)):
-                expected = "a PositionInstruction, a LaneInstruction or a CrossingInstruction"
+            if not isinstance(each, Gene):
+                expected = "a PositionInstruction, a LaneInstruction, a CrossingInstruction or a Manoeuvre"
                 fix = "write PositionInstruction(cell, speed), or LaneInstruction(lane, speed)"
             elif type(each) is not (kind := type(chain[0])):
                 expected = f"a {kind.__name__} like npcs[{npc}][0]"
                 fix = "give an NPC instructions of one kind"
-            elif gene and isinstance(each, CrossingInstruction):
-                expected, fix = "one CrossingInstruction", "an NPC crosses once; give the other to another NPC"
+            elif gene and isinstance(each, ALONE):
+                expected, fix = f"one {kind.__name__}", "it is the only one of its NPC; give the other to another NPC"
             else:
                 continue
             raise ScenarioError(field=f"npcs[{npc}][{gene}]", expected=expected, received=repr(each), fix=fix)
@@ -569,9 +758,9 @@ def retimed(chain: Chromosome, seconds: float, wanted: float) -> Chromosome:
 
     Each new gene equals the old gene that was active at the middle of the new one. Longer genes may skip a cell, in
     which case the chain needs repair. If several new genes come from one Lane-Instruction, only the first of them
-    changes lanes. A Crossing-Instruction has no duration, so its chain is unchanged.
+    changes lanes. A Crossing-Instruction and a Manoeuvre have no duration, so their chain is unchanged.
     """
-    if isinstance(chain[0], CrossingInstruction):
+    if isinstance(chain[0], ALONE):
         return chain
     count = max(1, math.ceil(len(chain) * seconds / wanted - 1e-9))
     olds = [min(int((gene + 0.5) * wanted / seconds), len(chain) - 1) for gene in range(count)]
@@ -603,3 +792,7 @@ def _check_distinct(npcs: Sequence[Chromosome]) -> None:
                 place, expected = f"npcs[{npc}][{gene}]", f"a cell that no other NPC holds in gene {gene}"
                 received = f"cell {int(held.cell)} of npcs[{other}]"
                 raise ScenarioError(field=place, expected=expected, received=received, fix=REPAIR)
+
+
+DEFAULT_STEP = Step()
+"""A step that holds lane and speed."""

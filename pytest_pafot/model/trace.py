@@ -154,6 +154,7 @@ class Trace(Shown):
             shape [ticks + 1, NPCs]. NaN for NPCs that do not cross.
         driven: for each NPC and started gene, the cell that the NPC drove to. It differs from ``executed`` if cells
             that the road does not have were skipped, which no chain can express. Empty if it equals ``executed``.
+        begun: for each NPC the ticks at which the steps of its manoeuvre began. Empty if no NPC has one.
     """
 
     scenario: Scenario
@@ -174,6 +175,7 @@ class Trace(Shown):
     zones: tuple[Zone | None, ...] = ()
     on_way: FloatArray | None = None
     driven: tuple[tuple[Cell, ...], ...] = ()
+    begun: tuple[tuple[int, ...], ...] = ()
     _readings: dict[Hashable, Any] = field(default_factory=dict, init=False, repr=False)
 
     def __post_init__(self) -> None:

@@ -19,6 +19,7 @@ from pytest_pafot.attribution.last_chance import Avoidance, Escape, LastChance, 
 from pytest_pafot.attribution.responsibility import Attribution, position_rule, rss_rule
 from pytest_pafot.attribution.sentences import due_by, responsible_sentence
 from pytest_pafot.criticality import Passage, passages
+from pytest_pafot.criticality.asked import Asked, asked
 from pytest_pafot.criticality.signals import (
     BY_NAME,
     EgoLaneChange,
@@ -32,7 +33,7 @@ from pytest_pafot.criticality.signals import (
 )
 from pytest_pafot.model.crossings import Zone
 from pytest_pafot.model.grid import Cell
-from pytest_pafot.model.scenario import CrossingInstruction, LaneInstruction, Scenario
+from pytest_pafot.model.scenario import ALONE, CrossingInstruction, LaneInstruction, Manoeuvre, Scenario
 from pytest_pafot.model.trace import (
     ACCELERATION,
     ACROSS,
@@ -451,6 +452,16 @@ class Run(Shown):
         where = "before" if along < enters else "past" if along > leaves else "in"
         return f"{zone.whence} {where} the zone {zone.way}"
 
+    @cached_property
+    def asked(self) -> tuple[Asked, ...]:
+        """What the scenario's manoeuvres asked for, and what it was in this run; empty without manoeuvres."""
+        return asked(self.trace)
+
+    @property
+    def as_asked(self) -> bool:
+        """True if everything that the scenario's manoeuvres asked for came up; also without manoeuvres."""
+        return all(each.is_met for each in self.asked)
+
     @property
     def sentences(self) -> tuple[str, ...]:
         """The sentences of the verdict; empty without a collision.
@@ -468,7 +479,7 @@ class Run(Shown):
         names = [f"scenario {self.scenario.id}", f"repair seed {self.scenario.seed}"]
         names += [f"position rule: {self.second_opinion}"] if self.second_opinion != self.responsibility else []
         names += filter(None, [self.scenario.traffic.described])
-        crossing = _crossing_lines(self.trace)
+        crossing = [*_crossing_lines(self.trace), *_manoeuvre_lines(self.trace)]
         lines += [*crossing, *_gene_table(self.trace, MAX_GENE_ROWS - len(crossing)), f"  {', '.join(names)}"]
         texts = (ascii_text(" ".join(line.splitlines())) for line in lines)
         return "\n".join(text if len(text) <= LINE_LENGTH else text[: LINE_LENGTH - 3] + "..." for text in texts)
@@ -610,6 +621,21 @@ def _crossing_lines(trace: Trace) -> list[str]:
     return lines if len(shown) == len(told) else [*lines, f"  ... and {len(told) - len(shown)} more that cross"]
 
 
+def _manoeuvre_lines(trace: Trace) -> list[str]:
+    """Return the start of each manoeuvre, its steps with the times at which they began, and what was not as asked."""
+    lines, missed = [], [each for each in asked(trace) if not each.is_met]
+    for npc, chain in enumerate(trace.executed.npcs):
+        if not isinstance(manoeuvre := chain[0], Manoeuvre):
+            continue
+        lines.append(f"  NPC {npc}: {manoeuvre.place}, {manoeuvre.speed:.1f} m/s")
+        begun = trace.begun[npc] if npc < len(trace.begun) else ()
+        for number, step in enumerate(manoeuvre.steps):
+            when = f"{begun[number] / trace.physics_hz:6.1f} s" if number < len(begun) else "   never"
+            lines.append(f"  {when}  {' '.join(filter(None, (step.trigger, step.act)))}")
+        lines += [f"    not as asked: {each.words}" for each in missed if each.npc == npc]
+    return lines
+
+
 def _passed(passage: Passage | None) -> str:
     """Return when an NPC passed its zone, relative to the ego, in words: ``; arrived 0.1 s after it (5.6 s)``."""
     if passage is None:
@@ -632,7 +658,7 @@ def _gene_table(trace: Trace, room: int) -> list[str]:
     The table has at most ``room`` rows, the last ones. Times are in seconds.
     """
     scenario = trace.executed
-    npcs = [npc for npc, chain in enumerate(scenario.npcs) if not isinstance(chain[0], CrossingInstruction)]
+    npcs = [npc for npc, chain in enumerate(scenario.npcs) if not isinstance(chain[0], ALONE)]
     if not npcs:
         return []
     started = min(scenario.genes, int(trace.duration / scenario.gene_seconds - 1e-9) + 1)

@@ -14,8 +14,9 @@ import pytest
 
 from pytest_pafot.campaign.options import BY_NAME
 from pytest_pafot.plugin import fixtures, messages, session_records
+from pytest_pafot.plugin.catalogue_item import Catalogued
 from pytest_pafot.plugin.collection import Collection
-from pytest_pafot.plugin.marks import ANY_MARK, SAVED_MARK, SEARCH_MARK
+from pytest_pafot.plugin.marks import ANY_MARK, CATALOGUE_MARK, SAVED_MARK, SEARCH_MARK
 from pytest_pafot.plugin.merge_item import MERGE, Merging
 from pytest_pafot.plugin.option_sources import add_options
 from pytest_pafot.plugin.orphans import Guard
@@ -44,11 +45,13 @@ def pytest_configure(config: pytest.Config) -> None:
     for line in (
         f"{ANY_MARK}: every test that belongs to pytest-pafot, to select or deselect all of them",
         f"{SEARCH_MARK}(**arguments): search for scenarios that break the test; write @pafot.search(...)",
+        f"{CATALOGUE_MARK}(*names, **values): drive named scenarios; write @pafot.catalogue(...)",
         f"{SAVED_MARK}(saved): the item replays a saved scenario; set by the plugin",
     ):
         config.addinivalue_line("markers", line)
     config.stash[SUMMARY_LINES] = SummaryLines()
     features = {"fixtures": fixtures, "collection": Collection(config), "messages": messages}
+    features["catalogue"] = Catalogued()
     if hasattr(config, "workerinput"):
         config.stash[SHARED] = shared_by_controller(config)
         features["worker"] = Worker()

@@ -12,7 +12,15 @@ import pytest
 from pytest_pafot.campaign.request import Request
 from pytest_pafot.execution.crash_records import left_by
 from pytest_pafot.plugin.collection import is_search, saved_of
-from pytest_pafot.plugin.marks import ANY_MARK, DEFAULT_ADS, DEFAULT_ARG, SEARCH_MARK, WORLD_FIXTURE, arguments_of
+from pytest_pafot.plugin.marks import (
+    ANY_MARK,
+    CATALOGUE_MARK,
+    DEFAULT_ADS,
+    DEFAULT_ARG,
+    SEARCH_MARK,
+    WORLD_FIXTURE,
+    arguments_of,
+)
 from pytest_pafot.plugin.merge_item import MERGES, run_merge
 from pytest_pafot.plugin.messages import set_of_saved
 from pytest_pafot.plugin.node_ids import SEARCH_PART, base_id
@@ -34,7 +42,8 @@ class Checks:
         arguments = arguments_of(item)
         if arguments is None:
             # The mark that selects tests does not make a test a search. Only the decorator does.
-            if item.get_closest_marker(ANY_MARK) is not None and DEFAULT_ARG in getattr(item, "fixturenames", ()):
+            marked = [name for name in (ANY_MARK, CATALOGUE_MARK) if item.get_closest_marker(name) is not None]
+            if marked == [ANY_MARK] and DEFAULT_ARG in getattr(item, "fixturenames", ()):
                 pytest.fail(
                     f"expected the decorator @pafot.search, received the mark @pytest.mark.{ANY_MARK}, which only "
                     f"selects tests, as in `pytest -m {ANY_MARK}`; write `import pytest_pafot as pafot` and "

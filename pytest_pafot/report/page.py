@@ -441,7 +441,7 @@ def render_page(report: Report, *, embedded: bool = False) -> str:
     style = _asset(STYLE)
     script = '"use strict";\n(() => {\n' + "\n".join(map(_asset, SCRIPTS)) + "})();\n"
     # The hashes allow only this style and these scripts, and no connection to anywhere.
-    policy = f"default-src 'none'; style-src {_hash(style)}; script-src {_hash(script)}"
+    policy = f"default-src 'none'; style-src {content_hash(style)}; script-src {content_hash(script)}"
     kind = "embedded" if embedded else "whole"
     is_open = len(report.campaigns) == 1 and not embedded
     if embedded:  # A sandboxed frame may not save files.
@@ -499,7 +499,11 @@ def data_json(report: Report) -> str:
     """
     findings = tuple(replace(finding, yaml="", explanation="") for finding in report.findings)
     data = asdict(replace(report, findings=findings, further=(), errors=()))
-    plain = json.dumps(data, ensure_ascii=True, allow_nan=False, separators=(",", ":"))
+    return json_in_script(json.dumps(data, ensure_ascii=True, allow_nan=False, separators=(",", ":")))
+
+
+def json_in_script(plain: str) -> str:
+    """Return equal JSON that is safe inside a ``<script>`` element: nothing in it ends the element."""
     return quiet_json(plain).replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
 
 
@@ -517,7 +521,8 @@ def _nothing_found(report: Report) -> str:
     return "No findings. The property held in every evaluated run."
 
 
-def _hash(content: str) -> str:
+def content_hash(content: str) -> str:
+    """Return the hash with which a page's policy allows a style or a script."""
     return f"'sha256-{base64.b64encode(hashlib.sha256(content.encode()).digest()).decode()}'"
 
 

@@ -16,7 +16,7 @@ from pytest_pafot.campaign.events import NEW, Find, Progress, SearchSummary
 from pytest_pafot.findings.finding import Expect, Finding
 from pytest_pafot.findings.severity import worsening, worst_first
 from pytest_pafot.findings.shrink import size_of
-from pytest_pafot.model.scenario import CrossingInstruction, LaneInstruction, PositionInstruction
+from pytest_pafot.model.scenario import CrossingInstruction, LaneInstruction, Manoeuvre, PositionInstruction
 from pytest_pafot.oracle.run import ReferenceOutcome
 from pytest_pafot.support.errors import flag
 from pytest_pafot.support.proportions import interval_text
@@ -166,6 +166,8 @@ def speed_sentences(finding: Finding) -> list[str]:
         place = "in its lane" if isinstance(gene, LaneInstruction) and gene.lane == "keep" else place
         seconds = interval.gene * finding.scenario.gene_seconds
         when = "on " if isinstance(gene, CrossingInstruction) else f"from {round(seconds, 1):g} s "
+        if isinstance(gene, Manoeuvre):
+            when, place = "starts ", f"{gene.place}"
         speeds = f"any speed from {interval.low:.1f} to {interval.high:.1f} m/s"
         if interval.low == interval.high:
             speeds = f"only a speed of {interval.low:.1f} m/s"

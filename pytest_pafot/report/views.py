@@ -10,7 +10,7 @@ import math
 import shlex
 import zlib
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import Any
@@ -21,6 +21,7 @@ from pytest_pafot.attribution.manoeuvres import stretches
 from pytest_pafot.campaign.events import Find, Judged, SearchEvent, SearchStarted
 from pytest_pafot.corpus.writer import text_of
 from pytest_pafot.criticality import Encounters, Passage, gap, passages, time_advantage, ttc
+from pytest_pafot.criticality.asked import asked
 from pytest_pafot.criticality.signals import jerk
 from pytest_pafot.findings.finding import Expect, Finding
 from pytest_pafot.findings.shrink import blocks, instructions
@@ -32,6 +33,7 @@ from pytest_pafot.model.scenario import (
     Chromosome,
     CrossingInstruction,
     LaneInstruction,
+    Manoeuvre,
     PositionInstruction,
     Scenario,
 )
@@ -513,19 +515,22 @@ def _window(enters: float, leaves: float) -> Window | None:
 
 def _instructions(trace: Trace | None, scenario: Scenario) -> tuple[InstructionView, ...]:
     """Return the instructions of all NPCs as they were driven; without a run, as in the scenario and not started."""
-    asked = scenario if trace is None else trace.scenario
-    driven, arrivals, hz = (asked.npcs, (), 1) if trace is None else (trace.chains, trace.arrivals, trace.physics_hz)
-    zones = (None,) * len(asked.npcs) if trace is None or not trace.zones else trace.zones
-    views = []
-    for npc, chain in enumerate(asked.npcs):
+    wanted = scenario if trace is None else trace.scenario
+    driven, arrivals, hz = (wanted.npcs, (), 1) if trace is None else (trace.chains, trace.arrivals, trace.physics_hz)
+    zones = (None,) * len(wanted.npcs) if trace is None or not trace.zones else trace.zones
+    views: list[InstructionView] = []
+    for npc, chain in enumerate(wanted.npcs):
         begun = arrivals[npc] if npc < len(arrivals) else ()
         for gene, (requested, told) in enumerate(zip(chain, driven[npc], strict=False)):
+            if isinstance(requested, Manoeuvre):
+                views += _steps(trace, npc, requested)
+                continue
             tick = None if trace is None else arrival(trace, npc, gene)
             view = InstructionView(
                 npc=npc,
                 gene=gene,
-                start=round(gene * asked.gene_seconds, 3),
-                end=round((gene + 1) * asked.gene_seconds, 3),
+                start=round(gene * wanted.gene_seconds, 3),
+                end=round((gene + 1) * wanted.gene_seconds, 3),
                 requested=int(requested.cell) if isinstance(requested, PositionInstruction) else 0,
                 cell=int(told.cell) if isinstance(told, PositionInstruction) else 0,
                 speed=told.speed,
@@ -544,6 +549,34 @@ def _instructions(trace: Trace | None, scenario: Scenario) -> tuple[InstructionV
     return tuple(views)
 
 
+def _steps(trace: Trace | None, npc: int, manoeuvre: Manoeuvre) -> Iterator[InstructionView]:
+    """Yield the start of a manoeuvre and its steps, each as an instruction for a lane."""
+    begun = () if trace is None or npc >= len(trace.begun) else trace.begun[npc]
+    hz, last = (1, 0.0) if trace is None else (trace.physics_hz, trace.duration)
+    times = [0.0, *(tick / hz for tick in begun)]
+    missed = [] if trace is None else [each for each in asked(trace) if each.npc == npc and not each.is_met]
+    speed = manoeuvre.speed
+    for gene, step in enumerate((None, *manoeuvre.steps)):
+        is_begun = gene < len(times)
+        words = manoeuvre.place if step is None else " ".join(filter(None, (step.trigger, step.act)))
+        if step is not None:
+            speed = speed if step.speed is None else step.speed
+            words = "; ".join([words, *(each.words for each in missed if each.step == gene - 1)])
+        yield InstructionView(
+            npc=npc,
+            gene=gene,
+            start=round(times[gene] if is_begun else last, 3),
+            end=round(times[gene + 1] if gene + 1 < len(times) else last, 3),
+            requested=0,
+            cell=0,
+            speed=speed,
+            started=is_begun and trace is not None,
+            arrived=None,
+            lane="keep" if step is None else step.lane,
+            words=words,
+        )
+
+
 def _numbers(values: FloatArray, digits: int) -> Numbers:
     """Round values to a number of digits. NaN and infinity become None, and -0.0 becomes 0.0."""
     rounded = np.round(values, digits) + 0.0
@@ -558,6 +591,8 @@ def _chain_text(chain: Chromosome) -> str:
     """
     if isinstance(chain[0], CrossingInstruction):
         return f"{chain[0].goal}, {chain[0].speed:.1f} m/s"
+    if isinstance(chain[0], Manoeuvre):
+        return f"{chain[0].speed:.1f} m/s {chain[0].goal}"
     texts = []
     for start, end in blocks(chain):
         text, times = f"{chain[start].goal} {chain[start].speed:.1f} m/s", end - start

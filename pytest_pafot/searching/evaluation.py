@@ -16,6 +16,7 @@ from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.scenario import (
     Chromosome,
     CrossingInstruction,
+    Manoeuvre,
     Scenario,
     with_targets,
 )
@@ -231,7 +232,7 @@ def demand_of(trace: Trace) -> Demand:
 
 # Results of earlier runs of a campaign, so that none of the last ten thousand runs is simulated twice.
 
-Chains = tuple[tuple[float | CrossingInstruction, ...], ...]  # one number per gene, or a whole Crossing-Instruction
+Chains = tuple[tuple[float | CrossingInstruction | Manoeuvre, ...], ...]  # one number per gene, or the whole gene
 _Key = tuple[object, ...]
 _Place = tuple[_Key, int | None]  # a key, and the seed if it matters
 

@@ -11,7 +11,7 @@ from itertools import chain, compress
 
 from pytest_pafot.model.crossings import SLOTS, slot_name
 from pytest_pafot.model.grid import Cell
-from pytest_pafot.model.scenario import SHIFTS, Chromosome, CrossingInstruction
+from pytest_pafot.model.scenario import SHIFTS, Chromosome, CrossingInstruction, Manoeuvre
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.searching.evaluation import BARELY_MOVING, Evaluation
 from pytest_pafot.searching.events import Evaluated, Event
@@ -108,6 +108,8 @@ def _keys(genes: Chromosome) -> list[tuple[Key, ...]]:
     first = genes[0]
     if isinstance(first, CrossingInstruction):
         return [(("bin", int(first.speed // SPEED_BIN)), ("zone", first.zone, slot_name(first.slot)))]
+    if isinstance(first, Manoeuvre):
+        return [(("bin", int(first.speed // SPEED_BIN)),)]
     targets = [gene.target for gene in genes]
     return list(map(_keys_of, [gene.speed for gene in genes], targets, [None, *targets]))
 

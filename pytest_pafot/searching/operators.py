@@ -14,6 +14,7 @@ from numpy.random import Generator
 
 from pytest_pafot.model.grid import is_adjacent
 from pytest_pafot.model.scenario import (
+    ALONE,
     Chromosome,
     CrossingInstruction,
     LaneInstruction,
@@ -104,7 +105,7 @@ def _mutated(scenario: Scenario, space: SearchSpace, rng: Generator) -> Scenario
         return _started_anew(scenario, space, rng)
     if draw < starts + sizes:
         return _of_another_size(scenario, space, rng)
-    numbers = [npc for npc, chain in enumerate(scenario.npcs) if not isinstance(chain[0], CrossingInstruction)]
+    numbers = [npc for npc, chain in enumerate(scenario.npcs) if not isinstance(chain[0], ALONE)]
     crossing = space.crossing_traffic
     if crossing is not None and rng.random() * len(scenario.npcs) >= len(numbers):
         return _crossing_otherwise(scenario, crossing, rng)

@@ -83,7 +83,7 @@ def form(world: Any, scenario: Scenario, trace: Trace) -> Promises:
     crossing = np.array([isinstance(chain[0], CrossingInstruction) for chain in scenario.npcs])
     on_way = np.full((len(states), len(scenario.npcs)), np.nan) if trace.on_way is None else trace.on_way
     track = np.zeros((1, len(crossing), 1)) if trace.track is None else trace.track[:, 1:]
-    longest = float(world.longest_run) if scenario.crossings else min(float(world.longest_run), scenario.seconds)
+    longest = min(float(world.longest_run), scenario.seconds)
     for promise, is_kept in {
         "trace.scenario is the requested scenario": trace.scenario == scenario,
         "trace.executed has a chain for each NPC": len(trace.executed.npcs) == len(scenario.npcs),
@@ -381,7 +381,7 @@ def end(world: Any, trace: Trace) -> Promises:
     yield len(trace.arrivals) == len(scenario.npcs), "arrivals has one entry for each NPC", f"{len(trace.arrivals)}"
     length = scenario.gene_seconds * trace.physics_hz
     for npc, ticks in enumerate(trace.arrivals):
-        for gene, tick in enumerate(() if scenario.crossings else ticks):
+        for gene, tick in enumerate(() if math.isinf(scenario.seconds) else ticks):
             begin, stop = gene * length, min((gene + 1) * length, trace.ticks)
             is_tick = tick is None or (plain_whole(tick) is not None and begin - 1 <= tick <= stop + 1)
             received = f"{tick!r} for ticks {begin:g} to {stop:g}"

@@ -281,6 +281,7 @@ class BuiltInWorld(ABC):
         ads_hz: int,
         duration: float,
         junction: Junction | None = None,
+        obstacles: tuple[tuple[float, float, float, float, float], ...] = (),
     ) -> Rules:
         return Rules(
             road=road,
@@ -292,6 +293,7 @@ class BuiltInWorld(ABC):
             limits=self.limits,
             hang_limit=self.hang_limit,
             junction=junction,
+            obstacles=obstacles,
         )
 
 

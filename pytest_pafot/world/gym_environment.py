@@ -166,6 +166,16 @@ class GymEnvironment:
         return straight_road(self.unwrapped.road.network)
 
     @cached_property
+    def obstacles(self) -> tuple[tuple[float, float, float, float, float], ...]:
+        """The solid objects on the road: x [m], y [m], heading [rad], length and width [m]."""
+        found = []
+        for each in self.unwrapped.road.objects:
+            if each.solid:
+                x, y = map(float, each.position)
+                found.append((x, y, float(each.heading), float(each.LENGTH), float(each.WIDTH)))
+        return tuple(found)
+
+    @cached_property
     def network(self) -> Any:
         """The road as a road network of highway-env."""
         return SearchedLanes(self.unwrapped.road.network)

@@ -307,7 +307,9 @@ class World(BuiltInWorld):
                 road = replace(road, start=junction.crossings.ego_start)
             if road.ego_speed > 0:  # the run ends when an ego at its first speed would reach the end of the road
                 duration = min(duration, (road.end - road.start) / road.ego_speed)
-        return self._rules_on(road, physics_hz=physics_hz, ads_hz=ads_hz, duration=duration, junction=junction)
+        rates = {"physics_hz": physics_hz, "ads_hz": ads_hz}
+        obstacles = self.environment.obstacles
+        return self._rules_on(road, **rates, duration=duration, junction=junction, obstacles=obstacles)
 
     @property
     def _wanted(self) -> float:

@@ -9,9 +9,12 @@ from typing import Any
 from pytest_pafot.model.crossings import Crossings
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.scenario import (
+    LANE_STARTS,
     LARGEST_SLOT,
     SLOT_STEPS_PER_SECOND,
     CrossingInstruction,
+    Manoeuvre,
+    PositionInstruction,
     Scenario,
     ScenarioError,
 )
@@ -22,6 +25,9 @@ from pytest_pafot.world.limits import BEND_SHARE, TOP_SPEED, NpcLimits
 from pytest_pafot.world.roads.junction import CrossingWay, Junction
 from pytest_pafot.world.roads.network import NetworkRoad
 from pytest_pafot.world.roads.straight import StraightRoad
+
+LEAST_START_GAP = 0.5
+"""The least gap between a vehicle and the start of a manoeuvre in its lane [m]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -38,6 +44,7 @@ class Rules:
         limits: the limits of every NPC.
         hang_limit: wall-clock time after which a decision of the ADS is interrupted [s].
         junction: the ways on which other traffic meets the ego's way; None if there are none.
+        obstacles: the fixed objects on the road: x [m], y [m], heading [rad], length and width [m].
     """
 
     road: StraightRoad | NetworkRoad
@@ -50,6 +57,7 @@ class Rules:
     hang_limit: float
     junction: Junction | None = None
     lasts: float | None = None
+    obstacles: tuple[tuple[float, float, float, float, float], ...] = ()
 
     @property
     def crossings(self) -> Crossings | None:
@@ -121,6 +129,7 @@ class Rules:
             expected = f"at most {len(cells)} NPCs{kind}, one per cell that exists around lane {scenario.ego_lane}"
             raise ScenarioError(field="npcs", expected=expected, received=str(on_grid))
         self._check_speeds(scenario)
+        self._check_manoeuvres(scenario, cells)
         for npc, instruction in enumerate(crossings):
             if instruction is not None:
                 self._check_crossing(f"npcs[{npc}][0]", instruction)
@@ -167,6 +176,59 @@ class Rules:
         )
         raise ScenarioError(field=f"{place}.slot", expected=expected, received=received)
 
+    def _check_manoeuvres(self, scenario: Scenario, cells: frozenset[Cell]) -> None:
+        """Refuse manoeuvres in lanes that do not exist, and starts at which vehicles would touch."""
+        asked = [(npc, chain[0]) for npc, chain in enumerate(scenario.npcs) if isinstance(chain[0], Manoeuvre)]
+        for npc, manoeuvre in asked:
+            lane, along = scenario.ego_lane + manoeuvre.beside, self.along_at(manoeuvre, scenario)
+            for step, column in enumerate((0, *(each.column for each in manoeuvre.steps))):
+                lane += column
+                if not self._has_lane(lane, along, everywhere=step == 0):
+                    place = f"npcs[{npc}][0]" + (f".steps[{step - 1}].lane" if step else ".beside")
+                    where = "" if step else f" {along - self.ego_start:.0f} m from the ego's start"
+                    expected, fix = f"a lane that exists{where}", "lanes are counted from 0 at the left"
+                    raise ScenarioError(field=place, expected=expected, received=f"lane {lane}", fix=fix)
+        if not asked:
+            return
+        near = self.start_distance(scenario)
+        taken: list[tuple[int, float, int]] = [(-1, self.ego_start, scenario.ego_lane)]
+        others = (cell for cell in LANE_STARTS if cell in cells)
+        for npc, chain in enumerate(scenario.npcs):
+            first = chain[0]
+            if isinstance(first, CrossingInstruction):
+                continue
+            if isinstance(first, Manoeuvre):
+                own, its_lane = self.along_at(first, scenario), scenario.ego_lane + first.beside
+            else:
+                cell = first.cell if isinstance(first, PositionInstruction) else next(others)
+                own, its_lane = self.ego_start + cell.row * near, scenario.ego_lane + cell.column
+            for other, along, lane in taken:
+                if lane == its_lane and abs(along - own) < NPC_LENGTH + LEAST_START_GAP:
+                    who = "the ego" if other < 0 else f"npcs[{other}]"
+                    expected = f"a start at least {LEAST_START_GAP:g} m from {who}"
+                    received = f"{abs(along - own) - NPC_LENGTH:.1f} m in the same lane"
+                    fix = "give the manoeuvre another place or lane"
+                    raise ScenarioError(field=f"npcs[{npc}]", expected=expected, received=received, fix=fix)
+            taken.append((npc, own, its_lane))
+
+    def along_at(self, manoeuvre: Manoeuvre, scenario: Scenario, ego_length: float = NPC_LENGTH) -> float:
+        """Return the place along the road at which an NPC with a manoeuvre starts [m]."""
+        if manoeuvre.ahead == 0:
+            return self.ego_start
+        stretch = 1.0
+        if isinstance(self.road, NetworkRoad):
+            bends = self.road.bends
+            stretch = bends.stretch(self.ego_start, bends.across_at(scenario.ego_lane, self.ego_start))
+        room = math.copysign((ego_length + NPC_LENGTH) / 2, manoeuvre.ahead)
+        return self.ego_start + (manoeuvre.ahead + room) / stretch
+
+    def _has_lane(self, lane: int, along: float, *, everywhere: bool) -> bool:
+        """Return whether a lane exists at a place along the road [m]; elsewhere, lanes may begin and end."""
+        road = self.road
+        if isinstance(road, StraightRoad):
+            return 0 <= lane < road.lane_count and NPC_LENGTH < along < road.lanes[0].length - NPC_LENGTH
+        return not everywhere or bool(road.bends.exists(lane, along))
+
     def _check_speeds(self, scenario: Scenario) -> None:
         limit = self.road.speed_limit
         top = self.limits.top_speed(limit)
@@ -176,9 +238,11 @@ class Rules:
             raise ScenarioError(field="ego_speed", expected=expected, received=f"{scenario.ego_speed:g}")
         for npc, chain in enumerate(scenario.npcs):
             for gene, instruction in enumerate(chain):
-                if instruction.speed > limit + 1e-9:
-                    place, expected = f"npcs[{npc}][{gene}].speed", f"at most the speed limit of {limit:g} m/s"
-                    raise ScenarioError(field=place, expected=expected, received=f"{instruction.speed:g}")
+                asked = instruction.steps if isinstance(instruction, Manoeuvre) else ()
+                for speed in (instruction.speed, *(step.speed or 0.0 for step in asked)):
+                    if speed > limit + 1e-9:
+                        place, expected = f"npcs[{npc}][{gene}].speed", f"at most the speed limit of {limit:g} m/s"
+                        raise ScenarioError(field=place, expected=expected, received=f"{speed:g}")
 
     def ticks(self, scenario: Scenario) -> int:
         """Return the number of physics ticks of a run that no collision or failure ends early."""
@@ -208,23 +272,30 @@ def start_places(
     """Return the place along the road [m] and the lane of the ego and of each NPC at tick 0."""
     far = rules.start_distance(scenario, ego_length)
     beside = [(rules.ego_start + cell.row * far, scenario.ego_lane + cell.column) for cell in cells]
+    firsts = [chain[0] for chain in scenario.npcs if not isinstance(chain[0], CrossingInstruction)]
+    for number, first in enumerate(firsts):
+        if isinstance(first, Manoeuvre):
+            along = rules.along_at(first, scenario, ego_length)
+            beside[number] = along, scenario.ego_lane + first.beside
     return [(rules.ego_start, scenario.ego_lane), *beside]
 
 
 def start_speeds(rules: Rules, scenario: Scenario, cells: tuple[Cell, ...], ego_length: float) -> list[float]:
-    """Return the start speed of each NPC [m/s]: the ego's speed, or less in a bend and just after a bend.
+    """Return the start speed of each NPC [m/s]: the ego's or its manoeuvre's, or less in and just after a bend.
 
     Just after a bend, an NPC's heading still differs from its course, so the NPC turns, and at a higher speed faster.
     """
     road = rules.road
+    firsts = [chain[0] for chain in scenario.npcs if not isinstance(chain[0], CrossingInstruction)]
+    wanted = [first.speed if isinstance(first, Manoeuvre) else scenario.ego_speed for first in firsts]
     if isinstance(road, StraightRoad):
-        return [scenario.ego_speed] * len(cells)
+        return wanted
     _, *places = start_places(rules, scenario, cells, ego_length)
     most = BEND_SHARE * rules.limits.lateral_acceleration * NPC_LENGTH / 2
     turning = [math.sqrt(most / max(math.sin(abs(road.lane_at(lane, along)[2])), 1e-9)) for along, lane in places]
     return [
-        min(scenario.ego_speed, road.speed_at(lane, along), fastest)
-        for (along, lane), fastest in zip(places, turning, strict=True)
+        min(speed, road.speed_at(lane, along), fastest)
+        for speed, (along, lane), fastest in zip(wanted, places, turning, strict=True)
     ]
 
 

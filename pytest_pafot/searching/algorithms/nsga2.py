@@ -134,5 +134,5 @@ def cells_of(evaluations: Sequence[Evaluation]) -> FloatArray:
 def _number(gene: Gene, places: dict[tuple[str, str] | str, int]) -> int:
     if isinstance(gene, PositionInstruction):
         return gene.cell
-    place = (gene.zone, slot_name(gene.slot)) if isinstance(gene, CrossingInstruction) else gene.lane
+    place = (gene.zone, slot_name(gene.slot)) if isinstance(gene, CrossingInstruction) else str(gene.target)
     return 9 + places.setdefault(place, len(places))

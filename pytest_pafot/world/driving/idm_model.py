@@ -15,6 +15,8 @@ CONSTANTS = (
     "KP_LATERAL", "MAX_STEERING_ANGLE", "KP_A",
 )  # fmt: skip
 """The constants of ``IDMVehicle`` that a subclass may set."""
+POSITIVE = ("LENGTH", "WIDTH", "COMFORT_ACC_MAX", "DELTA", "LANE_CHANGE_DELAY")
+"""Those that must be positive for the model; with others, highway-env's code runs and gets NaN or worse."""
 ORDINARY = frozenset({
     "__module__", "__qualname__", "__doc__", "__annotations__", "__annotate__", "__annotate_func__",
     "__firstlineno__", "__static_attributes__", "__abstractmethods__", "_abc_impl",
@@ -43,5 +45,7 @@ def idm_model(ads: Any) -> IdmModel | None:
         return None
     constants = {name: getattr(cls, name) for name in CONSTANTS}
     if not all(isinstance(value, (int, float)) and math.isfinite(value) for value in constants.values()):
+        return None
+    if constants["COMFORT_ACC_MIN"] >= 0 or any(constants[name] <= 0 for name in POSITIVE):
         return None
     return IdmModel(constants=constants, changes_lanes=bool(options.get("enable_lane_change", True)))

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 
 from pytest_pafot.model.trace import AdsError
+from pytest_pafot.support.errors import BadAction
 from pytest_pafot.world.driving.vehicles import Car, EgosRegulatedRoad
 from pytest_pafot.world.guard.failure import UNFIT, error_of
 from pytest_pafot.world.guard.hang_guard import HangGuard
@@ -78,13 +80,18 @@ class ObjectDriver(GuardedDriver):
     def step(self, dt: float) -> AdsError | None:
         """Move the vehicle by its class, which may be the user's code, and return its error, or None."""
         self._tick += 1
+        guard = self.guard
         try:
-            if self._regulated is not None:
-                self._regulated.regulate(dt)
-            self.vehicle.step(dt)
+            try:
+                guard.decision_starts()
+                if self._regulated is not None:
+                    self._regulated.regulate(dt)
+                self.vehicle.step(dt)
+                follow(self.ego, self.vehicle)
+            finally:
+                guard.decision_ends()
         except UNFIT as error:
-            return error_of(error, self._tick - 1, self.guard)
-        follow(self.ego, self.vehicle)
+            return error_of(error, self._tick - 1, guard)
         return None
 
 
@@ -96,9 +103,16 @@ def body_of(vehicle: Any) -> Body:
 
 
 def follow(body: Body, vehicle: Any) -> None:
-    """Give a body in the loop the state of a highway-env vehicle."""
+    """Give a body in the loop the state of a highway-env vehicle.
+
+    Raises:
+        BadAction: if the state is not finite.
+    """
     x, y = vehicle.position
-    body.place(float(x), float(y), float(vehicle.heading), float(vehicle.speed))
+    state = float(x), float(y), float(vehicle.heading), float(vehicle.speed)
+    if not all(map(math.isfinite, state)):
+        raise BadAction(f"expected a vehicle with a finite position, heading and speed, received {state}")
+    body.place(*state)
     body.acceleration, body.steering = float(vehicle.action["acceleration"]), float(vehicle.action["steering"])
 
 

@@ -255,6 +255,8 @@ class _Loop:
             npc = StockVehicle(env.road, [body.x, body.y], body.heading, body.speed)
             npc.check_collisions = False
             self._vehicles.append(npc)
+        for each in env.road.objects:
+            each.check_collisions = False  # the loop finds contacts; highway-env would push the ego back
         foresee(self._vehicles[1:], vehicles.places, vehicles.rules.road)
         env.road.vehicles = self._vehicles
         self._last = vehicles.rules.ticks(vehicles.scenario)
@@ -307,14 +309,15 @@ class _Loop:
         loop = self._run.loop
         try:
             self._road_step(dt)
+            if self._is_over:
+                return
+            for vehicle, body in zip(self._vehicles, self._bodies, strict=True):
+                follow(body, vehicle)
         except UNFIT as error:
             failed = error_of(error, loop.tick, self._guard)
             self._error = self._error if self._is_over else failed
             return
-        if not self._is_over:
-            for vehicle, body in zip(self._vehicles, self._bodies, strict=True):
-                follow(body, vehicle)
-            loop.moved()
+        loop.moved()
 
     @property
     def _is_over(self) -> bool:

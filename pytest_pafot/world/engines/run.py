@@ -69,6 +69,7 @@ class VehiclesOfRun:
                 beside=lambda x, y, lane, along: road.beside(network, x, y, lane, along),
                 ticks=ticks,
             )
+        self.places.obstacles = [Box(*each) for each in rules.obstacles]
         self.sizes = [(each.length, each.width) for each in self.vehicles]
         self.rows = array("d", bytes(8 * (ticks + 1) * len(self.sizes) * COLUMNS))
         self.loop = Loop(director, self.places, self.rows, 1 / rules.physics_hz)
@@ -114,6 +115,7 @@ class VehiclesOfRun:
             zones=self._zones,
             on_way=on_way,
             driven=self.director.driven,
+            begun=self.director.begun,
         )
 
     @property
@@ -183,11 +185,15 @@ class SteppedRun:
 
     def take(self, action: Any, seconds: float) -> None:
         """Apply a decision that took ``seconds``, and drive until the next decision or the end of the run."""
-        loop, error = self.vehicles.loop, None
+        loop, guard, error = self.vehicles.loop, self._guard, None
         try:
-            self.driver.take(action, seconds)
+            try:
+                guard.decision_starts()  # reading an action may run the ADS's code
+                self.driver.take(action, seconds)
+            finally:
+                guard.decision_ends()
         except UNFIT as unfit:
-            error = error_of(unfit, loop.tick, self._guard)
+            error = error_of(unfit, loop.tick, guard)
         else:
             error = loop.run(self.driver, min(loop.tick + self.driver.every, self._ticks))
         if error is not None or loop.is_over or loop.tick == self._ticks:

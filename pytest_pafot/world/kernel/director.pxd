@@ -1,4 +1,5 @@
 cimport cython
+from libc cimport math
 from pytest_pafot.world.kernel.bodies cimport Body
 from pytest_pafot.world.kernel.driver cimport (
     NpcDriver, clear_to_enter, closing_room, following_gap, following_speed, gap_speed, speed_asking_for, stopping_room,
@@ -6,7 +7,8 @@ from pytest_pafot.world.kernel.driver cimport (
 
 cdef double ARRIVED_LATERAL, CREEP_SPEED, BESIDE
 cdef double TRACK, REACTION, ANSWER, ENTRY_TIME, ENTRY_BRAKING, ENTRY_GAP
-cdef int NO_LANE, NOT_BEHIND
+cdef int NO_LANE, NOT_BEHIND, AFTER, AT_GAP, AT_HEADWAY, NEVER, NOT_WAITING
+cdef double DONE_LATERAL, DONE_SPEED
 
 @cython.final
 cdef class Npc(Body):
@@ -15,6 +17,10 @@ cdef class Npc(Body):
     cdef readonly int index
     cdef public int row, column, kept_lane, shift_lane, heading_for, behind
     cdef public double target, target_speed, kept_speed, asked, course
+    cdef public list begun
+    cdef public int ended, trigger, side
+    cdef public double trigger_at, offset, ramp
+    cdef public NpcDriver pilot
 
 cdef class BaseDirector:
     cdef readonly list npcs
@@ -24,7 +30,10 @@ cdef class BaseDirector:
 cdef class Director(BaseDirector):
     cdef public bint skips
     cdef readonly object _scenario, _road
-    cdef readonly list _on_grid, _in_lanes
+    cdef readonly list _on_grid, _in_lanes, _asked
+    cdef object _limits
+    cdef double _top_speed
+    cdef int _hz
     cdef readonly double _clearance, _row, _length
     cdef double _width, _lane_width, _far
     cdef readonly int _tick
@@ -74,6 +83,19 @@ cdef class Director(BaseDirector):
 
     @cython.locals(driver=NpcDriver, target=double, distance=double, wanted_speed=double, goal=int)
     cpdef void _control(self, Npc npc, Body ego) except *
+
+    @cython.final
+    cdef void _await(self, Npc npc) except *
+
+    @cython.final
+    @cython.locals(distance=double, value=double, missing=double, side=int)
+    cdef bint _is_due(self, Npc npc, Body ego) except -1
+
+    @cython.locals(aside=double, slowest=double, fastest=double, wanted=double)
+    cpdef void _perform(self, Npc npc, Body ego) except *
+
+    @cython.locals(driver=NpcDriver, offset=double)
+    cpdef void _drive(self, Npc npc, double wanted) except *
 
     cpdef double _creeping(self, Npc npc, int goal, double speed) except? -1
 

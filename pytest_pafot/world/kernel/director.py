@@ -6,6 +6,7 @@ arrivals, and makes NPCs give way to each other. It works only in road coordinat
 
 from __future__ import annotations
 
+import math
 from array import array
 from typing import TYPE_CHECKING, Any
 
@@ -15,6 +16,7 @@ from pytest_pafot.model.scenario import (
     LANE_STARTS,
     Chromosome,
     LaneInstruction,
+    Manoeuvre,
     PositionInstruction,
     Scenario,
     with_targets,
@@ -58,6 +60,12 @@ ENTRY_GAP = 1.5
 """The gap to an ego of equal speed at which an NPC moves in behind it [m]."""
 NOT_BEHIND = -1
 
+AFTER, AT_GAP, AT_HEADWAY, NEVER = 0, 1, 2, 3
+NOT_WAITING = 2
+"""What begins the next step of a manoeuvre: time, a gap, a headway, or nothing, because there is no next step."""
+DONE_LATERAL, DONE_SPEED = 0.2, 0.2
+"""The distance to its place across the road [m], and to its speed [m/s], at which an NPC has done a step."""
+
 
 class Npc(Body):
     """An NPC in road coordinates, and the director's state for it.
@@ -79,6 +87,13 @@ class Npc(Body):
         course: the direction of motion after the previous tick's steering [rad].
         behind: the number of ticks for which the NPC has been directly behind the ego. It starts at the reaction time
             if the NPC itself moved in, so that the NPC reacts at once; -1 if the NPC is not behind the ego.
+        begun: the ticks at which the steps of its manoeuvre began.
+        ended: the tick at which it had done the last of these steps, or 0 before the first; -1 while it does it.
+        trigger, trigger_at: what begins the next step, and its value [ticks, m or s].
+        side: on which side of that value the NPC was when it began to wait for it, -1, 0 or 1; NOT_WAITING before.
+        offset: its offset from the centre of the kept lane [m].
+        ramp: the acceleration towards the kept speed [m/s^2].
+        pilot: the controller with the lateral speed of the step; None without a manoeuvre.
     """
 
     def __init__(self, index: int, chain: Chromosome, length: float, width: float) -> None:
@@ -98,10 +113,27 @@ class Npc(Body):
         self.asked = 0.0
         self.course = 0.0
         self.behind = NOT_BEHIND
+        self.begun: list[int] = []
+        self.ended = 0
+        self.trigger = NEVER
+        self.trigger_at = 0.0
+        self.side = NOT_WAITING
+        self.offset = 0.0
+        self.ramp = 0.0
+        self.pilot: NpcDriver | None = None
+
+
+def start_cell(manoeuvre: Manoeuvre) -> Cell:
+    """Return the cell in whose direction an NPC with a manoeuvre starts."""
+    row = (manoeuvre.ahead > 0) - (manoeuvre.ahead < 0)
+    column = (manoeuvre.beside > 0) - (manoeuvre.beside < 0)
+    return next(cell for cell in Cell if (cell.row, cell.column) == (row, column))
 
 
 class BaseDirector:
     """The director of the NPCs of one run on any road.
+
+    Beside these, a run reads ``first_cells``, ``arrivals``, ``executed``, ``driven`` and ``begun`` of each kind.
 
     Attributes:
         npcs: one NPC for each chain; the loop updates their places before each tick.
@@ -147,6 +179,10 @@ class Director(BaseDirector):
         self._scenario = scenario
         self._on_grid = [npc for npc in self.npcs if isinstance(npc.chain[0], PositionInstruction)]
         self._in_lanes = [npc for npc in self.npcs if isinstance(npc.chain[0], LaneInstruction)]
+        self._asked = [npc for npc in self.npcs if isinstance(npc.chain[0], Manoeuvre)]
+        self._limits = limits
+        self._top_speed = top_speed
+        self._hz = physics_hz
         self.skips = False
         self._road: Any = road
         self._clearance = clearance
@@ -196,15 +232,30 @@ class Director(BaseDirector):
     @property
     def arrivals(self) -> tuple[tuple[int | None, ...], ...]:
         """The tick at which each NPC reached the cell of each started gene; None if it has not."""
+        for npc in self._asked:
+            is_done = npc.ended >= 0 and len(npc.begun) == len(npc.chain[0].steps)
+            npc.arrivals = [npc.ended if is_done else None]
         return tuple([tuple(npc.arrivals) for npc in self.npcs])
+
+    @property
+    def begun(self) -> tuple[tuple[int, ...], ...]:
+        """The ticks at which the steps of each NPC's manoeuvre began; empty if no NPC has one."""
+        return tuple([tuple(npc.begun) for npc in self.npcs]) if self._asked else ()
 
     def first_cells(self) -> tuple[Cell, ...]:
         """Return the cells in which the NPCs start; for NPCs on the grid, those of the first gene as executed."""
         existing = self._first_existing()
         held = self._repaired(None, [npc.chain[0].cell for npc in self._on_grid], existing, self._on_grid, 0)
         on_grid = iter(held)
-        free = iter([cell for cell in LANE_STARTS if cell in existing and cell not in held])
-        return tuple([next(on_grid if npc in self._on_grid else free) for npc in self.npcs])
+        asked = {npc.index: start_cell(npc.chain[0]) for npc in self._asked}
+        taken = {*held, *asked.values()}
+        free = iter([cell for cell in LANE_STARTS if cell in existing and cell not in taken])
+        return tuple(
+            [
+                asked[npc.index] if npc.index in asked else next(on_grid if npc in self._on_grid else free)
+                for npc in self.npcs
+            ]
+        )
 
     def command(self, ego: Body) -> None:
         """Set acceleration and steering of each NPC for the coming tick."""
@@ -253,6 +304,13 @@ class Director(BaseDirector):
             cells = tuple([cell for npc, cell in zip(self.npcs, self.first_cells(), strict=True) if npc in active])
             for npc in self.npcs:
                 npc.heading_for = npc.lane
+            for npc in self._asked:
+                npc.executed.append(npc.chain[0].target)
+                npc.kept_lane = npc.lane
+                npc.kept_speed = npc.chain[0].speed
+                npc.pilot = self._driver
+                npc.ramp = self._limits.braking
+                self._await(npc)
         for npc, cell in zip(active, cells, strict=True):
             npc.executed.append(cell)
             npc.arrivals.append(None)
@@ -299,6 +357,9 @@ class Director(BaseDirector):
 
     def _control(self, npc: Npc, ego: Body) -> None:
         """Set acceleration and steering of one NPC for the coming tick."""
+        if npc.pilot is not None:
+            self._perform(npc, ego)
+            return
         target = self._target(npc, ego) if self._attentive else npc.target
         distance = ego.x + target - npc.x
         if npc.kept_lane == NO_LANE and npc.shift_lane == NO_LANE:
@@ -322,6 +383,68 @@ class Director(BaseDirector):
         npc.asked = driver.acceleration(wanted_speed, npc.asked, npc.speed)
         npc.acceleration = npc.asked
         npc.steering = driver.steering(npc.y - goal * self._lane_width, npc.heading, npc.course, npc.speed)
+        npc.course = driver.course
+
+    def _await(self, npc: Npc) -> None:
+        """Wait for the next step of a manoeuvre, if there is one."""
+        steps = npc.chain[0].steps
+        npc.trigger, npc.side = NEVER, NOT_WAITING
+        if len(npc.begun) < len(steps):
+            step = steps[len(npc.begun)]
+            if step.gap is not None:
+                npc.trigger, npc.trigger_at = AT_GAP, step.gap
+            elif step.headway is not None:
+                npc.trigger, npc.trigger_at = AT_HEADWAY, step.headway
+            else:
+                npc.trigger, npc.trigger_at = AFTER, round(step.after * self._hz)
+
+    def _is_due(self, npc: Npc, ego: Body) -> bool:
+        """Return whether the next step of a manoeuvre begins now."""
+        if npc.trigger == NEVER:
+            return False
+        if npc.trigger == AFTER:
+            return npc.ended >= 0 and self._tick - npc.ended >= npc.trigger_at
+        distance = (npc.x - ego.x) * self._stretch(ego)
+        value = math.copysign(max(abs(distance) - self._row, 0.0), distance)
+        if npc.trigger == AT_HEADWAY:
+            value /= max(ego.speed if distance > 0.0 else npc.speed, 0.1)
+        missing = value - npc.trigger_at
+        side = 0 if abs(missing) < 1e-9 else 1 if missing > 0.0 else -1
+        if npc.side == NOT_WAITING:
+            npc.side = side
+        return side == 0 or side != npc.side
+
+    def _perform(self, npc: Npc, ego: Body) -> None:
+        """Set the controls of an NPC with a manoeuvre for the coming tick, and begin its steps that are due."""
+        while self._is_due(npc, ego):
+            step = npc.chain[0].steps[len(npc.begun)]
+            npc.begun.append(self._tick)
+            npc.ended = -1
+            npc.offset = step.offset
+            if self._has_lane(npc, npc.kept_lane + step.column):
+                npc.kept_lane += step.column
+            if step.speed is not None:
+                npc.kept_speed, npc.ramp = step.speed, step.acceleration
+            npc.pilot = NpcDriver(self._limits, self._top_speed, self._length, 1.0 / self._hz, step.lateral_speed)
+            self._await(npc)
+        if npc.ended < 0:
+            aside = npc.y - npc.kept_lane * self._lane_width - npc.offset
+            if abs(aside) <= DONE_LATERAL and abs(npc.speed - npc.kept_speed) <= DONE_SPEED:
+                npc.ended = self._tick
+        npc.heading_for = self._next_lane(npc, npc.kept_lane, ego) if self._attentive else npc.kept_lane
+        slowest, fastest = speed_asking_for(npc.ramp, npc.speed), speed_asking_for(-npc.ramp, npc.speed)
+        wanted = min(max(npc.kept_speed, slowest), fastest)
+        if self._attentive:
+            wanted = self._following(npc, self._attending(npc, ego, wanted))
+        self._drive(npc, wanted)
+
+    def _drive(self, npc: Npc, wanted: float) -> None:
+        """Set the controls of an NPC with a manoeuvre for a speed [m/s], towards its lane and offset."""
+        driver: Any = npc.pilot
+        npc.asked = driver.acceleration(wanted, npc.asked, npc.speed)
+        npc.acceleration = npc.asked
+        offset = npc.y - npc.heading_for * self._lane_width - npc.offset
+        npc.steering = driver.steering(offset, npc.heading, npc.course, npc.speed)
         npc.course = driver.course
 
     def _target(self, npc: Npc, ego: Body) -> float:

@@ -2,7 +2,7 @@ cimport cython
 from pytest_pafot.world.kernel.action cimport (
     acceleration_to_speed, checked_si_action, possible_acceleration, possible_steering, without_reversing,
 )
-from pytest_pafot.world.kernel.bodies cimport Body, overlap
+from pytest_pafot.world.kernel.bodies cimport Body, Box, overlap
 from pytest_pafot.world.kernel.director cimport BaseDirector
 from pytest_pafot.world.kernel.driver cimport LaneTracker
 from pytest_pafot.world.kernel.idm cimport GoalVehicle
@@ -66,7 +66,7 @@ cdef class Loop:
     cdef double[::1] _record
     cdef double _dt, _reach
     cdef Py_ssize_t _row, _columns
-    cdef list _vehicles, _npcs
+    cdef list _vehicles, _npcs, _obstacles
 
     @cython.locals(due=int, body=Body)
     cpdef run(self, EgoDriver driver, int ticks)
@@ -79,5 +79,5 @@ cdef class Loop:
     cdef _note(self)
 
     @cython.locals(record="double[::1]", columns=Py_ssize_t, reach=double, first=Py_ssize_t, second=Py_ssize_t,
-                   count=Py_ssize_t, start=Py_ssize_t, x=double, is_near=bint)
+                   count=Py_ssize_t, start=Py_ssize_t, x=double, is_near=bint, obstacle=Box)
     cdef bint _contact(self) except -1

@@ -12,7 +12,7 @@ from array import array
 from collections.abc import Callable, Sequence
 from typing import Any, cast
 
-from pytest_pafot.model.trace import AdsError
+from pytest_pafot.model.trace import AdsError, Outcome
 from pytest_pafot.support.errors import BadAction, OutOfTime
 from pytest_pafot.world.guard.failure import UNFIT, error_of
 from pytest_pafot.world.guard.hang_guard import HangGuard
@@ -24,7 +24,7 @@ from pytest_pafot.world.kernel.action import (
     possible_steering,
     without_reversing,
 )
-from pytest_pafot.world.kernel.bodies import Body, overlap
+from pytest_pafot.world.kernel.bodies import Body, Box, overlap
 from pytest_pafot.world.kernel.driver import LaneTracker
 from pytest_pafot.world.kernel.idm import GoalVehicle
 from pytest_pafot.world.kernel.observation import COLUMNS, Sensor
@@ -222,12 +222,12 @@ class PlannerDriver(GivenDriver):
             try:
                 guard.started = started
                 action = self._ads(self._sensor.observation(tick))
+                self.take(action, self._clock() - started)  # reading an action may run the ADS's code, too
             finally:
                 guard.started = None  # before the clock is read; see HangGuard
                 seconds = self._clock() - started
                 if seconds > guard.limit or started + seconds > self._until:
                     guard.settle()
-            self.take(action, seconds)
         except UNFIT as error:
             return error_of(error, tick, guard)
         return None
@@ -266,6 +266,7 @@ class Loop:
         self._vehicles: list[Body] = places.vehicles
         self._npcs: list[Body] = places.vehicles[1:]
         self._ego: Body = places.bodies[0]
+        self._obstacles: list[Box] = places.obstacles
         self._reach = max(
             [math.hypot(body.length, body.width) for body in self._vehicles]
         )  # farther apart, none can touch
@@ -327,7 +328,10 @@ class Loop:
         self._row = row
 
     def _contact(self) -> bool:
-        """Return whether two vehicles touch, and set which; a contact of the ego is found before contacts of NPCs."""
+        """Return whether two vehicles touch, and set which; a contact of the ego is found before contacts of NPCs.
+
+        An ego that touches a fixed object has left the road.
+        """
         record, columns, reach, count = self._record, self._columns, self._reach, len(self._vehicles)
         start = self._row - count * columns
         for first in range(count - 1):
@@ -338,4 +342,8 @@ class Loop:
                     self.ego_touched = first == 0
                     self.npcs_touched = first > 0
                     return True
+        for obstacle in self._obstacles:
+            if overlap(self._vehicles[0], obstacle):
+                self._places.left = Outcome.OFF_ROAD
+                return True
         return False

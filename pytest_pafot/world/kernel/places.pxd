@@ -10,6 +10,7 @@ cdef int COLUMNS, TRACK_COLUMNS
 
 cdef class Places:
     cdef readonly list vehicles, bodies
+    cdef public list obstacles
     cdef public object left
     cdef readonly Lanes lanes
     cdef Lanes _lanes

@@ -10,7 +10,7 @@ from typing import Any
 from pytest_pafot.model.crossings import NOT_ON_WAY, STEP
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.world.kernel.bends import Bends, even_rounded
-from pytest_pafot.world.kernel.bodies import Body
+from pytest_pafot.world.kernel.bodies import Body, Box
 from pytest_pafot.world.kernel.crossing import Track
 from pytest_pafot.world.kernel.lanes import Lanes
 from pytest_pafot.world.kernel.observation import COLUMNS
@@ -35,12 +35,14 @@ class Places:
         left: the outcome if the run has left its road, else None. A run on a straight road continues beside it.
         lanes: the road's lanes if world and road coordinates are the same, so that bodies need not be placed; else
             None.
+        obstacles: the fixed objects on the road, in world coordinates.
     """
 
     def __init__(
         self, vehicles: list[Any], bodies: list[Any], lanes: Lanes | None = None, x: float = 0.0, y: float = 0.0
     ) -> None:
         self.vehicles: list[Body] = vehicles
+        self.obstacles: list[Box] = []
         self.bodies: list[Body] = bodies
         self.left: Outcome | None = None
         self._lanes = lanes

@@ -22,8 +22,11 @@ cdef class NetworkDirector(Director):
 
     cpdef double _stretch(self, Body body) except? -1
 
-    @cython.locals(goal=int, wanted=double, asked=double, gained=double, changing=double)
+    @cython.locals(goal=int, wanted=double)
     cpdef void _control(self, Npc npc, Body ego) except *
+
+    @cython.locals(asked=double, gained=double, changing=double)
+    cdef void _move(self, Npc npc, int goal, double wanted) except *
 
     @cython.locals(target_lane=int, stretch=double, ego_stretch=double, along=double, target=double, distance=double,
                    shift=int, goal=int, wanted=double, gap=double)

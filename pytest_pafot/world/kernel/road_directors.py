@@ -95,11 +95,20 @@ class NetworkDirector(Director):
         return self._bends.stretch(body.x, self._bends.across_at(body.lane, body.x))
 
     def _control(self, npc: Npc, ego: Body) -> None:
+        if npc.pilot is not None:
+            self._perform(npc, ego)
+            return
         goal, wanted = self._aim(npc, ego)
         npc.heading_for = goal
         if self._attentive:
             wanted = self._attending(npc, ego, wanted)
-        wanted = self._following(npc, wanted)
+        self._move(npc, goal, self._following(npc, wanted))
+
+    def _drive(self, npc: Npc, wanted: float) -> None:
+        self._move(npc, npc.heading_for, wanted)
+
+    def _move(self, npc: Npc, goal: int, wanted: float) -> None:
+        """Set the controls of an NPC for a lane and a speed [m/s]; ways of others, bends and ends limit the speed."""
         if self.others is not None:
             wanted = min(wanted, self.others.ceiling(npc))
         asked = max(npc.asked, 0.0)
@@ -166,12 +175,12 @@ class NetworkDirector(Director):
         return self._bends.continues(lane, max(rear, 0.0), later)
 
     def _steer(self, npc: Npc, goal: int) -> None:
-        bends, driver = self._bends, self._driver
+        bends, driver = self._bends, self._driver if npc.pilot is None else npc.pilot
         direction, lean = bends.direction_at(goal, npc.x), bends.lean_at(goal, npc.x)
         later = npc.x + npc.speed * self._dt / bends.stretch(npc.x, bends.across_at(goal, npc.x))
         later_direction, later_lean = bends.direction_at(goal, later), bends.lean_at(goal, later)
         npc.steering = driver.steering_in_bend(
-            npc.y - goal * self._width_of_lanes,
+            npc.y - goal * self._width_of_lanes - npc.offset,
             bends.heading_at(npc.x) + npc.heading - direction,
             npc.course - direction if self._tick else 0.0,
             npc.speed,
@@ -276,6 +285,13 @@ class JunctionDirector(BaseDirector):
     def driven(self) -> tuple[tuple[Cell, ...], ...]:
         """The cell that each NPC drove to in each started gene if ``executed`` cannot express it; else empty."""
         rows = () if self._grid is None else self._grid.driven
+        others = iter(rows)
+        return tuple(next(others) if each is None else () for each in self._scenario.crossings) if rows else ()
+
+    @property
+    def begun(self) -> tuple[tuple[int, ...], ...]:
+        """The ticks at which the steps of each NPC's manoeuvre began; empty if no NPC has one."""
+        rows = () if self._grid is None else self._grid.begun
         others = iter(rows)
         return tuple(next(others) if each is None else () for each in self._scenario.crossings) if rows else ()
 

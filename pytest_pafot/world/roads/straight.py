@@ -1,7 +1,7 @@
 """The straight road in the grid's coordinates: positions along the road and across its lanes.
 
-A road maps world coordinates to (longitudinal, lateral, heading relative to the road). The NPC's driver, the grid and
-the start positions use nothing else of a road, so other shapes can have the same interface.
+A road maps world coordinates to (longitudinal, lateral, heading relative to the road). Every other road is a
+:class:`~pytest_pafot.world.roads.network.NetworkRoad`; who needs more of a road than both have asks for its class.
 """
 
 from __future__ import annotations

@@ -1,0 +1,128 @@
+"""``python -m pytest_pafot map``: the map of a scenario of the catalogue or of a saved finding."""
+
+from __future__ import annotations
+
+import argparse
+import shutil
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from pytest_pafot.commands.policy_reference import ABOUT_POLICIES, ads_factory, check_function
+from pytest_pafot.support.errors import RequestError
+from pytest_pafot.support.files import way_out, write_whole
+from pytest_pafot.support.text import visible, wrapped_to
+from pytest_pafot.sweeps.drawing import page, png
+from pytest_pafot.sweeps.entries import ENTRIES, Entry, chosen
+from pytest_pafot.sweeps.numbers import over_of
+from pytest_pafot.sweeps.maps import POINTS, WIDTH, Sweep, short, sweep
+from pytest_pafot.world import World
+
+FAILED = 1
+"""The exit code if a point fails though a reference driver avoids it; with --against, if one is worse than before."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments of the command."""
+    of_what = "a name of the catalogue, such as r157/cut-in, or the file of a finding; without it, list the catalogue"
+    parser.add_argument("what", metavar="SCENARIO", nargs="?", help=of_what)
+    parser.add_argument("--ads", metavar="ADS", help="the policy: module:factory, or module:factory:argument")
+    of_over = "a number and its first and last value and their count; once or twice"
+    parser.add_argument("--over", metavar="NAME=FIRST:LAST:COUNT", action="append", default=[], help=of_over)
+    parser.add_argument("--set", metavar="NAME=VALUE", action="append", default=[], help="another number of an entry")
+    of_world = "a highway-env environment, driven in SI units (default: a highway, or the world of the finding)"
+    parser.add_argument("--world", metavar="ID", help=of_world)
+    of_check = "a function of a run, which asserts what must hold (default: no collision, never off the road)"
+    parser.add_argument("--check", metavar="MODULE:FUNCTION", help=of_check)
+    of_points = "the largest number of points that are all driven (default: %(default)s); a larger grid is refined"
+    parser.add_argument("--points", type=int, metavar="N", default=POINTS, help=of_points)
+    parser.add_argument("--against", metavar="FILE", help="a saved map; tell what has changed since")
+    parser.add_argument("--csv", metavar="FILE", help="save the map; --against reads it")
+    parser.add_argument("--html", metavar="FILE", help="write a page on which each point plays its run")
+    parser.add_argument("--png", metavar="FILE", help="write a picture")
+    parser.epilog = (
+        f"{ABOUT_POLICIES} The exit code is 1 if a point fails though a reference driver avoids it, or with --against "
+        "if a point is worse than before; 2 for wrong arguments, else 0."
+    )
+
+
+def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
+    """Print the map, and write its files. Return the exit code."""
+    if arguments.what is None:
+        sys.stdout.write(catalogue_text(ENTRIES))
+        return 0
+    if not arguments.over and "/" not in arguments.what and not arguments.what.endswith(".yaml"):
+        sys.stdout.write(catalogue_text(chosen((arguments.what,))))
+        return 0
+    if arguments.ads is None or not arguments.over:
+        raise RequestError(
+            "map: expected --ads with a policy and --over with a number, such as --over gap=0:60:7, received "
+            f"{'no --ads' if arguments.ads is None else 'no --over'}; `map` without arguments lists the catalogue"
+        )
+    made = sweep(
+        arguments.what,
+        ads_factory(arguments.ads),
+        over=over_of(arguments.over),
+        world=None if arguments.world is None else World(arguments.world, planner_hz=5),
+        holds=None if arguments.check is None else check_function(arguments.check),
+        points=arguments.points,
+        against=arguments.against,
+        on_point=_tell if sys.stderr.isatty() else None,
+        **_set(arguments.set),
+    )
+    if sys.stderr.isatty():
+        sys.stderr.write("\r\033[K")
+    width = min(shutil.get_terminal_size().columns, WIDTH) if sys.stdout.isatty() else WIDTH
+    sys.stdout.write(f"{made.explain(width)}\n")
+    _write(arguments, made)
+    failed = made.worse if arguments.against is not None else made.preventable
+    return FAILED if failed else 0
+
+
+def _tell(count: int) -> None:
+    sys.stderr.write(f"\rmap: {count} points\033[K")
+    sys.stderr.flush()
+
+
+def _set(texts: Sequence[str]) -> dict[str, float]:
+    values = {}
+    for text in texts:
+        name, _, value = text.partition("=")
+        try:
+            values[name] = float(value)
+        except ValueError:
+            raise RequestError(f"--set: expected NAME=VALUE, such as gap=20, received {text!r}") from None
+    return values
+
+
+def _write(arguments: argparse.Namespace, made: Sweep) -> None:
+    kinds: tuple[tuple[str | None, Any], ...] = (
+        (arguments.csv, Sweep.csv),
+        (arguments.html, page),
+        (arguments.png, png),
+    )
+    for path, content in kinds:
+        if path is None:
+            continue
+        try:
+            write_whole(Path(path), content(made))
+        except OSError as error:
+            fix = way_out(error, "or choose another file")
+            raise RequestError(
+                f"map: {visible(path)}: expected a file that can be written, received {error.strerror or error}; {fix}"
+            ) from None
+        sys.stdout.write(f"wrote {visible(path)}\n")
+
+
+def catalogue_text(entries: Sequence[Entry]) -> str:
+    """Return entries with their sources and parameters, as the command prints them."""
+    lines = []
+    for entry in entries:
+        lines += [entry.name, f"  {entry.about}", *wrapped_to(f"after {entry.source}", 98, "  ")]
+        for name, each in entry.parameters.items():
+            span = f"{short(each.low)} to {short(each.high)}" if each.low < each.high else "fixed"
+            number = f"{short(each.default)} {each.unit}".rstrip()
+            lines.append(f"    {name:<15} {number:<12} {span:<18} {each.about}")
+        lines.append("")
+    return "\n".join(lines)

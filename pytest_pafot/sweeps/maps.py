@@ -1,0 +1,608 @@
+"""Sweeps: one scenario over a grid of two of its numbers, and what becomes of it at each point."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from importlib import import_module
+from itertools import pairwise, product
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+from pytest_pafot.campaign.harness import refusals, source_file
+from pytest_pafot.campaign.verdict import Test, Verdict, headline, judge, reference_outcomes
+from pytest_pafot.corpus.layout import SUFFIX
+from pytest_pafot.corpus.reader import load
+from pytest_pafot.findings.finding import Finding
+from pytest_pafot.model.scenario import Scenario, ScenarioError
+from pytest_pafot.model.trace import Outcome, Trace
+from pytest_pafot.oracle.run import Run
+from pytest_pafot.support.errors import RequestError
+from pytest_pafot.support.files import open_regular, write_whole
+from pytest_pafot.support.references import factory_named
+from pytest_pafot.support.text import ascii_text, csv_text, plural, visible, wrapped_to
+from pytest_pafot.sweeps.entries import Entry, entry_of
+from pytest_pafot.sweeps.numbers import Axis, unit_of, values_of, with_number
+from pytest_pafot.world import from_dict
+from pytest_pafot.world.driving.ads import AdsFactory
+from pytest_pafot.world.guard.own_worlds import rollout_of
+from pytest_pafot.world.protocol import reference_world, taking_over
+
+Kind = Literal["avoided", "preventable", "unavoidable", "not as asked"]
+"""What became of a point: ``avoided``; ``preventable``, it failed though a reference driver avoids it; ``unavoidable``,
+it failed and no reference driver avoids it; ``not as asked``, the situation did not come up as it was asked for."""
+
+KINDS: tuple[Kind, ...] = get_args(Kind)
+MARKS: dict[Kind, str] = {"avoided": ".", "preventable": "X", "unavoidable": "#", "not as asked": "?"}
+MARKS_OF_ASSUMED: dict[Kind, str] = {"avoided": ",", "preventable": "x", "unavoidable": "=", "not as asked": "?"}
+"""The characters of points in a terminal; the second ones are of points that were not driven."""
+MEANINGS: dict[Kind, str] = {
+    "avoided": "avoided",
+    "preventable": "failed, though a reference driver avoids it",
+    "unavoidable": "failed, and no reference driver avoids it",
+    "not as asked": "not as asked",
+}
+WIDTH = 100
+"""The width of a map in a terminal, unless it is narrower [columns]."""
+TOLD: tuple[Kind, ...] = ("avoided", "preventable")
+"""The kinds of points that say something about the policy."""
+POINTS = 400
+"""The largest number of points that are all driven; of a larger grid every fourth in each direction is, and between
+them only where the answer changes."""
+STRIDE = 4
+MOST_BYTES = 10_000_000
+"""The largest file of a saved map."""
+FIXED = ("scenario", "result", "driven", "words")
+"""The columns of a saved map beside those of its axes."""
+
+Index = tuple[int, ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Point:
+    """A point of a map.
+
+    Attributes:
+        at: the values of the axes there.
+        kind: what became of it.
+        words: what happened, in a line.
+        driven: False if it lies between points with the same answer and was not driven.
+        trace: the run; None if there is none.
+    """
+
+    at: tuple[float, ...]
+    kind: Kind
+    words: str
+    driven: bool = True
+    trace: Trace | None = field(default=None, compare=False, repr=False)
+
+    @property
+    def fails(self) -> bool:
+        """True if the policy failed."""
+        return self.kind in ("preventable", "unavoidable")
+
+    @property
+    def mark(self) -> str:
+        """The character that stands for the kind; another one if the point was not driven."""
+        return (MARKS if self.driven else MARKS_OF_ASSUMED)[self.kind]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Change:
+    """A point whose answer differs from that of an earlier map.
+
+    Attributes:
+        at: the values of the axes.
+        before, now: what became of it.
+    """
+
+    at: tuple[float, ...]
+    before: Kind
+    now: Kind
+
+    @property
+    def is_worse(self) -> bool:
+        """True if it was avoided before, and is preventable now."""
+        return self.before == "avoided" and self.now == "preventable"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, repr=False)
+class Sweep:
+    """A map: what becomes of a scenario for each pair of values of two of its numbers.
+
+    Attributes:
+        name: the catalogue entry or the finding that was swept.
+        axes: one or two axes.
+        points: all points; the last axis changes fastest.
+        changes: the points whose answer differs from that of the map given as ``against``.
+    """
+
+    name: str
+    axes: tuple[Axis, ...]
+    points: tuple[Point, ...]
+    changes: tuple[Change, ...] = ()
+
+    def count(self, kind: Kind) -> int:
+        """Return the number of points of a kind."""
+        return sum(point.kind == kind for point in self.points)
+
+    @property
+    def preventable(self) -> int:
+        """The number of points that fail though a reference driver avoids them."""
+        return self.count("preventable")
+
+    @property
+    def unavoidable(self) -> int:
+        """The number of points that fail and that no reference driver avoids."""
+        return self.count("unavoidable")
+
+    @property
+    def avoided(self) -> int:
+        """The number of points that the policy avoids."""
+        return self.count("avoided")
+
+    @property
+    def not_as_asked(self) -> int:
+        """The number of points at which the situation did not come up as asked."""
+        return self.count("not as asked")
+
+    @property
+    def worse(self) -> tuple[Change, ...]:
+        """The changes for the worse: avoided before, preventable now."""
+        return tuple(change for change in self.changes if change.is_worse)
+
+    @property
+    def driven(self) -> int:
+        """The number of points that were driven."""
+        return sum(point.driven for point in self.points)
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """The number of values on each axis."""
+        return tuple(len(axis.values) for axis in self.axes)
+
+    def point(self, *index: int) -> Point:
+        """Return the point with these indices of the values of each axis."""
+        flat = 0
+        for size, each in zip(self.shape, index, strict=True):
+            flat = flat * size + each
+        return self.points[flat]
+
+    def where(self, at: Sequence[float]) -> str:
+        """Return a place on the map in words: ``gap 20 m, relative_speed -5.6 m/s``."""
+        pairs = zip(self.axes, at, strict=True)
+        return ", ".join(f"{axis.name} {short(value)} {axis.unit}".rstrip() for axis, value in pairs)
+
+    @property
+    def islands(self) -> tuple[str, ...]:
+        """The points whose answer differs from that on both sides along an axis, grouped, each group in a sentence.
+
+        On one of the two sides the situation is harder, so either a harder one was avoided and an easier one failed, or
+        the other way round. Points that are unavoidable or were not as asked say nothing about the policy.
+        """
+        odd: dict[Index, tuple[Point, Point]] = {}
+        for index in product(*(range(size) for size in self.shape)):
+            here = self.point(*index)
+            if here.kind not in TOLD:
+                continue
+            for axis in range(len(self.axes)):
+                sides = [self._next_other(index, axis, step) for step in (-1, 1)]
+                if None not in sides:
+                    odd[index] = sides[0], sides[1]  # type: ignore[assignment]
+                    break
+        sentences = []
+        for group in _groups(odd, lambda index: self.point(*index).fails):
+            first = group[0]
+            here, (low, high) = self.point(*first), odd[first]
+            does = ("fails", "pass") if here.fails else ("passes", "fail")
+            size = "" if len(group) == 1 else f" (and {plural(len(group) - 1, 'point')} beside it)"
+            between = f"although {self.where(low.at)} and {self.where(high.at)} {does[1]}"
+            sentences.append(f"{self.where(here.at)} {does[0]}{size}, {between}")
+        return tuple(sentences)
+
+    def _next_other(self, index: Index, axis: int, step: int) -> Point | None:
+        """Return the next point along an axis whose answer differs from that at the index, or None."""
+        fails, last = self.point(*index).fails, self.shape[axis] if step > 0 else -1
+        for each in range(index[axis] + step, last, step):
+            there = self.point(*index[:axis], each, *index[axis + 1 :])
+            if there.kind == "unavoidable":  # what is behind it is another kind of situation
+                return None
+            if there.kind in TOLD and there.fails != fails:
+                return there
+        return None
+
+    @property
+    def headline(self) -> str:
+        """The counts of all kinds in a line."""
+        words = {
+            "avoided": "avoided",
+            "preventable": "failed though a reference driver avoids it",
+            "unavoidable": "unavoidable",
+            "not as asked": "not as asked",
+        }
+        counts = Counter(point.kind for point in self.points)
+        return f"{plural(len(self.points), 'point')}: " + ", ".join(f"{counts[kind]} {words[kind]}" for kind in KINDS)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What else there is to say: points that were not driven, islands, and changes."""
+        notes = []
+        if self.driven < len(self.points):
+            notes.append(
+                f"{self.driven} points were driven, the others lie between points with the same answer; islands "
+                f"smaller than {STRIDE} by {STRIDE} points may be missing"
+            )
+        notes += [f"island: {sentence}" for sentence in self.islands[:MOST_NAMED]]
+        if len(self.islands) > MOST_NAMED:
+            notes.append(f"island: and {len(self.islands) - MOST_NAMED} more")
+        for change in self.changes[:MOST_NAMED]:
+            notes.append(f"changed: {self.where(change.at)} was {change.before}, is {change.now}")
+        if len(self.changes) > MOST_NAMED:
+            notes.append(f"changed: and {len(self.changes) - MOST_NAMED} more")
+        return tuple(notes)
+
+    def explain(self, width: int = WIDTH) -> str:
+        """Return the map as lines of ASCII: a column for each value of the last axis, a row for each of the first."""
+        *rows, columns = self.axes
+        labels = [short(value) for value in columns.values]
+        heads = [short(value) for value in rows[0].values] if rows else [""]
+        head, cell = max(map(len, heads)), max(map(len, labels)) + 1
+        axes = f"{rows[0].title} up, {columns.title} across" if rows else columns.title
+        scale = " " * (head + 1) + "".join(label.rjust(cell) for label in labels)
+        if len(scale) > width:
+            cell = 2 if head + 1 + 2 * len(labels) <= width else 1
+            scale = " " * (head + 2) + f"{labels[0]} to {labels[-1]}"
+        lines = [self.name, self.headline, "", axes, scale]
+        for row, name in reversed([*enumerate(heads)]):  # as in a picture, larger values are above
+            points = [self.point(row, column) if rows else self.point(column) for column in range(len(labels))]
+            lines.append(f"{name.rjust(head)} {''.join(point.mark.rjust(cell) for point in points)}")
+        used = {point.kind for point in self.points}
+        legend = "  ".join(f"{MARKS[kind]} {MEANINGS[kind]}" for kind in KINDS if kind in used)
+        told = [part for note in (legend, *self.notes) for part in wrapped_to(note, width)]
+        return "\n".join(ascii_text(line).rstrip() for line in [*lines, "", *told])
+
+    def __repr__(self) -> str:
+        return f"<Sweep {self.name}, {self.headline}>"
+
+    def __str__(self) -> str:
+        return self.explain()
+
+    def _repr_html_(self) -> str:
+        html: str = import_module("pytest_pafot.sweeps.drawing").frame(self)  # that module imports this one
+        return html
+
+    def csv(self) -> str:
+        """Return the map as CSV: a row for each point, with the columns of the axes first."""
+        names = [axis.name for axis in self.axes]
+        rows = [
+            [*(short(value) for value in point.at), visible(self.name), point.kind, int(point.driven), point.words]
+            for point in self.points
+        ]
+        return csv_text([*names, *FIXED], rows)
+
+    def save(self, path: str | Path) -> None:
+        """Write the map as CSV, as a whole or not at all; ``against=`` reads it."""
+        write_whole(Path(path), self.csv())
+
+
+MOST_NAMED = 6
+"""The largest number of islands, and of changes, that are named."""
+
+
+def sweep(
+    what: str | Path | Finding | Scenario,
+    ads: AdsFactory | str,
+    *,
+    over: Mapping[str, object],
+    world: Any = None,
+    holds: Test | None = None,
+    points: int = POINTS,
+    against: str | Path | Sweep | None = None,
+    on_point: Callable[[int], None] | None = None,
+    **values: float,
+) -> Sweep:
+    """Drive a scenario for all values of one or two of its numbers, and return the map.
+
+    Args:
+        what: the name of a catalogue entry, a saved finding or its file, or a scenario.
+        ads: the factory of the policy, or its ``module:factory[:argument]``.
+        over: for each axis the name of a number, and its values: numbers, or ``"first:last:count"``. A number is a
+            parameter of the entry, or is named by its place in the scenario: ``ego.speed``, ``npcs.0.0.speed`` for an
+            instruction, ``npcs.0.steps.1.gap`` for a step of a manoeuvre.
+        world: the world; by default that of the finding, or a highway.
+        holds: the property, a function of a run that asserts; by default that there is no collision and the ego stays
+            on the road.
+        points: the largest number of points that are all driven. Of a larger grid, every fourth point in each direction
+            is driven, and between them where the answer changes.
+        against: an earlier map, or the file that :meth:`Sweep.save` wrote.
+        on_point: is called with the number of points driven so far.
+        values: other parameters of the entry.
+
+    Raises:
+        RequestError: if an argument is wrong, or the world has no reference drivers.
+    """
+    name, place, make = _source(what, world, values)
+    if not isinstance(over, Mapping) or not 1 <= len(over) <= 2:
+        raise RequestError(f"over: expected one or two axes, such as {{'gap': '0:60:7'}}, received {over!r:.80}")
+    axes = tuple(Axis(each, values_of(each, given), make.unit(each)) for each, given in over.items())
+    factory = factory_named(ads) if isinstance(ads, str) else ads
+    driver = _Driver(make, axes, factory, place, holds or stays_safe, on_point)
+    driver.make_first()
+    found = _all_of(driver, axes) if math.prod(len(axis.values) for axis in axes) <= points else _refined(driver, axes)
+    made = Sweep(name=name, axes=axes, points=found)
+    return made if against is None else replace(made, changes=_changes(made, against))
+
+
+def stays_safe(run: Run) -> None:
+    """Assert that the ego neither collided nor left the road."""
+    assert run.outcome not in (Outcome.COLLISION, Outcome.OFF_ROAD), run.explain()  # noqa: S101  (it is an oracle)
+
+
+def short(value: float) -> str:
+    """Return a number with at most four digits behind the point."""
+    return f"{round(value, 4) + 0.0:g}"
+
+
+# The scenario of each point.
+
+
+@dataclass(frozen=True, slots=True)
+class _Made:
+    """The scenarios of a sweep: those of an entry with some values, or of one scenario."""
+
+    source: Entry | Scenario
+    values: Mapping[str, float]
+    world: Any
+
+    def unit(self, name: str) -> str:
+        if isinstance(self.source, Entry) and name in self.source.parameters:
+            return self.source.parameters[name].unit
+        return unit_of(name)
+
+    def __call__(self, names: Sequence[str], at: Sequence[float]) -> Scenario:
+        given, scenario = dict(zip(names, at, strict=True)), self.source
+        if isinstance(scenario, Entry):
+            own = {name: given.pop(name) for name in names if "." not in name}
+            scenario = scenario.scenario(self.world, **{**self.values, **own})
+        for name, value in given.items():
+            scenario = with_number(scenario, name, value)
+        return scenario
+
+
+def _source(what: Any, world: Any, values: Mapping[str, float]) -> tuple[str, Any, _Made]:
+    """Return the name of what is swept, its world, and the maker of its scenarios."""
+    if isinstance(what, Path) or (isinstance(what, str) and what.endswith(SUFFIX)):
+        what = load(what)
+    if values and not isinstance(what, str):
+        raise RequestError(f"sweep: expected no parameters for a scenario, received {', '.join(values)}")
+    if isinstance(what, Finding):
+        place = from_dict(dict(what.world)) if world is None else world
+        return what.id, place, _Made(what.scenario, {}, place)
+    if isinstance(what, Scenario):
+        place = entry_of("r157/cut-in").world(None) if world is None else world
+        return what.id, place, _Made(what, {}, place)
+    entry = entry_of(what)
+    place = entry.world(world)
+    return entry.name, place, _Made(entry, values, place)
+
+
+class _Driver:
+    """The points of a sweep, each driven when it is first asked for."""
+
+    def __init__(
+        self,
+        make: _Made,
+        axes: tuple[Axis, ...],
+        ads: Callable[..., Any],
+        world: Any,
+        holds: Test,
+        on_point: Callable[[int], None] | None,
+    ) -> None:
+        self.points: dict[Index, Point] = {}
+        self._make, self._axes, self._ads, self._world, self._holds = make, axes, ads, world, holds
+        self._file = source_file(holds)
+        self._on_point = on_point
+        if reference_world(world) is None:
+            raise RequestError(
+                "sweep: expected a world with reference drivers, which tell what can be avoided, received one without"
+            )
+
+    def make_first(self) -> None:
+        """Make some scenario, so that a wrong name of a number is an error and not a map without an answer.
+
+        Raises:
+            RequestError: if there is no such number.
+        """
+        errors = []
+        for index in product(*(range(len(axis.values)) for axis in self._axes)):
+            try:
+                self._make([axis.name for axis in self._axes], self._at(index))
+            except ScenarioError as error:
+                errors.append(error)
+            else:
+                return
+        raise RequestError(f"sweep: expected a point that can be driven, received none: {errors[0]}")
+
+    def _at(self, index: Index) -> tuple[float, ...]:
+        return tuple(axis.values[each] for axis, each in zip(self._axes, index, strict=True))
+
+    def __call__(self, index: Index) -> Point:
+        if index not in self.points:
+            self.points[index] = self._driven(self._at(index))
+            if self._on_point is not None:
+                self._on_point(len(self.points))
+        return self.points[index]
+
+    def _driven(self, at: tuple[float, ...]) -> Point:
+        try:
+            scenario = self._make([axis.name for axis in self._axes], at)
+            check = getattr(self._world, "check_fits", None)
+            if check is not None:
+                check(scenario)
+        except ScenarioError as error:
+            return Point(at=at, kind="not as asked", words=f"cannot be driven: {error}")
+        with refusals():
+            run = driven(self._world, scenario, self._ads)
+        found = judged(run, self._holds, self._file)
+        return Point(at=at, kind=found.kind, words=visible(found.words), trace=run.trace)
+
+
+def driven(world: Any, scenario: Scenario, ads: Callable[..., Any]) -> Run:
+    """Return the run of a policy in a scenario."""
+    trace = rollout_of(world)(scenario, ads)
+    return Run(trace, world=reference_world(world), take_over=taking_over(world, trace))
+
+
+@dataclass(frozen=True, slots=True)
+class Judged:
+    """What became of a run that was asked for: the verdict, the kind, words, and a reference driver that avoids it."""
+
+    verdict: Verdict
+    kind: Kind
+    words: str
+    avoided_by: str = ""
+
+
+def judged(run: Run, holds: Test, test_file: str) -> Judged:
+    """Judge a run that was asked for. A failure counts whoever is at fault, if a reference driver avoids it."""
+    verdict = judge(run, holds, blame="any", test_file=test_file)
+    if verdict.kind in ("invalid", "rejected", "skipped"):
+        return Judged(verdict, "not as asked", f"{verdict.kind}: the run says nothing about the policy")
+    what, avoiding = run.explain().splitlines()[0], ""
+    if verdict.failed:
+        outcomes = reference_outcomes(run, holds, blame="any", test_file=test_file)
+        avoiding = next((name for name, outcome in outcomes if outcome == "avoids"), "")
+        what = f"{headline(run, verdict)}; {avoiding or 'no reference driver'} avoids it"
+    missed = [each.words for each in run.asked if not each.is_met]
+    if missed:
+        return Judged(verdict, "not as asked", "; ".join([*missed, what]), avoiding)
+    if not verdict.failed:
+        return Judged(verdict, "avoided", what)
+    return Judged(verdict, "preventable" if avoiding else "unavoidable", what, avoiding)
+
+
+# The grid, whole or refined where the answer changes.
+
+
+def _all_of(drive: Callable[[Index], Point], axes: tuple[Axis, ...]) -> tuple[Point, ...]:
+    return tuple(drive(index) for index in product(*(range(len(axis.values)) for axis in axes)))
+
+
+def _refined(drive: _Driver, axes: tuple[Axis, ...]) -> tuple[Point, ...]:
+    """Drive every fourth point, and halve the rectangles between them whose corners differ."""
+    marks = [sorted({*range(0, len(axis.values), STRIDE), len(axis.values) - 1}) for axis in axes]
+    for rectangle in product(*(list(pairwise(each)) for each in marks)):
+        _refine(drive, rectangle)
+    known = dict(drive.points)
+
+    def nearest(index: Index) -> Point:
+        if index in known:
+            return known[index]
+        # All corners of the rectangle around it have the same answer.
+        corner = tuple(
+            max(mark for mark in _lines(known, axis, index) if mark <= each) for axis, each in enumerate(index)
+        )
+        return replace(known[corner], at=drive._at(index), driven=False, trace=None, words="not driven")
+
+    return tuple(nearest(index) for index in product(*(range(len(axis.values)) for axis in axes)))
+
+
+def _refine(drive: Callable[[Index], Point], rectangle: Sequence[tuple[int, int]]) -> None:
+    corners = [drive(corner) for corner in product(*rectangle)]
+    if len({corner.kind for corner in corners}) == 1 or all(high - low <= 1 for low, high in rectangle):
+        return
+    halves = [
+        [(low, (low + high) // 2), ((low + high) // 2, high)] if high - low > 1 else [(low, high)]
+        for low, high in rectangle
+    ]
+    for half in product(*halves):
+        _refine(drive, half)
+
+
+def _lines(known: Mapping[Index, Point], axis: int, index: Index) -> list[int]:
+    """Return the places along an axis at which the coarse grid has points."""
+    return [each for each in range(index[axis] + 1) if each % STRIDE == 0]
+
+
+def _groups(odd: Iterable[Index], kind: Callable[[Index], bool]) -> Iterator[list[Index]]:
+    """Yield groups of neighbouring indices of the same kind, in order."""
+    left = dict.fromkeys(sorted(odd))
+    while left:
+        group, queue = [], [next(iter(left))]
+        del left[queue[0]]
+        while queue:
+            index = queue.pop()
+            group.append(index)
+            for axis, step in product(range(len(index)), (-1, 1)):
+                other = (*index[:axis], index[axis] + step, *index[axis + 1 :])
+                if other in left and kind(other) == kind(index):
+                    del left[other]
+                    queue.append(other)
+        yield sorted(group)
+
+
+# An earlier map.
+
+
+def _changes(now: Sweep, against: str | Path | Sweep) -> tuple[Change, ...]:
+    before = {point.at: point.kind for point in against.points} if isinstance(against, Sweep) else _read(now, against)
+    missing = [point.at for point in now.points if _key(point.at) not in {_key(at) for at in before}]
+    if missing or len(before) != len(now.points):
+        raise RequestError(
+            f"against: expected a map with the same {len(now.points)} points, received one with {len(before)}, without "
+            f"{now.where(missing[0]) if missing else 'some'}; sweep the same values, or save a new map"
+        )
+    kinds = {_key(at): kind for at, kind in before.items()}
+    return tuple(
+        Change(at=point.at, before=kinds[_key(point.at)], now=point.kind)
+        for point in now.points
+        if kinds[_key(point.at)] != point.kind
+    )
+
+
+def _key(at: Sequence[float]) -> tuple[str, ...]:
+    return tuple(map(short, at))
+
+
+def _read(now: Sweep, path: str | Path) -> dict[tuple[float, ...], Kind]:
+    """Return the answers in the file of a saved map.
+
+    Raises:
+        RequestError: if the file cannot be read, or is the map of something else.
+    """
+
+    def wrong(expected: str, received: object) -> RequestError:
+        return RequestError(
+            f"against: {visible(str(path))}: expected {expected}, received {visible(str(received))!s:.80}"
+        )
+
+    try:
+        with open_regular(Path(path)) as file:
+            content = file.read(MOST_BYTES + 1)
+    except OSError as error:
+        raise wrong("the file of a saved map", error.strerror or error) from None
+    if len(content) > MOST_BYTES:
+        raise wrong(f"at most {MOST_BYTES} bytes", "more")
+    try:
+        rows = list(csv.DictReader(io.StringIO(content.decode("utf-8-sig"))))
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise wrong("CSV in UTF-8", error) from None
+    names = [axis.name for axis in now.axes]
+    columns = list(rows[0]) if rows else []
+    if columns != [*names, *FIXED]:
+        raise wrong(f"the columns {', '.join([*names, *FIXED])}", ", ".join(map(str, columns)) or "no rows")
+    found: dict[tuple[float, ...], Kind] = {}
+    for row in rows:
+        if row["scenario"] != visible(now.name):
+            raise wrong(f"a map of {now.name}", row["scenario"])
+        if row["result"] not in KINDS:
+            raise wrong(f"one of {', '.join(KINDS)} as the result", row["result"])
+        try:
+            found[tuple(float(row[name]) for name in names)] = row["result"]
+        except (TypeError, ValueError):
+            raise wrong("numbers in the columns of the axes", [row[name] for name in names]) from None
+    return found

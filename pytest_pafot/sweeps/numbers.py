@@ -1,0 +1,133 @@
+"""The numbers of a scenario that a sweep changes, by their names: ``ego.speed``, ``npcs.0.0.speed``, ``npcs.0.gap``."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, is_dataclass, replace
+from typing import Any
+
+from pytest_pafot.model.scenario import ALONE, Manoeuvre, Scenario
+from pytest_pafot.support.errors import RequestError, plain_number
+
+UNITS = {
+    "speed": "m/s", "ego_speed": "m/s", "lateral_speed": "m/s", "acceleration": "m/s^2", "gap": "m", "ahead": "m",
+    "offset": "m", "headway": "s", "after": "s", "slot": "s", "gene_seconds": "s",
+}  # fmt: skip
+"""The units of the numbers."""
+
+LEVELS = 200
+"""The largest number of values on an axis."""
+
+PAIR = re.compile(r"([^=\s]+)=(\S+)")
+
+
+@dataclass(frozen=True, slots=True)
+class Axis:
+    """An axis of a map.
+
+    Attributes:
+        name: the number that changes.
+        values: its values, in order.
+        unit: its unit.
+    """
+
+    name: str
+    values: tuple[float, ...]
+    unit: str
+
+    @property
+    def title(self) -> str:
+        """The name and the unit."""
+        return f"{self.name} [{self.unit}]" if self.unit else self.name
+
+
+def values_of(name: str, given: object) -> tuple[float, ...]:
+    """Return the values that a text such as ``0:60:7`` (first, last, count) or a sequence of numbers stands for.
+
+    Raises:
+        RequestError: for anything else, or too many values.
+    """
+    expected = f"over: {name}: expected first:last:count, such as 0:60:7, or at most {LEVELS} different numbers"
+    if isinstance(given, str):
+        try:
+            first, last, count = (float(part) for part in given.split(":"))
+        except ValueError:
+            raise RequestError(f"{expected}, received {given!r:.60}") from None
+        if not (math.isfinite(first) and math.isfinite(last) and count == int(count) and 2 <= count <= LEVELS):
+            raise RequestError(f"{expected}, received {given!r:.60}")
+        steps = int(count) - 1
+        given = [first + (last - first) * step / steps for step in range(steps + 1)]
+    numbers = [plain_number(value) for value in given] if isinstance(given, Sequence) else []
+    values = {round(value, 6) + 0.0 for value in numbers if value is not None}
+    if not 2 <= len(values) == len(numbers) <= LEVELS:
+        raise RequestError(f"{expected}, received {given!r:.60}")
+    return tuple(sorted(values))
+
+
+def over_of(texts: Sequence[str]) -> dict[str, str]:
+    """Return the axes that the arguments ``--over name=first:last:count`` name."""
+    over: dict[str, str] = {}
+    for text in texts:
+        found = PAIR.fullmatch(text)
+        if found is None or found[1] in over:
+            raise RequestError(
+                f"--over: expected different NAME=FIRST:LAST:COUNT, such as gap=0:60:7, received {text!r}"
+            )
+        over[found[1]] = found[2]
+    return over
+
+
+def names_in(scenario: Scenario) -> list[str]:
+    """Return the names of all numbers of a scenario that a sweep can change."""
+    names = ["ego.speed", *(["gene_seconds"] if math.isfinite(scenario.seconds) else [])]
+    for npc, chain in enumerate(scenario.npcs):
+        for number, gene in enumerate(chain):
+            place = f"npcs.{npc}" if isinstance(gene, ALONE) else f"npcs.{npc}.{number}"
+            names += [f"{place}.{name}" for name in ("speed", "slot", "ahead") if hasattr(gene, name)]
+            if isinstance(gene, Manoeuvre):
+                for index, step in enumerate(gene.steps):
+                    numbers = ("gap", "headway", "after", "lateral_speed", "offset", "speed", "acceleration")
+                    told = [name for name in numbers if isinstance(getattr(step, name), float)]
+                    names += [f"{place}.steps.{index}.{name}" for name in told]
+    return names
+
+
+def unit_of(name: str) -> str:
+    """Return the unit of a number of a scenario."""
+    return UNITS.get(name.rpartition(".")[2], "")
+
+
+def with_number(scenario: Scenario, name: str, value: float) -> Scenario:
+    """Return a scenario with another number; it is rounded to the 0.1 that scenarios have.
+
+    Raises:
+        RequestError: if the scenario has no number of this name.
+        ScenarioError: if the scenario cannot have the value.
+    """
+    value = round(value, 1) + 0.0
+    if name not in names_in(scenario):
+        raise RequestError(f"over: expected one of {', '.join(names_in(scenario))}, received {name!r:.60}")
+    if not name.startswith("npcs."):
+        return replace(scenario, ego_speed=value) if name == "ego.speed" else replace(scenario, gene_seconds=value)
+    _, npc, *path = name.split(".")
+    chain = scenario.npcs[int(npc)]
+    if isinstance(chain[0], ALONE):
+        path = ["0", *path]
+    npcs = [*scenario.npcs]
+    npcs[int(npc)] = _replaced(chain, path, value)
+    return replace(scenario, npcs=tuple(npcs))
+
+
+def _replaced(value: Any, path: Sequence[str], new: float) -> Any:
+    """Return nested tuples and dataclasses with the number at a path replaced."""
+    if not path:
+        return new
+    first, *rest = path
+    if is_dataclass(value) and not isinstance(value, type):
+        if first not in {each.name for each in fields(value)}:
+            raise RequestError(f"over: expected the name of a number, received {first!r}")
+        return replace(value, **{first: _replaced(getattr(value, first), rest, new)})
+    index = int(first)
+    return (*value[:index], _replaced(value[index], rest, new), *value[index + 1 :])
