@@ -37,7 +37,14 @@ from pytest_pafot.findings.shrink import Shrunk, SpeedInterval
 from pytest_pafot.model.crossings import Zone
 from pytest_pafot.model.driving_style import PARTS, STYLES, Traffic
 from pytest_pafot.model.grid import Cell
-from pytest_pafot.model.scenario import CrossingInstruction, LaneInstruction, PositionInstruction, Scenario
+from pytest_pafot.model.scenario import (
+    CrossingInstruction,
+    LaneInstruction,
+    Manoeuvre,
+    PositionInstruction,
+    Scenario,
+    Step,
+)
 from pytest_pafot.model.trace import Collision, Outcome
 from pytest_pafot.oracle.checks import check
 from pytest_pafot.oracle.run import Run
@@ -45,6 +52,9 @@ from pytest_pafot.plugin import fixtures
 from pytest_pafot.report.session_record import FindingRecord, OrphanRecord, SessionRecord
 from pytest_pafot.searching.fitness import Weights
 from pytest_pafot.searching.space import SearchSpace
+from pytest_pafot.sweeps.entries import ENTRIES
+from pytest_pafot.sweeps.map_command import add_arguments as add_map_arguments
+from pytest_pafot.sweeps.maps import Sweep
 from pytest_pafot.training import training_env
 from pytest_pafot.world import (
     CrossingVehicle,
@@ -202,6 +212,13 @@ def sections() -> dict[str, str]:
         "progress": _command_table(add_progress_arguments),
         "export": _command_table(add_export_arguments),
         "rate": _command_table(add_rate_arguments),
+        "manoeuvre": _fields_table(Manoeuvre),
+        "step": _fields_table(Step),
+        "map-command": _command_table(add_map_arguments),
+        "sweep": _fields_table(Sweep)
+        + "\nProperties: `preventable`, `unavoidable`, `avoided`, `not_as_asked` (numbers of "
+        "points), `worse`, `islands`, `driven`, `headline`, `explain()`, `save(path)`, `csv()`.\n",
+        "catalogue": _catalogue_table(),
         "rate-rows": _table(["Name", "Meaning"], ([_code(name), text] for name, text in _field_comments(EpisodeRow))),
     }
 
@@ -247,6 +264,17 @@ def _traffic_table() -> str:
         for name, text in _attributes(Traffic)
     ]
     return _table(["Name", *map(_code, styles), "Meaning"], rows)
+
+
+def _catalogue_table() -> str:
+    rows = []
+    for entry in ENTRIES:
+        told = []
+        for name, each in entry.parameters.items():
+            span = f" ({each.low:.4g} to {each.high:.4g})" if each.low < each.high else ""
+            told.append(f"`{name}` {f'{each.default:.4g} {each.unit}'.rstrip()}{span}")
+        rows.append([_code(entry.name), entry.about, ", ".join(told), entry.source])
+    return _table(["Name", "What happens", "Numbers, defaults and ranges", "After"], rows)
 
 
 def _code(names: str) -> str:

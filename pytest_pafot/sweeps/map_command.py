@@ -20,7 +20,7 @@ from pytest_pafot.sweeps.maps import POINTS, WIDTH, Sweep, short, sweep
 from pytest_pafot.world import World
 
 FAILED = 1
-"""The exit code if a point fails though a reference driver avoids it; with --against, if one is worse than before."""
+"""The exit code if there is what ``--fail-on`` names."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -38,13 +38,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     of_points = "the largest number of points that are all driven (default: %(default)s); a larger grid is refined"
     parser.add_argument("--points", type=int, metavar="N", default=POINTS, help=of_points)
     parser.add_argument("--against", metavar="FILE", help="a saved map; tell what has changed since")
+    of_fail = "exit with 1 if a point is preventable, that is fails though a reference driver avoids it; or if one is "
+    of_fail += "worse than in the map of --against, where it was avoided"
+    parser.add_argument("--fail-on", choices=("preventable", "worse"), help=of_fail)
     parser.add_argument("--csv", metavar="FILE", help="save the map; --against reads it")
     parser.add_argument("--html", metavar="FILE", help="write a page on which each point plays its run")
     parser.add_argument("--png", metavar="FILE", help="write a picture")
-    parser.epilog = (
-        f"{ABOUT_POLICIES} The exit code is 1 if a point fails though a reference driver avoids it, or with --against "
-        "if a point is worse than before; 2 for wrong arguments, else 0."
-    )
+    parser.epilog = f"{ABOUT_POLICIES} The exit code is 1 with --fail-on, 2 for wrong arguments, else 0."
 
 
 def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
@@ -60,6 +60,8 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
             "map: expected --ads with a policy and --over with a number, such as --over gap=0:60:7, received "
             f"{'no --ads' if arguments.ads is None else 'no --over'}; `map` without arguments lists the catalogue"
         )
+    if arguments.fail_on == "worse" and arguments.against is None:
+        raise RequestError("--fail-on worse: expected --against with a saved map, received none; save one with --csv")
     made = sweep(
         arguments.what,
         ads_factory(arguments.ads),
@@ -76,7 +78,7 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
     width = min(shutil.get_terminal_size().columns, WIDTH) if sys.stdout.isatty() else WIDTH
     sys.stdout.write(f"{made.explain(width)}\n")
     _write(arguments, made)
-    failed = made.worse if arguments.against is not None else made.preventable
+    failed = {"preventable": made.preventable, "worse": made.worse}.get(arguments.fail_on)
     return FAILED if failed else 0
 
 

@@ -43,7 +43,7 @@ MARKS_OF_ASSUMED: dict[Kind, str] = {"avoided": ",", "preventable": "x", "unavoi
 MEANINGS: dict[Kind, str] = {
     "avoided": "avoided",
     "preventable": "failed, though a reference driver avoids it",
-    "unavoidable": "failed, and no reference driver avoids it",
+    "unavoidable": "unavoidable",
     "not as asked": "not as asked",
 }
 WIDTH = 100
