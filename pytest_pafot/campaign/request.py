@@ -263,6 +263,12 @@ def build_space(request: Request, world: Any) -> SearchSpace:
                 f"expected a world whose NPCs can have Lane-Instructions, received {world!r:.100}, which declares "
                 "none; leave instructions out, or write has_lane_instructions = True in its class if its NPCs can",
             )
+        if request.space.get("instructions") == "manoeuvres" and not protocol.has_manoeuvres(world):
+            raise request.error(
+                "instructions=...",
+                f"expected a world whose NPCs can have manoeuvres, received {world!r:.100}, which declares none; leave "
+                "instructions out, or write has_manoeuvres = True in its class if its NPCs can",
+            )
         if SearchSpace(**request.space).traffic != PAPERS and not protocol.has_traffic_styles(world):
             raise request.error(
                 "traffic=...",
@@ -296,6 +302,8 @@ def drawn_space(world: Any, given: Mapping[str, Any]) -> dict[str, Any]:
         drawn["instructions"] = given.get("instructions", "both")
     draws_genes = "genes" not in given and "gene_seconds" not in given
     road = protocol.straight_road(world)
+    if road is not None and given.get("instructions") == "manoeuvres":
+        drawn["lanes"] = road.lane_count
     if road is None:
         if draws_genes and in_lanes:
             drawn |= {"gene_seconds": SLICE, "genes": max(1, math.ceil(world.longest_run / SLICE - 1e-9))}

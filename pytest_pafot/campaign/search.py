@@ -472,7 +472,7 @@ class Search:
             common=loop.verdicts["common"],
             rejected=loop.verdicts["rejected"],
             skipped=loop.verdicts["skipped"],
-            reached=health.reached_share if health.genes_started else None,
+            reached=health.reached_share if health.genes_started and health.goals else None,
             no_interaction=health.no_interaction,
             failing=loop.verdicts["failed"],
             finds=tuple(replace(find, repeats=loop.repeats[find.id]) for find in finds),

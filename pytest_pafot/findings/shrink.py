@@ -453,6 +453,8 @@ def _plainer_manoeuvres(scenario: Scenario) -> Candidates:
             simpler.append((replace(step, offset=DEFAULT_STEP.offset),))
             simpler.append((replace(step, acceleration=DEFAULT_STEP.acceleration),))
             for unit in (5, 1):
+                if step.after:
+                    simpler.append((replace(step, after=float(round(step.after / unit) * unit)),))
                 if step.gap is not None:
                     simpler.append((replace(step, gap=float(round(step.gap / unit) * unit)),))
                 if step.headway is not None:

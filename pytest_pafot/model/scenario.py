@@ -249,7 +249,8 @@ class Step:
         gap: distance between the ego and the NPC, from bumper to bumper [m]; negative if the NPC is behind the ego.
         headway: the same distance in the time that the rear vehicle takes for it [s]; negative if the NPC is behind.
         after: time since the end of the step before, or since the beginning of the run [s].
-        lane: ``"keep"``, ``"left"`` or ``"right"`` of the lane of the step before.
+        lane: ``"keep"``, ``"left"`` or ``"right"`` of the lane of the step before. If there is no such lane, the NPC
+            keeps its own, and the step is not as asked.
         lateral_speed: highest speed across the road [m/s]. A change to a lane of 4 m at 1.5 m/s takes about 4 s.
         offset: offset from the centre of that lane, positive to the right [m].
         speed: target speed [m/s]; None keeps the speed of the step before.

@@ -218,6 +218,11 @@ class Health:
         return self.evaluated - self.simulated
 
     @property
+    def goals(self) -> frozenset[str]:
+        """The kinds of places that the NPCs' instructions name; empty if all have manoeuvres."""
+        return frozenset(str(key[0]) for key in self.coverage.requested) & {"cell", "lane", "zone"}
+
+    @property
     def vacuous(self) -> bool:
         """True if the search cannot have shown anything: there was no valid run."""
         return self.valid == 0
@@ -247,10 +252,10 @@ class Health:
                 f"{_percent(self.invalid, self.simulated)} simulated scenarios ended in a crash between NPCs and "
                 "tested nothing, which should be at most 25 %; use fewer NPCs or more lanes"
             )
-        kinds = {str(key[0]) for key in self.coverage.requested} & {"cell", "lane", "zone"}
+        kinds = self.goals
         goal = " or ".join(sorted(kinds))
         instructions = "Position-Instructions" if kinds == {"cell"} else "instructions"
-        if self.genes_started and self.reached_share < MIN_REACHED_SHARE:
+        if kinds and self.genes_started and self.reached_share < MIN_REACHED_SHARE:
             found.append(
                 f"NPCs reached the {goal} of only {_percent(self.genes_reached, self.genes_started)} {instructions} "
                 "that they started; give them more time (gene_seconds) or a higher speed_limit "

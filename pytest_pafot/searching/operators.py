@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
+from typing import cast
 
 from numpy.random import Generator
 
@@ -18,10 +19,12 @@ from pytest_pafot.model.scenario import (
     Chromosome,
     CrossingInstruction,
     LaneInstruction,
+    Manoeuvre,
     PositionInstruction,
     Scenario,
     retimed,
 )
+from pytest_pafot.searching import asked_traffic
 from pytest_pafot.searching.crossing_traffic import CrossingTraffic, mixed
 from pytest_pafot.searching.evaluation import Evaluation
 from pytest_pafot.searching.patterns import followed_by_pattern
@@ -67,6 +70,10 @@ def _swapped(a: Scenario, b: Scenario, rng: Generator) -> tuple[tuple[int, Chrom
     if isinstance(one, CrossingInstruction) and isinstance(other, CrossingInstruction) and one.zone == other.zone:
         first, second = mixed(one, other, rng)
         return (in_a, (first,)), (in_b, (second,))
+    if isinstance(one, Manoeuvre) or isinstance(other, Manoeuvre):  # starts stay, so that no two NPCs touch there
+        if not (isinstance(one, Manoeuvre) and isinstance(other, Manoeuvre)):
+            return (in_a, a.npcs[in_a]), (in_b, b.npcs[in_b])
+        return (in_a, (replace(one, steps=other.steps),)), (in_b, (replace(other, steps=one.steps),))
     return (in_a, _taken(b, in_b, a)), (in_b, _taken(a, in_a, b))
 
 
@@ -106,9 +113,15 @@ def _mutated(scenario: Scenario, space: SearchSpace, rng: Generator) -> Scenario
     if draw < starts + sizes:
         return _of_another_size(scenario, space, rng)
     numbers = [npc for npc, chain in enumerate(scenario.npcs) if not isinstance(chain[0], ALONE)]
+    asked = [npc for npc, chain in enumerate(scenario.npcs) if isinstance(chain[0], Manoeuvre)]
     crossing = space.crossing_traffic
-    if crossing is not None and rng.random() * len(scenario.npcs) >= len(numbers):
+    if crossing is not None and rng.random() * len(scenario.npcs) >= len(numbers) + len(asked):
         return _crossing_otherwise(scenario, crossing, rng)
+    if asked:
+        npc = asked[int(rng.integers(len(asked)))]
+        here = space.fixed(scenario.ego_lane, scenario.ego_speed, 1, scenario.genes, scenario.gene_seconds)
+        new_one = asked_traffic.varied(cast("Manoeuvre", scenario.npcs[npc][0]), here, rng)
+        return _child(scenario, with_chain(scenario.npcs, npc, (new_one,)), rng)
     if draw < starts + sizes + PATTERNS and space.patterns and scenario.positions:
         return _with_pattern(scenario, space, rng)
     places = [(npc, gene) for npc in numbers for gene in range(len(scenario.npcs[npc]))]
@@ -145,7 +158,8 @@ def _started_anew(scenario: Scenario, space: SearchSpace, rng: Generator) -> Sce
         return replace(scenario, ego_speed=space.drawn_speed(rng))
     among = roomy or lanes
     lane = among[int(rng.integers(len(among)))]
-    return replace(scenario, ego_lane=lane, npcs=npcs[: space.most_on(lane)])
+    kept = asked_traffic.in_lane(npcs[: space.most_on(lane)], scenario.ego_lane, lane)
+    return replace(scenario, ego_lane=lane, npcs=kept)
 
 
 def _of_another_size(scenario: Scenario, space: SearchSpace, rng: Generator) -> Scenario:
@@ -163,6 +177,8 @@ def _of_another_size(scenario: Scenario, space: SearchSpace, rng: Generator) -> 
     if len(npcs) >= most:
         return scenario
     alone = space.fixed(scenario.ego_lane, scenario.ego_speed, 1, scenario.genes, scenario.gene_seconds)
+    if space.instructions == "manoeuvres" and space.crossings is None:
+        return _child(scenario, (*npcs, (asked_traffic.drawn(alone, npcs, rng),)), rng)
     return _child(scenario, (*npcs, *sample(alone, rng).npcs), rng)
 
 

@@ -32,7 +32,7 @@ from pytest_pafot.model.scenario import (
     known_gene,
     positions_of,
 )
-from pytest_pafot.searching import crossing_traffic
+from pytest_pafot.searching import asked_traffic, crossing_traffic
 from pytest_pafot.searching.crossing_traffic import CrossingTraffic
 from pytest_pafot.searching.patterns import chain_of_patterns
 from pytest_pafot.support.errors import POSITIVE, checked_number, checked_whole
@@ -45,9 +45,12 @@ CROSSING = 0.75
 MOST_ON_GRID = 2
 """Largest number of NPCs next to those that cross: one ahead of the ego and one behind it in one lane."""
 
-Instructions = Literal["cells", "lanes", "both"]
-"""The kinds of instructions of NPCs that do not cross: Position-Instructions, Lane-Instructions, or either."""
-LANE_SHARES: Mapping[Instructions, float] = MappingProxyType({"cells": 0.0, "lanes": 1.0, "both": 0.5})
+Instructions = Literal["cells", "lanes", "manoeuvres", "both"]
+"""The kinds of instructions of NPCs that do not cross: Position-Instructions, Lane-Instructions, manoeuvres, or one of
+the first two."""
+LANE_SHARES: Mapping[Instructions, float] = MappingProxyType(
+    {"cells": 0.0, "lanes": 1.0, "manoeuvres": 0.0, "both": 0.5}
+)
 """Probability with which an NPC that does not cross has Lane-Instructions."""
 
 
@@ -80,7 +83,9 @@ class SearchSpace:
         acts: acts of the NPCs on ways that meet the ego's way: any of ``pass``, ``hold``, ``stop`` and ``late``.
         most_on_grid: largest number of NPCs that do not cross if others do; each needs a cell to start in.
         instructions: the instructions of the NPCs that do not cross: ``"cells"`` (Position-Instructions), ``"lanes"``
-            (Lane-Instructions), or ``"both"``, in which each NPC has either kind with equal probability.
+            (Lane-Instructions), ``"manoeuvres"``, or ``"both"``, in which each NPC has one of the first two kinds with
+            equal probability.
+        lanes: number of lanes of a straight road, for manoeuvres; 0 if it is unknown, and NPCs keep their lanes.
     """
 
     npcs: int = 2
@@ -100,6 +105,7 @@ class SearchSpace:
     acts: tuple[Act, ...] = crossing_traffic.ACTS
     most_on_grid: int = MOST_ON_GRID
     instructions: Instructions = "cells"
+    lanes: int = 0
 
     def __post_init__(self) -> None:
         npcs = checked_whole(self.npcs, "npcs", "1 to 8 NPCs, one per cell at most", least=1, most=8)
@@ -137,6 +143,7 @@ class SearchSpace:
             "most_on_grid": MOST_ON_GRID,
             "instructions": "cells",
             "least_npcs": 1,
+            "lanes": 0,
         }
         return {name: value for name, value in data.items() if name not in usual or value != usual[name]}
 
@@ -163,6 +170,7 @@ class SearchSpace:
         count = 0 if self.crossings is None else len(self.crossings.ways)
         ways = f", most of them on {count} ways that meet the ego's" if count else ""
         kinds = {"cells": "", "lanes": " with Lane-Instructions", "both": " with Position- or Lane-Instructions"}
+        kinds["manoeuvres"] = " with manoeuvres"
         return f"{npcs}{kinds[self.instructions]}{traffic}{ways}; the ego starts at {speed} m/s in {lane}"
 
     @property
@@ -254,11 +262,11 @@ def sample(space: SearchSpace, rng: Generator) -> Scenario:
     """Sample a valid scenario.
 
     The start, the number of NPCs and the duration of genes are sampled first, if the space varies them, then the kind
-    of each NPC's instructions. NPCs with Position-Instructions begin in random distinct cells and walk on the ring:
-    each stays in its cell or steps to either side with equal probability. A step into a cell that a different NPC holds
-    is repaired. If the space has patterns, half of the scenarios have patterns instead of walks, repaired in the same
-    way. Lane-Instructions keep the lane or change it to either side with equal probability. Speeds are uniform over the
-    steps of 0.1 m/s up to the limit.
+    of each NPC's instructions; in a space of manoeuvres, all NPCs have one. NPCs with Position-Instructions begin in
+    random distinct cells and walk on the ring: each stays in its cell or steps to either side with equal probability. A
+    step into a cell that a different NPC holds is repaired. If the space has patterns, half of the scenarios have
+    patterns instead of walks, repaired in the same way. Lane-Instructions keep the lane or change it to either side
+    with equal probability. Speeds are uniform over the steps of 0.1 m/s up to the limit.
 
     If ways cross the ego's, most NPCs have a Crossing-Instruction instead; conflicting instructions are sampled again.
     """
@@ -266,6 +274,11 @@ def sample(space: SearchSpace, rng: Generator) -> Scenario:
     crossing = space.crossing_traffic
     if crossing is not None:
         return _sample_crossing(space, crossing, rng)
+    if space.instructions == "manoeuvres":
+        asked: list[Chromosome] = []
+        for _ in range(space.npcs):
+            asked.append((asked_traffic.drawn(space, asked, rng),))
+        return repaired(asked, fresh_seed(rng), space)
     share = LANE_SHARES[space.instructions]
     in_lanes = int(rng.binomial(space.npcs, share)) if share else 0
     chains: list[Sequence[Gene]] = [

@@ -15,8 +15,8 @@ from pytest_pafot.support.files import way_out, write_whole
 from pytest_pafot.support.text import visible, wrapped_to
 from pytest_pafot.sweeps.drawing import page, png
 from pytest_pafot.sweeps.entries import ENTRIES, Entry, chosen
-from pytest_pafot.sweeps.numbers import over_of
 from pytest_pafot.sweeps.maps import POINTS, WIDTH, Sweep, short, sweep
+from pytest_pafot.sweeps.numbers import over_of
 from pytest_pafot.world import World
 
 FAILED = 1

@@ -134,6 +134,11 @@ class BuiltInWorld(ABC):
         return True
 
     @property
+    def has_manoeuvres(self) -> bool:
+        """True, because NPCs can have manoeuvres."""
+        return True
+
+    @property
     def has_lock_step(self) -> bool:
         """True if several runs can proceed in lock step, one decision at a time."""
         return True

@@ -248,6 +248,11 @@ def has_traffic_styles(world: Any) -> bool:
     return getattr(world, "has_traffic_styles", False) is True
 
 
+def has_manoeuvres(world: Any) -> bool:
+    """Return whether the NPCs of a world can have manoeuvres."""
+    return getattr(world, "has_manoeuvres", False) is True
+
+
 def has_lane_instructions(world: Any) -> bool:
     """Return whether NPCs in a world can have Lane-Instructions, which the world declares."""
     return getattr(world, "has_lane_instructions", False) is True

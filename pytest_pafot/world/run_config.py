@@ -177,17 +177,14 @@ class Rules:
         raise ScenarioError(field=f"{place}.slot", expected=expected, received=received)
 
     def _check_manoeuvres(self, scenario: Scenario, cells: frozenset[Cell]) -> None:
-        """Refuse manoeuvres in lanes that do not exist, and starts at which vehicles would touch."""
+        """Refuse manoeuvres that start in lanes that do not exist, and starts at which vehicles would touch."""
         asked = [(npc, chain[0]) for npc, chain in enumerate(scenario.npcs) if isinstance(chain[0], Manoeuvre)]
         for npc, manoeuvre in asked:
             lane, along = scenario.ego_lane + manoeuvre.beside, self.along_at(manoeuvre, scenario)
-            for step, column in enumerate((0, *(each.column for each in manoeuvre.steps))):
-                lane += column
-                if not self._has_lane(lane, along, everywhere=step == 0):
-                    place = f"npcs[{npc}][0]" + (f".steps[{step - 1}].lane" if step else ".beside")
-                    where = "" if step else f" {along - self.ego_start:.0f} m from the ego's start"
-                    expected, fix = f"a lane that exists{where}", "lanes are counted from 0 at the left"
-                    raise ScenarioError(field=place, expected=expected, received=f"lane {lane}", fix=fix)
+            if not self._has_lane(lane, along):
+                expected = f"a lane that exists {along - self.ego_start:.0f} m from the ego's start"
+                place, fix = f"npcs[{npc}][0].beside", "lanes are counted from 0 at the left"
+                raise ScenarioError(field=place, expected=expected, received=f"lane {lane}", fix=fix)
         if not asked:
             return
         near = self.start_distance(scenario)
@@ -222,12 +219,12 @@ class Rules:
         room = math.copysign((ego_length + NPC_LENGTH) / 2, manoeuvre.ahead)
         return self.ego_start + (manoeuvre.ahead + room) / stretch
 
-    def _has_lane(self, lane: int, along: float, *, everywhere: bool) -> bool:
-        """Return whether a lane exists at a place along the road [m]; elsewhere, lanes may begin and end."""
+    def _has_lane(self, lane: int, along: float) -> bool:
+        """Return whether a lane exists at a place along the road [m]."""
         road = self.road
         if isinstance(road, StraightRoad):
             return 0 <= lane < road.lane_count and NPC_LENGTH < along < road.lanes[0].length - NPC_LENGTH
-        return not everywhere or bool(road.bends.exists(lane, along))
+        return bool(road.bends.exists(lane, along))
 
     def _check_speeds(self, scenario: Scenario) -> None:
         limit = self.road.speed_limit
