@@ -1,0 +1,198 @@
+"""The command `python -m pytest_pafot map`: from its arguments to its text, files and exit code."""
+
+import os
+import re
+
+import pytest
+
+from pytest_pafot.__main__ import main
+from pytest_pafot.corpus.writer import write
+from pytest_pafot.sweeps.entries import NAMES
+from tests.findings.builders import plain_finding
+from tests.helpers.tables import table
+
+POLICIES = """\
+def keeps_speed():
+    return lambda seen: (0.0, 0.0)
+
+
+def brakes():
+    return lambda seen: (-4.0, 0.0)
+
+
+class Named:
+    def __init__(self, text):
+        self.action = (float(text), 0.0)
+
+    def __call__(self, seen):
+        return self.action
+
+
+def not_slow(run):
+    assert run.ego.speed.min() > 3, "too slow"
+
+
+number = 3
+"""
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch):
+    (tmp_path / "policies.py").write_text(POLICIES)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    return tmp_path
+
+
+@pytest.fixture
+def told(here, capsys):
+    """Return a function that runs the command, and returns its exit code, output and errors."""
+
+    def run(*arguments):
+        try:
+            code = main(["map", *arguments])
+        except SystemExit as end:
+            code = end.code
+        out, err = capsys.readouterr()
+        assert "Traceback" not in out + err
+        return code, out, err
+
+    return run
+
+
+CUT_IN = ("r157/cut-in", "--ads", "policies:keeps_speed")
+OVER = ("--over", "gap=0:60:3")
+
+
+def test_without_arguments_the_catalogue_is_listed(told):
+    code, out, _ = told()
+    assert code == 0
+    assert [line for line in out.splitlines() if line in NAMES] == [*NAMES]
+    assert max(map(len, out.splitlines())) <= 130
+    assert "\n    gap             30 m         0 to 60            the gap at which it begins to change lanes\n" in out
+    assert "\n    target_speed    0 m/s        fixed              its speed\n" in out
+
+
+def test_group_lists_its_entries(told):
+    code, out, _ = told("junction")
+    assert (code, [line for line in out.splitlines() if line in NAMES]) == (
+        0,
+        ["junction/crossing", "junction/oncoming-turn", "junction/merge"],
+    )
+
+
+def test_preventable_failure_is_exit_code_1(told):
+    code, out, err = told(*CUT_IN, *OVER)
+    assert (code, err) == (1, "")
+    assert out.splitlines()[:6] == [
+        "r157/cut-in",
+        "3 points: 0 avoided, 2 failed though a reference driver avoids it, 1 unavoidable, 0 not as asked",
+        "",
+        "gap [m]",
+        "   0 30 60",
+        "   #  X  X",
+    ]
+
+
+def test_map_without_one_is_exit_code_0(told):
+    assert told(*CUT_IN, "--over", "gap=0:1:2")[0] == 0
+
+
+def test_numbers_policy_and_property_are_taken_from_arguments(told):
+    code, out, _ = told(
+        "r157/side-vehicle", "--ads", "policies:Named:-4", "--over", "ego_speed=5:15:2", "--set", "offset=0.0",
+        "--check", "policies:not_slow",
+    )  # fmt: skip
+    assert (code, "2 points: 0 avoided" in out) == (1, True)
+
+
+def test_axes_are_the_numbers_of_a_finding(told, here):
+    finding = plain_finding()
+    write(here / f"{finding.id}.pafot.yaml", finding)
+    code, out, _ = told(f"{finding.id}.pafot.yaml", *CUT_IN[1:], "--over", "npcs.0.1.speed=8:20:2")
+    assert code in (0, 1)
+    assert out.startswith(f"{finding.id}\n2 points: ")
+
+
+def test_files_are_written_and_named(told, here):
+    code, out, _ = told(*CUT_IN, *OVER, "--csv", "a.csv", "--html", "new/b.html", "--png", "c.png")
+    assert (code, out.splitlines()[-3:]) == (1, ["wrote a.csv", "wrote new/b.html", "wrote c.png"])
+    assert (here / "a.csv").read_text().startswith("gap,scenario,result,driven,words\n0,r157/cut-in,unavoidable,1,")
+    assert (here / "new" / "b.html").read_text().startswith("<!doctype html>")
+    assert (here / "c.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_against_an_earlier_map_only_worse_points_count(told):
+    assert told(*CUT_IN, *OVER, "--csv", "bad.csv")[0] == 1
+    code, out, _ = told(*CUT_IN, *OVER, "--against", "bad.csv", "--csv", "bad.csv")
+    assert (code, "changed" in out) == (0, False)
+    brakes = ("r157/cut-in", "--ads", "policies:Named:-0.5", "--over", "gap=40:60:2")
+    assert told(*brakes, "--csv", "good.csv")[0] == 0
+    code, out, _ = told(*CUT_IN, "--over", "gap=40:60:2", "--against", "good.csv")
+    assert (code, "\nchanged: gap 40 m was avoided, is preventable\n" in out) == (1, True)
+
+
+def test_large_grid_is_refined(told):
+    code, out, _ = told(*CUT_IN, "--over", "gap=20:60:9", "--points", "8")
+    assert (code, "3 points were driven, the others lie between points with the same answer" in out) == (1, True)
+
+
+@table(
+    ("arguments", "text"),
+    [
+        (["r157/cutin", *CUT_IN[1:], *OVER], "map: catalogue: expected one of .*; did you mean 'r157/cut-in'"),
+        (["r158"], "map: catalogue: expected one of"),
+        (["r157/cut-in"], "map: map: expected --ads with a policy and --over .*, received no --ads"),
+        ([*CUT_IN], "received no --over; `map` without arguments lists the catalogue"),
+        ([*CUT_IN, "--over", "gap"], "--over: expected different NAME=FIRST:LAST:COUNT"),
+        ([*CUT_IN, "--over", "gap=0:60:1"], "over: gap: expected first:last:count"),
+        ([*CUT_IN, "--over", "gpa=0:60:3"], "received 'gpa'; did you mean 'gap'"),
+        ([*CUT_IN, *OVER, "--over", "side=-1:1:2", "--over", "ego_speed=5:6:2"], "expected one or two axes"),
+        ([*CUT_IN, *OVER, "--set", "side"], "--set: expected NAME=VALUE, such as gap=20, received 'side'"),
+        ([*CUT_IN, *OVER, "--set", "side=left"], "--set: expected NAME=VALUE"),
+        ([*CUT_IN, *OVER, "--set", "side=nan"], "r157/cut-in: side: expected a number, received nan"),
+        ([*CUT_IN, *OVER, "--set", "sid=1"], "received 'sid'; did you mean 'side'"),
+        ([*CUT_IN, *OVER, "--set", "ego_speed=-9"], "expected a point that can be driven, received none: speed"),
+        ([*CUT_IN, *OVER, "--points", "many"], "argument --points: invalid int value: 'many'"),
+        ([*CUT_IN, *OVER, "--world", "highway-v7"], "expected a registered environment, received 'highway-v7'"),
+        ([*CUT_IN, *OVER, "--check", "policies:none"], "policies:none"),
+        ([*CUT_IN, *OVER, "--against", "none.csv"], "against: none.csv: expected the file of a saved map"),
+        (["r157/cut-in", "--ads", "policies:keep_speed", *OVER], "did you mean 'policies:keeps_speed'"),
+        (["r157/cut-in", "--ads", "policies:number", *OVER], "policies:number"),
+        (["none.pafot.yaml", *CUT_IN[1:], *OVER], "none.pafot.yaml: expected a file that can be read"),
+        (["junction/crossing", *CUT_IN[1:], "--over", "slot=0:1:2"], "drive it in a world that has one"),
+        ([*CUT_IN, *OVER, "--color", "red"], "unrecognized arguments: --color red"),
+    ],
+)  # fmt: skip
+def test_wrong_argument_is_exit_code_2_with_the_way_out(told, arguments, text):
+    code, out, err = told(*arguments)
+    assert (code, out) == (2, "")
+    assert re.search(text, err)
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows calls it a lack of permission")
+@table(
+    ("path", "fix"),
+    [
+        ("taken/a.csv", "there is a file where a folder should be: rename or delete it, or choose another file"),
+        ("full", "there is a folder with that name: rename or delete it, or choose another file"),
+        ("x" * 300, "shorten the names of the folders"),
+    ],
+)
+def test_file_that_cannot_be_written_is_exit_code_2(told, here, path, fix):
+    (here / "taken").touch()
+    (here / "full").mkdir(exist_ok=True)
+    for option in ("--csv", "--html"):
+        code, out, err = told(*CUT_IN, "--over", "gap=0:1:2", option, path)
+        assert (code, "r157/cut-in" in out) == (2, True)  # the map itself is not lost
+        assert err.startswith(f"map: map: {path}: expected a file that can be written, received ")
+        assert fix in err
+
+
+def test_terminal_that_is_narrow_gets_a_narrow_map(told, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "40")
+    monkeypatch.setattr("sys.stdout.isatty", lambda: True, raising=False)
+    _, out, _ = told(*CUT_IN, "--over", "gap=30:59:30")
+    rows = out.splitlines()[4:]
+    assert rows[:2] == ["  30 to 59", " " + "X" * 30]
+    assert max(map(len, rows)) <= 40
