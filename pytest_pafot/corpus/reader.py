@@ -99,6 +99,8 @@ SIGNED = frozenset(
 MARKS: Mapping[str, type] = MappingProxyType(
     {
         "beside": Manoeuvre,
+        "ahead": Manoeuvre,
+        "steps": Manoeuvre,
         "cell": PositionInstruction,
         "lane": LaneInstruction,
         "zone": CrossingInstruction,

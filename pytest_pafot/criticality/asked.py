@@ -13,7 +13,7 @@ from itertools import pairwise
 import numpy as np
 
 from pytest_pafot.model.scenario import Manoeuvre, Step
-from pytest_pafot.model.trace import ACCELERATION, HEADING, SPEED, STEERING, Trace, X
+from pytest_pafot.model.trace import ACCELERATION, SPEED, Trace, X, Y
 
 GAP, HEADWAY, SPEED_OFF, EGO_SPEED_OFF = 1.0, 0.1, 1.0, 1.0
 """The tolerances of a gap [m], a headway [s], an NPC's speed and the ego's speed [m/s]."""
@@ -122,8 +122,8 @@ def _of_npc(trace: Trace, npc: int, manoeuvre: Manoeuvre) -> list[Asked]:
         is_last = number == len(manoeuvre.steps) - 1
         if done is not None or not is_last:  # it was done, or another one began
             found += _dynamics(trace, npc, number, step, (begin, done if is_last and done else end), speed - before)
-    hit = trace.collision is not None
-    if len(begun) < len(manoeuvre.steps) or (manoeuvre.steps and done is None and not hit):
+    has_time = trace.collision is None or not begun  # a collision leaves later steps no time
+    if manoeuvre.steps and done is None and has_time:
         found.append(Asked(npc, min(len(begun), len(manoeuvre.steps) - 1), "step", math.nan, math.nan, 0.0, ""))
     return found
 
@@ -134,8 +134,7 @@ def _dynamics(trace: Trace, npc: int, number: int, step: Step, span: tuple[int, 
     rows = trace.states[begin : end + 1, npc + 1]
     found = []
     if step.lane != "keep" and trace.track is None:
-        course = rows[:, HEADING] + np.arctan(0.5 * np.tan(rows[:, STEERING]))
-        fastest = float(np.max(np.abs(rows[:, SPEED] * np.sin(course)), initial=0.0))
+        fastest = float(np.max(np.abs(np.diff(rows[:, Y])), initial=0.0)) * trace.physics_hz
         tolerance = LATERAL + LATERAL_SHARE * step.lateral_speed
         found.append(Asked(npc, number, "lateral speed", step.lateral_speed, fastest, tolerance, "m/s"))
     if abs(change) >= LEAST_CHANGE:

@@ -267,12 +267,13 @@ class Step:
     acceleration: float = 3.0
 
     def __post_init__(self) -> None:
-        given = [name for name in ("gap", "headway") if getattr(self, name) is not None] + ["after"] * (self.after != 0)
+        given = [name for name in ("gap", "headway") if getattr(self, name) is not None]
+        given += ["after"] if self.after else []
         if len(given) > 1:
             expected, received = "one of gap, headway and after", " and ".join(given)
             raise ScenarioError(field="step", expected=expected, received=received, fix="the others begin steps, too")
         for name, least, most in STEP_BOUNDS:
-            if getattr(self, name) is not None:
+            if getattr(self, name) is not None or name not in ("gap", "headway", "speed"):
                 object.__setattr__(self, name, _tenths_within(name, getattr(self, name), least, most))
         if self.lane not in SHIFTS:
             raise ScenarioError(field="lane", expected=f"one of {', '.join(SHIFTS)}", received=repr(self.lane))
@@ -617,7 +618,7 @@ def _short(gene: Gene) -> str:
 
 def _gene_from(fields: Any) -> Gene:
     """Return the gene whose :func:`_plain` form is ``fields``."""
-    if fields[0] == "manoeuvre":
+    if fields and fields[0] == "manoeuvre":
         _, speed, beside, ahead, steps = fields
         return Manoeuvre(beside=beside, ahead=ahead, speed=speed, steps=tuple(Step(**each) for each in steps))
     gene: Gene = known_gene(*fields)

@@ -7,9 +7,11 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from pytest_pafot.plugin.marks import CATALOGUE_MARK, DEFAULT_ADS, DEFAULT_ARG, WORLD_FIXTURE
+from pytest_pafot.plugin.collection import is_parametrised
+from pytest_pafot.plugin.marks import CATALOGUE_MARK, DEFAULT_ADS, DEFAULT_ARG, WORLD_FIXTURE, arguments_of
+from pytest_pafot.plugin.session import SHARED
 from pytest_pafot.support.errors import RequestError
-from pytest_pafot.support.text import visible
+from pytest_pafot.support.text import ascii_text, fitted_lines, visible
 
 if TYPE_CHECKING:
     from pytest_pafot.sweeps.entries import Entry
@@ -21,8 +23,9 @@ class Catalogued:
     def pytest_generate_tests(self, metafunc: pytest.Metafunc) -> None:
         """Parametrize a marked test function with the entries of the catalogue that its mark names."""
         mark = metafunc.definition.get_closest_marker(CATALOGUE_MARK)
-        if mark is None or DEFAULT_ARG not in metafunc.fixturenames:
-            return  # an item without the parameter fails when it is run
+        is_free = DEFAULT_ARG in metafunc.fixturenames and not is_parametrised(metafunc, DEFAULT_ARG)
+        if mark is None or not is_free or arguments_of(metafunc.definition) is not None:
+            return  # one item is left, which fails when it is run
         from pytest_pafot.sweeps.entries import chosen  # noqa: PLC0415  (imports the simulation)
 
         try:
@@ -40,10 +43,14 @@ class Catalogued:
         from pytest_pafot.sweeps.entries import chosen, entry_of  # noqa: PLC0415
 
         try:
-            if DEFAULT_ARG not in pyfuncitem.funcargs:
+            if arguments_of(pyfuncitem) is not None:
                 raise RequestError(
-                    f"expected a parameter {DEFAULT_ARG!r} that receives the simulated run; write "
-                    f"`def {pyfuncitem.originalname}({DEFAULT_ARG})`"
+                    "expected @pafot.search or @pafot.catalogue, received both; write a test for each of them"
+                )
+            if not isinstance(pyfuncitem.funcargs.get(DEFAULT_ARG), str):
+                raise RequestError(
+                    f"expected a parameter {DEFAULT_ARG!r} that is free for the simulated run; write "
+                    f"`def {pyfuncitem.originalname}({DEFAULT_ARG})`, and give other parameters other names"
                 )
             entries = chosen(mark.args)
             _check_values(entries, mark.kwargs)
@@ -73,34 +80,46 @@ def _drive(item: pytest.Function, entry: Entry, given: Mapping[str, Any]) -> Non
     __tracebackhide__ = True
     from pytest_pafot.campaign.harness import checked_factory, refusals, source_file  # noqa: PLC0415
     from pytest_pafot.model.scenario import ScenarioError  # noqa: PLC0415
-    from pytest_pafot.plugin.search_item import bound_test  # noqa: PLC0415
-    from pytest_pafot.support.references import factory_named  # noqa: PLC0415
-    from pytest_pafot.sweeps.entries import fits  # noqa: PLC0415
-    from pytest_pafot.sweeps.maps import driven, judged  # noqa: PLC0415
+    from pytest_pafot.plugin.failure_reports import SUMMARY  # noqa: PLC0415
+    from pytest_pafot.plugin.search_item import bound_test, shown  # noqa: PLC0415
+    from pytest_pafot.sweeps.entries import NoPlaceError, fits  # noqa: PLC0415
+    from pytest_pafot.sweeps.maps import driven, judged, named_factory  # noqa: PLC0415
+    from pytest_pafot.world import Highway  # noqa: PLC0415
+    from pytest_pafot.world.protocol import missing  # noqa: PLC0415
 
     ads = given.get("ads", DEFAULT_ADS)
-    if isinstance(ads, str):
-        ads = factory_named(ads) if ":" in ads else checked_factory(item.funcargs[ads], ads)
-    world = entry.world(given.get("world", item.funcargs[WORLD_FIXTURE]))
+    is_fixture = isinstance(ads, str) and ":" not in ads
+    ads = checked_factory(item.funcargs[ads], ads) if is_fixture else named_factory(ads)
+    world = given.get("world", item.funcargs[WORLD_FIXTURE])
+    missed = missing(world)
+    if missed:
+        raise RequestError(f"world: expected pafot.Highway(...) or pafot.World(...), received {world!r:.80}")
+    # The default highway is too slow for some entries; a world that the user has chosen is used as it is.
+    world = entry.world(None if world == Highway() else world)
     values = {name: value for name, value in given.items() if name in entry.parameters}
     test, file = bound_test(item, DEFAULT_ARG), source_file(item.obj, str(item.path))
-    why = fits(entry, world, **values)
-    if why:
-        pytest.skip(f"this world cannot drive it: {visible(why)}")
     try:
         scenario = entry.scenario(world, **values)
+        why = fits(scenario, world)
+    except NoPlaceError as error:
+        why = str(error)
     except ScenarioError as error:  # for a value that is no such scenario
         raise RequestError(f"{entry.name}: {error}") from None
+    if why:
+        pytest.skip(f"this world cannot drive it: {visible(why)}")
     with refusals():
         run = driven(world, scenario, ads)
     found = judged(run, test, file)
     if found.kind == "avoided":
         return
     exception = found.verdict.exception
-    if not found.avoided_by or exception is None:
+    if found.error is not None:
+        raise shown(found.error)
+    if exception is None or not (found.avoided_by or found.verdict.is_ads):
         pytest.skip(visible(f"{found.kind}: {found.words}"))
     told = [f"{entry.name}: {entry.about}", f"source     {entry.source}", f"result     {found.words}"]
     explanation = run.explain().splitlines()
     told += [] if explanation[0] in str(exception) else explanation
-    item.add_report_section("call", "pafot", "\n".join(map(visible, told)))
-    raise exception
+    item.add_report_section("call", "pafot", "\n".join(fitted_lines(told, item.config.stash[SHARED].width)))
+    item.stash[SUMMARY] = ascii_text(found.words)
+    raise shown(exception)

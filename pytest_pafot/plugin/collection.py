@@ -101,7 +101,7 @@ class Collection:
         if arguments is None:
             return
         arg = arguments.get("arg", DEFAULT_ARG)
-        if arg not in metafunc.fixturenames or _is_parametrised(metafunc, arg):
+        if arg not in metafunc.fixturenames or is_parametrised(metafunc, arg):
             return  # One item is left. It reports what is wrong when it is set up.
         saved = [
             pytest.param(SEARCH, id=saved_part(each.id), marks=[getattr(pytest.mark, SAVED_MARK)(each)])
@@ -246,7 +246,8 @@ def saved_of(item: pytest.Item) -> Saved | None:
     return mark.args[0] if mark is not None and mark.args and isinstance(mark.args[0], Saved) else None
 
 
-def _is_parametrised(metafunc: pytest.Metafunc, arg: str) -> bool:
+def is_parametrised(metafunc: pytest.Metafunc, arg: str) -> bool:
+    """Return whether the user has parametrized a test function with an argument."""
     for mark in metafunc.definition.iter_markers("parametrize"):
         names = mark.args[0] if mark.args else mark.kwargs.get("argnames", ())
         if arg in ([name.strip() for name in names.split(",")] if isinstance(names, str) else names):

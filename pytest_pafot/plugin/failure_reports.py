@@ -20,7 +20,7 @@ from pytest_pafot.corpus.saved import Saved
 from pytest_pafot.oracle.checks import CheckFailed
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.plugin.collection import saved_of
-from pytest_pafot.plugin.marks import SEARCH_MARK
+from pytest_pafot.plugin.marks import CATALOGUE_MARK, SEARCH_MARK
 from pytest_pafot.plugin.messages import AS_SAVED
 from pytest_pafot.plugin.session import SHARED
 from pytest_pafot.support.text import MARKER, fitted_lines, visible, visible_lines
@@ -58,8 +58,9 @@ class Failures:
 
     @pytest.hookimpl(wrapper=True)
     def pytest_runtest_makereport(self, item: pytest.Item, call: pytest.CallInfo[None]) -> Generator[None, Any, Any]:
-        """Shorten the report of a search or a replay that fails."""
-        if call.excinfo is None or item.get_closest_marker(SEARCH_MARK) is None:
+        """Shorten the report of a search, a replay or a named scenario that fails."""
+        marked = any(item.get_closest_marker(name) is not None for name in (SEARCH_MARK, CATALOGUE_MARK))
+        if call.excinfo is None or not marked:
             return (yield)
         option, is_brief = item.config.option, is_compact(item.config)
         style = getattr(option, "tbstyle", None)  # declared by pytest's terminal plugin, which may be off

@@ -40,10 +40,15 @@ class Checks:
         """Fail a marked item that cannot run as it is written; skip a search that is to run no generations."""
         # No __tracebackhide__: pytest 9 adds a line about hidden frames to a failure that has no other frame.
         arguments = arguments_of(item)
+        if arguments is None and item.get_closest_marker(CATALOGUE_MARK) is not None:
+            try:
+                _check_function(item)
+            except RequestError as error:
+                raise pytest.fail.Exception(str(error), pytrace=False) from None
+            return
         if arguments is None:
             # The mark that selects tests does not make a test a search. Only the decorator does.
-            marked = [name for name in (ANY_MARK, CATALOGUE_MARK) if item.get_closest_marker(name) is not None]
-            if marked == [ANY_MARK] and DEFAULT_ARG in getattr(item, "fixturenames", ()):
+            if item.get_closest_marker(ANY_MARK) is not None and DEFAULT_ARG in getattr(item, "fixturenames", ()):
                 pytest.fail(
                     f"expected the decorator @pafot.search, received the mark @pytest.mark.{ANY_MARK}, which only "
                     f"selects tests, as in `pytest -m {ANY_MARK}`; write `import pytest_pafot as pafot` and "

@@ -46,8 +46,9 @@ def search(*target: Any, **arguments: Any) -> Any:
 def catalogue(*names: Any, **values: Any) -> Any:
     """Drive the policy in named scenarios: an item for each.
 
-    An item fails if the decorated test function raises and a reference driver avoids that. It is skipped if no
-    reference driver does, and if the situation did not come up as it was asked for.
+    An item fails if the decorated test function raises and a reference driver avoids that, and if the policy itself
+    fails. It is skipped if no reference driver avoids it, if the road has no place for it, and if nothing failed but
+    the situation did not come up as it was asked for.
 
     Args:
         names: the names of entries, such as ``r157/cut-in``, or of groups, such as ``r157``; by default all.

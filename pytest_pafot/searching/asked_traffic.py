@@ -63,7 +63,7 @@ def step(space: Any, rng: Generator) -> Step:
 def _speed(space: Any, rng: Generator) -> float:
     low, high = int(space.low_step), int(space.top_step)
     if rng.random() >= ANY_SPEED:
-        near = round(10 * (space.ego_speed + NEAR_EGO * (2 * rng.random() - 1)))
+        near: int = round(10 * (space.ego_speed + NEAR_EGO * (2 * rng.random() - 1)))
         return min(max(near, low), high) / 10
     return int(rng.integers(low, high + 1)) / 10
 

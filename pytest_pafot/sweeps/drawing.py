@@ -44,7 +44,7 @@ def png(sweep: Sweep) -> bytes:
     rows = sweep.axes[0] if len(sweep.axes) == 2 else None
     columns = sweep.axes[-1]
     grid = np.array([KINDS.index(point.kind) for point in sweep.points]).reshape(-1, len(columns.values))
-    figure = Figure(figsize=(7.5, 2.2 + 0.32 * len(grid)), layout="constrained", dpi=120)
+    figure = Figure(figsize=(7.5, 2.2 + min(0.32 * len(grid), 12)), layout="constrained", dpi=120)
     axes = figure.add_subplot()
     colours = ListedColormap([COLOURS[kind] for kind in KINDS])
     axes.pcolormesh(grid, cmap=colours, vmin=-0.5, vmax=len(KINDS) - 0.5, edgecolors="#d8dbdd", linewidth=0.6)
@@ -52,7 +52,7 @@ def png(sweep: Sweep) -> bytes:
     axes.set_xlabel(columns.title)
     axes.set_yticks(*(_ticks(rows.values) if rows else ([], [])))
     axes.set_ylabel(rows.title if rows else "")
-    axes.set_title(f"{sweep.name}\n{sweep.headline}", fontsize="small")
+    axes.set_title(f"{sweep.name}\n{sweep.headline}", fontsize="small", parse_math=False)
     used = {point.kind for point in sweep.points}
     patches = [Patch(fc=COLOURS[kind], ec="#5d6770", label=MEANINGS[kind]) for kind in KINDS if kind in used]
     figure.legend(handles=patches, loc="outside lower center", ncols=2, fontsize="small")
@@ -140,7 +140,8 @@ def _name(kind: Kind) -> str:
 
 def _data(sweep: Sweep) -> str:
     """Return what the page's script needs, as JSON: each point in words, and the runs of those that can be played."""
-    order = sorted(range(len(sweep.points)), key=lambda number: KINDS.index(sweep.points[number].kind) % 3 != 1)
+    first: tuple[Kind, ...] = ("preventable", "unavoidable", "not as asked", "avoided")
+    order = sorted(range(len(sweep.points)), key=lambda number: first.index(sweep.points[number].kind))
     played = {number for number in order if sweep.points[number].trace is not None}
     played = set([number for number in order if number in played][:MOST_PLAYED])
     points: list[dict[str, Any]] = []

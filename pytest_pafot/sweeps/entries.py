@@ -17,6 +17,7 @@ from types import MappingProxyType
 from typing import Any
 
 from pytest_pafot.model.crossings import Crossings
+from pytest_pafot.model.driving_style import Traffic
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.scenario import (
     EGO_LANE,
@@ -30,7 +31,7 @@ from pytest_pafot.model.scenario import (
 from pytest_pafot.support.errors import RequestError, plain_number
 from pytest_pafot.world import Highway
 from pytest_pafot.world.kernel.bodies import NPC_LENGTH
-from pytest_pafot.world.protocol import crossings, lasting
+from pytest_pafot.world.protocol import check_fits, crossings, has_manoeuvres, lasting
 
 KMH = 1 / 3.6
 """One kilometre per hour [m/s]."""
@@ -63,6 +64,10 @@ class Parameter:
     about: str
 
 
+class NoPlaceError(ScenarioError):
+    """Error for an entry whose kind of road a world does not have."""
+
+
 Make = Callable[[Mapping[str, float], Any], Scenario]
 """A function from the values of all parameters and a world to the scenario."""
 
@@ -86,7 +91,7 @@ class Entry:
     make: Make
     seconds: float = 20.0
 
-    def scenario(self, world: Any = None, **values: float) -> Scenario:
+    def scenario(self, world: Any = None, /, **values: float) -> Scenario:
         """Return the scenario for a world, with some parameters changed.
 
         Raises:
@@ -119,7 +124,7 @@ def _tenths(value: float) -> float:
 
 
 def _highway(world: Any, ego_speed: float, *npcs: Any) -> Scenario:
-    lane = getattr(world, "start", (EGO_LANE,))[0]
+    lane = (getattr(world, "start", None) or (EGO_LANE,))[0]
     chains = tuple(npc if isinstance(npc, tuple) else (npc,) for npc in npcs)
     return Scenario(npcs=chains, ego_lane=lane, ego_speed=_tenths(ego_speed))
 
@@ -141,7 +146,7 @@ def _cut_in(v: Mapping[str, float], world: Any) -> Scenario:
 
 
 def _cut_in_at_ttc(v: Mapping[str, float], world: Any) -> Scenario:
-    closing, changing = v["ego_speed"] - v["target_speed"], LANE / v["lateral_speed"]
+    closing, changing = v["ego_speed"] - v["target_speed"], LANE / max(v["lateral_speed"], 0.1)
     values = {**v, "relative_speed": -closing}
     return _highway(world, v["ego_speed"], _cutting_in(values, v["side"], (v["ttc"] + changing) * closing))
 
@@ -225,7 +230,7 @@ def _tail(v: Mapping[str, float], world: Any) -> Scenario:
     braking = Step(speed=0.0, acceleration=_tenths(v["deceleration"]))
     leader = _leading(v, braking, Step(after=3.0, speed=_tenths(v["pull_speed"]), acceleration=2.0))
     tail = (PositionInstruction(Cell.REAR, min(_tenths(v["ego_speed"]), float(world.speed_limit))),)
-    return _highway(world, v["ego_speed"], leader, tail)
+    return replace(_highway(world, v["ego_speed"], leader, tail), traffic=Traffic())  # in which a follower brakes, too
 
 
 def _at_zone(kind: str) -> Make:
@@ -235,8 +240,8 @@ def _at_zone(kind: str) -> Make:
         if known is None or not zones:
             fix = 'drive it in a world that has one, such as pafot.World("intersection-v0", planner_hz=5)'
             expected = f"a road on which another way is {kind} with the ego's"
-            raise ScenarioError(field="world", expected=expected, received="one without", fix=fix)
-        lane, speed = getattr(world, "start", (EGO_LANE, v["speed"]))
+            raise NoPlaceError(field="world", expected=expected, received="one without", fix=fix)
+        lane, speed = getattr(world, "start", None) or (EGO_LANE, v["speed"])
         told = CrossingInstruction(zones[0].way, _tenths(v["slot"]), _tenths(v["speed"]))
         return Scenario(npcs=((told,),), ego_lane=lane, ego_speed=float(speed))
 
@@ -396,7 +401,7 @@ ENTRIES = (
         parameters=_parameters(
             ego_speed=(120 * KMH, 50 * KMH, 120 * KMH, "m/s", _EGO[4]),
             target_speed=(70 * KMH, 10 * KMH, 70 * KMH, "m/s", "its speed"),
-            ttc=(1.5, 0.0, 1.5, "s", "the time to contact as its lane change ends, for an ego that keeps its speed"),
+            ttc=(1.5, 0.0, 1.5, "s", "the time to contact once it has had the time to cross a lane at that speed"),
             lateral_speed=_LATERAL,
             side=(1.0, -1.0, 1.0, "", SIDE),
         ),
@@ -518,13 +523,12 @@ def chosen(names: tuple[str, ...]) -> tuple[Entry, ...]:
     return tuple({entry.name: entry for entry in found}.values())
 
 
-def fits(entry: Entry, world: Any, **values: float) -> str:
-    """Return why an entry cannot be driven in a world; empty if it can."""
+def fits(scenario: Scenario, world: Any) -> str:
+    """Return why a scenario cannot be driven in a world; empty if it can."""
+    if not has_manoeuvres(world) and any(isinstance(chain[0], Manoeuvre) for chain in scenario.npcs):
+        return f"expected a world whose NPCs can have manoeuvres, received {world!r:.80}"
     try:
-        scenario = entry.scenario(world, **values)
-        check = getattr(world, "check_fits", None)
-        if check is not None:
-            check(scenario)
+        check_fits(world, scenario)
     except ScenarioError as error:
         return str(error)
     return ""

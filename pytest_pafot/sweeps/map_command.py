@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 import shutil
 import sys
 from collections.abc import Sequence
@@ -10,12 +11,13 @@ from pathlib import Path
 from typing import Any
 
 from pytest_pafot.commands.policy_reference import ABOUT_POLICIES, ads_factory, check_function
+from pytest_pafot.corpus.layout import SUFFIX
 from pytest_pafot.support.errors import RequestError
 from pytest_pafot.support.files import way_out, write_whole
 from pytest_pafot.support.text import visible, wrapped_to
 from pytest_pafot.sweeps.drawing import page, png
 from pytest_pafot.sweeps.entries import ENTRIES, Entry, chosen
-from pytest_pafot.sweeps.maps import POINTS, WIDTH, Sweep, short, sweep
+from pytest_pafot.sweeps.maps import POINTS, WIDTH, Sweep, short, swept
 from pytest_pafot.sweeps.numbers import over_of
 from pytest_pafot.world import World
 
@@ -52,32 +54,36 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
     if arguments.what is None:
         sys.stdout.write(catalogue_text(ENTRIES))
         return 0
-    if not arguments.over and "/" not in arguments.what and not arguments.what.endswith(".yaml"):
+    if not arguments.over and arguments.ads is None and not arguments.what.endswith(SUFFIX):
         sys.stdout.write(catalogue_text(chosen((arguments.what,))))
         return 0
     if arguments.ads is None or not arguments.over:
         raise RequestError(
-            "map: expected --ads with a policy and --over with a number, such as --over gap=0:60:7, received "
+            "expected --ads with a policy and --over with a number, such as --over gap=0:60:7, received "
             f"{'no --ads' if arguments.ads is None else 'no --over'}; `map` without arguments lists the catalogue"
         )
     if arguments.fail_on == "worse" and arguments.against is None:
         raise RequestError("--fail-on worse: expected --against with a saved map, received none; save one with --csv")
-    made = sweep(
+    is_watched = sys.stderr is not None and sys.stderr.isatty()
+    made = swept(
         arguments.what,
         ads_factory(arguments.ads),
-        over=over_of(arguments.over),
+        over_of(arguments.over),
+        _set(arguments.set),
         world=None if arguments.world is None else World(arguments.world, planner_hz=5),
         holds=None if arguments.check is None else check_function(arguments.check),
         points=arguments.points,
         against=arguments.against,
-        on_point=_tell if sys.stderr.isatty() else None,
-        **_set(arguments.set),
+        on_point=_tell if is_watched else None,
     )
-    if sys.stderr.isatty():
+    if is_watched:
         sys.stderr.write("\r\033[K")
     width = min(shutil.get_terminal_size().columns, WIDTH) if sys.stdout.isatty() else WIDTH
-    sys.stdout.write(f"{made.explain(width)}\n")
-    _write(arguments, made)
+    try:
+        written = _write(arguments, made)  # before a closed output can end the command
+    finally:
+        sys.stdout.write(f"{made.explain(width)}\n")
+    sys.stdout.write("".join(f"wrote {visible(path)}\n" for path in written))
     failed = {"preventable": made.preventable, "worse": made.worse}.get(arguments.fail_on)
     return FAILED if failed else 0
 
@@ -88,17 +94,22 @@ def _tell(count: int) -> None:
 
 
 def _set(texts: Sequence[str]) -> dict[str, float]:
-    values = {}
+    values: dict[str, float] = {}
     for text in texts:
         name, _, value = text.partition("=")
         try:
-            values[name] = float(value)
+            number = float(value)
         except ValueError:
-            raise RequestError(f"--set: expected NAME=VALUE, such as gap=20, received {text!r}") from None
+            number = math.nan
+        if not math.isfinite(number) or name in values:
+            raise RequestError(f"--set: expected different NAME=VALUE, such as gap=20, received {text!r}")
+        values[name] = number
     return values
 
 
-def _write(arguments: argparse.Namespace, made: Sweep) -> None:
+def _write(arguments: argparse.Namespace, made: Sweep) -> list[str]:
+    """Write the files that are asked for, and return their paths."""
+    written = []
     kinds: tuple[tuple[str | None, Any], ...] = (
         (arguments.csv, Sweep.csv),
         (arguments.html, page),
@@ -107,21 +118,24 @@ def _write(arguments: argparse.Namespace, made: Sweep) -> None:
     for path, content in kinds:
         if path is None:
             continue
+        if not path:
+            raise RequestError("expected the name of a file, received an empty one")
         try:
             write_whole(Path(path), content(made))
         except OSError as error:
             fix = way_out(error, "or choose another file")
             raise RequestError(
-                f"map: {visible(path)}: expected a file that can be written, received {error.strerror or error}; {fix}"
+                f"{visible(path)}: expected a file that can be written, received {error.strerror or error}; {fix}"
             ) from None
-        sys.stdout.write(f"wrote {visible(path)}\n")
+        written.append(path)
+    return written
 
 
 def catalogue_text(entries: Sequence[Entry]) -> str:
     """Return entries with their sources and parameters, as the command prints them."""
     lines = []
     for entry in entries:
-        lines += [entry.name, f"  {entry.about}", *wrapped_to(f"after {entry.source}", 98, "  ")]
+        lines += [entry.name, f"  {entry.about}", *wrapped_to(f"  after {entry.source}", WIDTH)]
         for name, each in entry.parameters.items():
             span = f"{short(each.low)} to {short(each.high)}" if each.low < each.high else "fixed"
             number = f"{short(each.default)} {each.unit}".rstrip()

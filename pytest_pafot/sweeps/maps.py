@@ -14,18 +14,19 @@ from pathlib import Path
 from typing import Any, Literal, get_args
 
 from pytest_pafot.campaign.harness import refusals, source_file
-from pytest_pafot.campaign.verdict import Test, Verdict, headline, judge, reference_outcomes
+from pytest_pafot.campaign.saved_scenario import SavedScenario
+from pytest_pafot.campaign.verdict import Test, Verdict, assertions, headline, judge, reference_outcomes
 from pytest_pafot.corpus.layout import SUFFIX
 from pytest_pafot.corpus.reader import load
 from pytest_pafot.findings.finding import Finding
 from pytest_pafot.model.scenario import Scenario, ScenarioError
 from pytest_pafot.model.trace import Outcome, Trace
 from pytest_pafot.oracle.run import Run
-from pytest_pafot.support.errors import RequestError
+from pytest_pafot.support.errors import RequestError, plain_number, plain_whole
 from pytest_pafot.support.files import open_regular, write_whole
 from pytest_pafot.support.references import factory_named
 from pytest_pafot.support.text import ascii_text, csv_text, plural, visible, wrapped_to
-from pytest_pafot.sweeps.entries import Entry, entry_of
+from pytest_pafot.sweeps.entries import Entry, entry_of, fits
 from pytest_pafot.sweeps.numbers import Axis, unit_of, values_of, with_number
 from pytest_pafot.world import from_dict
 from pytest_pafot.world.driving.ads import AdsFactory
@@ -185,35 +186,32 @@ class Sweep:
         the other way round. Points that are unavoidable or were not as asked say nothing about the policy.
         """
         odd: dict[Index, tuple[Point, Point]] = {}
-        for index in product(*(range(size) for size in self.shape)):
-            here = self.point(*index)
-            if here.kind not in TOLD:
-                continue
-            for axis in range(len(self.axes)):
-                sides = [self._next_other(index, axis, step) for step in (-1, 1)]
-                if None not in sides:
-                    odd[index] = sides[0], sides[1]  # type: ignore[assignment]
-                    break
+        for axis, size in enumerate(self.shape):
+            for first in product(*(range(1 if each == axis else other) for each, other in enumerate(self.shape))):
+                self._find_between(odd, [(*first[:axis], each, *first[axis + 1 :]) for each in range(size)])
         sentences = []
         for group in _groups(odd, lambda index: self.point(*index).fails):
-            first = group[0]
-            here, (low, high) = self.point(*first), odd[first]
+            here, (low, high) = self.point(*group[0]), odd[group[0]]
             does = ("fails", "pass") if here.fails else ("passes", "fail")
-            size = "" if len(group) == 1 else f" (and {plural(len(group) - 1, 'point')} beside it)"
+            more = "" if len(group) == 1 else f" (and {plural(len(group) - 1, 'point')} beside it)"
             between = f"although {self.where(low.at)} and {self.where(high.at)} {does[1]}"
-            sentences.append(f"{self.where(here.at)} {does[0]}{size}, {between}")
+            sentences.append(f"{self.where(here.at)} {does[0]}{more}, {between}")
         return tuple(sentences)
 
-    def _next_other(self, index: Index, axis: int, step: int) -> Point | None:
-        """Return the next point along an axis whose answer differs from that at the index, or None."""
-        fails, last = self.point(*index).fails, self.shape[axis] if step > 0 else -1
-        for each in range(index[axis] + step, last, step):
-            there = self.point(*index[:axis], each, *index[axis + 1 :])
-            if there.kind == "unavoidable":  # what is behind it is another kind of situation
-                return None
-            if there.kind in TOLD and there.fails != fails:
-                return there
-        return None
+    def _find_between(self, odd: dict[Index, tuple[Point, Point]], line: Sequence[Index]) -> None:
+        """Add the points of a line that lie between two with another answer, each with these two."""
+        runs: list[list[Index]] = []  # neighbouring points with the same answer, since the last unavoidable one
+        for index in (*line, None):
+            point = None if index is None else self.point(*index)
+            if point is None or point.kind == "unavoidable":  # what is behind it is another kind of situation
+                for before, run, after in zip(runs, runs[1:], runs[2:], strict=False):
+                    for each in run:
+                        odd.setdefault(each, (self.point(*before[-1]), self.point(*after[0])))
+                runs = []
+            elif index is not None and point.kind in TOLD:
+                if not runs or self.point(*runs[-1][0]).fails != point.fails:
+                    runs.append([])
+                runs[-1].append(index)
 
     @property
     def headline(self) -> str:
@@ -236,9 +234,19 @@ class Sweep:
                 f"{self.driven} points were driven, the others lie between points with the same answer; islands "
                 f"smaller than {STRIDE} by {STRIDE} points may be missing"
             )
-        notes += [f"island: {sentence}" for sentence in self.islands[:MOST_NAMED]]
-        if len(self.islands) > MOST_NAMED:
-            notes.append(f"island: and {len(self.islands) - MOST_NAMED} more")
+        islands = self.islands
+        notes += [f"island: {sentence}" for sentence in islands[:MOST_NAMED]]
+        if len(islands) > MOST_NAMED:
+            notes.append(f"island: and {len(islands) - MOST_NAMED} more")
+        otherwise = sum(
+            point.kind == "not as asked" and point.words.endswith(AVOIDABLE) and not point.words.endswith(NOBODY)
+            for point in self.points
+        )
+        if otherwise:
+            notes.append(
+                f"{plural(otherwise, 'point')} failed in another situation than was asked for, though a reference "
+                "driver avoids it"
+            )
         for change in self.changes[:MOST_NAMED]:
             notes.append(f"changed: {self.where(change.at)} was {change.before}, is {change.now}")
         if len(self.changes) > MOST_NAMED:
@@ -256,7 +264,7 @@ class Sweep:
         if len(scale) > width:
             cell = 2 if head + 1 + 2 * len(labels) <= width else 1
             scale = " " * (head + 2) + f"{labels[0]} to {labels[-1]}"
-        lines = [self.name, self.headline, "", axes, scale]
+        lines = [*wrapped_to(self.name, width), *wrapped_to(self.headline, width), "", *wrapped_to(axes, width), scale]
         for row, name in reversed([*enumerate(heads)]):  # as in a picture, larger values are above
             points = [self.point(row, column) if rows else self.point(column) for column in range(len(labels))]
             lines.append(f"{name.rjust(head)} {''.join(point.mark.rjust(cell) for point in points)}")
@@ -279,7 +287,13 @@ class Sweep:
         """Return the map as CSV: a row for each point, with the columns of the axes first."""
         names = [axis.name for axis in self.axes]
         rows = [
-            [*(short(value) for value in point.at), visible(self.name), point.kind, int(point.driven), point.words]
+            [
+                *(short(value) for value in point.at),
+                plain_cell(self.name),
+                point.kind,
+                int(point.driven),
+                plain_cell(point.words),
+            ]
             for point in self.points
         ]
         return csv_text([*names, *FIXED], rows)
@@ -289,6 +303,8 @@ class Sweep:
         write_whole(Path(path), self.csv())
 
 
+AVOIDABLE, NOBODY = " avoids it", "no reference driver avoids it"
+"""The end of the words on a failure, after the name of a reference driver that avoids it; and if there is none."""
 MOST_NAMED = 6
 """The largest number of islands, and of changes, that are named."""
 
@@ -325,21 +341,69 @@ def sweep(
     Raises:
         RequestError: if an argument is wrong, or the world has no reference drivers.
     """
+    return swept(what, ads, over, values, world=world, holds=holds, points=points, against=against, on_point=on_point)
+
+
+def swept(
+    what: str | Path | Finding | Scenario,
+    ads: AdsFactory | str,
+    over: Mapping[str, object],
+    values: Mapping[str, float],
+    *,
+    world: Any,
+    holds: Test | None,
+    points: int,
+    against: str | Path | Sweep | None,
+    on_point: Callable[[int], None] | None,
+) -> Sweep:
+    """Return the map of :func:`sweep`, whose other parameters of an entry are one argument here."""
+    if world is not None and not hasattr(world, "rollout"):
+        raise RequestError(f"world: expected pafot.Highway(...) or pafot.World(...), received {world!r:.80}")
     name, place, make = _source(what, world, values)
-    if not isinstance(over, Mapping) or not 1 <= len(over) <= 2:
+    if not isinstance(over, Mapping) or not 1 <= len(over) <= 2 or not all(isinstance(each, str) for each in over):
         raise RequestError(f"over: expected one or two axes, such as {{'gap': '0:60:7'}}, received {over!r:.80}")
+    if plain_whole(points) is None or points < 1:
+        raise RequestError(f"points: expected a whole number, at least 1, received {points!r:.60}")
+    if against is not None and not isinstance(against, str | Path | Sweep):
+        raise RequestError(f"against: expected a map or the file of one, received {against!r:.80}")
     axes = tuple(Axis(each, values_of(each, given), make.unit(each)) for each, given in over.items())
-    factory = factory_named(ads) if isinstance(ads, str) else ads
+    twice = [each for each in over if each in values]
+    if twice:
+        raise RequestError(f"{twice[0]}: expected an axis or a value, received both")
+    before = None if against is None else _before(name, axes, against)  # before anything is driven
+    factory = named_factory(ads)
     driver = _Driver(make, axes, factory, place, holds or stays_safe, on_point)
     driver.make_first()
     found = _all_of(driver, axes) if math.prod(len(axis.values) for axis in axes) <= points else _refined(driver, axes)
     made = Sweep(name=name, axes=axes, points=found)
-    return made if against is None else replace(made, changes=_changes(made, against))
+    return made if before is None else replace(made, changes=_changes(made, before))
+
+
+def named_factory(ads: AdsFactory | str) -> Any:
+    """Return the factory that a text names, or the factory itself.
+
+    Raises:
+        RequestError: if there is none of this name, or if it is no factory.
+    """
+    if isinstance(ads, str):
+        try:
+            return factory_named(ads)
+        except ValueError as error:
+            raise RequestError(f"ads: {error}") from error
+    if not callable(ads):
+        raise RequestError(f"ads: expected a factory, such as the class MyPlanner, received {ads!r:.80}")
+    return ads
 
 
 def stays_safe(run: Run) -> None:
     """Assert that the ego neither collided nor left the road."""
     assert run.outcome not in (Outcome.COLLISION, Outcome.OFF_ROAD), run.explain()  # noqa: S101  (it is an oracle)
+
+
+def plain_cell(text: str) -> str:
+    """Return a text on one line that no spreadsheet takes for a formula."""
+    text = visible(text)
+    return f"'{text}" if text.startswith(("=", "+", "-", "@")) else text
 
 
 def short(value: float) -> str:
@@ -379,15 +443,22 @@ def _source(what: Any, world: Any, values: Mapping[str, float]) -> tuple[str, An
         what = load(what)
     if values and not isinstance(what, str):
         raise RequestError(f"sweep: expected no parameters for a scenario, received {', '.join(values)}")
+    if isinstance(what, SavedScenario):
+        what = what.finding
     if isinstance(what, Finding):
         place = from_dict(dict(what.world)) if world is None else world
-        return what.id, place, _Made(what.scenario, {}, place)
+        sight = "" if what.perception is None else ", with perfect sight"
+        return f"{what.id}{sight}", place, _Made(what.scenario, {}, place)
     if isinstance(what, Scenario):
         place = entry_of("r157/cut-in").world(None) if world is None else world
         return what.id, place, _Made(what, {}, place)
     entry = entry_of(what)
+    for name, value in values.items():
+        if plain_number(value) is None:
+            raise RequestError(f"{entry.name}: {name}: expected a number, received {value!r:.60}")
     place = entry.world(world)
-    return entry.name, place, _Made(entry, values, place)
+    told = [entry.name, *(f"{name}={short(value)}" for name, value in values.items())]
+    return " ".join(told), place, _Made(entry, values, place)
 
 
 class _Driver:
@@ -420,19 +491,20 @@ class _Driver:
         errors = []
         for index in product(*(range(len(axis.values)) for axis in self._axes)):
             try:
-                self._make([axis.name for axis in self._axes], self._at(index))
+                self._make([axis.name for axis in self._axes], self.at(index))
             except ScenarioError as error:
                 errors.append(error)
             else:
                 return
         raise RequestError(f"sweep: expected a point that can be driven, received none: {errors[0]}")
 
-    def _at(self, index: Index) -> tuple[float, ...]:
+    def at(self, index: Index) -> tuple[float, ...]:
+        """Return the values of the axes at an index."""
         return tuple(axis.values[each] for axis, each in zip(self._axes, index, strict=True))
 
     def __call__(self, index: Index) -> Point:
         if index not in self.points:
-            self.points[index] = self._driven(self._at(index))
+            self.points[index] = self._driven(self.at(index))
             if self._on_point is not None:
                 self._on_point(len(self.points))
         return self.points[index]
@@ -440,14 +512,21 @@ class _Driver:
     def _driven(self, at: tuple[float, ...]) -> Point:
         try:
             scenario = self._make([axis.name for axis in self._axes], at)
-            check = getattr(self._world, "check_fits", None)
-            if check is not None:
-                check(scenario)
         except ScenarioError as error:
             return Point(at=at, kind="not as asked", words=f"cannot be driven: {error}")
+        why = fits(scenario, self._world)
+        if why:
+            return Point(at=at, kind="not as asked", words=f"cannot be driven: {why}")
         with refusals():
             run = driven(self._world, scenario, self._ads)
         found = judged(run, self._holds, self._file)
+        raised = found.error
+        if raised is not None:
+            where = ", ".join(f"{axis.name}={short(value)}" for axis, value in zip(self._axes, at, strict=True))
+            raise RequestError(
+                f"holds: expected a function that asserts, received {type(raised).__name__}: {visible(str(raised))} at "
+                f"{where}; correct the function"
+            ) from raised
         return Point(at=at, kind=found.kind, words=visible(found.words), trace=run.trace)
 
 
@@ -466,9 +545,18 @@ class Judged:
     words: str
     avoided_by: str = ""
 
+    @property
+    def error(self) -> BaseException | None:
+        """The exception of the property itself, if it is none with which properties state that they do not hold."""
+        is_told = self.verdict.is_ads or isinstance(self.verdict.exception, assertions())
+        return self.verdict.exception if self.verdict.failed and not is_told else None
+
 
 def judged(run: Run, holds: Test, test_file: str) -> Judged:
-    """Judge a run that was asked for. A failure counts whoever is at fault, if a reference driver avoids it."""
+    """Judge a run that was asked for. A failure counts whoever is at fault, if a reference driver avoids it.
+
+    An error of the policy itself counts in any case.
+    """
     verdict = judge(run, holds, blame="any", test_file=test_file)
     if verdict.kind in ("invalid", "rejected", "skipped"):
         return Judged(verdict, "not as asked", f"{verdict.kind}: the run says nothing about the policy")
@@ -476,7 +564,9 @@ def judged(run: Run, holds: Test, test_file: str) -> Judged:
     if verdict.failed:
         outcomes = reference_outcomes(run, holds, blame="any", test_file=test_file)
         avoiding = next((name for name, outcome in outcomes if outcome == "avoids"), "")
-        what = f"{headline(run, verdict)}; {avoiding or 'no reference driver'} avoids it"
+        what = f"{headline(run, verdict)}; {avoiding}{AVOIDABLE}" if avoiding else f"{headline(run, verdict)}; {NOBODY}"
+    if verdict.is_ads:
+        return Judged(verdict, "preventable", headline(run, verdict), avoiding)
     missed = [each.words for each in run.asked if not each.is_met]
     if missed:
         return Judged(verdict, "not as asked", "; ".join([*missed, what]), avoiding)
@@ -495,37 +585,31 @@ def _all_of(drive: Callable[[Index], Point], axes: tuple[Axis, ...]) -> tuple[Po
 def _refined(drive: _Driver, axes: tuple[Axis, ...]) -> tuple[Point, ...]:
     """Drive every fourth point, and halve the rectangles between them whose corners differ."""
     marks = [sorted({*range(0, len(axis.values), STRIDE), len(axis.values) - 1}) for axis in axes]
+    between: dict[Index, Point] = {}  # by index the corner of a rectangle whose corners have the same answer
     for rectangle in product(*(list(pairwise(each)) for each in marks)):
-        _refine(drive, rectangle)
-    known = dict(drive.points)
-
-    def nearest(index: Index) -> Point:
-        if index in known:
-            return known[index]
-        # All corners of the rectangle around it have the same answer.
-        corner = tuple(
-            max(mark for mark in _lines(known, axis, index) if mark <= each) for axis, each in enumerate(index)
-        )
-        return replace(known[corner], at=drive._at(index), driven=False, trace=None, words="not driven")
-
-    return tuple(nearest(index) for index in product(*(range(len(axis.values)) for axis in axes)))
+        _refine(drive, rectangle, between)
+    found = []
+    for index in product(*(range(len(axis.values)) for axis in axes)):
+        point = drive.points.get(index)
+        if point is None:
+            point = replace(between[index], at=drive.at(index), driven=False, trace=None, words="not driven")
+        found.append(point)
+    return tuple(found)
 
 
-def _refine(drive: Callable[[Index], Point], rectangle: Sequence[tuple[int, int]]) -> None:
+def _refine(drive: Callable[[Index], Point], rectangle: Sequence[tuple[int, int]], between: dict[Index, Point]) -> None:
     corners = [drive(corner) for corner in product(*rectangle)]
-    if len({corner.kind for corner in corners}) == 1 or all(high - low <= 1 for low, high in rectangle):
+    if all(high - low <= 1 for low, high in rectangle):
+        return
+    if len({corner.kind for corner in corners}) == 1:
+        between |= dict.fromkeys(product(*(range(low, high + 1) for low, high in rectangle)), corners[0])
         return
     halves = [
         [(low, (low + high) // 2), ((low + high) // 2, high)] if high - low > 1 else [(low, high)]
         for low, high in rectangle
     ]
     for half in product(*halves):
-        _refine(drive, half)
-
-
-def _lines(known: Mapping[Index, Point], axis: int, index: Index) -> list[int]:
-    """Return the places along an axis at which the coarse grid has points."""
-    return [each for each in range(index[axis] + 1) if each % STRIDE == 0]
+        _refine(drive, half, between)
 
 
 def _groups(odd: Iterable[Index], kind: Callable[[Index], bool]) -> Iterator[list[Index]]:
@@ -548,27 +632,44 @@ def _groups(odd: Iterable[Index], kind: Callable[[Index], bool]) -> Iterator[lis
 # An earlier map.
 
 
-def _changes(now: Sweep, against: str | Path | Sweep) -> tuple[Change, ...]:
-    before = {point.at: point.kind for point in against.points} if isinstance(against, Sweep) else _read(now, against)
-    missing = [point.at for point in now.points if _key(point.at) not in {_key(at) for at in before}]
-    if missing or len(before) != len(now.points):
+Before = Mapping[tuple[str, ...], Kind]
+"""The answers of an earlier map, by the values of the axes as text."""
+
+
+def _before(name: str, axes: tuple[Axis, ...], against: str | Path | Sweep) -> Before:
+    """Return the answers of an earlier map of the same scenario over the same points.
+
+    Raises:
+        RequestError: if it is the map of something else, or its file cannot be read.
+    """
+    names = [axis.name for axis in axes]
+    if isinstance(against, Sweep):
+        if against.name != name or [axis.name for axis in against.axes] != names:
+            told = f"{against.name} over {' and '.join(axis.name for axis in against.axes)}"
+            raise RequestError(f"against: expected a map of {name} over {' and '.join(names)}, received one of {told}")
+        found = {_key(point.at): point.kind for point in against.points}
+    else:
+        found = _read(name, names, against)
+    points = {_key(at) for at in product(*(axis.values for axis in axes))}
+    if points != found.keys():
+        other = next(iter(points - found.keys()), None) or next(iter(found.keys() - points))
         raise RequestError(
-            f"against: expected a map with the same {len(now.points)} points, received one with {len(before)}, without "
-            f"{now.where(missing[0]) if missing else 'some'}; sweep the same values, or save a new map"
+            f"against: expected a map with the same {len(points)} points, received one with {len(found)}; they differ "
+            f"at {', '.join(map('='.join, zip(names, other, strict=True)))}; sweep the same values, or save a new map"
         )
-    kinds = {_key(at): kind for at, kind in before.items()}
-    return tuple(
-        Change(at=point.at, before=kinds[_key(point.at)], now=point.kind)
-        for point in now.points
-        if kinds[_key(point.at)] != point.kind
-    )
+    return found
+
+
+def _changes(now: Sweep, before: Before) -> tuple[Change, ...]:
+    pairs = [(point, before[_key(point.at)]) for point in now.points]
+    return tuple(Change(at=point.at, before=kind, now=point.kind) for point, kind in pairs if point.kind != kind)
 
 
 def _key(at: Sequence[float]) -> tuple[str, ...]:
     return tuple(map(short, at))
 
 
-def _read(now: Sweep, path: str | Path) -> dict[tuple[float, ...], Kind]:
+def _read(scenario: str, names: Sequence[str], path: str | Path) -> dict[tuple[str, ...], Kind]:
     """Return the answers in the file of a saved map.
 
     Raises:
@@ -591,18 +692,17 @@ def _read(now: Sweep, path: str | Path) -> dict[tuple[float, ...], Kind]:
         rows = list(csv.DictReader(io.StringIO(content.decode("utf-8-sig"))))
     except (UnicodeDecodeError, csv.Error) as error:
         raise wrong("CSV in UTF-8", error) from None
-    names = [axis.name for axis in now.axes]
     columns = list(rows[0]) if rows else []
     if columns != [*names, *FIXED]:
         raise wrong(f"the columns {', '.join([*names, *FIXED])}", ", ".join(map(str, columns)) or "no rows")
-    found: dict[tuple[float, ...], Kind] = {}
+    found: dict[tuple[str, ...], Kind] = {}
     for row in rows:
-        if row["scenario"] != visible(now.name):
-            raise wrong(f"a map of {now.name}", row["scenario"])
+        if row["scenario"] != plain_cell(scenario):
+            raise wrong(f"a map of {scenario}", row["scenario"])
         if row["result"] not in KINDS:
             raise wrong(f"one of {', '.join(KINDS)} as the result", row["result"])
         try:
-            found[tuple(float(row[name]) for name in names)] = row["result"]
+            found[_key([float(row[name]) for name in names])] = row["result"]
         except (TypeError, ValueError):
             raise wrong("numbers in the columns of the axes", [row[name] for name in names]) from None
     return found

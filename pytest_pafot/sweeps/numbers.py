@@ -6,6 +6,7 @@ import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, is_dataclass, replace
+from itertools import pairwise
 from typing import Any
 
 from pytest_pafot.model.scenario import ALONE, Manoeuvre, Scenario
@@ -19,6 +20,9 @@ UNITS = {
 
 LEVELS = 200
 """The largest number of values on an axis."""
+
+LEAST_STEP = 0.1
+"""The smallest difference of two values on an axis."""
 
 PAIR = re.compile(r"([^=\s]+)=(\S+)")
 
@@ -55,15 +59,19 @@ def values_of(name: str, given: object) -> tuple[float, ...]:
             first, last, count = (float(part) for part in given.split(":"))
         except ValueError:
             raise RequestError(f"{expected}, received {given!r:.60}") from None
-        if not (math.isfinite(first) and math.isfinite(last) and count == int(count) and 2 <= count <= LEVELS):
+        if not (math.isfinite(first + last) and 2 <= count <= LEVELS and count == int(count)):
             raise RequestError(f"{expected}, received {given!r:.60}")
         steps = int(count) - 1
         given = [first + (last - first) * step / steps for step in range(steps + 1)]
     numbers = [plain_number(value) for value in given] if isinstance(given, Sequence) else []
-    values = {round(value, 6) + 0.0 for value in numbers if value is not None}
+    values = {round(value, 4) + 0.0 for value in numbers if value is not None}
     if not 2 <= len(values) == len(numbers) <= LEVELS:
         raise RequestError(f"{expected}, received {given!r:.60}")
-    return tuple(sorted(values))
+    ordered = tuple(sorted(values))
+    if any(high - low < LEAST_STEP - 1e-6 for low, high in pairwise(ordered)):
+        fix = "scenarios have numbers in steps of 0.1"
+        raise RequestError(f"over: {name}: expected values at least {LEAST_STEP} apart, received {given!r:.60}; {fix}")
+    return ordered
 
 
 def over_of(texts: Sequence[str]) -> dict[str, str]:

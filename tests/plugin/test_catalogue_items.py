@@ -212,7 +212,7 @@ def test_other(): pass
             "@pafot.catalogue: expected ads, world or one of ego_speed, *, received 'ego_sped'",
             "r157/cut-in: ego_speed: expected a number, received 'fast'",
             "ads: expected a factory, *, received 3*",
-            "expected a parameter 'run' that receives the simulated run; write `def test_without_run(run)`",
+            "expected a parameter 'run' that is free for the simulated run; write `def test_without_run(run)`*",
             "expected the test function to assert and to return None, received the return value *",
         ]
     )

@@ -8,7 +8,7 @@ import pytest
 import pytest_pafot as pafot
 from pytest_pafot.model.scenario import ScenarioError
 from pytest_pafot.support.errors import RequestError
-from pytest_pafot.sweeps.entries import ENTRIES, NAMES, chosen, entry_of, fits
+from pytest_pafot.sweeps.entries import ENTRIES, NAMES, NoPlaceError, chosen, entry_of, fits
 from pytest_pafot.sweeps.maps import driven
 from tests.helpers.tables import table
 from tests.sweeps.planted import keeps_speed
@@ -65,7 +65,11 @@ def ends():
 def test_both_ends_of_each_range_fit_or_say_why_not():
     refused = []
     for entry, name, value in ends():
-        why = fits(entry, world_for(entry), **{name: value})
+        world = world_for(entry)
+        try:
+            why = fits(entry.scenario(world, **{name: value}), world)
+        except ScenarioError as error:
+            why = str(error)
         if why:
             assert "expected" in why
             assert "received" in why
@@ -79,9 +83,11 @@ def test_both_ends_of_each_range_fit_or_say_why_not():
 
 @table("entry", JUNCTIONS)
 def test_junction_names_a_world_that_has_it(entry):
-    why = fits(entry, entry.world())
-    named = re.search(r'pafot\.World\("([\w-]+)", planner_hz=5\)', why)
-    assert fits(entry, entry.world(pafot.World(named[1], planner_hz=5))) == ""
+    with pytest.raises(NoPlaceError) as caught:
+        entry.scenario(entry.world())
+    named = re.search(r'pafot\.World\("([\w-]+)", planner_hz=5\)', str(caught.value))
+    world = entry.world(pafot.World(named[1], planner_hz=5))
+    assert fits(entry.scenario(world), world) == ""
 
 
 def test_world_lasts_as_long_as_the_scenario_takes():

@@ -185,11 +185,11 @@ def test_map_of_one_axis_is_one_row():
 def test_narrow_terminal_moves_columns_together_and_wraps_notes():
     picture = ("." * 30, "X" * 30)
     wide, narrow, least = (mapped(*picture).explain(width).splitlines() for width in (100, 70, 40))
-    assert wide[5] == "1 " + "  ." * 30
-    assert narrow[4:6] == ["   0 to 29", "1 " + " ." * 30]
-    assert least[5] == "1 " + "." * 30
-    assert max(map(len, least[5:])) <= 40
-    assert " ".join(" ".join(least[8:]).split()) == ". avoided X failed, though a reference driver avoids it"
+    assert "1 " + "  ." * 30 in wide
+    assert narrow[narrow.index("1 " + " ." * 30) - 1] == "   0 to 29"
+    assert "1 " + "." * 30 in least
+    assert max(map(len, least)) <= 40
+    assert " ".join(" ".join(least[-2:]).split()) == ". avoided X failed, though a reference driver avoids it"
 
 
 def test_hostile_name_is_escaped_in_a_terminal():
@@ -327,7 +327,7 @@ NAME = two_numbers().id
         ("", "expected the columns ego.speed, .*, received no rows"),
         (HEADER, "expected the columns ego.speed, .*, received no rows"),
         (f"gap,{HEADER}", "expected the columns"),
-        (f"{HEADER}0,0,{NAME},avoided,1,\n", "expected a map with the same 6 points, received one with 1, without"),
+        (f"{HEADER}0,0,{NAME},avoided,1,\n", "same 6 points, received one with 1; they differ at"),
         (f"{HEADER}0,0,{NAME},fine,1,\n", f"expected one of {', '.join(KINDS)} as the result, received fine"),
         (f"{HEADER}0,0,{NAME}\n", "expected one of avoided, .* as the result, received None"),
         (f"{HEADER}0\n", "expected a map of .*, received None"),
@@ -336,8 +336,8 @@ NAME = two_numbers().id
         (f"{HEADER}0,0,\x1b[31m,avoided,1,\n", r"expected a map of .*, received \\x1b\[31m"),
         (f'{HEADER}0,0,"{"x" * 200_000}",avoided,1,\n', "expected CSV in UTF-8, received field larger than"),
         (f"{HEADER}0,0,{NAME},caf\xe9,1,\n".encode("latin-1"), "expected CSV in UTF-8, received "),
-        (mapped("..", "..").csv(), "expected a map with the same 6 points, received one with 4, without "),
-        (mapped("....", "....").csv(), "expected a map with the same 6 points, received one with 8, without some"),
+        (mapped("..", "..").csv(), "expected a map with the same 6 points, received one with 4; they differ at"),
+        (mapped("....", "....").csv(), "expected a map with the same 6 points, received one with 8; they differ at"),
         (mapped(*PICTURE, scenario=two_numbers("left")).csv(), f"expected a map of {NAME}, received "),
         (pafot.sweep("r157/cut-in", keeps_speed, over={"gap": [0, 9]}).csv(), "expected the columns .*received gap"),
     ],

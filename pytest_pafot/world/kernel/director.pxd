@@ -8,7 +8,7 @@ from pytest_pafot.world.kernel.driver cimport (
 cdef double ARRIVED_LATERAL, CREEP_SPEED, BESIDE
 cdef double TRACK, REACTION, ANSWER, ENTRY_TIME, ENTRY_BRAKING, ENTRY_GAP
 cdef int NO_LANE, NOT_BEHIND, AFTER, AT_GAP, AT_HEADWAY, NEVER, NOT_WAITING
-cdef double DONE_LATERAL, DONE_SPEED
+cdef double DONE_LATERAL, DONE_SPEED, RELEASE_SHARE, RELEASE_GAIN
 
 @cython.final
 cdef class Npc(Body):
@@ -32,7 +32,7 @@ cdef class Director(BaseDirector):
     cdef readonly object _scenario, _road
     cdef readonly list _on_grid, _in_lanes, _asked
     cdef object _limits
-    cdef double _top_speed
+    cdef double _top_speed, _release
     cdef int _hz
     cdef readonly double _clearance, _row, _length
     cdef double _width, _lane_width, _far
@@ -91,7 +91,7 @@ cdef class Director(BaseDirector):
     @cython.locals(distance=double, value=double, missing=double, side=int)
     cdef bint _is_due(self, Npc npc, Body ego) except -1
 
-    @cython.locals(aside=double, slowest=double, fastest=double, wanted=double)
+    @cython.locals(aside=double, missing=double, asked=double, wanted=double)
     cpdef void _perform(self, Npc npc, Body ego) except *
 
     @cython.locals(driver=NpcDriver, offset=double)

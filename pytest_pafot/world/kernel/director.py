@@ -63,6 +63,9 @@ NOT_BEHIND = -1
 AFTER, AT_GAP, AT_HEADWAY, NEVER = 0, 1, 2, 3
 NOT_WAITING = 2
 """What begins the next step of a manoeuvre: time, a gap, a headway, or nothing, because there is no next step."""
+RELEASE_SHARE, RELEASE_GAIN = 1.6, 5.0
+"""Near the speed of a step: twice the share of the jerk with which the acceleration is released, and the acceleration
+per difference [1/s]."""
 DONE_LATERAL, DONE_SPEED = 0.2, 0.2
 """The distance to its place across the road [m], and to its speed [m/s], at which an NPC has done a step."""
 
@@ -181,6 +184,7 @@ class Director(BaseDirector):
         self._in_lanes = [npc for npc in self.npcs if isinstance(npc.chain[0], LaneInstruction)]
         self._asked = [npc for npc in self.npcs if isinstance(npc.chain[0], Manoeuvre)]
         self._limits = limits
+        self._release = RELEASE_SHARE * limits.jerk
         self._top_speed = top_speed
         self._hz = physics_hz
         self.skips = False
@@ -432,8 +436,11 @@ class Director(BaseDirector):
             if abs(aside) <= DONE_LATERAL and abs(npc.speed - npc.kept_speed) <= DONE_SPEED:
                 npc.ended = self._tick
         npc.heading_for = self._next_lane(npc, npc.kept_lane, ego) if self._attentive else npc.kept_lane
-        slowest, fastest = speed_asking_for(npc.ramp, npc.speed), speed_asking_for(-npc.ramp, npc.speed)
-        wanted = min(max(npc.kept_speed, slowest), fastest)
+        missing = npc.kept_speed - npc.speed
+        asked = npc.ramp
+        if npc.kept_speed > 0.0:  # release it in time; a vehicle that stops need not
+            asked = min(asked, math.sqrt(self._release * abs(missing)), abs(missing) * RELEASE_GAIN)
+        wanted = speed_asking_for(math.copysign(asked, -missing), npc.speed)
         if self._attentive:
             wanted = self._following(npc, self._attending(npc, ego, wanted))
         self._drive(npc, wanted)
