@@ -26,6 +26,7 @@ from pytest_pafot.model.scenario import (
 from pytest_pafot.model.sight import NOISES, Sight
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.oracle.run import ReferenceOutcome
+from pytest_pafot.strategies import manoeuvres
 from pytest_pafot.world import Highway
 from tests.helpers.hostile import CHARACTERS
 
@@ -133,6 +134,7 @@ def scenarios(draw):
         st.lists(cells, min_size=1, max_size=8),
         st.lists(lanes, min_size=1, max_size=8),
         crossing_instructions().map(lambda each: [each]),
+        manoeuvres().map(lambda each: [each]),
     )
     chains = draw(st.lists(chain, min_size=1, max_size=4))
     return Scenario.repaired(

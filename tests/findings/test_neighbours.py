@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from dataclasses import replace
 from itertools import islice
 
 import pytest
@@ -9,10 +10,27 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import pytest_pafot as pafot
-from pytest_pafot.findings.neighbours import ALL_SPEEDS, SHARES, SLOT, SPEED, Breadth, Limits, breadth_of, neighbours
+from pytest_pafot.findings.neighbours import (
+    ALL_SPEEDS,
+    DISTANCE,
+    SHARES,
+    SLOT,
+    SPEED,
+    Breadth,
+    Limits,
+    breadth_of,
+    neighbours,
+)
 from pytest_pafot.findings.neighbours import around as around_at
-from pytest_pafot.model.scenario import CrossingInstruction, LaneInstruction, PositionInstruction, Scenario
-from pytest_pafot.strategies import scenarios
+from pytest_pafot.model.scenario import (
+    CrossingInstruction,
+    LaneInstruction,
+    Manoeuvre,
+    PositionInstruction,
+    Scenario,
+    Step,
+)
+from pytest_pafot.strategies import manoeuvres, scenarios
 from tests.helpers.tables import table
 
 TOP = 26.8
@@ -72,6 +90,30 @@ def test_crossing_neighbours_arrive_at_other_times_within_the_largest_slot():
     assert max(slots) <= 5.0
     assert {each.npcs[0][0].act for each in around(AT_A_ZONE)} == {"late"}
     assert min(each.npcs[0][0].speed for each in around(AT_A_ZONE)) == 0.1
+
+
+@given(manoeuvres(max_speed=TOP), st.sampled_from(list(SHARES)))
+def test_neighbours_of_a_manoeuvre_differ_in_speeds_and_distances(manoeuvre, share):
+    scenario = Scenario(npcs=((manoeuvre,), (PositionInstruction(6, 20.0),)))
+    for each in around(scenario, 10, share):
+        assert Scenario.from_canonical(each.plain()) == each  # with all checks
+        ((moved,), _) = each.npcs
+        assert (moved.beside, moved.ahead) == (manoeuvre.beside, manoeuvre.ahead)
+        assert abs(moved.speed - manoeuvre.speed) <= share * max(SPEED, ALL_SPEEDS * manoeuvre.speed) + 0.051
+        for step, old in zip(moved.steps, manoeuvre.steps, strict=True):
+            for now, before in ((step.gap, old.gap), (step.headway, old.headway)):
+                assert (now is None) == (before is None)
+                assert now is None or abs(now - before) <= share * DISTANCE * abs(before) + 0.051
+            assert step.speed is None or 0 <= step.speed <= TOP
+            assert replace(step, gap=old.gap, headway=old.headway, speed=old.speed) == old
+
+
+def test_distances_of_a_manoeuvre_are_moved():
+    steps = Step(gap=20.0, speed=10.0), Step(headway=-2.0)
+    several = around(Scenario(npcs=((Manoeuvre(beside=1, ahead=30.0, speed=20.0, steps=steps),),)))
+    assert len({each.npcs[0][0].steps[0].gap for each in several}) > 5
+    assert len({each.npcs[0][0].steps[1].headway for each in several}) > 3
+    assert {each.gene_seconds for each in several} == {10.0}, "it changes nothing"
 
 
 def test_only_the_longest_chains_are_longer():

@@ -12,7 +12,7 @@ import yaml
 
 from pytest_pafot.attribution.last_chance import LastChance
 from pytest_pafot.findings.finding import Finding
-from pytest_pafot.model.scenario import CrossingInstruction, Scenario
+from pytest_pafot.model.scenario import CrossingInstruction, Manoeuvre, Scenario, Step
 
 LOOKALIKES = {"a": "\u0430", "e": "\u0435", "o": "\u043e", "p": "\u0440", "c": "\u0441", "i": "\u0456", "1": "\uff11",
               "0": "\uff10", "-": "\u2212", ".": "\u2024", ":": "\uff1a", " ": "\u00a0", "{": "\uff5b"}  # fmt: skip
@@ -241,6 +241,10 @@ def _scenario(scenario: Scenario) -> dict[str, Any]:
         target = instruction.target
         if isinstance(instruction, CrossingInstruction):
             return {name: getattr(instruction, name) for name in ("zone", "slot", "speed", "act")}
+        if isinstance(instruction, Manoeuvre):
+            own = {name: getattr(instruction, name) for name in ("beside", "ahead", "speed")}
+            steps = [asdict(step).items() - asdict(Step()).items() for step in instruction.steps]
+            return own | {"steps": list(map(dict, steps))}
         return {"lane" if isinstance(target, str) else "cell": target, "speed": instruction.speed}
 
     return {
@@ -262,6 +266,7 @@ DEFAULTS: Mapping[str, Any] = {
     "weights": "",
     "traceback": "",
     "act": "pass",
+    "steps": [],
 }
 """The defaults, other than None, of what a file may leave out."""
 

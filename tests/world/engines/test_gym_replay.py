@@ -14,6 +14,8 @@ from pytest_pafot.model.trace import Outcome
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.world import Highway, World
 from pytest_pafot.world.engines.gym_replay import StockVehicle
+from tests.helpers.c_library import c_library
+from tests.helpers.run_cases import differences
 from tests.helpers.stages import mostly_oracle, oracle
 from tests.helpers.world_cases import EGOS, constant_speed, random_scenario
 
@@ -151,6 +153,43 @@ def test_environment_drives_its_own_road_and_vehicles(monkeypatch):
     assert np.array_equal(world.rollout_in_gym(scenario, constant_speed).states, before.states)
     own = {name for name in vars(StockVehicle) if not name.startswith("_")}
     assert own & set(vars(Vehicle)) == set()
+
+
+def drives_at(x, y):
+    """Return a vehicle class that drives straight on for 150 m, and then at a point of the road [m]."""
+
+    class DrivesAt(Vehicle):
+        def act(self, action=None):
+            to_x, to_y = x - self.position[0], y - self.position[1]
+            wanted = np.arctan2(to_y, to_x) if self.position[0] > 150 and to_x > 1 else 0.0
+            steering = float(np.clip(wanted - self.heading, -0.3, 0.3))
+            super().act({"acceleration": 0.0, "steering": steering})
+
+    return DrivesAt
+
+
+def test_ego_that_touches_a_fixed_obstacle_ends_off_the_road_there():
+    """The obstacle stands at the end of the lane that merges; highway-env calls the contact a crash."""
+    world = World("merge-v0", duration=14.0)
+    (obstacle,) = world.environment.unwrapped.road.objects
+    lane, speed = world.start
+    behind = Scenario(npcs=[[PositionInstruction(6, 5.0)]], ego_lane=lane, ego_speed=speed)
+    first = assert_confirmed(world, behind, drives_at(*obstacle.position))
+    distance = np.hypot(*(first.ego[:, :2] - obstacle.position).T)
+    assert first.outcome is Outcome.OFF_ROAD
+    assert first.collision is None
+    assert 2.0 < distance[-1] < 3.5 < distance[-2], "half the lengths of the car and the obstacle, 5 m and 2 m"
+
+
+@pytest.mark.parametrize("constant", ["LANE_CHANGE_DELAY", "COMFORT_ACC_MAX"])
+@pytest.mark.filterwarnings("ignore:invalid value:RuntimeWarning")  # highway-env divides by it, too
+def test_idm_with_a_constant_of_zero_drives_as_highway_envs_code(constant):
+    """The compiled model cannot divide by it, so that highway-env's own code drives."""
+    ads = type("Zero", (IDMVehicle,), {constant: 0.0})
+    for world, speed in ((Highway(duration=6.0), 20.0), (World("roundabout-v0", duration=6.0), 8.0)):
+        slow = Scenario(npcs=[[PositionInstruction(2, 3.0)]], ego_lane=1, ego_speed=speed)
+        with c_library():
+            assert differences(world.rollout(slow, ads), world.rollout_in_gym(slow, ads)) == []
 
 
 def test_two_runs_that_differ_are_told_apart():

@@ -52,7 +52,18 @@ class MetaPolicy(Planner):
 
 def differences(traces, others):
     """Return what differs between two lists of traces, to the last bit."""
-    names = ("scenario", "executed", "outcome", "collision", "error", "actions", "arrivals", "off_road_tick", "lanes")
+    names = (
+        "scenario",
+        "executed",
+        "outcome",
+        "collision",
+        "error",
+        "actions",
+        "arrivals",
+        "begun",
+        "off_road_tick",
+        "lanes",
+    )
     return [
         (index, name)
         for index, (a, b) in enumerate(zip(traces, others, strict=True))

@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 from highway_env.vehicle.behavior import IDMVehicle
 
+from pytest_pafot.model.scenario import PositionInstruction, Scenario
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.world import Highway
 from pytest_pafot.world.guard import hang_guard
@@ -131,6 +132,33 @@ def test_interruption_inside_an_ads_is_no_finding(world, idle, interruption):
         world.rollout(SCENARIO, failing_after(1, fail, idle))
     assert caught.value is interruption
     assert hang_guard._WATCHDOG._guards == []
+
+
+@table(
+    "lost",
+    [
+        {"position": np.array([math.nan, 0.0])},
+        {"heading": math.inf},
+        {"speed": math.nan},
+        {"action": None},
+        {"action": {}},
+        {"position": None},
+    ],
+)
+def test_vehicle_class_without_finite_state_or_action_is_ads_error(lost):
+    class Lost(IDMVehicle):
+        steps = 0
+
+        def step(self, dt):
+            super().step(dt)
+            self.steps += 1
+            if self.steps == 4:
+                vars(self).update(lost)
+
+    for world in (HIGHWAY, GYM):
+        trace = world.rollout(SCENARIO, Lost)
+        assert (trace.outcome, trace.ticks, trace.error.tick) == (Outcome.ADS_ERROR, 3, 3)
+        assert np.isfinite(trace.states).all()
 
 
 def test_vehicle_class_raising_in_step_is_ads_error():
@@ -250,6 +278,52 @@ def test_busy_hang_outside_main_thread_is_interrupted(clock):
     thread.join(60)
     assert [trace.outcome for trace in received] == [Outcome.HANG, Outcome.SAFE]
     assert "spinning" in received[0].error.traceback
+
+
+@worlds
+def test_hang_in_the_step_of_a_vehicle_class_is_interrupted(world, idle, clock):
+    class Stuck(IDMVehicle):
+        def step(self, dt):
+            super().step(dt)
+            if self.speed < 20.0:
+                clock.sleep(1000.0)
+
+    brakes = Scenario(npcs=[[PositionInstruction(2, 5.0)]], ego_speed=22.0)
+    trace = world.rollout(brakes, Stuck)
+    assert trace.outcome is Outcome.HANG
+    assert trace.ticks == trace.error.tick > 15
+    assert "in step" in trace.error.traceback
+
+
+def endless_action(clock):
+    """Return an action that never ends to become numbers."""
+
+    class Endless:
+        def __float__(self):
+            clock.sleep(1000.0)
+
+    return Endless(), 0.0
+
+
+def test_hang_while_an_action_is_read_is_interrupted(clock):
+    trace = HIGHWAY.rollout(SCENARIO, failing_after(2, lambda: endless_action(clock), (0.0, 0.0)))
+    assert (trace.outcome, trace.ticks, len(trace.actions)) == (Outcome.HANG, 6, 2)
+    assert "__float__" in trace.error.traceback
+
+
+def test_hang_while_an_action_of_a_batch_is_read_ends_its_own_run(clock):
+    class Batched:
+        def __call__(self, observation):
+            is_alone = len(observation.others) == 1 and observation.time > 1
+            return endless_action(clock) if is_alone else (0.0, 0.0)
+
+        def batch(self, observations):
+            return list(map(self, observations))
+
+    alone = Scenario(npcs=SCENARIO.npcs[:1], gene_seconds=4.0)
+    traces = HIGHWAY.rollout_batch([SCENARIO, alone, SCENARIO], Batched)
+    assert [trace.outcome for trace in traces] == [Outcome.SAFE, Outcome.HANG, Outcome.SAFE]
+    assert traces[1].error.tick == traces[1].ticks == 18
 
 
 def test_nested_run_does_not_count_as_outer_hang():

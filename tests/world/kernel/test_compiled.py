@@ -13,8 +13,8 @@ from highway_env.vehicle.behavior import IDMVehicle
 from highway_env.vehicle.kinematics import Vehicle
 
 from pytest_pafot import Highway, PositionInstruction, Scenario
-from pytest_pafot.model.driving_style import STYLES
-from pytest_pafot.model.scenario import CrossingInstruction
+from pytest_pafot.model.driving_style import STYLES, Traffic
+from pytest_pafot.model.scenario import CrossingInstruction, Manoeuvre, Step
 from pytest_pafot.searching import sample
 from pytest_pafot.world import kernel
 from pytest_pafot.world.kernel import bodies
@@ -57,6 +57,23 @@ def test_interpreted_and_compiled_npcs_cross_the_same(interpreted):
     with interpreted.in_place():
         again = interpreted.room.from_dict(world.to_dict())
         assert digest(again.rollout(scenario, IDMVehicle)) == compiled
+
+
+def test_interpreted_and_compiled_npcs_do_the_same_manoeuvres(interpreted):
+    beside = Step(gap=10.0, lane="right", offset=0.3), Step(headway=0.5, speed=2.0, acceleration=6.0), Step(after=0.5)
+    ahead = Manoeuvre(beside=0, ahead=15.0, speed=6.0, steps=(Step(headway=1.0, speed=3.0, lateral_speed=0.8),))
+    crossing = CrossingInstruction("o1>o3", 2.5, 7.0)
+    for world, ego_lane, npcs in (
+        (Highway(duration=6.0), 1, (Manoeuvre(beside=-1, ahead=20.0, speed=5.0, steps=beside), ahead)),
+        (world_of("intersection-v0"), 0, (crossing, ahead)),
+    ):
+        for style in ("paper", "hostile"):
+            traffic, chains = Traffic(style), [[npc] for npc in npcs]
+            scenario = Scenario(npcs=chains, ego_lane=ego_lane, ego_speed=10.0, traffic=traffic)
+            compiled = digest(world.rollout(scenario, IDMVehicle))
+            with interpreted.in_place():
+                again = interpreted.room.from_dict(world.to_dict())
+                assert digest(again.rollout(scenario, IDMVehicle)) == compiled
 
 
 def test_the_kernel_knows_highway_envs_vehicles():
