@@ -16,8 +16,10 @@ from types import MappingProxyType
 
 from pytest_pafot.model.scenario import (
     ALONE,
+    FARTHEST,
     LARGEST_SLOT,
     LONGEST_GENE,
+    LONGEST_HEADWAY,
     SHIFTS,
     Chromosome,
     CrossingInstruction,
@@ -166,6 +168,10 @@ def around(scenario: Scenario, pace: float, limits: Limits) -> Iterator[Scenario
             yield each
 
 
+def _within(value: float, most: float) -> float:
+    return round(min(max(value, -most), most), 1)
+
+
 def _scaling(scenario: Scenario, limits: Limits) -> _Neighbour:
     return _Neighbour(scenario, 1.0, limits.top_speed, lambda: 0.0)
 
@@ -257,10 +263,11 @@ class _Neighbour:
 
     def _nudged(self, step: Step) -> Step:
         """Return a step that begins at a slightly different distance."""
+        longer = 1 + self._step(DISTANCE)
         if step.gap is not None:
-            return replace(step, gap=round(step.gap * (1 + self._step(DISTANCE)), 1))
+            return replace(step, gap=_within(step.gap * longer, FARTHEST))
         if step.headway is not None:
-            return replace(step, headway=round(step.headway * (1 + self._step(DISTANCE)), 1))
+            return replace(step, headway=_within(step.headway * longer, LONGEST_HEADWAY))
         return step
 
     def _changed(self, gene: Gene) -> Gene:

@@ -233,6 +233,9 @@ class CrossingInstruction:
 FARTHEST = 500.0
 """The largest distance of a manoeuvre's start, and of its triggers [m]."""
 
+LONGEST_HEADWAY = 20.0
+"""The largest headway that begins a step [s]."""
+
 FASTEST_ASIDE = 5.0
 """The largest lateral speed that a step can ask for [m/s]."""
 
@@ -307,10 +310,10 @@ class Step:
 
 STEP_BOUNDS = (
     ("gap", -FARTHEST, FARTHEST),
-    ("headway", -20.0, 20.0),
+    ("headway", -LONGEST_HEADWAY, LONGEST_HEADWAY),
     ("after", 0.0, 600.0),
     ("lateral_speed", 0.1, FASTEST_ASIDE),
-    ("offset", -5.0, 5.0),
+    ("offset", -1.9, 1.9),
     ("speed", 0.0, MAX_SPEED),
     ("acceleration", 0.1, 20.0),
 )
@@ -321,8 +324,9 @@ STEP_BOUNDS = (
 class Manoeuvre:
     """The only gene of an NPC that does what is asked for: a start relative to the ego, and steps.
 
-    In the traffic of the paper's style, the NPC does it whatever is in its way; in hostile or everyday traffic it gives
-    way as the others there. Physical limits hold in both. ``run.asked`` tells what became of it.
+    In the traffic of the paper's style, the NPC does it whatever is in its way, except vehicles that cross its way; in
+    hostile or everyday traffic it gives way as the others there. Physical limits hold in both. ``run.asked`` tells what
+    became of it.
 
     Attributes:
         beside: lane at the start: the number of lanes to the right of the ego's, 0 for the ego's lane.

@@ -55,6 +55,8 @@ if TYPE_CHECKING:
 
 LINE_LENGTH = 99
 """The longest line of an explanation."""
+MAX_STEP_ROWS = 10
+"""The largest number of lines on manoeuvres in an explanation."""
 MAX_GENE_ROWS = 5
 """The largest number of rows in an explanation's table of genes."""
 _WORDINGS = (("reached at ", True), ("reached ", True), ("reached ", False), ("", False))
@@ -633,7 +635,7 @@ def _manoeuvre_lines(trace: Trace) -> list[str]:
             when = f"{begun[number] / trace.physics_hz:6.1f} s" if number < len(begun) else "   never"
             lines.append(f"  {when}  {' '.join(filter(None, (step.trigger, step.act)))}")
         lines += [f"    not as asked: {each.words}" for each in missed if each.npc == npc]
-    return lines
+    return lines if len(lines) <= MAX_STEP_ROWS else [*lines[: MAX_STEP_ROWS - 1], "  ..."]
 
 
 def _passed(passage: Passage | None) -> str:

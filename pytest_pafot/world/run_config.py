@@ -9,12 +9,10 @@ from typing import Any
 from pytest_pafot.model.crossings import Crossings
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.scenario import (
-    LANE_STARTS,
     LARGEST_SLOT,
     SLOT_STEPS_PER_SECOND,
     CrossingInstruction,
     Manoeuvre,
-    PositionInstruction,
     Scenario,
     ScenarioError,
 )
@@ -129,7 +127,7 @@ class Rules:
             expected = f"at most {len(cells)} NPCs{kind}, one per cell that exists around lane {scenario.ego_lane}"
             raise ScenarioError(field="npcs", expected=expected, received=str(on_grid))
         self._check_speeds(scenario)
-        self._check_manoeuvres(scenario, cells)
+        self._check_manoeuvres(scenario)
         for npc, instruction in enumerate(crossings):
             if instruction is not None:
                 self._check_crossing(f"npcs[{npc}][0]", instruction)
@@ -176,7 +174,7 @@ class Rules:
         )
         raise ScenarioError(field=f"{place}.slot", expected=expected, received=received)
 
-    def _check_manoeuvres(self, scenario: Scenario, cells: frozenset[Cell]) -> None:
+    def _check_manoeuvres(self, scenario: Scenario) -> None:
         """Refuse manoeuvres that start in lanes that do not exist, and starts at which vehicles would touch."""
         asked = [(npc, chain[0]) for npc, chain in enumerate(scenario.npcs) if isinstance(chain[0], Manoeuvre)]
         for npc, manoeuvre in asked:
@@ -187,18 +185,10 @@ class Rules:
                 raise ScenarioError(field=place, expected=expected, received=f"lane {lane}", fix=fix)
         if not asked:
             return
-        near = self.start_distance(scenario)
-        taken: list[tuple[int, float, int]] = [(-1, self.ego_start, scenario.ego_lane)]
-        others = (cell for cell in LANE_STARTS if cell in cells)
-        for npc, chain in enumerate(scenario.npcs):
-            first = chain[0]
-            if isinstance(first, CrossingInstruction):
-                continue
-            if isinstance(first, Manoeuvre):
-                own, its_lane = self.along_at(first, scenario), scenario.ego_lane + first.beside
-            else:
-                cell = first.cell if isinstance(first, PositionInstruction) else next(others)
-                own, its_lane = self.ego_start + cell.row * near, scenario.ego_lane + cell.column
+        numbers = [npc for npc, chain in enumerate(scenario.npcs) if not isinstance(chain[0], CrossingInstruction)]
+        places = start_places(self, scenario, self.director(scenario, NPC_LENGTH).first_cells())
+        taken: list[tuple[int, float, int]] = []
+        for npc, (own, its_lane) in zip((-1, *numbers), places, strict=True):
             for other, along, lane in taken:
                 if lane == its_lane and abs(along - own) < NPC_LENGTH + LEAST_START_GAP:
                     who = "the ego" if other < 0 else f"npcs[{other}]"
@@ -236,9 +226,10 @@ class Rules:
         for npc, chain in enumerate(scenario.npcs):
             for gene, instruction in enumerate(chain):
                 asked = instruction.steps if isinstance(instruction, Manoeuvre) else ()
-                for speed in (instruction.speed, *(step.speed or 0.0 for step in asked)):
+                for step, speed in enumerate((instruction.speed, *(each.speed or 0.0 for each in asked))):
                     if speed > limit + 1e-9:
-                        place, expected = f"npcs[{npc}][{gene}].speed", f"at most the speed limit of {limit:g} m/s"
+                        place = f"npcs[{npc}][{gene}]" + (f".steps[{step - 1}].speed" if step else ".speed")
+                        expected = f"at most the speed limit of {limit:g} m/s"
                         raise ScenarioError(field=place, expected=expected, received=f"{speed:g}")
 
     def ticks(self, scenario: Scenario) -> int:

@@ -97,7 +97,7 @@ def test_goal_says_the_start_and_each_step(each, words):
         ({"after": -0.1}, "after", "a number from 0 to 600 in steps of 0.1", "-0.1"),
         ({"after": 10**400}, "after", "a finite number", repr(10**400)),
         ({"lateral_speed": 0.0}, "lateral_speed", "a number from 0.1 to 5 in steps of 0.1", "0.0"),
-        ({"offset": 5.1}, "offset", "a number from -5 to 5 in steps of 0.1", "5.1"),
+        ({"offset": 2.0}, "offset", "a number from -1.9 to 1.9 in steps of 0.1", "2.0"),
         ({"speed": -0.1}, "speed", "a number from 0 to 1000 in steps of 0.1", "-0.1"),
         ({"acceleration": -3.0}, "acceleration", "a number from 0.1 to 20 in steps of 0.1", "-3.0"),
         ({"lane": "middle"}, "lane", "one of keep, left, right", "'middle'"),

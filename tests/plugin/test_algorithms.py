@@ -108,7 +108,7 @@ def test_unknown_algorithm_or_kind_error_lists_the_choices(project):
     told = {
         "SHORT, algorithm='av-fuzzer', instructions='both'": "*instructions=*expected 'lanes' for the algorithm "
         "av-fuzzer, received 'both'*",
-        "SHORT, instructions='cell'": "*instructions: expected one of cells, lanes, both, received 'cell'*",
+        "SHORT, instructions='cell'": "*instructions: expected one of cells, lanes, manoeuvres, both, received 'cell'*",
         "SHORT, algorithm='genetic'": "*expected distinct, pafot, *or cma-es, received 'genetic'; or give your own "
         "class*",
         "SHORT, algorithm='randm'": "*or cma-es, received 'randm'; did you mean 'random'[?]",

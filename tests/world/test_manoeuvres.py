@@ -326,16 +326,6 @@ APART = "a start at least 0.5 m from {}"
         (HIGHWAY, [beside(lanes=3)], "npcs[0][0].beside", "a lane that exists 35 m from the ego's start", "lane 4"),
         (HIGHWAY, [beside(ahead=-300.0)], "npcs[0][0].beside", "a lane that exists -305 m from the ego's st", "lane 2"),
         (MERGE, [beside()], "npcs[0][0].beside", "a lane that exists 35 m from the ego's start", "lane 2"),
-        (
-            HIGHWAY,
-            [beside(), beside(Step(lane="left"), Step(), Step(lane="left"), lanes=-1)],
-            "npcs[1][0].steps[0].lane", "a lane that exists", "lane -1",
-        ),
-        (
-            HIGHWAY,
-            [beside(Step(lane="right"), Step(lane="left"), Step(lane="right"), Step(lane="right"))],
-            "npcs[0][0].steps[3].lane", "a lane that exists", "lane 4",
-        ),
         (HIGHWAY, [beside(speed=26.9)], "npcs[0][0].speed", "at most the speed limit of 26.8 m/s", "26.9"),
         (HIGHWAY, [beside(lanes=0, ahead=0.4)], "npcs[0]", APART.format("the ego"), "0.4 m in the same lane"),
         (HIGHWAY, [beside(lanes=0, ahead=-0.4)], "npcs[0]", APART.format("the ego"), "0.4 m in the same lane"),

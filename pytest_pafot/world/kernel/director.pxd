@@ -21,6 +21,7 @@ cdef class Npc(Body):
     cdef public int ended, trigger, side
     cdef public double trigger_at, offset, ramp
     cdef public NpcDriver pilot
+    cdef public bint has_missed
 
 cdef class BaseDirector:
     cdef readonly list npcs

@@ -97,6 +97,7 @@ class Npc(Body):
         offset: its offset from the centre of the kept lane [m].
         ramp: the acceleration towards the kept speed [m/s^2].
         pilot: the controller with the lateral speed of the step; None without a manoeuvre.
+        has_missed: whether a step was for a lane that does not exist.
     """
 
     def __init__(self, index: int, chain: Chromosome, length: float, width: float) -> None:
@@ -124,6 +125,7 @@ class Npc(Body):
         self.offset = 0.0
         self.ramp = 0.0
         self.pilot: NpcDriver | None = None
+        self.has_missed = False
 
 
 def start_cell(manoeuvre: Manoeuvre) -> Cell:
@@ -237,7 +239,7 @@ class Director(BaseDirector):
     def arrivals(self) -> tuple[tuple[int | None, ...], ...]:
         """The tick at which each NPC reached the cell of each started gene; None if it has not."""
         for npc in self._asked:
-            is_done = npc.ended >= 0 and len(npc.begun) == len(npc.chain[0].steps)
+            is_done = npc.ended >= 0 and len(npc.begun) == len(npc.chain[0].steps) and not npc.has_missed
             npc.arrivals = [npc.ended if is_done else None]
         return tuple([tuple(npc.arrivals) for npc in self.npcs])
 
@@ -424,12 +426,15 @@ class Director(BaseDirector):
             step = npc.chain[0].steps[len(npc.begun)]
             npc.begun.append(self._tick)
             npc.ended = -1
+            if step.column != 0 or step.offset != npc.offset:  # else an earlier change goes on as it was asked for
+                npc.pilot = NpcDriver(self._limits, self._top_speed, self._length, 1.0 / self._hz, step.lateral_speed)
             npc.offset = step.offset
             if self._has_lane(npc, npc.kept_lane + step.column):
                 npc.kept_lane += step.column
+            else:
+                npc.has_missed = True
             if step.speed is not None:
                 npc.kept_speed, npc.ramp = step.speed, step.acceleration
-            npc.pilot = NpcDriver(self._limits, self._top_speed, self._length, 1.0 / self._hz, step.lateral_speed)
             self._await(npc)
         if npc.ended < 0:
             aside = npc.y - npc.kept_lane * self._lane_width - npc.offset
