@@ -88,8 +88,8 @@ MARKER_TEXTS: Mapping[str, str] = {
     "traffic": "[How the others drive](../explanation/traffic.md) in all scenarios: "
     '`"hostile"`, `"assertive"`, `"everyday"`, `"paper"`, or `pafot.Traffic(...)` for separate parts.',
     "instructions": "[The kind of instructions](../explanation/default-search.md#why-both-kinds) of NPCs that do not "
-    'cross: `"cells"` (Position-Instructions), `"lanes"` (Lane-Instructions), or `"both"` (either kind with equal '
-    "probability).",
+    'cross: `"cells"` (Position-Instructions), `"lanes"` (Lane-Instructions), `"manoeuvres"`, or `"both"` (one of '
+    "the first two with equal probability).",
     "decision_limit": "Slowest decision of the ADS that is no finding [s]. Depends on wall-clock time.",
 }
 """Meanings of arguments that no docstring explains."""
@@ -120,7 +120,8 @@ FILE_TEXTS: Mapping[str, str] = {
     "scenario.traffic": "[The style](../explanation/traffic.md) in which the NPCs drive, or a mapping with changed "
     "parts, `{style: everyday, least_gap: 4.0}`. If it is not given, they drive as in the paper.",
     "scenario.npcs": "One list of [instructions](scenarios.md) per NPC: Position-Instructions `{cell, speed}`, "
-    "Lane-Instructions `{lane, speed}`, or one Crossing-Instruction `{zone, slot, speed, act}`. Speeds are in m/s.",
+    "Lane-Instructions `{lane, speed}`, one Crossing-Instruction `{zone, slot, speed, act}`, or one manoeuvre "
+    "`{beside, ahead, speed, steps}`. Speeds are in m/s.",
     "expect.assertion": "The failing assertion without its message, with `N` for each number; for a failed check, the "
     "name of the check; for any other exception, its statement or the first line of its message, likewise.",
     "expect.reference_drivers": "[The outcome](../explanation/findings.md#who-could-have-prevented-it) of each "
