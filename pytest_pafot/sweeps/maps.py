@@ -180,17 +180,22 @@ class Sweep:
 
     @property
     def islands(self) -> tuple[str, ...]:
-        """The points whose answer differs from that on both sides along an axis, grouped, each group in a sentence.
+        """Groups of neighbouring points with one answer that lie between points with the other, each in a sentence.
 
-        On one of the two sides the situation is harder, so either a harder one was avoided and an easier one failed, or
-        the other way round. Points that are unavoidable or were not as asked say nothing about the policy.
+        Where one of the two sides is harder, either a harder situation was avoided and an easier one failed, or the
+        other way round. A group that reaches from one end of an axis to the other is a limit and no island. Points that
+        are unavoidable or were not as asked say nothing about the policy.
         """
         odd: dict[Index, tuple[Point, Point]] = {}
         for axis, size in enumerate(self.shape):
             for first in product(*(range(1 if each == axis else other) for each, other in enumerate(self.shape))):
                 self._find_between(odd, [(*first[:axis], each, *first[axis + 1 :]) for each in range(size)])
         sentences = []
-        for group in _groups(odd, lambda index: self.point(*index).fails):
+        told = [index for index in product(*map(range, self.shape)) if self.point(*index).kind in TOLD]
+        for group in _groups(told, lambda index: self.point(*index).fails):
+            reaches = [{index[axis] for index in group} >= {0, size - 1} for axis, size in enumerate(self.shape)]
+            if any(reaches) or not odd.keys() >= set(group):
+                continue
             here, (low, high) = self.point(*group[0]), odd[group[0]]
             does = ("fails", "pass") if here.fails else ("passes", "fail")
             more = "" if len(group) == 1 else f" (and {plural(len(group) - 1, 'point')} beside it)"
