@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 
@@ -142,9 +141,3 @@ def _dynamics(trace: Trace, npc: int, number: int, step: Step, span: tuple[int, 
         tolerance = BRAKING_SHARE * step.acceleration
         found.append(Asked(npc, number, "acceleration", step.acceleration, hardest, tolerance, "m/s^2"))
     return found
-
-
-def begin_times(trace: Trace, npc: int) -> tuple[tuple[float, float], ...]:
-    """Return when each step of an NPC's manoeuvre that began did so, and when the next one did or the run ended [s]."""
-    begun = trace.begun[npc] if npc < len(trace.begun) else ()
-    return tuple((begin / trace.physics_hz, end / trace.physics_hz) for begin, end in pairwise([*begun, trace.ticks]))

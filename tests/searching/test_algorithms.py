@@ -93,7 +93,11 @@ def test_custom_algorithm_is_a_class_or_its_name():
     of_class = resolve_algorithm(Own)
     assert of_class.make(SPACE, population=6, jump=0.1) == Own(SPACE, population=6, jump=0.1)
     assert resolve_algorithm("tests.searching.test_algorithms:Own") == of_class
-    assert (of_class.name, of_class.fitness, of_class.instructions) == ("own", "default", ("cells", "lanes", "manoeuvres", "both"))
+    assert (of_class.name, of_class.fitness, of_class.instructions) == (
+        "own",
+        "default",
+        ("cells", "lanes", "manoeuvres", "both"),
+    )
     assert of_class.library is None
 
 
