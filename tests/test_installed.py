@@ -51,7 +51,9 @@ def test_package_contains_every_example_policy_and_no_tests(installed):
 def test_documented_policies_are_installed_and_importable_anywhere(installed, tmp_path):
     documents = "".join(path.read_text(encoding="utf-8") for path in (ROOT / "docs").rglob("*.md"))
     named = {*re.findall(r"--ads ([a-z][\w.:-]+)", documents)}
-    names = sorted(name for name in named if name.split(":")[0] not in ("policy", "test_policy"))  # files of documents
+    names = sorted(
+        name for name in named if name.split(":")[0] not in ("policy", "planner", "test_policy")
+    )  # files of documents
     assert {"idm_mobil", "example_ads.defects:make:two-defects"} <= {*names}
     code = (
         "import sys, pytest_pafot\n"

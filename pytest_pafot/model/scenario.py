@@ -698,7 +698,7 @@ def _checked_chains(npcs: object) -> tuple[Chromosome, ...]:
         chains = tuple(tuple(chain) for chain in npcs)  # type: ignore[attr-defined]
     except TypeError:
         expected = "one chain of instructions per NPC"
-        fix = "write [[PositionInstruction(cell, speed), ...], ...]"
+        fix = "write [[PositionInstruction(cell, speed), ...], ...], or [[Manoeuvre(...)], ...]"
         raise ScenarioError(field="npcs", expected=expected, received=repr(npcs), fix=fix) from None
     if not 1 <= len(chains) <= 8:
         raise ScenarioError(field="npcs", expected="1 to 8 NPCs, one per cell at most", received=str(len(chains)))

@@ -19,6 +19,7 @@ COLOURS: dict[Kind, str] = {
     "avoided": "#8cc5a2",
     "preventable": "#c0392b",
     "unavoidable": "#5d6770",
+    "ADS error": "#1d1f21",
     "not as asked": "#ffffff",
 }
 """The colours of a picture, which differ in lightness, too."""
@@ -135,12 +136,12 @@ def _table(sweep: Sweep) -> str:
 
 
 def _name(kind: Kind) -> str:
-    return kind.replace(" ", "-")
+    return kind.lower().replace(" ", "-")
 
 
 def _data(sweep: Sweep) -> str:
     """Return what the page's script needs, as JSON: each point in words, and the runs of those that can be played."""
-    first: tuple[Kind, ...] = ("preventable", "unavoidable", "not as asked", "avoided")
+    first: tuple[Kind, ...] = ("ADS error", "preventable", "unavoidable", "not as asked", "avoided")
     order = sorted(range(len(sweep.points)), key=lambda number: first.index(sweep.points[number].kind))
     played = {number for number in order if sweep.points[number].trace is not None}
     played = set([number for number in order if number in played][:MOST_PLAYED])

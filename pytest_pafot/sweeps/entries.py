@@ -106,7 +106,8 @@ class Entry:
                     f"{self.name}: expected one of the parameters {', '.join(self.parameters)}, received {name!r}{hint}"
                 )
             if plain_number(value) is None:
-                raise RequestError(f"{self.name}: {name}: expected a number, received {value!r:.60}")
+                many = "; pafot.sweep drives several values" if isinstance(value, list | tuple) else ""
+                raise RequestError(f"{self.name}: {name}: expected a number, received {value!r:.60}{many}")
         defaults = {name: each.default for name, each in self.parameters.items()}
         return self.make(defaults | values, self.world() if world is None else world)
 

@@ -40,8 +40,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     of_points = "the largest number of points that are all driven (default: %(default)s); a larger grid is refined"
     parser.add_argument("--points", type=int, metavar="N", default=POINTS, help=of_points)
     parser.add_argument("--against", metavar="FILE", help="a saved map; tell what has changed since")
-    of_fail = "exit with 1 if a point is preventable, that is fails though a reference driver avoids it; or if one is "
-    of_fail += "worse than in the map of --against, where it was avoided"
+    of_fail = "exit with 1 if a point is preventable, that is fails though a reference driver avoids it or by an error "
+    of_fail += (
+        "of the ADS, and if no point came up as asked; or if one was avoided in the map of --against, and is no more"
+    )
     parser.add_argument("--fail-on", choices=("preventable", "worse"), help=of_fail)
     parser.add_argument("--csv", metavar="FILE", help="save the map; --against reads it")
     parser.add_argument("--html", metavar="FILE", help="write a page on which each point plays its run")
@@ -84,7 +86,8 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
     finally:
         sys.stdout.write(f"{made.explain(width)}\n")
     sys.stdout.write("".join(f"wrote {visible(path)}\n" for path in written))
-    failed = {"preventable": made.preventable, "worse": made.worse}.get(arguments.fail_on)
+    is_empty = made.not_as_asked == len(made.points)  # which says nothing, and so must not pass
+    failed = {"preventable": made.preventable + made.errors or is_empty, "worse": made.worse}.get(arguments.fail_on)
     return FAILED if failed else 0
 
 

@@ -18,6 +18,7 @@ from pytest_pafot.campaign.saved_scenario import SavedScenario
 from pytest_pafot.campaign.verdict import Test, Verdict, assertions, headline, judge, reference_outcomes
 from pytest_pafot.corpus.layout import SUFFIX
 from pytest_pafot.corpus.reader import load
+from pytest_pafot.criticality.asked import asked
 from pytest_pafot.findings.finding import Finding
 from pytest_pafot.model.scenario import Scenario, ScenarioError
 from pytest_pafot.model.trace import Outcome, Trace
@@ -33,23 +34,25 @@ from pytest_pafot.world.driving.ads import AdsFactory
 from pytest_pafot.world.guard.own_worlds import rollout_of
 from pytest_pafot.world.protocol import reference_world, taking_over
 
-Kind = Literal["avoided", "preventable", "unavoidable", "not as asked"]
+Kind = Literal["avoided", "preventable", "unavoidable", "ADS error", "not as asked"]
 """What became of a point: ``avoided``; ``preventable``, it failed though a reference driver avoids it; ``unavoidable``,
-it failed and no reference driver avoids it; ``not as asked``, the situation did not come up as it was asked for."""
+it failed and no reference driver avoids it; ``ADS error``, the policy raised, took too long or gave no valid action;
+``not as asked``, the situation did not come up as it was asked for."""
 
 KINDS: tuple[Kind, ...] = get_args(Kind)
-MARKS: dict[Kind, str] = {"avoided": ".", "preventable": "X", "unavoidable": "#", "not as asked": "?"}
-MARKS_OF_ASSUMED: dict[Kind, str] = {"avoided": ",", "preventable": "x", "unavoidable": "=", "not as asked": "?"}
+MARKS: dict[Kind, str] = dict(zip(KINDS, ".X#E?", strict=True))
+MARKS_OF_ASSUMED: dict[Kind, str] = dict(zip(KINDS, ",x=e?", strict=True))
 """The characters of points in a terminal; the second ones are of points that were not driven."""
 MEANINGS: dict[Kind, str] = {
     "avoided": "avoided",
-    "preventable": "failed, though a reference driver avoids it",
+    "preventable": "failed though a reference driver avoids it",
     "unavoidable": "unavoidable",
+    "ADS error": "ended by an error of the ADS",
     "not as asked": "not as asked",
 }
 WIDTH = 100
 """The width of a map in a terminal, unless it is narrower [columns]."""
-TOLD: tuple[Kind, ...] = ("avoided", "preventable")
+TOLD: tuple[Kind, ...] = ("avoided", "preventable", "ADS error")
 """The kinds of points that say something about the policy."""
 POINTS = 400
 """The largest number of points that are all driven; of a larger grid every fourth in each direction is, and between
@@ -84,7 +87,13 @@ class Point:
     @property
     def fails(self) -> bool:
         """True if the policy failed."""
-        return self.kind in ("preventable", "unavoidable")
+        return self.kind in ("preventable", "unavoidable", "ADS error")
+
+    @property
+    def ego_off(self) -> float:
+        """By how much the ego was faster than asked as the first manoeuvre by distance began [m/s]; 0 if none did."""
+        met = () if self.trace is None else asked(self.trace)
+        return next((each.was - each.asked for each in met if each.what == "ego speed"), 0.0)
 
     @property
     def mark(self) -> str:
@@ -107,8 +116,8 @@ class Change:
 
     @property
     def is_worse(self) -> bool:
-        """True if it was avoided before, and is preventable now."""
-        return self.before == "avoided" and self.now == "preventable"
+        """True if it was avoided before, and is not now."""
+        return self.before == "avoided"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)
@@ -147,13 +156,18 @@ class Sweep:
         return self.count("avoided")
 
     @property
+    def errors(self) -> int:
+        """The number of points at which the policy raised, took too long or gave no valid action."""
+        return self.count("ADS error")
+
+    @property
     def not_as_asked(self) -> int:
         """The number of points at which the situation did not come up as asked."""
         return self.count("not as asked")
 
     @property
     def worse(self) -> tuple[Change, ...]:
-        """The changes for the worse: avoided before, preventable now."""
+        """The changes for the worse: avoided before, and now failed, or no longer as asked."""
         return tuple(change for change in self.changes if change.is_worse)
 
     @property
@@ -221,19 +235,26 @@ class Sweep:
     @property
     def headline(self) -> str:
         """The counts of all kinds in a line."""
-        words = {
-            "avoided": "avoided",
-            "preventable": "failed though a reference driver avoids it",
-            "unavoidable": "unavoidable",
-            "not as asked": "not as asked",
-        }
         counts = Counter(point.kind for point in self.points)
-        return f"{plural(len(self.points), 'point')}: " + ", ".join(f"{counts[kind]} {words[kind]}" for kind in KINDS)
+        told = [f"{counts[kind]} {MEANINGS[kind]}" for kind in KINDS if counts[kind] or kind != "ADS error"]
+        return f"{plural(len(self.points), 'point')}: {', '.join(told)}"
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What else there is to say: points that were not driven, islands, and changes."""
+        """What else there is to say: errors, why points were not as asked, islands, changes, points not driven."""
         notes = []
+        for kind in ("ADS error", "not as asked"):
+            some = [point for point in self.points if point.kind == kind and point.driven]
+            if some:
+                notes.append(f"{kind}, such as {self.where(some[0].at)}: {some[0].words}")
+        if self.not_as_asked == len(self.points):
+            notes.append("no point came up as asked, so this map says nothing about the policy")
+        off = max((abs(point.ego_off) for point in self.points if point.kind != "not as asked"), default=0.0)
+        if off > EGO_OFF:
+            notes.append(
+                f"the ego was up to {off:.1f} m/s off the speed asked for when a manoeuvre began; give the policy this "
+                "speed as the one that it keeps"
+            )
         if self.driven < len(self.points):
             notes.append(
                 f"{self.driven} points were driven, the others lie between points with the same answer; islands "
@@ -310,6 +331,8 @@ class Sweep:
 
 AVOIDABLE, NOBODY = " avoids it", "no reference driver avoids it"
 """The end of the words on a failure, after the name of a reference driver that avoids it; and if there is none."""
+EGO_OFF = 0.3
+"""The difference of the ego's speed to the one asked for [m/s] from which a map tells of it."""
 MOST_NAMED = 6
 """The largest number of islands, and of changes, that are named."""
 
@@ -571,7 +594,7 @@ def judged(run: Run, holds: Test, test_file: str) -> Judged:
         avoiding = next((name for name, outcome in outcomes if outcome == "avoids"), "")
         what = f"{headline(run, verdict)}; {avoiding}{AVOIDABLE}" if avoiding else f"{headline(run, verdict)}; {NOBODY}"
     if verdict.is_ads:
-        return Judged(verdict, "preventable", headline(run, verdict), avoiding)
+        return Judged(verdict, "ADS error", headline(run, verdict), avoiding)
     missed = [each.words for each in run.asked if not each.is_met]
     if missed:
         return Judged(verdict, "not as asked", "; ".join([*missed, what]), avoiding)
@@ -699,7 +722,9 @@ def _read(scenario: str, names: Sequence[str], path: str | Path) -> dict[tuple[s
         raise wrong("CSV in UTF-8", error) from None
     columns = list(rows[0]) if rows else []
     if columns != [*names, *FIXED]:
-        raise wrong(f"the columns {', '.join([*names, *FIXED])}", ", ".join(map(str, columns)) or "no rows")
+        expected = f"the columns {', '.join([*names, *FIXED])}"
+        same = "; give the axes in the same order" if {*columns} == {*names, *FIXED} else ""
+        raise wrong(expected, f"{', '.join(map(str, columns)) or 'no rows'}{same}")
     found: dict[tuple[str, ...], Kind] = {}
     for row in rows:
         if row["scenario"] != plain_cell(scenario):

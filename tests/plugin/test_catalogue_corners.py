@@ -66,9 +66,11 @@ def test_error_in_the_property_is_not_unavoidable():
     assert made.preventable == 2
 
 
-def test_policy_that_raises_is_a_failure_on_the_map():
+def test_policy_that_raises_is_an_error_on_the_map():
     made = pafot.sweep("r157/cut-in", raises, over={"gap": [20, 40]})
-    assert made.preventable == 2
+    assert (made.errors, made.preventable) == (2, 0)
+    assert ", 2 ended by an error of the ADS, " in made.headline
+    assert made.notes[0].startswith("ADS error, such as gap 20 m: ")
 
 
 @table("ads", [keeps_speed, brakes_late])

@@ -105,7 +105,7 @@ def test_each_point_tells_its_numbers_without_scripts(made):
     assert [*buttons] == [3, 4, 5, 0, 1, 2]  # the largest row is the highest
     words = " ".join(reader.words)
     assert made.headline in words
-    assert all(meaning in words for meaning in MEANINGS.values())
+    assert {kind for kind, meaning in MEANINGS.items() if meaning in words} == {*MEANINGS} - {"ADS error"}
 
 
 def test_page_plays_the_runs_that_were_driven():

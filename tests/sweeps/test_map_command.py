@@ -20,6 +20,10 @@ def brakes():
     return lambda seen: (-4.0, 0.0)
 
 
+def raises():
+    return lambda seen: 1 / 0
+
+
 class Named:
     def __init__(self, text):
         self.action = (float(text), 0.0)
@@ -132,6 +136,26 @@ def test_against_an_earlier_map_only_worse_points_count(told):
     assert told(*brakes, "--csv", "good.csv")[0] == 0
     code, out, _ = told(*CUT_IN, "--over", "gap=40:60:2", "--against", "good.csv", *worse)
     assert (code, "\nchanged: gap 40 m was avoided, is preventable\n" in out) == (1, True)
+
+
+@table("policy", ["brakes", "raises"])
+def test_policy_that_meets_no_point_or_raises_does_not_pass(told, policy):
+    stops = ("r157/cut-in", "--ads", f"policies:{policy}", *OVER)
+    code, out, _ = told(*stops, "--set", "relative_speed=-3", "--fail-on", "preventable")
+    note = (
+        "no point came up as asked, so this map says nothing" if policy == "brakes" else "ADS error, such as gap 0 m: "
+    )
+    assert (code, note in out) == (1, True), out
+    code, out, _ = told("r157/cut-in", "--ads", "policies:Named:-0.5", *OVER, "--csv", "good.csv")
+    code, out, _ = told(*stops, "--against", "good.csv", "--fail-on", "worse")
+    assert (code, "was avoided, is" in out) == (1, True), out
+
+
+def test_policy_with_another_speed_is_told_of(told):
+    _, out, _ = told("r157/cut-in", "--ads", "policies:Named:0.5", "--over", "gap=20:30:2")
+    assert "m/s off the speed asked for when a manoeuvre began" in out
+    _, out, _ = told(*CUT_IN, "--over", "gap=30:60:2")
+    assert "off the speed" not in out
 
 
 def test_large_grid_is_refined(told):

@@ -189,7 +189,7 @@ def test_narrow_terminal_moves_columns_together_and_wraps_notes():
     assert narrow[narrow.index("1 " + " ." * 30) - 1] == "   0 to 29"
     assert "1 " + "." * 30 in least
     assert max(map(len, least)) <= 40
-    assert " ".join(" ".join(least[-2:]).split()) == ". avoided X failed, though a reference driver avoids it"
+    assert " ".join(" ".join(least[-2:]).split()) == ". avoided X failed though a reference driver avoids it"
 
 
 def test_hostile_name_is_escaped_in_a_terminal():
@@ -284,6 +284,8 @@ def test_changes_since_an_earlier_map_are_worse_or_better():
     assert now.worse == now.changes[-1:]
     assert "changed: ego.speed 1 m/s, npcs.0.0.speed 0 m/s was avoided, is preventable" in now.explain()
     assert (before.changes, mapped("..", "X#", against=before).changes) == ((), ())
+    good = mapped("..", "..")
+    assert [len(mapped(*each, against=good).worse) for each in (("..", ".."), ("#?", "X."))] == [0, 3]
     many = mapped("X" * 9, "." * 9, against=mapped("." * 9, "." * 9))
     assert [len(many.worse), len(many.notes), many.notes[-1]] == [9, 7, "changed: and 3 more"]
 
