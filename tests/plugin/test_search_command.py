@@ -49,6 +49,7 @@ def python(*arguments):
     return done.returncode, done.stdout
 
 
+@pytest.mark.processes
 def test_search_command_saves_a_finding_and_writes_tests(here):
     code, told = python("pytest_pafot", "search", "a_planner:Planner", "--runs", "4", "--seed", "2", "--", "-q")
     assert code == 1
