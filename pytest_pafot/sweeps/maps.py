@@ -29,7 +29,7 @@ from pytest_pafot.support.references import factory_named
 from pytest_pafot.support.text import ascii_text, csv_text, plural, visible, wrapped_to
 from pytest_pafot.sweeps.entries import Entry, entry_of, fits
 from pytest_pafot.sweeps.numbers import Axis, unit_of, values_of, with_number
-from pytest_pafot.world import from_dict
+from pytest_pafot.world import Highway, from_dict
 from pytest_pafot.world.driving.ads import AdsFactory
 from pytest_pafot.world.guard.own_worlds import rollout_of
 from pytest_pafot.world.protocol import reference_world, taking_over
@@ -398,6 +398,9 @@ def swept(
     twice = [each for each in over if each in values]
     if twice:
         raise RequestError(f"{twice[0]}: expected an axis or a value, received both")
+    # A map names what is not the default, so that only maps of the same are compared.
+    name += "" if world is None else f" in {_in_words(world)}"
+    name += "" if holds is None else f", {getattr(holds, '__name__', type(holds).__name__)}"
     before = None if against is None else _before(name, axes, against)  # before anything is driven
     factory = named_factory(ads)
     driver = _Driver(make, axes, factory, place, holds or stays_safe, on_point)
@@ -487,6 +490,14 @@ def _source(what: Any, world: Any, values: Mapping[str, float]) -> tuple[str, An
     place = entry.world(world)
     told = [entry.name, *(f"{name}={short(value)}" for name, value in values.items())]
     return " ".join(told), place, _Made(entry, values, place)
+
+
+def _in_words(world: Any) -> str:
+    """Return a world as its environment, or as what differs from the default highway."""
+    if not isinstance(world, Highway):
+        return str(getattr(world, "env_id", type(world).__name__))
+    data, default = world.to_dict(), Highway().to_dict()
+    return " ".join([type(world).__name__, *(f"{name}={data[name]}" for name in data if data[name] != default[name])])
 
 
 class _Driver:

@@ -274,6 +274,20 @@ def test_grids_of_more_points_than_the_default_are_refined():
 # An earlier map.
 
 
+def test_map_of_another_world_or_check_is_another_map():
+    def never(run):
+        assert run.collision
+
+    def made(**given):
+        return pafot.sweep("r157/cut-in", keeps_speed, over={"gap": [20, 40]}, **given)
+
+    here, there = made(), made(world=pafot.Highway(lanes=3, speed_limit=36.3, duration=20.0))
+    assert there.name == "r157/cut-in in Highway lanes=3 speed_limit=36.3 duration=20.0"
+    assert made(world=pafot.World("highway-v0", planner_hz=5)).name == "r157/cut-in in highway-v0"
+    with pytest.raises(RequestError, match="against: expected a map of r157/cut-in, never over gap, received one of"):
+        made(holds=never, against=here)
+
+
 def test_changes_since_an_earlier_map_are_worse_or_better():
     before, now = mapped("..", "X#"), mapped("X.", ".?", against=mapped("..", "X#"))
     assert now.changes == (
@@ -320,7 +334,7 @@ def test_saved_map_is_a_table_for_other_programs():
 
 
 HEADER = f"{ROWS},{COLUMNS},scenario,result,driven,words\n"
-NAME = two_numbers().id
+NAME = f"{two_numbers().id} in Planted"
 
 
 @table(
