@@ -5,6 +5,7 @@ from __future__ import annotations
 import difflib
 import math
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from typing import Any, TypedDict
 
@@ -13,8 +14,9 @@ import numpy as np
 from pytest_pafot.campaign.line_trace import places_of
 from pytest_pafot.campaign.options import BY_NAME, Settings
 from pytest_pafot.model.driving_style import PAPERS, Traffic
-from pytest_pafot.model.scenario import EGO_LANE, EGO_SPEED
+from pytest_pafot.model.scenario import EGO_LANE, EGO_SPEED, Manoeuvre, Scenario, ScenarioError
 from pytest_pafot.model.trace import Trace
+from pytest_pafot.searching import asked_traffic
 from pytest_pafot.searching.algorithms.catalogue import AlgorithmClass, resolve_algorithm
 from pytest_pafot.searching.ask_tell import Algorithm
 from pytest_pafot.searching.fitness import Weights
@@ -278,6 +280,8 @@ def build_space(request: Request, world: Any) -> SearchSpace:
         # The paper's algorithms keep the paper's space; the others fill in what the mark leaves open.
         drawn = {} if request.algorithm.is_papers else drawn_space(world, {"instructions": kinds[-1], **request.space})
         space = space_on(world, {**drawn, **request.space}, protocol.road_start(world))
+        if space.instructions == "manoeuvres":
+            space = _with_room(space, world, "npcs" in request.space)
         given = ", ".join(f"{name}={value!r}" for name, value in request.space.items())
         sample(space, np.random.default_rng(0))  # so that a wrong argument is one clear error before the search begins
     except WorldError as error:
@@ -285,6 +289,24 @@ def build_space(request: Request, world: Any) -> SearchSpace:
     except (TypeError, ValueError) as error:
         raise request.error(given, error) from None
     return space
+
+
+def _with_room(space: SearchSpace, world: Any, is_number_given: bool) -> SearchSpace:
+    """Return the space with the room for starts of manoeuvres along a world's road, and with no more NPCs than fit."""
+    room = []
+    for side in (-1, 1):
+        gap = asked_traffic.MOST_ROOM
+        while gap > 0:
+            start = Manoeuvre(beside=0, ahead=side * gap, speed=0.0)
+            with suppress(ScenarioError):
+                protocol.check_fits(world, Scenario(npcs=((start,),), ego_lane=space.ego_lane, ego_speed=0.0))
+                break
+            gap -= 1.0
+        room.append(gap)
+    ends = room[0], room[1]
+    most = max(1, asked_traffic.places(ends, -1) + asked_traffic.places(ends, 1))
+    npcs = space.npcs if is_number_given else min(space.npcs, most)
+    return replace(space, room=ends, npcs=npcs, most_npcs=tuple(min(each, most) for each in space.most_npcs))
 
 
 def drawn_space(world: Any, given: Mapping[str, Any]) -> dict[str, Any]:

@@ -33,7 +33,8 @@ COLUMNS: Mapping[str, str] = {
     "gene_seconds": "duration of an instruction [s]",
     "traffic": "style of the traffic; `paper` in a world without styles",
     "traffic_parts": "JSON: the parts of the traffic that differ from its style",
-    "genes": "JSON: each NPC's instructions: cell or lane and speed [m/s], or zone, speed, slot [s], act",
+    "genes": "JSON: each NPC's instructions: cell or lane and speed [m/s], or zone, speed, slot [s], act; or "
+    "`manoeuvre`, speed, lanes beside the ego, gap to it [m], steps",
     "outcome": "how the run ended, such as `collision`",
     "verdict": "verdict of the test: passed, failed, npc (an NPC's fault, which blame excludes), unpreventable, "
     "common (the reference fails, too), invalid, rejected or skipped",

@@ -216,7 +216,7 @@ class _Neighbour:
 
     def faster(self, factor: float) -> Scenario:
         """Return the scenario with all speeds multiplied by a factor."""
-        chains = [tuple(self._at(gene, factor * gene.speed) for gene in chain) for chain in self.scenario.npcs]
+        chains = [tuple(self._at(gene, factor * gene.speed, factor) for gene in chain) for chain in self.scenario.npcs]
         return self._with(chains, ego_speed=self._speed(factor * self.scenario.ego_speed, 0.0))
 
     def lasting(self, seconds: float) -> Scenario:
@@ -239,14 +239,21 @@ class _Neighbour:
     def _speed(self, speed: float, least: float) -> float:
         return round(min(max(speed, least), self.top_speed), 1)
 
-    def _at(self, gene: Gene, speed: float) -> Gene:
-        """Return a gene with another speed, which the traffic allows unless it did not allow the gene's own."""
+    def _at(self, gene: Gene, speed: float, factor: float | None = None) -> Gene:
+        """Return a gene with another speed, which the traffic allows unless it did not allow the gene's own.
+
+        The speeds of a manoeuvre's steps change by the same factor, or without one by the same difference, but a step
+        to a standstill stays one.
+        """
         if isinstance(gene, CrossingInstruction):
             return replace(gene, speed=self._speed(speed, LEAST_SPEED))
         if isinstance(gene, Manoeuvre):
-            factor = speed / gene.speed if gene.speed else 1.0
-            steps = [step if step.speed is None else replace(step, speed=self._speed(factor * step.speed, 0.0))
-                     for step in gene.steps]  # fmt: skip
+            steps = []
+            for step in gene.steps:
+                if step.speed:
+                    wanted = step.speed + speed - gene.speed if factor is None else factor * step.speed
+                    step = replace(step, speed=self._speed(wanted, 0.0))  # noqa: PLW2901
+                steps.append(step)
             return replace(gene, speed=self._speed(speed, 0.0), steps=tuple(steps))
         least = min(self.scenario.traffic.least_speed(self.top_speed), gene.speed)
         return replace(gene, speed=self._speed(speed, least))
@@ -262,13 +269,13 @@ class _Neighbour:
         return moved
 
     def _nudged(self, step: Step) -> Step:
-        """Return a step that begins at a slightly different distance."""
+        """Return a step that begins at a slightly different distance or time."""
         longer = 1 + self._step(DISTANCE)
         if step.gap is not None:
             return replace(step, gap=_within(step.gap * longer, FARTHEST))
         if step.headway is not None:
             return replace(step, headway=_within(step.headway * longer, LONGEST_HEADWAY))
-        return step
+        return replace(step, after=round(step.after * longer, 1))
 
     def _changed(self, gene: Gene) -> Gene:
         """Return a gene with a cell or a lane beside its own; with smaller steps, or at a zone, only moved."""

@@ -69,8 +69,8 @@ SECOND, HALF = SLOT_STEPS_PER_SECOND, SLOT_STEPS_PER_SECOND // 2
 """Steps of a slot, in tenths of a second."""
 
 
-PLAIN_OF_STEPS = ("lateral_speed", "offset", "acceleration")
-"""The numbers of a step that are simplest at their defaults."""
+PLAIN_OF_STEPS = ("lane", "lateral_speed", "offset", "speed", "acceleration")
+"""What of a step is simplest at its default."""
 
 SMALL_SPEEDS = (0.0, 10.0, 20.0, 25.0)
 """Speeds of the instructions in small scenarios [m/s]; if one of them fails, the passes try other speeds in it."""
@@ -158,6 +158,7 @@ def sort_key(scenario: Scenario) -> tuple[int, ...]:
     asked = [chain[0] for chain in scenario.npcs if isinstance(chain[0], Manoeuvre)]
     steps = [step for manoeuvre in asked for step in manoeuvre.steps]
     distances = [each.ahead for each in asked] + [step.gap or step.headway or step.after for step in steps]
+    distances += [step.speed or 0.0 for step in steps]
     slots = [round(abs(each.slot) * SLOT_STEPS_PER_SECOND) for each in scenario.crossings if each is not None]
     crossing = sum(_tenths(each) for each in (*scenario.crossings, *asked) if each is not None)
     start = round(scenario.ego_speed * SPEED_STEPS_PER_MPS)
@@ -442,23 +443,19 @@ def _slower(scenario: Scenario) -> Candidates:
 
 
 def _plainer_manoeuvres(scenario: Scenario) -> Candidates:
-    """Leave out each step of a manoeuvre, give it the default numbers, and round its distance."""
+    """Leave out each step of a manoeuvre, give it the defaults, and round its distance or time and its speed."""
     for npc, (manoeuvre, *_) in enumerate(scenario.npcs):
         if not isinstance(manoeuvre, Manoeuvre):
             continue
         steps = manoeuvre.steps
         for number, step in enumerate(steps):
             simpler: list[tuple[Step, ...]] = [()]
-            simpler.append((replace(step, lateral_speed=DEFAULT_STEP.lateral_speed),))
-            simpler.append((replace(step, offset=DEFAULT_STEP.offset),))
-            simpler.append((replace(step, acceleration=DEFAULT_STEP.acceleration),))
-            for unit in (5, 1):
-                if step.after:
-                    simpler.append((replace(step, after=float(round(step.after / unit) * unit)),))
-                if step.gap is not None:
-                    simpler.append((replace(step, gap=float(round(step.gap / unit) * unit)),))
-                if step.headway is not None:
-                    simpler.append((replace(step, headway=float(round(step.headway / unit) * unit)),))
+            changes: list[dict[str, Any]] = [{name: getattr(DEFAULT_STEP, name)} for name in PLAIN_OF_STEPS]
+            for unit, name in product((5, 1), ("after", "gap", "headway", "speed")):
+                value = getattr(step, name)
+                if value:
+                    changes.append({name: float(round(value / unit) * unit)})
+            simpler += [(replace(step, **change),) for change in changes]
             for each in simpler:
                 chain = (replace(manoeuvre, steps=(*steps[:number], *each, *steps[number + 1 :])),)
                 yield _with_chain(scenario, npc, chain)

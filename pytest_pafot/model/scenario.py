@@ -233,6 +233,9 @@ class CrossingInstruction:
 FARTHEST = 500.0
 """The largest distance of a manoeuvre's start, and of its triggers [m]."""
 
+MOST_BESIDE = 8
+"""The largest number of lanes between the ego and the start of a manoeuvre."""
+
 LONGEST_HEADWAY = 20.0
 """The largest headway that begins a step [s]."""
 
@@ -342,10 +345,9 @@ class Manoeuvre:
     steps: tuple[Step, ...] = ()
 
     def __post_init__(self) -> None:
-        least, most = -8, 8
         beside = plain_whole(self.beside)
-        if beside is None or not least <= beside <= most:
-            expected = f"a whole number of lanes from {least} to {most}, positive to the right"
+        if beside is None or abs(beside) > MOST_BESIDE:
+            expected = f"a whole number of lanes from {-MOST_BESIDE} to {MOST_BESIDE}, positive to the right"
             raise ScenarioError(field="beside", expected=expected, received=repr(self.beside))
         object.__setattr__(self, "beside", beside)
         object.__setattr__(self, "ahead", _tenths_within("ahead", self.ahead, -FARTHEST, FARTHEST))

@@ -142,7 +142,7 @@ class Trace(Shown):
         ads_hz: decisions of the ADS per second; divides ``physics_hz``.
         actions: the actions that the ADS returned, one per decision.
         arrivals: for each NPC and each gene that was started, the tick at which the NPC reached the target, or None.
-        off_road_tick: first tick with the ego's centre off the road, or None.
+        off_road_tick: first tick with the ego's centre off the road, or at which it touched a fixed object; or None.
         max_decision_seconds: longest decision of the ADS in wall-clock time [s]; not reproducible.
         track: None on straight roads; otherwise float64, read-only, shape [ticks + 1, vehicles, 5] with columns: along
             the ego's way [m], across it to the right [m], angle to it [rad], offset from the centre of the vehicle's

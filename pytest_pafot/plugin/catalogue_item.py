@@ -95,7 +95,7 @@ def _drive(item: pytest.Function, entry: Entry, given: Mapping[str, Any]) -> Non
     if missed:
         raise RequestError(f"world: expected pafot.Highway(...) or pafot.World(...), received {world!r:.80}")
     # The default highway is too slow for some entries; a world that the user has chosen is used as it is.
-    world = entry.world(None if world == Highway() else world)
+    world = entry.world(None if world == Highway() and "world" not in given else world)
     values = {name: value for name, value in given.items() if name in entry.parameters}
     test, file = bound_test(item, DEFAULT_ARG), source_file(item.obj, str(item.path))
     try:

@@ -8,15 +8,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from itertools import count
+from itertools import count, product
 from typing import Any
 
 from numpy.random import Generator
 
-from pytest_pafot.model.scenario import SHIFTS, Chromosome, Manoeuvre, Step
+from pytest_pafot.model.scenario import MOST_BESIDE, SHIFTS, Chromosome, Manoeuvre, ScenarioError, Step
 
 FIRST_GAP, SPACING, SPREAD = 12.0, 24.0, 12.0
 """The gap between the ego and the nearest start, from one start to the next, and the part of it that is sampled [m]."""
+MOST_ROOM = 20 * SPACING
+"""The farthest start that is looked for [m]."""
 AHEAD = 0.65
 """Share of the NPCs that start ahead of the ego."""
 FEWEST_STEPS, MOST_STEPS = 6, 14
@@ -33,16 +35,35 @@ NEAR_EGO, ANY_SPEED = 8.0, 0.5
 def drawn(space: Any, others: Sequence[Chromosome], rng: Generator) -> Manoeuvre:
     """Sample the manoeuvre of an NPC beside ``others``; ``space`` is a search space with a fixed start."""
     taken = {_slot(chain[0]) for chain in others if isinstance(chain[0], Manoeuvre)}
-    slot = next(each for each in count() if each not in taken)
-    gap = FIRST_GAP + SPACING * slot + SPREAD * rng.random()
+    slot = next(each for each in count() if not {(-1, each), (1, each)} & taken)
+    gap = FIRST_GAP + SPREAD * rng.random()
     lane = int(rng.integers(space.lanes)) if space.lanes else space.ego_lane
     steps = tuple(step(space, rng) for _ in range(int(rng.integers(FEWEST_STEPS, MOST_STEPS + 1))))
-    ahead = round(gap if rng.random() < AHEAD else -gap, 1)
-    return Manoeuvre(beside=lane - space.ego_lane, ahead=ahead, speed=_speed(space, rng), steps=steps)
+    side = 1 if rng.random() < AHEAD else -1
+    if slot >= places(space.room, side):  # the road is too short there: start anywhere else, next to an NPC if need be
+        free = [
+            (side, slot)
+            for slot, side in product(range(max(places(space.room, -1), places(space.room, 1))), (side, -side))
+            if slot < places(space.room, side) and (side, slot) not in taken
+        ]
+        if not free:
+            expected, received = f"at most {len(others)} NPCs with manoeuvres", f"{len(others) + 1}"
+            fix = "the road has no more room ahead of the ego's start and behind it; ask for fewer NPCs"
+            raise ScenarioError(field="npcs", expected=expected, received=received, fix=fix)
+        side, slot = free[0]
+    ahead = round(side * (gap + SPACING * slot), 1)
+    beside = min(max(lane - space.ego_lane, -MOST_BESIDE), MOST_BESIDE)
+    return Manoeuvre(beside=beside, ahead=ahead, speed=_speed(space, rng), steps=steps)
 
 
-def _slot(manoeuvre: Manoeuvre) -> int:
-    return int((abs(manoeuvre.ahead) - FIRST_GAP + 0.05) // SPACING)
+def places(room: tuple[float, float], side: int) -> int:
+    """Return how many NPCs can start behind the ego (-1) or ahead of it (1) with this room behind and ahead [m]."""
+    return int(min(room[side > 0], MOST_ROOM) // SPACING)
+
+
+def _slot(manoeuvre: Manoeuvre) -> tuple[int, int]:
+    side = 1 if manoeuvre.ahead > 0 else -1
+    return side, max(0, int((abs(manoeuvre.ahead) - FIRST_GAP + 0.05) // SPACING))
 
 
 def step(space: Any, rng: Generator) -> Step:
@@ -82,8 +103,13 @@ def varied(manoeuvre: Manoeuvre, space: Any, rng: Generator) -> Manoeuvre:
 
 
 def in_lane(npcs: Sequence[Chromosome], before: int, now: int) -> tuple[Chromosome, ...]:
-    """Return chains whose manoeuvres start in the same lanes although the ego's first lane is another one."""
+    """Return chains whose manoeuvres start in the same lanes although the ego's first lane is another one.
+
+    On a road of ten lanes and more, those that would start too far aside start nearer.
+    """
     return tuple(
-        (replace(chain[0], beside=chain[0].beside + before - now),) if isinstance(chain[0], Manoeuvre) else chain
+        (replace(chain[0], beside=min(max(chain[0].beside + before - now, -MOST_BESIDE), MOST_BESIDE)),)
+        if isinstance(chain[0], Manoeuvre)
+        else chain
         for chain in npcs
     )

@@ -177,9 +177,10 @@ def _of_another_size(scenario: Scenario, space: SearchSpace, rng: Generator) -> 
     if len(npcs) >= most:
         return scenario
     alone = space.fixed(scenario.ego_lane, scenario.ego_speed, 1, scenario.genes, scenario.gene_seconds)
-    if space.instructions == "manoeuvres" and space.crossings is None:
-        return _child(scenario, (*npcs, (asked_traffic.drawn(alone, npcs, rng),)), rng)
-    return _child(scenario, (*npcs, *sample(alone, rng).npcs), rng)
+    added = sample(alone, rng).npcs
+    if isinstance(added[0][0], Manoeuvre):  # it starts beside the others, not as if it were alone
+        added = ((asked_traffic.drawn(alone, npcs, rng),),)
+    return _child(scenario, (*npcs, *added), rng)
 
 
 def _with_pattern(scenario: Scenario, space: SearchSpace, rng: Generator) -> Scenario:

@@ -86,6 +86,7 @@ class SearchSpace:
             (Lane-Instructions), ``"manoeuvres"``, or ``"both"``, in which each NPC has one of the first two kinds with
             equal probability.
         lanes: number of lanes of a straight road, for manoeuvres; 0 if it is unknown, and NPCs keep their lanes.
+        room: the largest gap between the ego and the start of an NPC with a manoeuvre, behind and ahead [m].
     """
 
     npcs: int = 2
@@ -106,6 +107,7 @@ class SearchSpace:
     most_on_grid: int = MOST_ON_GRID
     instructions: Instructions = "cells"
     lanes: int = 0
+    room: tuple[float, float] = (math.inf, math.inf)
 
     def __post_init__(self) -> None:
         npcs = checked_whole(self.npcs, "npcs", "1 to 8 NPCs, one per cell at most", least=1, most=8)
@@ -144,6 +146,7 @@ class SearchSpace:
             "instructions": "cells",
             "least_npcs": 1,
             "lanes": 0,
+            "room": (math.inf, math.inf),
         }
         return {name: value for name, value in data.items() if name not in usual or value != usual[name]}
 

@@ -11,6 +11,7 @@ the centre of the lane, and the range of sensors.
 from __future__ import annotations
 
 import difflib
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from types import MappingProxyType
@@ -98,6 +99,16 @@ class Entry:
             RequestError: for a parameter that the entry does not have, or a value that is no number.
             ScenarioError: if there is no such scenario, such as for a negative speed.
         """
+        self.check(values)
+        defaults = {name: each.default for name, each in self.parameters.items()}
+        return self.make(defaults | values, self.world() if world is None else world)
+
+    def check(self, values: Mapping[str, float]) -> None:
+        """Refuse values that are no numbers, and parameters that the entry does not have.
+
+        Raises:
+            RequestError: for one of these.
+        """
         for name, value in values.items():
             if name not in self.parameters:
                 near = difflib.get_close_matches(name, self.parameters, n=1)
@@ -108,8 +119,6 @@ class Entry:
             if plain_number(value) is None:
                 many = "; pafot.sweep drives several values" if isinstance(value, list | tuple) else ""
                 raise RequestError(f"{self.name}: {name}: expected a number, received {value!r:.60}{many}")
-        defaults = {name: each.default for name, each in self.parameters.items()}
-        return self.make(defaults | values, self.world() if world is None else world)
 
     def world(self, world: Any = None) -> Any:
         """Return a world, by default a highway, with runs that last as long as this scenario takes."""
@@ -230,7 +239,8 @@ def _pulls_away(v: Mapping[str, float], world: Any) -> Scenario:
 def _tail(v: Mapping[str, float], world: Any) -> Scenario:
     braking = Step(speed=0.0, acceleration=_tenths(v["deceleration"]))
     leader = _leading(v, braking, Step(after=3.0, speed=_tenths(v["pull_speed"]), acceleration=2.0))
-    tail = (PositionInstruction(Cell.REAR, min(_tenths(v["ego_speed"]), float(world.speed_limit))),)
+    fastest = math.floor(10 * world.speed_limit + 1e-9) / 10
+    tail = (PositionInstruction(Cell.REAR, min(_tenths(v["ego_speed"]), fastest)),)
     return replace(_highway(world, v["ego_speed"], leader, tail), traffic=Traffic())  # in which a follower brakes, too
 
 

@@ -23,7 +23,7 @@ from pytest_pafot.findings.finding import Finding
 from pytest_pafot.model.scenario import Scenario, ScenarioError
 from pytest_pafot.model.trace import Outcome, Trace
 from pytest_pafot.oracle.run import Run
-from pytest_pafot.support.errors import RequestError, plain_number, plain_whole
+from pytest_pafot.support.errors import RequestError, plain_whole
 from pytest_pafot.support.files import open_regular, write_whole
 from pytest_pafot.support.references import factory_named
 from pytest_pafot.support.text import ascii_text, csv_text, plural, visible, wrapped_to
@@ -197,11 +197,13 @@ class Sweep:
         """Groups of neighbouring points with one answer that lie between points with the other, each in a sentence.
 
         Where one of the two sides is harder, either a harder situation was avoided and an easier one failed, or the
-        other way round. A group that reaches from one end of an axis to the other is a limit and no island. Points that
-        are unavoidable or were not as asked say nothing about the policy.
+        other way round; so :data:`TWO_SIDED` numbers are left out. A group that reaches from one end of an axis to the
+        other is a limit and no island. Points that are unavoidable or were not as asked say nothing about the policy.
         """
         odd: dict[Index, tuple[Point, Point]] = {}
         for axis, size in enumerate(self.shape):
+            if self.axes[axis].name.rpartition(".")[2] in TWO_SIDED:
+                continue
             for first in product(*(range(1 if each == axis else other) for each, other in enumerate(self.shape))):
                 self._find_between(odd, [(*first[:axis], each, *first[axis + 1 :]) for each in range(size)])
         sentences = []
@@ -331,6 +333,8 @@ class Sweep:
 
 AVOIDABLE, NOBODY = " avoids it", "no reference driver avoids it"
 """The end of the words on a failure, after the name of a reference driver that avoids it; and if there is none."""
+TWO_SIDED = ("slot", "side", "offset", "beside")
+"""Numbers that are not harder in one direction, so that what lies between two of their values is no island."""
 EGO_OFF = 0.3
 """The difference of the ego's speed to the one asked for [m/s] from which a map tells of it."""
 MOST_NAMED = 6
@@ -484,10 +488,8 @@ def _source(what: Any, world: Any, values: Mapping[str, float]) -> tuple[str, An
         place = entry_of("r157/cut-in").world(None) if world is None else world
         return what.id, place, _Made(what, {}, place)
     entry = entry_of(what)
-    for name, value in values.items():
-        if plain_number(value) is None:
-            raise RequestError(f"{entry.name}: {name}: expected a number, received {value!r:.60}")
     place = entry.world(world)
+    entry.check(values)
     told = [entry.name, *(f"{name}={short(value)}" for name, value in values.items())]
     return " ".join(told), place, _Made(entry, values, place)
 
@@ -691,7 +693,7 @@ def _before(name: str, axes: tuple[Axis, ...], against: str | Path | Sweep) -> B
         found = _read(name, names, against)
     points = {_key(at) for at in product(*(axis.values for axis in axes))}
     if points != found.keys():
-        other = next(iter(points - found.keys()), None) or next(iter(found.keys() - points))
+        other = min(points ^ found.keys())
         raise RequestError(
             f"against: expected a map with the same {len(points)} points, received one with {len(found)}; they differ "
             f"at {', '.join(map('='.join, zip(names, other, strict=True)))}; sweep the same values, or save a new map"

@@ -9,6 +9,8 @@ from dataclasses import dataclass, fields, is_dataclass, replace
 from itertools import pairwise
 from typing import Any
 
+import numpy as np
+
 from pytest_pafot.model.scenario import ALONE, Manoeuvre, Scenario
 from pytest_pafot.support.errors import RequestError, plain_number
 
@@ -63,7 +65,7 @@ def values_of(name: str, given: object) -> tuple[float, ...]:
             raise RequestError(f"{expected}, received {given!r:.60}")
         steps = int(count) - 1
         given = [first + (last - first) * step / steps for step in range(steps + 1)]
-    numbers = [plain_number(value) for value in given] if isinstance(given, Sequence) else []
+    numbers = [plain_number(value) for value in given] if isinstance(given, Sequence | np.ndarray) else []
     values = {round(value, 4) + 0.0 for value in numbers if value is not None}
     if not 2 <= len(values) == len(numbers) <= LEVELS:
         raise RequestError(f"{expected}, received {given!r:.60}")

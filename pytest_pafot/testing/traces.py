@@ -372,9 +372,11 @@ def end(world: Any, trace: Trace) -> Promises:
     yield is_whole or trace.track is not None, promise, received
     first = int(off[0]) if len(off) else None
     received = f"off_road_tick {trace.off_road_tick}, outcome {trace.outcome}, and the first such row of states {first}"
-    is_first = trace.off_road_tick in (None, first)
-    yield is_first, "off_road_tick is the first tick with the ego in lane -1, or None", received
-    is_told = trace.outcome is not (Outcome.OFF_ROAD if first is None else Outcome.SAFE)
+    has_touched = first is None and trace.off_road_tick == trace.ticks and trace.outcome is Outcome.OFF_ROAD
+    is_first = trace.off_road_tick in (None, first) or has_touched
+    promise = "off_road_tick is the first tick with the ego in lane -1, the last if it touched a fixed object, or None"
+    yield is_first, promise, received
+    is_told = has_touched or trace.outcome is not (Outcome.OFF_ROAD if first is None else Outcome.SAFE)
     yield is_told, "the outcome is off_road if the ego was in lane -1 and nothing else ended the run", received
     if not trace.arrivals:
         return

@@ -178,6 +178,9 @@ class Rules:
         """Refuse manoeuvres that start in lanes that do not exist, and starts at which vehicles would touch."""
         asked = [(npc, chain[0]) for npc, chain in enumerate(scenario.npcs) if isinstance(chain[0], Manoeuvre)]
         for npc, manoeuvre in asked:
+            for number, step in enumerate(manoeuvre.steps):
+                if step.speed is not None and step.speed > self.road.speed_limit + 1e-9:
+                    self._refuse_speed(f"npcs[{npc}][0].steps[{number}]", step.speed)
             lane, along = scenario.ego_lane + manoeuvre.beside, self.along_at(manoeuvre, scenario)
             if not self._has_lane(lane, along):
                 expected = f"a lane that exists {along - self.ego_start:.0f} m from the ego's start"
@@ -225,12 +228,12 @@ class Rules:
             raise ScenarioError(field="ego_speed", expected=expected, received=f"{scenario.ego_speed:g}")
         for npc, chain in enumerate(scenario.npcs):
             for gene, instruction in enumerate(chain):
-                asked = instruction.steps if isinstance(instruction, Manoeuvre) else ()
-                for step, speed in enumerate((instruction.speed, *(each.speed or 0.0 for each in asked))):
-                    if speed > limit + 1e-9:
-                        place = f"npcs[{npc}][{gene}]" + (f".steps[{step - 1}].speed" if step else ".speed")
-                        expected = f"at most the speed limit of {limit:g} m/s"
-                        raise ScenarioError(field=place, expected=expected, received=f"{speed:g}")
+                if instruction.speed > limit + 1e-9:
+                    self._refuse_speed(f"npcs[{npc}][{gene}]", instruction.speed)
+
+    def _refuse_speed(self, place: str, speed: float) -> None:
+        expected = f"at most the speed limit of {self.road.speed_limit:g} m/s"
+        raise ScenarioError(field=f"{place}.speed", expected=expected, received=f"{speed:g}")
 
     def ticks(self, scenario: Scenario) -> int:
         """Return the number of physics ticks of a run that no collision or failure ends early."""

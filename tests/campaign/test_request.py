@@ -1,5 +1,7 @@
 """The search space that follows from the world, the algorithm and the user's arguments."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from highway_env.vehicle.behavior import IDMVehicle
@@ -9,6 +11,7 @@ from pytest_pafot.campaign.explore import request_of
 from pytest_pafot.campaign.request import build_space, drawn_space
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.searching.algorithms.random_search import RandomSearch
+from pytest_pafot.searching.operators import mutate
 from pytest_pafot.searching.space import SearchSpace, sample
 from pytest_pafot.support.errors import RequestError
 from tests.helpers.tables import table
@@ -121,3 +124,34 @@ def test_acts_are_refused_where_no_npc_crosses():
 def test_unknown_act_is_refused_in_words():
     with pytest.raises(RequestError, match="acts: expected one or more of pass, hold, stop, late, received"):
         space_of(World("intersection-v0"), acts=("wave",))
+
+
+@table(
+    ("world", "given"),
+    [
+        (Highway(), {"npcs": 8, "ego_lane": 1}),
+        (Highway(lanes=6), {}),
+        (World("highway-v0", config={"lanes_count": 12}), {"ego_lane": 11}),
+        (World("merge-v0", planner_hz=5), {}),
+        (World("u-turn-v0", planner_hz=5), {}),
+        (World("two-way-v0", planner_hz=5), {}),
+        (World("lane-keeping-v0", planner_hz=5), {"npcs": 1}),
+        (World("intersection-v0", planner_hz=5), {}),
+        (World("roundabout-v0", planner_hz=5), {}),
+    ],
+)
+def test_sampled_and_varied_manoeuvres_fit_the_road(world, given):
+    space, rng = space_of(world, instructions="manoeuvres", **given), np.random.default_rng(3)
+    for _ in range(60):
+        scenario = sample(space, rng)
+        world.check_fits(scenario)
+        for _ in range(5):
+            scenario = mutate(scenario, space, rng)
+            world.check_fits(scenario)
+
+
+def test_more_manoeuvres_than_fit_a_road_are_refused():
+    space = SearchSpace(npcs=2, instructions="manoeuvres", room=(30.0, 40.0))
+    assert {(chain[0].ahead > 0) for chain in sample(space, np.random.default_rng(0)).npcs} == {True, False}
+    with pytest.raises(ValueError, match="npcs: expected at most 2 NPCs with manoeuvres, received 3; the road has no"):
+        sample(replace(space, npcs=3), np.random.default_rng(0))

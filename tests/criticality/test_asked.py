@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from pytest_pafot import Highway
-from pytest_pafot.criticality.asked import asked, is_as_asked
+from pytest_pafot.criticality.asked import asked
 from pytest_pafot.model.driving_style import Traffic
 from pytest_pafot.model.scenario import Manoeuvre, PositionInstruction, Scenario, Step
-from pytest_pafot.model.trace import ALONG, STRETCH, Outcome, X, Y
+from pytest_pafot.model.trace import ALONG, SPEED, STRETCH, Outcome, X, Y
 from pytest_pafot.oracle.run import Run
 from tests.helpers.tables import table
 from tests.helpers.world_cases import constant_speed, stopping
@@ -41,9 +41,12 @@ def measured(trace, npc=0):
     speeds = np.hypot(np.diff(x, axis=0), np.diff(y, axis=0)) * hz
     steps, begun = trace.scenario.npcs[npc][0].steps, trace.begun[npc]
     speed, found = trace.scenario.npcs[npc][0].speed, []
+    timed = [not each.is_by_distance for each in steps]
     for number, (step, begin) in enumerate(zip(steps, begun, strict=False)):
-        done = trace.arrivals[npc][0] if number == len(steps) - 1 else None
-        end = begun[number + 1] if number + 1 < len(begun) else done or trace.ticks
+        # A timed step begins after all before it were done.
+        after = [later for later in range(number + 1, len(begun)) if timed[later]]
+        end = begun[after[0]] if after else trace.arrivals[npc][0]
+        beside = steps[number + 1 : after[0] if after else len(begun)]
         now = min(begin, trace.ticks - 1)
         distance, facts = x[begin, npc + 1] - x[begin, 0], {}
         gap = math.copysign(max(abs(distance) - 5.0, 0.0), distance)
@@ -54,12 +57,13 @@ def measured(trace, npc=0):
             facts["headway"] = step.headway, gap / max(rear, 0.1), 0.1 + 0.05 * abs(step.headway)
         if number == 0 or not step.is_by_distance:
             facts["speed"] = speed, speeds[now, npc + 1], 1.0
-        change, speed = (0.0, speed) if step.speed is None else (step.speed - speed, step.speed)
-        if number < len(steps) - 1 or done is not None:
-            if step.lane != "keep":
+        change = 0.0 if step.speed is None else step.speed - trace.states[begin, npc + 1, SPEED]
+        speed = speed if step.speed is None else step.speed
+        if end is not None:
+            if step.lane != "keep" and not any(each.lane != "keep" for each in beside):
                 aside = np.abs(np.diff(y[begin : end + 1, npc + 1])) * hz
                 facts["lateral speed"] = step.lateral_speed, max(aside, default=0.0), 0.2 + 0.1 * step.lateral_speed
-            if abs(change) >= 3:
+            if abs(change) >= 3 and all(each.speed is None for each in beside):
                 rates = np.diff(speeds[begin : end + 1, npc + 1]) * hz * np.sign(change)
                 facts["acceleration"] = step.acceleration, max(rates, default=0.0), 0.2 * step.acceleration
         found.append(facts)
@@ -84,7 +88,7 @@ def test_everything_asked_for_is_measured_as_from_positions():
         trace = drive(*random_steps(rng), **start, world=world, ads=rng.choice([constant_speed, stopping]))
         second = measured(trace)
         for each in asked(trace):
-            if each.what in ("ego speed", "step"):
+            if each.what in ("ego speed", "step", "end"):
                 continue
             wanted, was, tolerance = second[each.step].pop(each.what)
             near = 0.5 if each.what != "acceleration" else 0.8
@@ -96,7 +100,8 @@ def test_everything_asked_for_is_measured_as_from_positions():
         assert not any(second), "nothing is left out"
         never = len(trace.begun[0]) < len(trace.scenario.npcs[0][0].steps)
         unfinished = trace.arrivals == ((None,),) and trace.collision is None
-        assert ("step" in {each.what for each in asked(trace)}) == (never or unfinished)
+        whats = {each.what for each in asked(trace)}
+        assert ("step" in whats, "end" in whats) == (never, unfinished and not never), trace.scenario.canonical()
     assert names == {"gap", "headway", "speed", "lateral speed", "acceleration"}
     assert results == {True, False}
 
@@ -105,7 +110,7 @@ def test_run_as_asked_meets_every_part():
     trace = drive(
         Step(gap=20.0, lane="right", lateral_speed=1.2), Step(headway=0.5, speed=10.0), Step(after=1.0, speed=15.0)
     )
-    assert is_as_asked(trace)
+    assert Run(trace).as_asked
     whats = ["ego speed", "gap", "speed", "lateral speed", "headway", "acceleration", "speed", "acceleration"]
     assert [each.what for each in asked(trace)] == whats
     assert [each.step for each in asked(trace)] == [0, 0, 0, 0, 1, 1, 2, 2]
@@ -152,8 +157,9 @@ def test_ego_may_react_after_the_first_distance_of_any_npc():
     [
         ([{"gap": 20.0}], {"speed": 25.0}, ["step 0 did not come up"]),
         ([{}, {"headway": 0.2}, {}], {"speed": 25.0}, ["step 1 did not come up"]),
-        ([{"speed": 0.0, "acceleration": 1.0}], {}, ["step 0 did not come up"]),
-        ([{"lane": "left"}], {"ahead": 0.0, "speed": 20.0, "traffic": Traffic("hostile")}, ["step 0 did not come up"]),
+        ([{"speed": 0.0, "acceleration": 1.0}], {}, ["step 0 was not done"]),
+        ([{"lane": "left"}], {"ahead": 0.0, "speed": 20.0, "traffic": Traffic("hostile")}, ["step 0 was not done"]),
+        ([{"lane": "left"}], {"beside": -1}, ["step 0 was for a lane that the road does not have"]),
         ([{"speed": 0.0, "acceleration": 12.0}], {}, ["acceleration asked 12 m/s^2, was 8.0 m/s^2"]),
         ([{"lane": "right", "lateral_speed": 5.0}], {}, ["lateral speed asked 5 m/s, was 3.2 m/s"]),
         ([{"gap": 40.0, "speed": 26.0}], {"speed": 26.0, "ahead": 45.0}, ["step 0 did not come up"]),
@@ -163,7 +169,7 @@ def test_what_was_not_as_asked_is_named(steps, fields, words):
     trace = drive(*(Step(**step) for step in steps), **fields)
     assert trace.outcome is Outcome.SAFE
     assert missed(trace) == words
-    assert Run(trace).as_asked is is_as_asked(trace) is False
+    assert Run(trace).as_asked is False
     assert f"    not as asked: {words[0]}" in Run(trace).explain().splitlines()
 
 
@@ -172,7 +178,19 @@ def test_step_without_time_before_a_collision_is_not_evaluated():
     assert trace.outcome is Outcome.COLLISION
     assert trace.arrivals == ((None,),)
     assert [each.what for each in asked(trace)] == ["ego speed", "gap", "speed"]
-    assert is_as_asked(trace)
+    assert Run(trace).as_asked
+
+
+def test_steps_that_overlap_are_judged_by_what_they_did():
+    def answering():
+        return lambda observation: (-5.0 if observation.time > 1.5 else 0.0, 0.0)
+
+    steps = Step(gap=25, lane="left", lateral_speed=2.0), Step(gap=24, speed=10.0), Step(after=1.0, speed=20.0)
+    whats = [each.what for each in asked(drive(*steps, ads=answering)) if each.what != "ego speed"]
+    assert whats == ["gap", "speed", "lateral speed", "gap", "acceleration", "speed", "acceleration"]
+    assert missed(drive(*steps, ads=answering)) == []
+    begun_twice = drive(Step(gap=25, speed=5.0), Step(gap=24, speed=10.0), ads=answering)
+    assert [each.step for each in asked(begun_twice) if each.what == "acceleration"] == [1], "the first had no time"
 
 
 def test_npc_that_others_slow_down_begins_at_another_speed():

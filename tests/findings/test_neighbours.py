@@ -105,7 +105,9 @@ def test_neighbours_of_a_manoeuvre_differ_in_speeds_and_distances(manoeuvre, sha
                 assert (now is None) == (before is None)
                 assert now is None or abs(now - before) <= share * DISTANCE * abs(before) + 0.051
             assert step.speed is None or 0 <= step.speed <= TOP
-            assert replace(step, gap=old.gap, headway=old.headway, speed=old.speed) == old
+            assert abs(step.after - old.after) <= share * DISTANCE * old.after + 0.051
+            assert (step.speed is None) == (old.speed is None)
+            assert replace(step, gap=old.gap, headway=old.headway, after=old.after, speed=old.speed) == old
 
 
 def test_distances_of_a_manoeuvre_are_moved():
@@ -114,6 +116,15 @@ def test_distances_of_a_manoeuvre_are_moved():
     assert len({each.npcs[0][0].steps[0].gap for each in several}) > 5
     assert len({each.npcs[0][0].steps[1].headway for each in several}) > 3
     assert {each.gene_seconds for each in several} == {10.0}, "it changes nothing"
+
+
+def test_steps_of_a_standing_manoeuvre_are_faster_and_slower_and_its_stop_stays():
+    pulls_away = Manoeuvre(beside=0, ahead=90.0, speed=0.0, steps=(Step(gap=60.0, speed=10.0), Step(speed=0.0)))
+    scenario = Scenario(npcs=((pulls_away,),))
+    speeds = [step.speed for each in around(scenario) for step in each.npcs[0][0].steps]
+    assert 10.0 - SPEED <= min(speeds[::2]) <= max(speeds[::2]) <= 10.0 + SPEED
+    assert len({*speeds[::2]}) > 5
+    assert {*speeds[1::2]} == {0.0}
 
 
 def test_only_the_longest_chains_are_longer():

@@ -52,14 +52,15 @@ def some(test):
 @table(
     ("test", "step"),
     [
-        (lambda step: step.gap is not None, Step(gap=20.0, lane="left", speed=9.1)),
-        (lambda step: (step.gap or 0) > 20, Step(gap=22.0, lane="left", speed=9.1)),
-        (lambda step: (step.gap or 0) > 20 and step.offset < 0, Step(gap=22.0, lane="left", offset=-0.4, speed=9.1)),
-        (lambda step: step.acceleration > 4 and step.gap, Step(gap=20.0, lane="left", speed=9.1, acceleration=6.2)),
-        (lambda step: (step.headway or 0) > 1, Step(headway=1.3, speed=23.0)),
-        (lambda step: step.headway is not None, Step(headway=0.0, speed=23.0)),
+        (lambda step: step.gap is not None, Step(gap=20.0)),
+        (lambda step: (step.gap or 0) > 20, Step(gap=22.0)),
+        (lambda step: (step.gap or 0) > 20 and step.offset < 0, Step(gap=22.0, offset=-0.4)),
+        (lambda step: step.acceleration > 4 and step.gap, Step(gap=20.0, acceleration=6.2)),
+        (lambda step: (step.headway or 0) > 1, Step(headway=1.3)),
+        (lambda step: step.headway is not None, Step(headway=0.0)),
         (lambda step: step.lane == "right", Step(lane="right")),
-        (lambda step: step.lateral_speed < 1, Step(lane="right", lateral_speed=0.7)),
+        (lambda step: 8 < (step.speed or 0) < 12, Step(gap=20.0, speed=10.0)),
+        (lambda step: step.lateral_speed < 1, Step(lateral_speed=0.7)),
     ],
 )
 def test_only_the_step_that_is_needed_remains_with_plain_numbers(test, step):

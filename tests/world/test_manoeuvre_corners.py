@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from pytest_pafot import Highway, World
-from pytest_pafot.criticality.asked import is_as_asked
 from pytest_pafot.findings.neighbours import Limits, neighbours
 from pytest_pafot.model.scenario import (
     LaneInstruction,
@@ -66,13 +65,13 @@ def test_lane_that_does_not_exist_on_a_bent_road_is_not_as_asked():
     world = World("roundabout-v0", planner_hz=5, duration=4.0)
     trace = drive(ahead(Step(lane="left"), ahead=12.0, speed=8.0), world=world, ego_lane=1, ego_speed=8.0)
     assert np.ptp(trace.npcs[:, 0, LANE]) == 0
-    assert not is_as_asked(trace)
+    assert not Run(trace).as_asked
 
 
 def test_change_of_lanes_keeps_its_lateral_speed_while_a_later_step_begins():
     trace = drive(ahead(Step(lane="right", lateral_speed=0.5), Step(gap=25.0, speed=12.0), beside=1, speed=15.0))
     fastest = np.abs(np.diff(trace.npcs[:, 0, Y])).max() * trace.physics_hz
-    assert fastest <= 0.5 + 1e-9 or not is_as_asked(trace)
+    assert fastest <= 0.5 + 1e-9 or not Run(trace).as_asked
 
 
 def test_explanation_has_some_twenty_lines():

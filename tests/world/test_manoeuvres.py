@@ -421,6 +421,18 @@ def test_npc_enters_the_lane_that_merges_and_leaves_it():
     assert trace.npcs[-1, 0, SPEED] == pytest.approx(20.0, abs=0.3)
 
 
+def test_npc_leaves_a_lane_that_ends_whatever_it_was_asked_for():
+    """In the paper's traffic, in which it gives way to nobody."""
+    npc = Manoeuvre(beside=0, ahead=200.0, speed=20.0, steps=(Step(lane="right", lateral_speed=2.0),))
+    world = World("merge-v0", planner_hz=5, duration=14.0)
+    lane, speed = world.start
+    trace = world.rollout(Scenario(npcs=((npc,),), ego_lane=lane, ego_speed=speed), constant_speed)
+    lanes = trace.npcs[:, 0, LANE]
+    assert lanes.max() > lane, "it was in the lane that ends"
+    assert lanes.min() >= 0
+    assert lanes[-1] == lane
+
+
 # --- the same run everywhere
 
 OF_EACH_ROAD = (HIGHWAY, MERGE, ROUNDABOUT, INTERSECTION)

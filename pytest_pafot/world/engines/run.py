@@ -96,6 +96,8 @@ class VehiclesOfRun:
         elif loop.is_over:
             touched = Outcome.COLLISION if loop.ego_touched else Outcome.INVALID
             outcome = touched if loop.ego_touched or loop.npcs_touched else places.left or outcome
+            if outcome is Outcome.OFF_ROAD and off_road_tick is None:  # it has touched a fixed object beside the road
+                off_road_tick = loop.tick
         return Trace(
             scenario=self.scenario,
             executed=self.director.executed,

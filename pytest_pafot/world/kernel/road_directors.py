@@ -105,6 +105,11 @@ class NetworkDirector(Director):
         self._move(npc, goal, self._following(npc, wanted))
 
     def _drive(self, npc: Npc, wanted: float) -> None:
+        if not self._goes_on(npc.heading_for, npc):  # whatever it was asked for, it stays on the road
+            for lane in (npc.lane, npc.lane - 1, npc.lane + 1):
+                if self._goes_on(lane, npc):
+                    npc.heading_for = lane
+                    break
         self._move(npc, npc.heading_for, wanted)
 
     def _move(self, npc: Npc, goal: int, wanted: float) -> None:

@@ -12,6 +12,7 @@ from pytest_pafot.findings.finding import disagreement
 from pytest_pafot.model.scenario import PositionInstruction, Scenario
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.oracle.run import Run
+from pytest_pafot.testing.traces import end
 from pytest_pafot.world import Highway, World
 from pytest_pafot.world.engines.gym_replay import StockVehicle
 from tests.helpers.c_library import c_library
@@ -178,6 +179,9 @@ def test_ego_that_touches_a_fixed_obstacle_ends_off_the_road_there():
     distance = np.hypot(*(first.ego[:, :2] - obstacle.position).T)
     assert first.outcome is Outcome.OFF_ROAD
     assert first.collision is None
+    assert first.off_road_tick == first.ticks
+    assert Run(first).off_road
+    assert all(is_kept for is_kept, *_ in end(world, first))
     assert 2.0 < distance[-1] < 3.5 < distance[-2], "half the lengths of the car and the obstacle, 5 m and 2 m"
 
 
