@@ -310,6 +310,11 @@ class Step:
         speed = "" if self.speed is None else f"to {self.speed:g} m/s at {self.acceleration:g} m/s^2"
         return ", ".join(filter(None, (aside, offset, speed))) or "hold"
 
+    @property
+    def words(self) -> str:
+        """When it begins and what the NPC does then, in words."""
+        return f"{self.trigger} {self.act}".lstrip()
+
 
 STEP_BOUNDS = (
     ("gap", -FARTHEST, FARTHEST),
@@ -386,7 +391,7 @@ class Manoeuvre:
     @property
     def goal(self) -> str:
         """The start and the steps in words."""
-        told = (" ".join(filter(None, (step.trigger, step.act))) for step in self.steps)
+        told = (step.words for step in self.steps)
         return "; ".join([self.place, *told])
 
 

@@ -633,7 +633,7 @@ def _manoeuvre_lines(trace: Trace) -> list[str]:
         begun = trace.begun[npc] if npc < len(trace.begun) else ()
         for number, step in enumerate(manoeuvre.steps):
             when = f"{begun[number] / trace.physics_hz:6.1f} s" if number < len(begun) else "   never"
-            lines.append(f"  {when}  {' '.join(filter(None, (step.trigger, step.act)))}")
+            lines.append(f"  {when}  {step.words}")
         lines += [f"    not as asked: {each.words}" for each in missed if each.npc == npc]
     return lines if len(lines) <= MAX_STEP_ROWS else [*lines[: MAX_STEP_ROWS - 1], "  ..."]
 

@@ -558,7 +558,7 @@ def _steps(trace: Trace | None, npc: int, manoeuvre: Manoeuvre) -> Iterator[Inst
     speed = manoeuvre.speed
     for gene, step in enumerate((None, *manoeuvre.steps)):
         is_begun = gene < len(times)
-        words = manoeuvre.place if step is None else " ".join(filter(None, (step.trigger, step.act)))
+        words = manoeuvre.place if step is None else step.words
         if step is not None:
             speed = speed if step.speed is None else step.speed
             words = "; ".join([words, *(each.words for each in missed if each.step == gene - 1)])
