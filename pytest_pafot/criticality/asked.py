@@ -118,7 +118,8 @@ def _of_npc(trace: Trace, npc: int, manoeuvre: Manoeuvre) -> list[Asked]:
         # It was done when a timed step after it began, or with the manoeuvre; those between go on beside it.
         later = list(zip(manoeuvre.steps, begun, strict=False))[number + 1 :]
         timed = next((place for place, (each, _) in enumerate(later) if not each.is_by_distance), len(later))
-        end = later[timed][1] if timed < len(later) else done
+        has_waited = trace.collision is None and len(begun) < len(manoeuvre.steps)  # until the end of the run
+        end = later[timed][1] if timed < len(later) else trace.ticks if has_waited else done
         if end is not None:
             found += _dynamics(trace, npc, number, [step, *(each for each, _ in later[:timed])], (begin, end))
     has_time = trace.collision is None or not begun  # a collision leaves later steps no time

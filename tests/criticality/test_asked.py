@@ -45,7 +45,8 @@ def measured(trace, npc=0):
     for number, (step, begin) in enumerate(zip(steps, begun, strict=False)):
         # A timed step begins after all before it were done.
         after = [later for later in range(number + 1, len(begun)) if timed[later]]
-        end = begun[after[0]] if after else trace.arrivals[npc][0]
+        waits = len(begun) < len(steps) and trace.outcome is not Outcome.COLLISION
+        end = begun[after[0]] if after else trace.ticks if waits else trace.arrivals[npc][0]
         beside = steps[number + 1 : after[0] if after else len(begun)]
         now = min(begin, trace.ticks - 1)
         distance, facts = x[begin, npc + 1] - x[begin, 0], {}
