@@ -106,7 +106,7 @@ def _drive(item: pytest.Function, entry: Entry, given: Mapping[str, Any]) -> Non
     except ScenarioError as error:  # for a value that is no such scenario
         raise RequestError(f"{entry.name}: {error}") from None
     if why:
-        pytest.skip(f"this world cannot drive it: {visible(why)}")
+        pytest.skip(f"{entry.name}: this world cannot drive it: {visible(why)}")
     with refusals():
         run = driven(world, scenario, ads)
     found = judged(run, test, file)
@@ -116,7 +116,7 @@ def _drive(item: pytest.Function, entry: Entry, given: Mapping[str, Any]) -> Non
     if found.error is not None:
         raise shown(found.error)
     if exception is None or not (found.avoided_by or found.verdict.is_ads):
-        pytest.skip(visible(f"{found.kind}: {found.words}"))
+        pytest.skip(visible(f"{entry.name}: {found.kind}: {found.words}"))
     told = [f"{entry.name}: {entry.about}", f"source     {entry.source}", f"result     {found.words}"]
     explanation = run.explain().splitlines()
     told += [] if explanation[0] in str(exception) else explanation

@@ -12,6 +12,7 @@ from typing import Any
 
 from pytest_pafot.commands.policy_reference import ABOUT_POLICIES, ads_factory, check_function
 from pytest_pafot.corpus.layout import SUFFIX
+from pytest_pafot.episodes.rate_command import config_of
 from pytest_pafot.support.errors import RequestError
 from pytest_pafot.support.files import way_out, write_whole
 from pytest_pafot.support.text import visible, wrapped_to
@@ -33,8 +34,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     of_over = "a number and its first and last value and their count; once or twice"
     parser.add_argument("--over", metavar="NAME=FIRST:LAST:COUNT", action="append", default=[], help=of_over)
     parser.add_argument("--set", metavar="NAME=VALUE", action="append", default=[], help="another number of an entry")
-    of_world = "a highway-env environment, driven in SI units (default: a highway, or the world of the finding)"
+    of_world = (
+        "a highway-env environment, without --config driven in SI units (default: a highway, or that of the finding)"
+    )
     parser.add_argument("--world", metavar="ID", help=of_world)
+    of_config = (
+        "options of --world, as for gymnasium.make; the policy then has the environment's observations and actions"
+    )
+    parser.add_argument("--config", metavar="JSON", help=of_config)
     of_check = "a function of a run, which asserts what must hold (default: no collision, never off the road)"
     parser.add_argument("--check", metavar="MODULE:FUNCTION", help=of_check)
     of_points = "the largest number of points that are all driven (default: %(default)s); a larger grid is refined"
@@ -66,13 +73,15 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
         )
     if arguments.fail_on == "worse" and arguments.against is None:
         raise RequestError("--fail-on worse: expected --against with a saved map, received none; save one with --csv")
+    if arguments.config is not None and arguments.world is None:
+        raise RequestError("--config: expected an environment, received none; give --world")
     is_watched = sys.stderr is not None and sys.stderr.isatty()
     made = swept(
         arguments.what,
         ads_factory(arguments.ads),
         over_of(arguments.over),
         _set(arguments.set),
-        world=None if arguments.world is None else World(arguments.world, planner_hz=5),
+        world=_world(arguments),
         holds=None if arguments.check is None else check_function(arguments.check),
         points=arguments.points,
         against=arguments.against,
@@ -89,6 +98,16 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
     is_empty = made.not_as_asked == len(made.points)  # which says nothing, and so must not pass
     failed = {"preventable": made.preventable + made.errors or is_empty, "worse": made.worse}.get(arguments.fail_on)
     return FAILED if failed else 0
+
+
+def _world(arguments: argparse.Namespace) -> World | None:
+    if arguments.world is None:
+        return None
+    return (
+        World(arguments.world, planner_hz=5)
+        if arguments.config is None
+        else World(arguments.world, config_of(arguments.config))
+    )
 
 
 def _tell(count: int) -> None:

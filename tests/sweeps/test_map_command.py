@@ -20,6 +20,10 @@ def brakes():
     return lambda seen: (-4.0, 0.0)
 
 
+def same():
+    return lambda seen: 1  # an action of the environment
+
+
 def raises():
     return lambda seen: 1 / 0
 
@@ -111,6 +115,16 @@ def test_numbers_policy_and_property_are_taken_from_arguments(told):
     assert (code, "2 points: 0 avoided" in out) == (0, True)
 
 
+def test_policy_of_an_environment_is_driven_with_its_config(told):
+    side = ("--world", "highway-v0", "--config", '{"lanes_count": 2, "vehicles_count": 1}', "--set", "side=-1")
+    code, out, _ = told(
+        "r157/cut-in", "--ads", "policies:same", "--over", "gap=20:60:2", "--set", "ego_speed=20", *side
+    )
+    assert (code, out.split(":")[0]) == (0, "r157/cut-in ego_speed=20 side=-1 in highway-v0\n2 points"), out
+    assert "0 avoided" in out
+    assert "cannot be driven" not in out
+
+
 def test_axes_are_the_numbers_of_a_finding(told, here):
     finding = plain_finding()
     write(here / f"{finding.id}.pafot.yaml", finding)
@@ -167,6 +181,8 @@ def test_large_grid_is_refined(told):
     ("arguments", "text"),
     [
         (["r157/cutin", *CUT_IN[1:], *OVER], "map: catalogue: expected one of .*; did you mean 'r157/cut-in'"),
+        ([*CUT_IN, *OVER, "--config", "{}"], "--config: expected an environment, received none; give --world"),
+        ([*CUT_IN, *OVER, "--world", "highway-v0", "--config", "{"], "--config: expected JSON such as"),
         (["r158"], "map: catalogue: expected one of"),
         (["r157/cut-in", *OVER], "map: expected --ads with a policy and --over .*, received no --ads"),
         ([*CUT_IN], "received no --over; `map` without arguments lists the catalogue"),
