@@ -26,7 +26,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 import pytest_pafot as pafot
-from example_ads.fiss import MAX_DECELERATION, MAX_STEERING, MAX_STEERING_RATE, PREDICTION_STEP
+
+from .fiss import MAX_DECELERATION, MAX_STEERING, MAX_STEERING_RATE, PREDICTION_STEP
 
 if TYPE_CHECKING:
     from pytest_pafot import Observation
