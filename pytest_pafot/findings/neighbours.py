@@ -18,6 +18,7 @@ from pytest_pafot.model.scenario import (
     ALONE,
     FARTHEST,
     LARGEST_SLOT,
+    LATEST,
     LONGEST_GENE,
     LONGEST_HEADWAY,
     SHIFTS,
@@ -275,7 +276,7 @@ class _Neighbour:
             return replace(step, gap=_within(step.gap * longer, FARTHEST))
         if step.headway is not None:
             return replace(step, headway=_within(step.headway * longer, LONGEST_HEADWAY))
-        return replace(step, after=round(step.after * longer, 1))
+        return replace(step, after=_within(step.after * longer, LATEST))
 
     def _changed(self, gene: Gene) -> Gene:
         """Return a gene with a cell or a lane beside its own; with smaller steps, or at a zone, only moved."""

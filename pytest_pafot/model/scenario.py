@@ -239,6 +239,9 @@ MOST_BESIDE = 8
 LONGEST_HEADWAY = 20.0
 """The largest headway that begins a step [s]."""
 
+LATEST = 600.0
+"""The longest time between two steps [s]."""
+
 FASTEST_ASIDE = 5.0
 """The largest lateral speed that a step can ask for [m/s]."""
 
@@ -296,7 +299,7 @@ class Step:
 
     @property
     def trigger(self) -> str:
-        """What begins the step, in words: ``at a gap of 20 m``; empty if it begins as the step before ends."""
+        """The trigger in words: ``at a gap of 20 m``; empty if it begins as the step before ends."""
         for value, what, unit in ((self.gap, "gap", "m"), (self.headway, "headway", "s")):
             if value is not None:
                 return f"at a {what} of {abs(value):g} {unit}{' behind' if value < 0 else ''}"
@@ -304,7 +307,7 @@ class Step:
 
     @property
     def act(self) -> str:
-        """What the NPC does, in words: ``left at 1.5 m/s, to 5 m/s at 3 m/s^2``."""
+        """The act in words: ``left at 1.5 m/s, to 5 m/s at 3 m/s^2``."""
         aside = "" if self.lane == "keep" else f"{self.lane} at {self.lateral_speed:g} m/s"
         offset = f"{abs(self.offset):g} m {'left' if self.offset < 0 else 'right'} of the centre" if self.offset else ""
         speed = "" if self.speed is None else f"to {self.speed:g} m/s at {self.acceleration:g} m/s^2"
@@ -312,14 +315,14 @@ class Step:
 
     @property
     def words(self) -> str:
-        """When it begins and what the NPC does then, in words."""
+        """The trigger and the act in words."""
         return f"{self.trigger} {self.act}".lstrip()
 
 
 STEP_BOUNDS = (
     ("gap", -FARTHEST, FARTHEST),
     ("headway", -LONGEST_HEADWAY, LONGEST_HEADWAY),
-    ("after", 0.0, 600.0),
+    ("after", 0.0, LATEST),
     ("lateral_speed", 0.1, FASTEST_ASIDE),
     ("offset", -1.9, 1.9),
     ("speed", 0.0, MAX_SPEED),

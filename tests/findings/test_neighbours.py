@@ -127,6 +127,12 @@ def test_steps_of_a_standing_manoeuvre_are_faster_and_slower_and_its_stop_stays(
     assert {*speeds[1::2]} == {0.0}
 
 
+def test_latest_step_gets_no_later():
+    latest = Manoeuvre(beside=0, ahead=90.0, speed=10.0, steps=(Step(after=600.0),))
+    times = {each.npcs[0][0].steps[0].after for each in around(Scenario(npcs=((latest,),)))}
+    assert 540.0 <= min(times) < max(times) == 600.0
+
+
 def test_only_the_longest_chains_are_longer():
     one = (PositionInstruction(2, 10.0),)
     scenario = Scenario(npcs=(one, (PositionInstruction(3, 5.0), PositionInstruction(2, 5.0))))
