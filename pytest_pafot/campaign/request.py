@@ -301,7 +301,7 @@ def _with_room(space: SearchSpace, world: Any, is_number_given: bool) -> SearchS
             with suppress(ScenarioError):
                 protocol.check_fits(world, Scenario(npcs=((start,),), ego_lane=space.ego_lane, ego_speed=0.0))
                 break
-            gap -= 1.0
+            gap -= asked_traffic.SPACING  # each start takes that much, so a finer answer would be the same
         room.append(gap)
     ends = room[0], room[1]
     most = max(1, asked_traffic.places(ends, -1) + asked_traffic.places(ends, 1))

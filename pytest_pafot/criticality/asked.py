@@ -58,7 +58,7 @@ class Asked:
 
     @property
     def words(self) -> str:
-        """What was asked and what was, in words."""
+        """The words for it: ``gap asked 20 m, was 20.4 m``."""
         if self.what in NOT_DONE:
             return f"step {self.step} {NOT_DONE[self.what]}"
         return f"{self.what} asked {self.asked:g} {self.unit}, was {self.was:.1f} {self.unit}"
@@ -83,9 +83,9 @@ def asked(trace: Trace) -> tuple[Asked, ...]:
     found: list[Asked] = []
     by_distance = [
         (begin, npc, number)
-        for npc, chain in enumerate(trace.scenario.npcs[: len(trace.begun)])
+        for npc, chain in enumerate(trace.scenario.npcs)
         if isinstance(chain[0], Manoeuvre)
-        for number, (step, begin) in enumerate(zip(chain[0].steps, trace.begun[npc], strict=False))
+        for number, (step, begin) in enumerate(zip(chain[0].steps, trace.steps_begun(npc), strict=False))
         if step.is_by_distance
     ]
     if by_distance:  # at the first, the ego drives its own speed, unless it has reacted to a step by time before
@@ -99,7 +99,7 @@ def asked(trace: Trace) -> tuple[Asked, ...]:
 
 
 def _of_npc(trace: Trace, npc: int, manoeuvre: Manoeuvre) -> list[Asked]:
-    begun = trace.begun[npc] if npc < len(trace.begun) else ()
+    begun = trace.steps_begun(npc)
     done = trace.arrivals[npc][0] if npc < len(trace.arrivals) and trace.arrivals[npc] else None
     found: list[Asked] = []
     speed = manoeuvre.speed

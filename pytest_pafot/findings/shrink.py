@@ -160,7 +160,7 @@ def sort_key(scenario: Scenario) -> tuple[int, ...]:
     distances = [each.ahead for each in asked] + [step.gap or step.headway or step.after for step in steps]
     distances += [step.speed or 0.0 for step in steps]
     slots = [round(abs(each.slot) * SLOT_STEPS_PER_SECOND) for each in scenario.crossings if each is not None]
-    crossing = sum(_tenths(each) for each in (*scenario.crossings, *asked) if each is not None)
+    alone = sum(_tenths(each) for each in (*scenario.crossings, *asked) if each is not None)
     start = round(scenario.ego_speed * SPEED_STEPS_PER_MPS)
     return (
         len(scenario.npcs),
@@ -176,7 +176,7 @@ def sort_key(scenario: Scenario) -> tuple[int, ...]:
         + sum((slot % SECOND > 0) + (slot % HALF > 0) for slot in slots)
         + sum(_roughness(round(abs(distance) * SPEED_STEPS_PER_MPS)) for distance in distances)
         + sum(getattr(step, name) != getattr(DEFAULT_STEP, name) for step in steps for name in PLAIN_OF_STEPS),
-        sum(speeds) - crossing + sum(slots),
+        sum(speeds) - alone + sum(slots),
         int(scenario.traffic != PAPERS),
         scenario.seed,
     )

@@ -178,6 +178,10 @@ class Trace(Shown):
     begun: tuple[tuple[int, ...], ...] = ()
     _readings: dict[Hashable, Any] = field(default_factory=dict, init=False, repr=False)
 
+    def steps_begun(self, npc: int) -> tuple[int, ...]:
+        """Return the ticks at which the steps of an NPC's manoeuvre began; empty without a manoeuvre."""
+        return self.begun[npc] if npc < len(self.begun) else ()
+
     def __post_init__(self) -> None:
         for name in ("states", "sizes", "track", "on_way"):
             if getattr(self, name) is None:

@@ -456,7 +456,7 @@ class Run(Shown):
 
     @cached_property
     def asked(self) -> tuple[Asked, ...]:
-        """What the scenario's manoeuvres asked for, and what it was in this run; empty without manoeuvres."""
+        """All that the scenario's manoeuvres asked for, with what it was in this run; empty without manoeuvres."""
         return asked(self.trace)
 
     @property
@@ -481,7 +481,7 @@ class Run(Shown):
         names = [f"scenario {self.scenario.id}", f"repair seed {self.scenario.seed}"]
         names += [f"position rule: {self.second_opinion}"] if self.second_opinion != self.responsibility else []
         names += filter(None, [self.scenario.traffic.described])
-        crossing = [*_crossing_lines(self.trace), *_manoeuvre_lines(self.trace)]
+        crossing = [*_crossing_lines(self.trace), *_manoeuvre_lines(self.trace, self.asked)]
         lines += [*crossing, *_gene_table(self.trace, MAX_GENE_ROWS - len(crossing)), f"  {', '.join(names)}"]
         texts = (ascii_text(" ".join(line.splitlines())) for line in lines)
         return "\n".join(text if len(text) <= LINE_LENGTH else text[: LINE_LENGTH - 3] + "..." for text in texts)
@@ -623,14 +623,14 @@ def _crossing_lines(trace: Trace) -> list[str]:
     return lines if len(shown) == len(told) else [*lines, f"  ... and {len(told) - len(shown)} more that cross"]
 
 
-def _manoeuvre_lines(trace: Trace) -> list[str]:
+def _manoeuvre_lines(trace: Trace, measured: Sequence[Asked]) -> list[str]:
     """Return the start of each manoeuvre, its steps with the times at which they began, and what was not as asked."""
-    lines, missed = [], [each for each in asked(trace) if not each.is_met]
+    lines, missed = [], [each for each in measured if not each.is_met]
     for npc, chain in enumerate(trace.executed.npcs):
         if not isinstance(manoeuvre := chain[0], Manoeuvre):
             continue
         lines.append(f"  NPC {npc}: {manoeuvre.place}, {manoeuvre.speed:.1f} m/s")
-        begun = trace.begun[npc] if npc < len(trace.begun) else ()
+        begun = trace.steps_begun(npc)
         for number, step in enumerate(manoeuvre.steps):
             when = f"{begun[number] / trace.physics_hz:6.1f} s" if number < len(begun) else "   never"
             lines.append(f"  {when}  {step.words}")

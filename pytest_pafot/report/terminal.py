@@ -167,7 +167,7 @@ def speed_sentences(finding: Finding) -> list[str]:
         seconds = interval.gene * finding.scenario.gene_seconds
         when = "on " if isinstance(gene, CrossingInstruction) else f"from {round(seconds, 1):g} s "
         if isinstance(gene, Manoeuvre):
-            when, place = "starts ", f"{gene.place}"
+            when, place = "starts ", gene.place
         speeds = f"any speed from {interval.low:.1f} to {interval.high:.1f} m/s"
         if interval.low == interval.high:
             speeds = f"only a speed of {interval.low:.1f} m/s"

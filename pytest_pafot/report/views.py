@@ -21,7 +21,7 @@ from pytest_pafot.attribution.manoeuvres import stretches
 from pytest_pafot.campaign.events import Find, Judged, SearchEvent, SearchStarted
 from pytest_pafot.corpus.writer import text_of
 from pytest_pafot.criticality import Encounters, Passage, gap, passages, time_advantage, ttc
-from pytest_pafot.criticality.asked import asked
+from pytest_pafot.criticality.asked import Asked, asked
 from pytest_pafot.criticality.signals import jerk
 from pytest_pafot.findings.finding import Expect, Finding
 from pytest_pafot.findings.shrink import blocks, instructions
@@ -518,12 +518,13 @@ def _instructions(trace: Trace | None, scenario: Scenario) -> tuple[InstructionV
     wanted = scenario if trace is None else trace.scenario
     driven, arrivals, hz = (wanted.npcs, (), 1) if trace is None else (trace.chains, trace.arrivals, trace.physics_hz)
     zones = (None,) * len(wanted.npcs) if trace is None or not trace.zones else trace.zones
+    missed = [] if trace is None else [each for each in asked(trace) if not each.is_met]
     views: list[InstructionView] = []
     for npc, chain in enumerate(wanted.npcs):
         begun = arrivals[npc] if npc < len(arrivals) else ()
         for gene, (requested, told) in enumerate(zip(chain, driven[npc], strict=False)):
             if isinstance(requested, Manoeuvre):
-                views += _steps(trace, npc, requested)
+                views += _steps(trace, npc, requested, [each for each in missed if each.npc == npc])
                 continue
             tick = None if trace is None else arrival(trace, npc, gene)
             view = InstructionView(
@@ -549,12 +550,11 @@ def _instructions(trace: Trace | None, scenario: Scenario) -> tuple[InstructionV
     return tuple(views)
 
 
-def _steps(trace: Trace | None, npc: int, manoeuvre: Manoeuvre) -> Iterator[InstructionView]:
+def _steps(trace: Trace | None, npc: int, manoeuvre: Manoeuvre, missed: Sequence[Asked]) -> Iterator[InstructionView]:
     """Yield the start of a manoeuvre and its steps, each as an instruction for a lane."""
-    begun = () if trace is None or npc >= len(trace.begun) else trace.begun[npc]
+    begun = () if trace is None else trace.steps_begun(npc)
     hz, last = (1, 0.0) if trace is None else (trace.physics_hz, trace.duration)
     times = [0.0, *(tick / hz for tick in begun)]
-    missed = [] if trace is None else [each for each in asked(trace) if each.npc == npc and not each.is_met]
     speed = manoeuvre.speed
     for gene, step in enumerate((None, *manoeuvre.steps)):
         is_begun = gene < len(times)

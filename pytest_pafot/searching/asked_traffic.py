@@ -21,7 +21,8 @@ MOST_ROOM = 20 * SPACING
 """The farthest start that is looked for [m]."""
 AHEAD = 0.65
 """Share of the NPCs that start ahead of the ego."""
-FEWEST_STEPS, MOST_STEPS = 6, 14
+FEWEST_SAMPLED, MOST_SAMPLED = 6, 14
+"""The smallest and the largest number of steps of a sampled manoeuvre."""
 BY_GAP, BEHIND = 0.2, 0.25
 """Share of the steps that begin at a gap, and of these the share with the NPC behind the ego; the others are timed."""
 NEAR, FAR, LATER = 4.0, 45.0, 4.0
@@ -38,7 +39,7 @@ def drawn(space: Any, others: Sequence[Chromosome], rng: Generator) -> Manoeuvre
     slot = next(each for each in count() if not {(-1, each), (1, each)} & taken)
     gap = FIRST_GAP + SPREAD * rng.random()
     lane = int(rng.integers(space.lanes)) if space.lanes else space.ego_lane
-    steps = tuple(step(space, rng) for _ in range(int(rng.integers(FEWEST_STEPS, MOST_STEPS + 1))))
+    steps = tuple(step(space, rng) for _ in range(int(rng.integers(FEWEST_SAMPLED, MOST_SAMPLED + 1))))
     side = 1 if rng.random() < AHEAD else -1
     if slot >= places(space.room, side):  # the road is too short there: start anywhere else, next to an NPC if need be
         free = [
@@ -97,7 +98,7 @@ def varied(manoeuvre: Manoeuvre, space: Any, rng: Generator) -> Manoeuvre:
         return replace(manoeuvre, steps=(*steps[:place], step(space, rng), *steps[place + 1 :]))
     if steps and kind < 0.75:
         return replace(manoeuvre, steps=(*steps[:place], *steps[place + 1 :]))
-    if len(steps) < MOST_STEPS and kind < 0.9:
+    if len(steps) < MOST_SAMPLED and kind < 0.9:
         return replace(manoeuvre, steps=(*steps[:place], step(space, rng), *steps[place:]))
     return replace(manoeuvre, speed=_speed(space, rng))
 

@@ -81,7 +81,9 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
         ads_factory(arguments.ads),
         over_of(arguments.over),
         _set(arguments.set),
-        world=_world(arguments),
+        world=None
+        if arguments.world is None
+        else World(arguments.world, config_of(arguments.config), planner_hz=5 if arguments.config is None else None),
         holds=None if arguments.check is None else check_function(arguments.check),
         points=arguments.points,
         against=arguments.against,
@@ -98,16 +100,6 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
     is_empty = made.not_as_asked == len(made.points)  # which says nothing, and so must not pass
     failed = {"preventable": made.preventable + made.errors or is_empty, "worse": made.worse}.get(arguments.fail_on)
     return FAILED if failed else 0
-
-
-def _world(arguments: argparse.Namespace) -> World | None:
-    if arguments.world is None:
-        return None
-    return (
-        World(arguments.world, planner_hz=5)
-        if arguments.config is None
-        else World(arguments.world, config_of(arguments.config))
-    )
 
 
 def _tell(count: int) -> None:

@@ -74,6 +74,7 @@ class Point:
         at: the values of the axes there.
         kind: what became of it.
         words: what happened, in a line.
+        avoided_by: a reference driver that avoids what the policy failed; empty if there is none.
         driven: False if it lies between points with the same answer and was not driven.
         trace: the run; None if there is none.
     """
@@ -81,6 +82,7 @@ class Point:
     at: tuple[float, ...]
     kind: Kind
     words: str
+    avoided_by: str = ""
     driven: bool = True
     trace: Trace | None = field(default=None, compare=False, repr=False)
 
@@ -243,7 +245,7 @@ class Sweep:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What else there is to say: errors, why points were not as asked, islands, changes, points not driven."""
+        """All else there is to say: errors, why points were not as asked, islands, changes, points not driven."""
         notes = []
         for kind in ("ADS error", "not as asked"):
             some = [point for point in self.points if point.kind == kind and point.driven]
@@ -266,10 +268,7 @@ class Sweep:
         notes += [f"island: {sentence}" for sentence in islands[:MOST_NAMED]]
         if len(islands) > MOST_NAMED:
             notes.append(f"island: and {len(islands) - MOST_NAMED} more")
-        otherwise = sum(
-            point.kind == "not as asked" and point.words.endswith(AVOIDABLE) and not point.words.endswith(NOBODY)
-            for point in self.points
-        )
+        otherwise = sum(point.kind == "not as asked" and point.avoided_by != "" for point in self.points)
         if otherwise:
             notes.append(
                 f"{plural(otherwise, 'point')} failed in another situation than was asked for, though a reference "
@@ -331,8 +330,6 @@ class Sweep:
         write_whole(Path(path), self.csv())
 
 
-AVOIDABLE, NOBODY = " avoids it", "no reference driver avoids it"
-"""The end of the words on a failure, after the name of a reference driver that avoids it; and if there is none."""
 TWO_SIDED = ("slot", "side", "offset", "beside")
 """Numbers that are not harder in one direction, so that what lies between two of their values is no island."""
 EGO_OFF = 0.3
@@ -568,7 +565,7 @@ class _Driver:
                 f"holds: expected a function that asserts, received {type(raised).__name__}: {visible(str(raised))} at "
                 f"{where}; correct the function"
             ) from raised
-        return Point(at=at, kind=found.kind, words=visible(found.words), trace=run.trace)
+        return Point(at=at, kind=found.kind, words=visible(found.words), avoided_by=found.avoided_by, trace=run.trace)
 
 
 def driven(world: Any, scenario: Scenario, ads: Callable[..., Any]) -> Run:
@@ -579,7 +576,7 @@ def driven(world: Any, scenario: Scenario, ads: Callable[..., Any]) -> Run:
 
 @dataclass(frozen=True, slots=True)
 class Judged:
-    """What became of a run that was asked for: the verdict, the kind, words, and a reference driver that avoids it."""
+    """The answer for a run that was asked for: the verdict, the kind, words, and a reference driver that avoids it."""
 
     verdict: Verdict
     kind: Kind
@@ -605,7 +602,7 @@ def judged(run: Run, holds: Test, test_file: str) -> Judged:
     if verdict.failed:
         outcomes = reference_outcomes(run, holds, blame="any", test_file=test_file)
         avoiding = next((name for name, outcome in outcomes if outcome == "avoids"), "")
-        what = f"{headline(run, verdict)}; {avoiding}{AVOIDABLE}" if avoiding else f"{headline(run, verdict)}; {NOBODY}"
+        what = f"{headline(run, verdict)}; {avoiding or 'no reference driver'} avoids it"
     if verdict.is_ads:
         return Judged(verdict, "ADS error", headline(run, verdict), avoiding)
     missed = [each.words for each in run.asked if not each.is_met]

@@ -12,6 +12,7 @@ from pytest_pafot.model.scenario import (
     LARGEST_SLOT,
     SLOT_STEPS_PER_SECOND,
     CrossingInstruction,
+    Gene,
     Manoeuvre,
     Scenario,
     ScenarioError,
@@ -188,7 +189,7 @@ class Rules:
                 raise ScenarioError(field=place, expected=expected, received=f"lane {lane}", fix=fix)
         if not asked:
             return
-        numbers = [npc for npc, chain in enumerate(scenario.npcs) if not isinstance(chain[0], CrossingInstruction)]
+        numbers = [npc for npc, _ in _not_crossing(scenario)]
         places = start_places(self, scenario, self.director(scenario, NPC_LENGTH).first_cells())
         taken: list[tuple[int, float, int]] = []
         for npc, (own, its_lane) in zip((-1, *numbers), places, strict=True):
@@ -246,6 +247,12 @@ def ego_start(headway: float, clearance: float) -> float:
     return max(200.0, 50.0 + headway * TOP_SPEED + clearance)
 
 
+def _not_crossing(scenario: Scenario) -> list[tuple[int, Gene]]:
+    """Return the NPCs that start around the ego and not on a way that crosses, each with its first gene."""
+    firsts = [(npc, chain[0]) for npc, chain in enumerate(scenario.npcs)]
+    return [(npc, first) for npc, first in firsts if not isinstance(first, CrossingInstruction)]
+
+
 def start_positions(
     rules: Rules, scenario: Scenario, cells: tuple[Cell, ...], ego_length: float = NPC_LENGTH
 ) -> list[tuple[float, float, float]]:
@@ -263,8 +270,7 @@ def start_places(
     """Return the place along the road [m] and the lane of the ego and of each NPC at tick 0."""
     far = rules.start_distance(scenario, ego_length)
     beside = [(rules.ego_start + cell.row * far, scenario.ego_lane + cell.column) for cell in cells]
-    firsts = [chain[0] for chain in scenario.npcs if not isinstance(chain[0], CrossingInstruction)]
-    for number, first in enumerate(firsts):
+    for number, (_, first) in enumerate(_not_crossing(scenario)):
         if isinstance(first, Manoeuvre):
             along = rules.along_at(first, scenario, ego_length)
             beside[number] = along, scenario.ego_lane + first.beside
@@ -277,8 +283,8 @@ def start_speeds(rules: Rules, scenario: Scenario, cells: tuple[Cell, ...], ego_
     Just after a bend, an NPC's heading still differs from its course, so the NPC turns, and at a higher speed faster.
     """
     road = rules.road
-    firsts = [chain[0] for chain in scenario.npcs if not isinstance(chain[0], CrossingInstruction)]
-    wanted = [first.speed if isinstance(first, Manoeuvre) else scenario.ego_speed for first in firsts]
+    firsts = _not_crossing(scenario)
+    wanted = [first.speed if isinstance(first, Manoeuvre) else scenario.ego_speed for _, first in firsts]
     if isinstance(road, StraightRoad):
         return wanted
     _, *places = start_places(rules, scenario, cells, ego_length)

@@ -1,34 +1,18 @@
 """The adapter of FISS+ translates axes, car and map; the planner itself is the published one."""
 
-import math
-
 import pytest
 
 from pytest_pafot.world.kernel.observation import Observation, VehicleState
+from tests.helpers.bicycle import HZ, moved
 from tests.helpers.stages import oracle
 
 pytest.importorskip("fiss_planner", reason='needs pip install "pytest-pafot[fiss]"')
 
 from example_ads import fiss
 
-HZ = 15
-
 
 def vehicle(*, x=100.0, lane=1, speed=22.0):
     return VehicleState(x=x, y=lane * 4.0, heading=0.0, speed=speed, lane=lane, length=5.0, width=2.0)
-
-
-def moved(car, acceleration=0.0, steering=0.0):
-    """Move a car by one tick of highway-env's bicycle model."""
-    slip = math.atan(math.tan(steering) / 2)
-    y = car.y + car.speed * math.sin(car.heading + slip) / HZ
-    return car._replace(
-        x=car.x + car.speed * math.cos(car.heading + slip) / HZ,
-        y=y,
-        heading=car.heading + car.speed * math.sin(slip) / (car.length / 2) / HZ,
-        speed=car.speed + acceleration / HZ,
-        lane=round(y / 4.0),
-    )
 
 
 def drive(seconds, *others, ego=None, lanes=4):

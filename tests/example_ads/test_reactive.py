@@ -1,11 +1,10 @@
 """The adapter of CommonRoad's reactive planner translates axes, car and road; the planner is the published one."""
 
-import math
-
 import pytest
 
 from pytest_pafot import Drive, Observation
 from pytest_pafot.world import VehicleState
+from tests.helpers.bicycle import HZ, moved
 
 pytest.importorskip("commonroad_rp", reason='needs pip install "commonroad-reactive-planner>=2025.1,<2026"')
 
@@ -13,24 +12,9 @@ from example_ads import reactive
 
 pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning")  # of its dependencies
 
-HZ = 15
-
 
 def vehicle(*, x=100.0, y=4.0, speed=16.0, heading=0.0):
     return VehicleState(x=x, y=y, heading=heading, speed=speed, lane=round(y / 4.0), length=5.0, width=2.0)
-
-
-def moved(car, acceleration=0.0, steering=0.0):
-    """Move a car by one tick of highway-env's bicycle model."""
-    slip = math.atan(math.tan(steering) / 2)
-    y = car.y + car.speed * math.sin(car.heading + slip) / HZ
-    return car._replace(
-        x=car.x + car.speed * math.cos(car.heading + slip) / HZ,
-        y=y,
-        heading=car.heading + car.speed * math.sin(slip) / (car.length / 2) / HZ,
-        speed=max(car.speed + acceleration / HZ, 0.0),
-        lane=round(y / 4.0),
-    )
 
 
 def drive(seconds, *others, ego, ads, lanes=3):

@@ -289,14 +289,15 @@ class JunctionDirector(BaseDirector):
     @property
     def driven(self) -> tuple[tuple[Cell, ...], ...]:
         """The cell that each NPC drove to in each started gene if ``executed`` cannot express it; else empty."""
-        rows = () if self._grid is None else self._grid.driven
-        others = iter(rows)
-        return tuple(next(others) if each is None else () for each in self._scenario.crossings) if rows else ()
+        return self._with_crossing(() if self._grid is None else self._grid.driven)
 
     @property
     def begun(self) -> tuple[tuple[int, ...], ...]:
         """The ticks at which the steps of each NPC's manoeuvre began; empty if no NPC has one."""
-        rows = () if self._grid is None else self._grid.begun
+        return self._with_crossing(() if self._grid is None else self._grid.begun)
+
+    def _with_crossing(self, rows: tuple[tuple[Any, ...], ...]) -> tuple[tuple[Any, ...], ...]:
+        """Return the rows of the NPCs around the ego, with an empty one for each that crosses; empty without rows."""
         others = iter(rows)
         return tuple(next(others) if each is None else () for each in self._scenario.crossings) if rows else ()
 
