@@ -137,8 +137,15 @@ class ExecutorPool:
         if error is not None and not self.failure:
             self._submit([scenario])
             again = self._gather(scenario)
+            # These errors say that a worker or the connection was lost; KilledWorker is Dask's. Any other may do so once,
+            # because Dask's executor fails with a ValueError when a worker dies while its answer is read.
+            is_lost = isinstance(again, (BrokenExecutor, CancelledError, OSError))
             if isinstance(again, OSError):
                 self.failure = f"{type(again).__name__}: {again}"
+            elif again is not None and not is_lost and type(again).__name__ != "KilledWorker":
+                expected = "workers that can run scenarios, with the same packages as this session"
+                received = f"received {type(again).__name__}: {again}"
+                raise ExecutionError(f"pafot_executor: expected {expected}, {received}") from None
             elif again is not None and not self.failure:
                 return _lost(scenario, again)
             else:
@@ -181,12 +188,6 @@ class ExecutorPool:
             try:
                 done: Done | str | None = _result(future)
             except Exception as error:  # noqa: BLE001  (any executor may raise anything)
-                # These errors say nothing about the scenarios, which may succeed elsewhere. KilledWorker is Dask's.
-                is_lost = isinstance(error, (BrokenExecutor, CancelledError, OSError))
-                if not is_lost and type(error).__name__ != "KilledWorker":
-                    expected = "workers that can run scenarios, with the same packages as this session"
-                    received = f"received {type(error).__name__}: {error}"
-                    raise ExecutionError(f"pafot_executor: expected {expected}, {received}") from None
                 del self._under_way[scenario]  # The other scenarios are tried by themselves when they are fetched.
                 return error
             if isinstance(done, str):

@@ -166,6 +166,12 @@ def test_lost_task_is_retried_scenario_by_scenario(pool_of):
     assert recovery_note(pool.recovered[0]).startswith("a worker was lost (KilledWorker) while it ran <Scenario ")
 
 
+def test_an_executor_may_fail_once_without_a_known_reason(pool_of):
+    pool = pool_of(Inline(lost=(1,), error=ValueError))
+    assert numbers(fetched(pool, SCENARIOS[:3])) == [0, 1, 2]
+    assert [lost.how for lost in pool.recovered] == ["was lost (ValueError)"]
+
+
 def test_scenario_lost_twice_is_named_and_others_continue(pool_of):
     first, lost, last = fetched(pool_of(Inline(lost=(1, 3))), SCENARIOS[:3])
     assert numbers([first, last]) == [0, 2]
@@ -214,9 +220,9 @@ def test_worker_with_different_package_versions_is_refused(pool_of, monkeypatch)
 
 
 def test_what_a_worker_lacks_is_told(pool_of):
-    executor = Inline(lost=(0,), error=ModuleNotFoundError)
-    with pytest.raises(ExecutionError, match=r"expected workers .* received ModuleNotFoundError: pafot-1"):
-        fetched(pool_of(executor))
+    executor = Inline(lost=(0, 1), error=ModuleNotFoundError)
+    with pytest.raises(ExecutionError, match=r"expected workers .* received ModuleNotFoundError: pafot-2"):
+        fetched(pool_of(executor), SCENARIOS[:1])
 
 
 def test_modules_of_the_project_travel_by_value(tmp_path, monkeypatch):
