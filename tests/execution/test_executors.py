@@ -220,8 +220,8 @@ def test_worker_with_different_package_versions_is_refused(pool_of, monkeypatch)
 
 
 def test_what_a_worker_lacks_is_told(pool_of):
-    executor = Inline(lost=(0, 1), error=ModuleNotFoundError)
-    with pytest.raises(ExecutionError, match=r"expected workers .* received ModuleNotFoundError: pafot-2"):
+    executor = Inline(lost=range(9), error=ModuleNotFoundError)
+    with pytest.raises(ExecutionError, match=r"expected workers .* received ModuleNotFoundError: pafot-1"):
         fetched(pool_of(executor), SCENARIOS[:1])
 
 
