@@ -156,6 +156,8 @@ class SearchSummary:
         known: number of failing runs by id of the saved scenario with the same failure.
         random_failing, random_otherwise, random_runs: numbers of random scenarios at the beginning: those that failed
             by the ego's fault, those that failed in any other way, and all.
+        given: number of saved scenarios with which the search began; if it is not 0, the three numbers before are of
+            these.
         drawn, coverage: a line on the range of scenarios from which the search sampled, and one on what NPCs reached.
         against: the reference that failures were compared with; empty without one.
         warnings, notes: warnings about its health, and all other remarks except those on processes.
@@ -191,6 +193,7 @@ class SearchSummary:
     random_failing: int = 0
     random_otherwise: int = 0
     random_runs: int = 0
+    given: int = 0
     drawn: str = ""
     coverage: str = ""
     against: str = ""

@@ -187,6 +187,16 @@ class Settings:
         "A search continues with a new budget of runs, generations and time. Several sessions find the same as one "
         "long one. Works with `distinct`, `random`, `random-manoeuvre`, or your own algorithm if it supports it.",
     )
+    begin_with: str | None = option(
+        "text",
+        "Folder of saved scenarios that each search drives first, or `others` for those in which policies of others "
+        "failed.",
+        "They come before the scenarios that the search draws, and count as its runs. The search varies those that are "
+        "closest to a failure. Folders below are included. The ego starts as near to the start in the file as the "
+        "search allows, the traffic is that of the search, and what does not fit the world is left out. Only with "
+        "`distinct` and `map-elites`. [The files called `others`](../explanation/others.md#the-corpus) come with the "
+        "package.",
+    )
     stop_after: int | None = option(
         "integer",
         "Number of distinct new findings after which each search ends.",

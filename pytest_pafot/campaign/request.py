@@ -86,6 +86,7 @@ class SearchArguments(TypedDict, total=False):
     copy: str
     max_time: float
     resume: str
+    begin_with: str
     stop_after: int
     shrink_rollouts: int
     neighbours: int

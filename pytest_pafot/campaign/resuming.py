@@ -116,6 +116,7 @@ class Sessions:
     loop: SearchLoop
     beginning: RandomBeginning
     clock: Callable[[], float]  # returns the seconds since some fixed moment
+    begun: str = ""  # a note on the saved scenarios with which the search begins
     # results of the attempts to shrink each finding so far, by the id of the finding
     answers: dict[str, list[Answer]] = field(default_factory=dict)
     # ids of findings that still must be shrunk, but not in this session, which has no time left for them
@@ -179,7 +180,7 @@ class Sessions:
             *([] if self._earlier is None else [went_on]),
             *([postponed] if self._postponed else []),
             *([left] if unsaved else []),
-            *filter(None, [problem]),
+            *filter(None, [problem, self.begun]),
         ]
 
     def resume(self, algorithm: Algorithm[Any], space: SearchSpace, saved: Sequence[Saved]) -> Checkpoint[Any] | None:

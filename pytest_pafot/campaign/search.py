@@ -15,6 +15,7 @@ from functools import partial
 from typing import Any, NamedTuple
 
 from pytest_pafot.attribution.responsibility import is_ego_responsible
+from pytest_pafot.campaign.beginnings import begun_with
 from pytest_pafot.campaign.events import FindTold, Listener, Progress, SearchStarted, SearchSummary
 from pytest_pafot.campaign.harness import Harness, Simulation, refusals
 from pytest_pafot.campaign.options import FULL, LOCAL, PROFILES, Settings
@@ -38,7 +39,7 @@ from pytest_pafot.searching.fitness import FitnessError, is_built_in, resolve
 from pytest_pafot.searching.space import SearchSpace
 from pytest_pafot.support.errors import OutOfTime, RequestError, flag
 from pytest_pafot.world import WorldError, codec, protocol
-from pytest_pafot.world.driving.ads import loading_hint
+from pytest_pafot.world.driving.ads import is_vehicle_class, loading_hint
 from pytest_pafot.world.driving.perception import sight_of
 from pytest_pafot.world.guard.failure import is_interruption
 from pytest_pafot.world.guard.hang_guard import runs_end_in
@@ -124,9 +125,11 @@ def prepared(
     Raises:
         RequestError: for a fitness that does not exist, or a world that cannot be used.
     """
-    request, seed = harness.request, search_seed(harness.request.settings.seed, harness.node_id)
+    begun, request, seed = "", harness.request, search_seed(harness.request.settings.seed, harness.node_id)
     if space is None and request.settings.is_search:
         space = build_space(request, harness.world)
+        if request.settings.begin_with is not None:
+            space, begun = begun_with(request.settings.begin_with, space, harness.world, request)
     is_for_ego = is_steered and request.blame != "any"
     try:
         fitness = resolve(request.fitness, responsible=is_ego_responsible if is_for_ego else None)
@@ -174,7 +177,9 @@ def prepared(
             is_steered_by_checks=is_steered_by_checks,
             counting=counting,
         )
-        sessions = Sessions(harness=harness, seed=seed, loop=loop, beginning=beginning, clock=time.monotonic)
+        sessions = Sessions(
+            harness=harness, seed=seed, loop=loop, beginning=beginning, clock=time.monotonic, begun=begun
+        )
         stack.callback(sessions.close)
         yield sessions
 
@@ -343,7 +348,7 @@ class Search:
             raise RequestError(str(error)) from None
         # What is known before the first run: the state of earlier sessions, and the failures that saved scenarios still
         # show. The search's own findings of earlier sessions are part of that state, not known failures.
-        self.sessions.beginning.most = getattr(algorithm, "random_at_first", 0.0)
+        self.sessions.beginning.most = getattr(algorithm, "counted_at_first", 0.0)
         resumed = self.sessions.resume(algorithm, space, saved)
         others = [each for each in saved if not self.sessions.is_own(each)]
         loop.recorder.replayed = frozenset(each.path for each in others)
@@ -448,7 +453,13 @@ class Search:
         is_cut = reason == self.limit.flag and not self.sessions.go_on
         cut = [f"cut by {reason}: the same seed may find other scenarios next time"] * is_cut
         finds = [kept.find for kept in loop.recorder.kept.values()]
-        notes = (loop.doubt, loop.known_alone, self._unused, loading_hint(self.harness.ads) if loop.runs else "")
+        notes = (
+            loop.doubt,
+            loop.known_alone,
+            self._unused,
+            self._out_of_reach if finds else "",
+            loading_hint(self.harness.ads) if loop.runs else "",
+        )
         beginning, crossings = self.sessions.beginning, None if loop.space is None else loop.space.crossings
         ways = [] if crossings is None else [zone.way for zone in crossings.zones]
         # An error says nothing about the ego, and a rate of random scenarios that end at the first failure is too high.
@@ -487,8 +498,20 @@ class Search:
             random_failing=0 if is_cut_short else beginning.at_fault,
             random_runs=0 if is_cut_short else beginning.runs,
             random_otherwise=0 if is_cut_short else beginning.otherwise,
+            given=0 if loop.space is None else len(loop.space.first),
             drawn="" if self.loop.space is None else self.loop.space.described,
             coverage=health.coverage.describe(float(self.harness.world.speed_limit), ways) if loop.runs else "",
+        )
+
+    @property
+    def _out_of_reach(self) -> str:
+        """A note on what reference drivers can do and the ADS cannot; empty if its actions can stop the ego."""
+        speed = protocol.least_action_speed(self.harness.world)
+        if speed <= 0 or is_vehicle_class(self.harness.ads):
+            return ""
+        return (
+            f"the environment's actions keep {speed:g} m/s or more, and reference drivers may brake below that; "
+            "target_speeds in the action of config= lets a policy do so, too"
         )
 
     @property

@@ -8,12 +8,13 @@ then makes the same attempts in the same order, so it has the same result.
 from __future__ import annotations
 
 import math
+import pickle
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import islice
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from pytest_pafot.campaign.events import FindTold, SecondPlace
 from pytest_pafot.campaign.harness import Harness, begins_alike, limits_of, refusals
@@ -248,22 +249,28 @@ class Simplification:
         harness, trace = self.loop.simulation.harness, found.trace
         if is_vehicle_class(harness.ads) or not codec.is_built_in(harness.world):
             return ()
-        told = []
-        for npc in range(len(found.scenario.npcs)):
+        isolate, record = harness.request.settings.isolate, self.loop.simulation.record
+        told: list[Reaction] = []
+        seen: dict[int | None, list[bytes]] = {}  # by the hidden NPC, the observations until the event
+        for npc in (*range(len(found.scenario.npcs)), None):
+            if npc is None and (isolate or all(each.time is not None for each in told)):
+                break  # The observations of other processes are not known; or all NPCs were seen.
             self._check_time()
             self.tell(f"hiding NPC {npc} of {find_id}")
             self.neighbour_runs += 1
-            job = replace(harness.job(), ads=without(harness.ads, npc))
-            record, isolate = self.loop.simulation.record, harness.request.settings.isolate
+            noted = seen.setdefault(npc, [])
+            ads = without(harness.ads, npc, None if isolate else partial(_note, noted))
             try:
-                with refusals(), runner_for(job, record, isolate=isolate) as runner:
+                with refusals(), runner_for(replace(harness.job(), ads=ads), record, isolate=isolate) as runner:
                     hidden = runner.run(found.scenario, afresh=True)
             except RequestError:  # such as an observation that is a picture, in which nothing can be hidden
                 return ()
             finally:
                 record.clear()
-            hz, until = trace.ads_hz, found.event_time
-            told.append(Reaction.of(npc, trace.actions, hidden.actions, hz=hz, until=until))
+            if npc is not None:
+                hz, until = trace.ads_hz, found.event_time
+                told.append(Reaction.of(npc, trace.actions, hidden.actions, hz=hz, until=until))
+        told = [replace(each, unseen=each.time is None and seen[each.npc] == seen.get(None)) for each in told]
         return tuple(told) if trace.actions else ()
 
     @property
@@ -662,3 +669,8 @@ def starts_of(run: Run, top_speed: float) -> tuple[Start, ...]:
     if trace.track is not None or (rows[:, LANE] < 0).any():
         return ()  # on a road that is not straight, a later start would be on a different part of the road
     return tuple((int(row[LANE]), float(min(max(round(row[SPEED], 1), 0.0), top_speed))) for row in rows)
+
+
+def _note(noted: list[bytes], observation: Any) -> None:
+    """Add an observation to a list. Bytes of a pickle are equal where arrays, alone or in tuples and mappings, are."""
+    noted.append(pickle.dumps(observation))

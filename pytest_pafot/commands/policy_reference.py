@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import importlib.util
+import json
 import pkgutil
 from collections.abc import Callable, Iterable
 from pathlib import Path
@@ -108,3 +109,20 @@ def caution(references: Iterable[str]) -> str:
         "files are known to be the same: if the policy was trained since then, or reads a file that has changed, give "
         "another --out"
     )
+
+
+def config_of(text: str | None) -> dict[str, Any] | None:
+    """Return the environment's options from the text of ``--config``; None without a text.
+
+    Raises:
+        RequestError: if the text is not a JSON object.
+    """
+    if text is None:
+        return None
+    try:
+        config = json.loads(text)
+    except json.JSONDecodeError as error:
+        raise RequestError(f"--config: expected JSON such as '{{\"vehicles_count\": 20}}', {error}") from None
+    if not isinstance(config, dict):
+        raise RequestError(f"--config: expected JSON such as '{{\"vehicles_count\": 20}}', received {config!r:.100}")
+    return config

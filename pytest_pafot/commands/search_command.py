@@ -21,7 +21,14 @@ from typing import Any
 
 from pytest_pafot.campaign.options import BY_NAME, OF_COMMAND, OPTIONS, REVISION
 from pytest_pafot.campaign.request import BLAMES
-from pytest_pafot.commands.policy_reference import ABOUT_POLICIES, BAD_USE, ads_factory, check_function, whole_name
+from pytest_pafot.commands.policy_reference import (
+    ABOUT_POLICIES,
+    BAD_USE,
+    ads_factory,
+    check_function,
+    config_of,
+    whole_name,
+)
 from pytest_pafot.corpus.layout import CORPUS, files_below
 from pytest_pafot.model.driving_style import STYLES
 from pytest_pafot.support.errors import OF_SEARCH, RequestError, flag, page
@@ -46,6 +53,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     of_whom = "the policy: module:factory, such as planner:Planner, or module:factory:argument"
     parser.add_argument("ads", metavar="ADS", help=of_whom)
     parser.add_argument("--world", metavar="ID", help="a highway-env environment (default: a highway, in SI units)")
+    of_config = "options of --world, as for gymnasium.make, such as those that a network was trained with"
+    parser.add_argument("--config", metavar="JSON", help=of_config)
     of_traffic = "how the other vehicles drive (default: hostile)"
     parser.add_argument("--traffic", choices=STYLES, help=of_traffic)
     of_runs = "the number of runs (default: 40, or 400 if the variable CI is set)"
@@ -220,7 +229,14 @@ def _conftest(arguments: argparse.Namespace) -> str:
 def _test(arguments: argparse.Namespace) -> str:
     """Return the content of the file with the test."""
     given = [] if arguments.blame == "any" else [f'blame="{arguments.blame}"']
-    given += [] if arguments.world is None else [f"world=pafot.World({arguments.world!r})"]
+    config = config_of(arguments.config)
+    if config is not None and arguments.world is None:
+        raise RequestError(
+            f"--config: expected options of the environment that --world names, received {arguments.config} without "
+            "--world; add --world ID"
+        )
+    of_config = "" if config is None else f", config={config!r}"
+    given += [] if arguments.world is None else [f"world=pafot.World({arguments.world!r}{of_config})"]
     given += [] if arguments.traffic is None else [f'traffic="{arguments.traffic}"']
     name, holds, imports = "never_at_fault_in_a_collision", "assert not run.collision, run.explain()", ""
     if arguments.blame != "ego":

@@ -30,14 +30,13 @@ from pytest_pafot.campaign.options import REVISION
 from pytest_pafot.campaign.request import drawn_space
 from pytest_pafot.campaign.setup_fault import FirstGeneration, SetupFaultError
 from pytest_pafot.campaign.verdict import Verdict, judge, worst_margins
-from pytest_pafot.commands.policy_reference import ABOUT_POLICIES, BAD_USE, ads_factory, check_function
+from pytest_pafot.commands.policy_reference import ABOUT_POLICIES, BAD_USE, ads_factory, check_function, config_of
 from pytest_pafot.commands.resumable import ResumableJob, Task, Tick, gate_workers, run_job, worker_count
 from pytest_pafot.commands.revision import PROCESS, revision_at
 from pytest_pafot.commands.revision_process import Served
 from pytest_pafot.corpus.layout import CORPUS, files_below
 from pytest_pafot.corpus.saved import read_saved_file
 from pytest_pafot.episodes.rate import CHUNK, PLANNER, EpisodeRow, driven, p_text
-from pytest_pafot.episodes.rate_command import config_of
 from pytest_pafot.execution.pool import ProcessLostError, WorkerPool
 from pytest_pafot.execution.revision_policy import RevisionError, RevisionPolicy
 from pytest_pafot.execution.runner import runner_here

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from pytest_pafot.commands.policy_reference import config_of
 from pytest_pafot.commands.resumable import AGAIN, gate_workers, printing_elsewhere, run_job, worker_count, written_into
 from pytest_pafot.episodes.rate import CHUNK, Pair, Rate, RatePlan, checked, factory_of, number, rows_of, shown, told
 from pytest_pafot.model.trace import Outcome
@@ -301,23 +302,6 @@ def _pictures(plan: RatePlan, rates: Sequence[Rate], folder: Path) -> dict[str, 
     except AnimationError as error:
         sys.stderr.write(f"rate: the report has no picture: {error}\n")
         return {}
-
-
-def config_of(text: str | None) -> dict[str, Any] | None:
-    """Return the environment's options from the text of ``--config``; None without a text.
-
-    Raises:
-        RequestError: if the text is not a JSON object.
-    """
-    if text is None:
-        return None
-    try:
-        config = json.loads(text)
-    except json.JSONDecodeError as error:
-        raise RequestError(f"--config: expected JSON such as '{{\"vehicles_count\": 20}}', {error}") from None
-    if not isinstance(config, dict):
-        raise RequestError(f"--config: expected JSON such as '{{\"vehicles_count\": 20}}', received {config!r:.100}")
-    return config
 
 
 def _text(plan: RatePlan, rates: Sequence[Rate], arguments: argparse.Namespace) -> str:

@@ -25,6 +25,8 @@ class Reaction:
         before: time from this decision to the event [s].
         action: the action in the failing run.
         hidden: the action at the same time with the vehicle hidden.
+        unseen: True if the observations until the event are the same with the vehicle hidden, too, so that the ADS
+            could not have reacted; False if they are others, or if that is unknown.
     """
 
     npc: int
@@ -32,6 +34,7 @@ class Reaction:
     before: float = 0.0
     action: str = ""
     hidden: str = ""
+    unseen: bool = False
 
     @classmethod
     def of(cls, npc: int, actions: Sequence[Any], hidden: Sequence[Any], *, hz: int, until: float) -> Self:
@@ -48,11 +51,13 @@ class Reaction:
             other = hidden[number] if number < len(hidden) else None
             if _differ(action, other):
                 time = round(number / hz, 3)
-                texts = {"action": _text(action, other), "hidden": _text(other, action)}
-                return cls(npc=npc, time=time, before=round(until - time, 3), **texts)
+                before, shown = round(until - time, 3), _text(action, other)
+                return cls(npc=npc, time=time, before=before, action=shown, hidden=_text(other, action))
         return cls(npc=npc)
 
     def __str__(self) -> str:
+        if self.unseen:
+            return f"never reacts to NPC {self.npc}, which is in none of its observations"
         if self.time is None:
             return f"never reacts to NPC {self.npc}: with it hidden, all decisions are the same"
         when = f"first at {self.time:.1f} s, {self.before:.1f} s before the event"

@@ -141,10 +141,10 @@ class SightWithout(Sight):
     """A sight in which, in addition, one NPC is never seen.
 
     Attributes:
-        npc: the NPC's index in the scenario.
+        npc: the NPC's index in the scenario; None for no NPC.
     """
 
-    npc: int
+    npc: int | None
 
     def glimpses(self, states: FloatArray, seed: int, tick: int) -> Iterator[Glimpse]:
         """Yield the glimpses of :meth:`Sight.glimpses` without those of the hidden NPC."""

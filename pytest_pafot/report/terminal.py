@@ -214,11 +214,14 @@ def search_lines(search: SearchSummary, *, verbose: bool = False, width: int = W
         f"{''.join(short)}ended: {search.reason}"
     )
     texts = [_figures(search), *_find_lines(search), origin, *([search.drawn] if search.drawn else [])]
-    failing, random = search.random_failing, search.random_runs
-    if random:
-        share = interval_text(failing, random)
+    failing, counted = search.random_failing, search.random_runs
+    if counted:
+        # Nobody drew the saved scenarios at random, so their share is no estimate of anything.
+        what, share = (
+            ("saved scenarios at first", "") if search.given else ("random scenarios", interval_text(failing, counted))
+        )
         others = f"; {search.random_otherwise} failed in other ways" if search.random_otherwise else ""
-        texts.append(f"random scenarios: {failing} of {random} failed by the ego's fault, {share}{others}")
+        texts.append(f"{what}: {failing} of {counted} failed by the ego's fault{share and ', '}{share}{others}")
     texts += [f"coverage: {search.coverage}"] if verbose and search.coverage else []
     texts += [f"known: {plural(count, 'run')} covered by saved-{id_}" for id_, count in sorted(search.known.items())]
     texts += [f"warning: {warning}" for warning in search.warnings]

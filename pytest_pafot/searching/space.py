@@ -87,6 +87,7 @@ class SearchSpace:
             equal probability.
         lanes: number of lanes of a straight road, for manoeuvres; 0 if it is unknown, and NPCs keep their lanes.
         room: the largest gap between the ego and the start of an NPC with a manoeuvre, behind and ahead [m].
+        first: scenarios that a search drives before those that it samples.
     """
 
     npcs: int = 2
@@ -108,6 +109,7 @@ class SearchSpace:
     instructions: Instructions = "cells"
     lanes: int = 0
     room: tuple[float, float] = (math.inf, math.inf)
+    first: tuple[Scenario, ...] = ()
 
     def __post_init__(self) -> None:
         npcs = checked_whole(self.npcs, "npcs", "1 to 8 NPCs, one per cell at most", least=1, most=8)
@@ -147,6 +149,7 @@ class SearchSpace:
             "least_npcs": 1,
             "lanes": 0,
             "room": (math.inf, math.inf),
+            "first": (),
         }
         return {name: value for name, value in data.items() if name not in usual or value != usual[name]}
 

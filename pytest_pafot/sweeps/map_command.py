@@ -10,9 +10,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from pytest_pafot.commands.policy_reference import ABOUT_POLICIES, ads_factory, check_function
+from pytest_pafot.commands.policy_reference import ABOUT_POLICIES, ads_factory, check_function, config_of
 from pytest_pafot.corpus.layout import SUFFIX
-from pytest_pafot.episodes.rate_command import config_of
 from pytest_pafot.support.errors import RequestError
 from pytest_pafot.support.files import way_out, write_whole
 from pytest_pafot.support.text import visible, wrapped_to

@@ -241,6 +241,13 @@ class World(BuiltInWorld):
         return begin(self.environment, self.rules, scenario, guard, sight)
 
     @property
+    def least_action_speed(self) -> float:
+        """The lowest speed that ``DiscreteMetaAction`` can set [m/s]; 0 for other actions, and for planners."""
+        action_type = getattr(self.environment.unwrapped, "action_type", None)
+        speeds = getattr(action_type, "target_speeds", ())
+        return 0.0 if self.planner_hz is not None or not len(speeds) else max(0.0, float(min(speeds)))
+
+    @property
     def has_lock_step(self) -> bool:
         """True if several runs can proceed in lock step.
 

@@ -216,6 +216,11 @@ def crossings(world: Any) -> Crossings | None:
     return found
 
 
+def least_action_speed(world: Any) -> float:
+    """Return the lowest speed to which actions in a world can slow the ego down [m/s]; 0 if the world states none."""
+    return float(getattr(world, "least_action_speed", 0.0))
+
+
 def most_on_grid(world: Any) -> int:
     """Return the largest number of NPCs with cells around the ego's prescribed start; 8 without a prescribed start."""
     start = road_start(world)

@@ -53,6 +53,10 @@ def test_each_kind_of_action_has_its_words(action, other, text):
     assert str(reaction([action], [] if other is None else [other])).endswith(f": {text}")
 
 
+def test_a_vehicle_that_was_in_no_observation_is_told_apart():
+    assert str(Reaction(npc=1, unseen=True)) == "never reacts to NPC 1, which is in none of its observations"
+
+
 def test_decisions_after_the_event_do_not_count():
     assert reaction([KEEPS, KEEPS, BRAKES], [KEEPS, KEEPS, KEEPS], until=0.3).time is None
 

@@ -188,3 +188,20 @@ def test_a_wrong_number_is_a_usage_error(collides, value):
     result = collides.run(f"--pafot-neighbours={value}")
     assert result.ret == pytest.ExitCode.USAGE_ERROR
     result.stderr.fnmatch_lines([f"*--pafot-neighbours*expected a whole number*received '{value}'*"])
+
+
+def test_a_vehicle_that_the_environment_does_not_show_is_told_apart(project):
+    project.write(
+        """
+CONFIG = {"observation": {"type": "Kinematics", "vehicles_count": 2, "see_behind": True}}  # the ego, and the nearest
+
+@pafot.search(npcs=2, SHORT_CHAINS, stop_after=1, ads=lambda: lambda seen: 1, world=pafot.World("highway-v0", CONFIG))
+def test_collides(run):
+    assert not run.collision
+""".replace("SHORT_CHAINS", "genes=2, gene_seconds=5")
+    )
+    result, record, _ = run(project, "--pafot-neighbours=8", "--pafot-shrink-rollouts=0")
+    reactions = record["reactions"]
+    result.stdout.fnmatch_lines(["  note: the environment's actions keep 20 m/s or more, and reference drivers may *"])
+    assert [each["time"] for each in reactions] == [None, None]
+    assert sorted(each["unseen"] for each in reactions) == [False, True]

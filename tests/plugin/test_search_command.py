@@ -103,10 +103,12 @@ def test_search_command_counts_what_a_revision_passes(here):
 @pytest.mark.processes
 def test_search_command_uses_the_requested_world_and_check(here):
     arguments = ["search", "a_planner:idle", "--blame", "any", "--check", "a_planner:keeps_moving"]
-    assert main([*arguments, "--world", "highway-v0", "--traffic", "everyday", "--write-test"]) == 0
+    config = ["--config", '{"lanes_count": 3, "offroad_terminal": true, "screen_width": null}']
+    assert main([*arguments, "--world", "highway-v0", *config, "--traffic", "everyday", "--write-test"]) == 0
     test = (here / "test_safety.py").read_text()
     assert (
-        "@pafot.search(world=pafot.World('highway-v0'), traffic=\"everyday\")\n"
+        "@pafot.search(world=pafot.World('highway-v0', config={'lanes_count': 3, 'offroad_terminal': True, "
+        "'screen_width': None}), traffic=\"everyday\")\n"
         "def test_keeps_moving(run):\n    return holds(run)\n"
     ) in test
     for name in ("conftest.py", "test_safety.py"):
@@ -332,7 +334,7 @@ def test_ended_search_leaves_no_session_and_no_copy(here, monkeypatch, tmp_path_
         ),
         (["my-planner:Planner"], "search: ADS: expected names that `import` takes, received 'my-planner' in my-"),
         (["a_planner:make:"], "search: ADS: expected module:factory or module:factory:argument, received 'a_planner:"),
-        (["a_planner:Planner", "--against", "nobody"], "search: --against: expected one of blind_lane_change, "),
+        (["a_planner:Planner", "--against", "nobody"], "search: --against: expected one of avlite, "),
         (["a_planner:Planner", "--write-test"], "search: --write-test: expected a folder without conftest.py"),
     ],
 )

@@ -343,3 +343,17 @@ def test_wrapper_that_does_not_step_is_reported():
     world = World("highway-v0", duration=5.0, wrappers=[partial(TimeLimit, max_episode_steps=2), Autoreset])
     with pytest.raises(WorldError, match=r"a step that did not, at 2.0 s; leave out wrappers .* reset episodes"):
         world.rollout(SCENARIO, lambda: lambda seen: 1)
+
+
+@pytest.mark.parametrize(
+    ("action", "speed"),
+    [
+        ({"type": "DiscreteMetaAction"}, 20.0),
+        ({"type": "DiscreteMetaAction", "target_speeds": [5, 10]}, 5.0),
+        ({"type": "DiscreteMetaAction", "target_speeds": [-5, 10]}, 0.0),
+        ({"type": "ContinuousAction"}, 0.0),
+    ],
+)
+def test_the_lowest_speed_of_the_actions_is_known(action, speed):
+    assert World("highway-v0", {"action": action}).least_action_speed == speed
+    assert World("highway-v0", {"action": action}, planner_hz=5).least_action_speed == 0.0

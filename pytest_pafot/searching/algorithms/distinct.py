@@ -13,6 +13,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import chain
 from typing import Any, ClassVar
 
 from numpy.random import Generator
@@ -45,16 +46,24 @@ class NicheSearch(GenerationalSearch[GenerationStateT]):
         check_parameters(self, rates=("crossover_rate",), population=1, random_runs=1)
 
     @property
-    def random_at_first(self) -> float:
-        """The number of random scenarios at the beginning of a search."""
-        return max(self.population, self.random_runs)
+    def counted_at_first(self) -> float:
+        """The number of given scenarios at the beginning of a search; if there are none, that of random ones."""
+        return len(self.space.first) or max(self.population, self.random_runs)
 
     def propose(self, state: GenerationStateT, rng: Generator) -> tuple[GenerationStateT, Iterable[Scenario]]:
-        """Propose ``random_runs`` random scenarios at first, and more while there is no parent; then children."""
+        """Propose the space's first scenarios, then ``random_runs`` random ones, and more while there is no parent.
+
+        All others are children.
+        """
         parents = self.parents(state)
-        to_come = self.random_runs - state.proposed if parents else self.population
-        return state, (
-            sample(self.space, rng) if index < to_come else self.child(parents, rng) for index in range(self.population)
+        given = self.space.first[state.proposed : state.proposed + self.population]
+        to_come = len(self.space.first) + self.random_runs - state.proposed if parents else self.population
+        return state, chain(
+            given,
+            (
+                sample(self.space, rng) if index < to_come else self.child(parents, rng)
+                for index in range(len(given), self.population)
+            ),
         )
 
     @abstractmethod

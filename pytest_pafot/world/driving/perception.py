@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import inspect
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import KW_ONLY, dataclass, field, fields, replace
 from typing import Any
 
@@ -102,8 +102,23 @@ class Perception:
         return SeeingAds(ads, self.sight)
 
 
-def without(factory: AdsFactory, npc: int) -> AdsFactory:
-    """Return a factory of the same ADSs, from which one NPC of the scenario is hidden.
+class _Noting:
+    """An ADS whose observations are noted, and that decides for one run at a time."""
+
+    def __init__(self, ads: Any, note: Callable[[Any], object]) -> None:
+        self._ads, self._note = ads, note
+        if hasattr(ads, "close"):
+            self.close = ads.close
+
+    def __call__(self, observation: Any) -> Any:
+        self._note(observation)
+        return self._ads(observation)
+
+
+def without(factory: AdsFactory, npc: int | None, note: Callable[[Any], object] | None = None) -> AdsFactory:
+    """Return a factory of the same ADSs, from which one NPC of the scenario is hidden; with None, none is.
+
+    ``note`` is called with each of their observations.
 
     Raises:
         AdsFactoryError: when it makes an ADS, if that is a vehicle class.
@@ -115,7 +130,7 @@ def without(factory: AdsFactory, npc: int) -> AdsFactory:
         ads, _ = ads_and_sight(factory(*observations, **arguments))
         if is_vehicle_class(ads):
             raise AdsFactoryError(f"ads: {DRIVES_ITSELF}")
-        return SeeingAds(ads, sight)
+        return SeeingAds(ads if note is None else _Noting(ads, note), sight)
 
     make = functools.wraps(factory, updated=())(make)
     make.sight = sight  # type: ignore[attr-defined]  # a factory must say how its ADSs see
