@@ -3,3 +3,38 @@
 Each module has a factory ``make()`` that returns a fresh ADS (or, for highway-env's own drivers, the vehicle class).
 An installed pytest-pafot provides them as ``pytest_pafot.example_ads``.
 """
+
+from __future__ import annotations
+
+import importlib
+import os
+import sys
+from pathlib import Path
+
+
+def import_from_clone(variable: str, repository: str, commit: str, package: str) -> Path:
+    """Import a package that is only on GitHub from the user's clone, and return the folder of the clone.
+
+    Args:
+        variable: the environment variable that contains the folder.
+        repository: owner and name on GitHub.
+        commit: the version for which the adapter was written.
+        package: the path of the package in the clone.
+
+    Raises:
+        ImportError: if the variable does not name a folder with this package.
+    """
+    folder = Path(os.environ.get(variable, "")).absolute()
+    if variable not in os.environ or not (folder / package).is_dir():
+        raise ImportError(
+            f"{variable}: expected the folder of a clone of https://github.com/{repository} at commit {commit}, "
+            f"received {os.environ.get(variable)!r}; clone it and set the environment variable {variable} to its folder"
+        )
+    # The folder is on the path only for this import. Its other packages, such as `tests`, could hide those of the user.
+    parent = str((folder / package).parent)
+    sys.path.insert(0, parent)
+    try:
+        importlib.import_module(Path(package).name)
+    finally:
+        sys.path.remove(parent)
+    return folder

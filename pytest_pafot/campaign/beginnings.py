@@ -32,8 +32,8 @@ def others() -> Path:
 def begun_with(given: str, space: SearchSpace, world: Any, request: Request) -> tuple[SearchSpace, str]:
     """Return the space whose search begins with saved scenarios, and a note on how many of them fit the world.
 
-    The ego starts as close to the start in the file as the space allows, and the traffic is that of the space. Of
-    several folders the first scenarios come first, then the second ones, so that a short search begins with some of
+    The ego starts as close to the start in the file as the space allows, no NPC is asked for more than the space's
+    limit of speed, and the traffic is that of the space. Of several folders the first scenarios come first, then the second ones, so that a short search begins with some of
     each.
 
     Raises:
@@ -79,8 +79,11 @@ def _starts(scenario: Scenario, space: SearchSpace, world: Any) -> Iterator[Scen
     lanes = space.ego_lanes or (space.ego_lane,)
     slowest, fastest = space.ego_speeds or (space.ego_speed, space.ego_speed)
     speed = min(max(scenario.ego_speed, slowest), fastest)
+    npcs = tuple(
+        tuple(replace(gene, speed=min(gene.speed, space.speed_limit)) for gene in chain) for chain in scenario.npcs
+    )
     for lane in sorted(lanes, key=lambda lane: abs(lane - scenario.ego_lane)):
         with suppress(ScenarioError):
-            moved = replace(scenario, ego_lane=lane, ego_speed=speed, traffic=space.traffic)
+            moved = replace(scenario, npcs=npcs, ego_lane=lane, ego_speed=speed, traffic=space.traffic)
             protocol.check_fits(world, moved)
             yield moved

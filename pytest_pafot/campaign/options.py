@@ -193,9 +193,9 @@ class Settings:
         "failed.",
         "They come before the scenarios that the search draws, and count as its runs. The search varies those that are "
         "closest to a failure. Folders below are included. The ego starts as near to the start in the file as the "
-        "search allows, the traffic is that of the search, and what does not fit the world is left out. Only with "
-        "`distinct` and `map-elites`. [The files called `others`](../explanation/others.md#the-corpus) come with the "
-        "package.",
+        "search allows, the limit of speed and the traffic are those of the search, and what does not fit the world is "
+        "left out. Only with `distinct` and `map-elites`. [The files called "
+        "`others`](../explanation/others.md#the-corpus) come with the package.",
     )
     stop_after: int | None = option(
         "integer",

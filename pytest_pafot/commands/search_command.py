@@ -38,7 +38,7 @@ from pytest_pafot.support.text import one_line, visible
 
 CONFTEST, TEST = "conftest.py", "test_safety.py"
 PAGE = "pafot.html"
-OWN = ("runs", "seed", "report", "against")
+OWN = ("runs", "seed", "report", "against", "begin_with")
 """The options of pytest that have a short name here."""
 TESTS_FAILED, USAGE_ERROR = 1, 4
 """Exit codes of pytest. They are copied, because importing pytest would slow down the help of commands."""
@@ -69,6 +69,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--against", flag("against"), metavar="REFERENCE", help=of_against)
     of_copy = f"with --against {REVISION}REVISION, files and folders that ADS needs and git ignores, such as weights"
     parser.add_argument("--copy", nargs="+", default=[], metavar="PATH", help=of_copy)
+    of_begin = "saved scenarios to drive first: a folder, or others for those in which policies of others failed"
+    parser.add_argument("--begin-with", flag("begin_with"), metavar="FOLDER", help=of_begin)
     of_check = "a function of a run, which asserts what must hold (default: that there is no collision)"
     parser.add_argument("--check", metavar="MODULE:FUNCTION", help=of_check)
     of_report = "the web page of the findings (default: %(default)s)"

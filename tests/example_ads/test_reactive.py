@@ -4,7 +4,7 @@ import pytest
 
 from pytest_pafot import Drive, Observation
 from pytest_pafot.world import VehicleState
-from tests.helpers.bicycle import HZ, moved
+from tests.helpers.bicycle import drive
 
 pytest.importorskip("commonroad_rp", reason='needs pip install "commonroad-reactive-planner>=2025.1,<2026"')
 
@@ -15,19 +15,6 @@ pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning")  # of its 
 
 def vehicle(*, x=100.0, y=4.0, speed=16.0, heading=0.0):
     return VehicleState(x=x, y=y, heading=heading, speed=speed, lane=round(y / 4.0), length=5.0, width=2.0)
-
-
-def drive(seconds, *others, ego, ads, lanes=3):
-    """Return the ego and the others, which keep their speed, after a time without contact."""
-    action = (0.0, 0.0)
-    for tick in range(round(seconds * HZ)):
-        if tick % 3 == 0:
-            seen = Observation(tick / HZ, ego, others, lanes, 4.0, 26.8, acceleration=action[0], steering=action[1])
-            answer = ads(seen)
-            action = (answer.acceleration, 0.0) if isinstance(answer, Drive) else answer
-        ego, others = moved(ego, *action), tuple(map(moved, others))
-        assert not any(abs(ego.x - o.x) < 5.0 and abs(ego.y - o.y) < 2.0 for o in others), "contact"
-    return ego, others
 
 
 def test_it_reaches_its_desired_speed_and_keeps_its_lane():
