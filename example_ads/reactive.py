@@ -10,8 +10,8 @@ The adapter translates:
 - axes: the planner's y grows to the left, so y, heading and steering change sign;
 - the car: highway-env's bicycle has a wheelbase of the vehicle's length, and the planner's states are those of the
   rear axle;
-- the road: the reference path is the centre of the lane in which the ego starts. The road is straight, so the frame
-  moves along with the ego, and a short path is enough;
+- the road: the reference path is the centre of the lane in which the ego starts, and plans may end in any lane. The
+  road is straight, so the frame moves along with the ego, and a short path is enough;
 - the others: the planner takes predictions as given. They keep their speed, and those that move sideways end in the
   middle of the next lane.
 
@@ -71,7 +71,7 @@ class ReactivePlanner:
         planner.set_desired_velocity(desired, current_speed=max(state.velocity, MIN_SPEED))
         plan = planner.plan()
         if plan is None:
-            self._planned = (-MAX_DECELERATION, 0.0)
+            self._planned = (-MAX_DECELERATION if state.velocity > MIN_SPEED else 0.0, 0.0)
             return pafot.Drive(lane=observation.ego.lane, acceleration=-MAX_DECELERATION)
         steps = round(observation.decision_period / planner.dt)
         states = plan[0].state_list[: steps + 1]
@@ -93,12 +93,13 @@ class ReactivePlanner:
         config.vehicle.delta_min, config.vehicle.delta_max = -MAX_STEERING, MAX_STEERING
         config.vehicle.v_delta_min, config.vehicle.v_delta_max = -MAX_STEERING_RATE, MAX_STEERING_RATE
         config.vehicle._update_computed_params()
-        config.sampling.d_min, config.sampling.d_max = -observation.lane_width, observation.lane_width
+        left, right = observation.lane_centres[0], observation.lane_centres[-1]
+        self._lane_centre = -observation.lane_centres[ego.lane]
+        config.sampling.d_min, config.sampling.d_max = -right - self._lane_centre, -left - self._lane_centre
         config.planning.time_steps_computation = HORIZON_STEPS
         config.sampling.max_deceleration_ratio = DECELERATION_RATIO
         config.debug.multiproc, config.debug.logging_level = False, "ERROR"
         config.update(scenario=Scenario(config.planning.dt))
-        self._lane_centre = -observation.lane_centres[ego.lane]
         self._planner = reactive_planner.ReactivePlanner(config)
         xs = np.arange(0.0, PATH_LENGTH, PATH_SPACING)
         path = np.column_stack([xs, np.full_like(xs, self._lane_centre)])

@@ -1,8 +1,8 @@
 """SUMO's drivers: any of its car-following and lane-change models, by libsumo (``pip install "pytest-pafot[sumo]"``).
 
 Kind (a), for ``pafot.Highway``. At each decision all vehicles are placed in a SUMO simulation, which makes one step;
-the ego's motion in it is the decision. SUMO changes lanes at once, so its ego is in the lane that the real one is
-moving to. The others are in the lane nearest to them and keep their speeds.
+the ego's motion in it is the decision. SUMO changes lanes at once. So each vehicle is in the lane that it is
+moving to, and until the ego has arrived there, it also follows whoever is ahead of its body, by SUMO's rule.
 
 SUMO counts lanes from the right, and the position of a vehicle is its front bumper. libsumo allows one simulation per
 process, which ``close`` ends with the run.
@@ -10,14 +10,19 @@ process, which ``close`` ends with the run.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING
 
 import libsumo
 from libsumo import vehicle
 
 from pytest_pafot import Drive, Observation
+
+if TYPE_CHECKING:
+    from pytest_pafot.world import VehicleState
 
 WORLD = """<net version="1.20"><edge id="road" from="a" to="b">{lanes}</edge>
 <junction id="a" type="dead_end" x="0" y="0" incLanes="" intLanes="" shape=""/>
@@ -28,6 +33,17 @@ WORLD = """<net version="1.20"><edge id="road" from="a" to="b">{lanes}</edge>
 LANE = """<lane id="road_{0}" index="{0}" speed="{seen.speed_limit}" length="{seen.road_length}"
 shape="0,{0} {seen.road_length},{0}"/>"""
 OPTIONS = ["--collision.action=none", "--xml-validation=never", "--no-step-log", "--no-warnings"]
+
+
+MOVES_SIDEWAYS = 0.3  # [m/s]
+MARGIN = 0.5  # room across the road beside the ego's body [m]
+MIN_GAP = 2.5  # SUMO's default of minGap [m]
+
+
+def lane_ahead(seen: Observation, car: VehicleState, lateral: float) -> int:
+    """Return the lane to whose centre a vehicle is moving with a lateral velocity [m/s], or else its own."""
+    ways = [(abs(y - car.y), lane) for lane, y in enumerate(seen.lane_centres) if (y - car.y) * lateral > 0]
+    return min(ways)[1] if ways and abs(lateral) >= MOVES_SIDEWAYS else car.lane
 
 
 @dataclass
@@ -46,13 +62,24 @@ class SumoDriver:
     def __call__(self, seen: Observation) -> Drive:
         """Return what SUMO's ego does in one step from the current places of all vehicles."""
         self.lane = self.started(seen) if self.lane < 0 else self.lane
-        for name, car in zip(("ego", *map(str, seen.ids)), (seen.ego, *seen.others), strict=True):
-            lane = self.lane if name == "ego" else car.lane
+        ego, names = seen.ego, ("ego", *map(str, seen.ids))
+        ahead: list[tuple[float, float, str]] = []
+        for name, car, lateral in zip(names, (ego, *seen.others), seen.lateral_velocities, strict=True):
+            lane = self.lane if name == "ego" else lane_ahead(seen, car, lateral)
             vehicle.moveTo(name, f"road_{seen.lanes - 1 - lane}", car.x + car.length / 2)
             vehicle.setPreviousSpeed(name, car.speed)
+            gap = car.x - ego.x - (car.length + ego.length) / 2
+            if name != "ego" and gap > 0 and abs(car.y - ego.y) < (car.width + ego.width) / 2 + MARGIN:
+                ahead.append((gap, car.speed, name))
+        acceleration = math.inf
+        if ahead:
+            gap, speed, name = min(ahead)
+            braking = vehicle.getDecel(name)
+            wanted = vehicle.getFollowSpeed("ego", ego.speed, max(gap - MIN_GAP, 0.01), speed, braking, name)
+            acceleration = max((wanted - ego.speed) / seen.decision_period, -vehicle.getEmergencyDecel("ego"))
         libsumo.simulationStep()
         self.lane = seen.lanes - 1 - vehicle.getLaneIndex("ego")
-        return Drive(lane=self.lane, acceleration=vehicle.getAcceleration("ego"))
+        return Drive(lane=self.lane, acceleration=min(acceleration, vehicle.getAcceleration("ego")))
 
     def started(self, seen: Observation) -> int:
         """Start a simulation with this road and these vehicles, and return the ego's lane."""

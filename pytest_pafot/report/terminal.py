@@ -80,9 +80,10 @@ class SessionSummary:
 def progress_line(progress: Progress, width: int = WIDTH) -> str:
     """Return one line of progress. To fit the width, the start of the node id is left out, then the end of the line."""
     speed = progress.runs / progress.seconds if progress.seconds > 0 else 0.0
+    pace = f"{1 / speed:.0f} s a run" if 0 < speed < 1 else f"{speed:.0f}/s"
     counts = [f"{progress.generation}/{progress.generations} generations"] if progress.generations is not None else []
     counts += [plural(progress.runs, "run") if progress.budget is None else f"{progress.runs}/{progress.budget} runs"]
-    done = f"{', '.join(counts)}, {progress.failing} failing, {progress.finds} new, {speed:.0f}/s"
+    done = f"{', '.join(counts)}, {progress.failing} failing, {progress.finds} new, {pace}"
     tail = f" {progress.phase or done}"
     room = max(12, width - len(tail) - 8)
     name = ascii_text(progress.node_id)

@@ -222,6 +222,7 @@ def test_progress_is_one_line_with_the_name_cut():
     assert len(line) <= 80
     assert line.startswith("pafot: ...xxx")
     assert line.endswith("3/100 generations, 9 runs, 2 failing, 1 new, 3/s")
+    assert terminal.progress_line(replace(progress, seconds=120.0)).endswith("2 failing, 1 new, 13 s a run")
 
 
 def test_progress_fits_into_a_narrow_terminal():
