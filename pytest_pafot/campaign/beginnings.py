@@ -33,8 +33,8 @@ def begun_with(given: str, space: SearchSpace, world: Any, request: Request) -> 
     """Return the space whose search begins with saved scenarios, and a note on how many of them fit the world.
 
     The ego starts as close to the start in the file as the space allows, no NPC is asked for more than the space's
-    limit of speed, and the traffic is that of the space. Of several folders the first scenarios come first, then the second ones, so that a short search begins with some of
-    each.
+    limit of speed, and the traffic is that of the space. Of several folders the first scenarios come first, then the
+    second ones, so that a short search begins with some of each.
 
     Raises:
         RequestError: if the algorithm cannot begin with given scenarios, a file cannot be read, or no scenario fits.

@@ -39,6 +39,7 @@ from pytest_pafot.model.trace import (
     ACROSS,
     LANE,
     OFFSET,
+    SPEED,
     AdsError,
     Collision,
     FloatArray,
@@ -55,6 +56,8 @@ if TYPE_CHECKING:
 
 LINE_LENGTH = 99
 """The longest line of an explanation."""
+BACKWARDS = 0.5
+"""The speed backwards from which an explanation tells it [m/s]. Less is the overshoot of a car that stops."""
 MAX_STEP_ROWS = 10
 """The largest number of lines on manoeuvres in an explanation."""
 MAX_GENE_ROWS = 5
@@ -523,13 +526,21 @@ class Run(Shown):
         brake, hit = self._hardest_brake(), self.collision
         if hit is not None:
             speeds = f"ego {hit.ego_speed:.1f} m/s, NPC {hit.npc_speed:.1f} m/s, closing {hit.closing_speed:.1f} m/s"
-            return [f"  at the impact: {speeds}", f"  {brake}"]
+            return [f"  at the impact: {speeds}", f"  {brake}", *self._backwards()]
         lines, worst = [], self.worst_ttc
         if worst is not None:
             place = f" {self.place_of(worst)}".rstrip()
             lines.append(f"  least time to contact: {self.min_ttc:.2f} s, NPC {worst.npc}{place} at {worst.time:.1f} s")
         lines.append(f"  closest at {self.closest_time:.1f} s: {self.min_distance:.2f} m between the boxes; {brake}")
-        return lines
+        return [*lines, *self._backwards()]
+
+    def _backwards(self) -> list[str]:
+        """Return a line on an ego that drove backwards, which no other measure shows; nothing if it did not."""
+        speeds = self.trace.ego[:, SPEED]
+        tick = int(np.nanargmin(speeds))
+        if speeds[tick] > -BACKWARDS:
+            return []
+        return [f"  the ego drove backwards, with {-speeds[tick]:.1f} m/s at {tick / self.trace.physics_hz:.1f} s"]
 
     def _hardest_brake(self) -> str:
         """Return the words for the ego's hardest braking and its time.

@@ -38,7 +38,13 @@ TOLD_BY = {
 A zip does not name its algorithm, so the first mark that it has decides. DDPG is loaded as TD3, from which it derives.
 """
 
-OF_TRAINING = {"learning_rate": 0.0, "lr_schedule": 0.0, "clip_range": 0.0, "exploration_schedule": 0.0, "buffer_size": 1}
+OF_TRAINING = {
+    "learning_rate": 0.0,
+    "lr_schedule": 0.0,
+    "clip_range": 0.0,
+    "exploration_schedule": 0.0,
+    "buffer_size": 1,
+}
 """Replacements of parameters that only training needs: functions from a different Python version, or large memory."""
 
 
