@@ -17,6 +17,7 @@ The adapter adds:
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -75,7 +76,9 @@ class SafetyModel:
 
 def _place(theirs: Any, car: VehicleState, speeds: list[float], x: float, y: float, lateral: float) -> None:
     """Give one of their vehicles the size of a car, its speeds, its place [m], and its lateral velocity [m/s]."""
-    theirs.length, theirs.width = car.length, car.width
+    # Their boxes have no heading, and the corner of one that stands askew reaches into the next lane.
+    askew = abs(math.sin(car.heading))
+    theirs.length, theirs.width = car.length, car.width * abs(math.cos(car.heading)) + car.length * askew
     theirs.speed_profile_long, theirs.pos_profile_long = np.array(speeds), np.full(3, x)
     theirs.speed_profile_lat, theirs.pos_profile_lat = np.full(3, lateral), np.full(3, y)
 
