@@ -34,7 +34,12 @@ def import_from_clone(variable: str, repository: str, commit: str, package: str)
     parent = str((folder / package).parent)
     sys.path.insert(0, parent)
     try:
-        importlib.import_module(Path(package).name)
+        imported = importlib.import_module(Path(package).name)
     finally:
         sys.path.remove(parent)
+    if not Path(str(imported.__file__)).is_relative_to(folder):
+        raise ImportError(
+            f"{variable}: expected the package {Path(package).name} of {folder}, received {imported.__file__}, of the "
+            "same name and imported before; rename your own module"
+        )
     return folder

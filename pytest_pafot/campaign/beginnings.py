@@ -2,22 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import itertools
+from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import replace
 from importlib import resources
-from itertools import chain, zip_longest
 from pathlib import Path
 from typing import Any
 
 from pytest_pafot.campaign.request import Request
 from pytest_pafot.corpus import reader
-from pytest_pafot.corpus.layout import files_below
-from pytest_pafot.model.scenario import Scenario, ScenarioError
-from pytest_pafot.searching.algorithms.distinct import NicheSearch
+from pytest_pafot.corpus.layout import SUFFIX, files_below
+from pytest_pafot.model.scenario import (
+    SPEED_STEPS_PER_MPS,
+    CrossingInstruction,
+    Gene,
+    LaneInstruction,
+    Manoeuvre,
+    Scenario,
+    ScenarioError,
+)
 from pytest_pafot.searching.space import SearchSpace
 from pytest_pafot.support.errors import CorpusError, RequestError
-from pytest_pafot.support.text import plural
 from pytest_pafot.world import protocol
 
 OTHERS = "others"
@@ -29,61 +35,82 @@ def others() -> Path:
     return Path(str(resources.files("pytest_pafot") / OTHERS))
 
 
-def begun_with(given: str, space: SearchSpace, world: Any, request: Request) -> tuple[SearchSpace, str]:
-    """Return the space whose search begins with saved scenarios, and a note on how many of them fit the world.
+def begun_with(
+    given: str, space: SearchSpace, world: Any, request: Request, own: Path | None = None
+) -> tuple[SearchSpace, str]:
+    """Return the space whose search begins with saved scenarios, and a note on those that are left out.
 
-    The ego starts as close to the start in the file as the space allows, no NPC is asked for more than the space's
-    limit of speed, and the traffic is that of the space. Of several folders the first scenarios come first, then the
-    second ones, so that a short search begins with some of each.
+    The ego starts as close to the start in the file as the space allows. The NPCs keep to the traffic of the space and
+    to its lowest and highest speed. Of several folders the first scenarios come first, then the second ones, so that a
+    short search begins with some of each. The folder ``own`` is left out: it is that of the test, whose files are
+    replayed.
 
     Raises:
-        RequestError: if the algorithm cannot begin with given scenarios, a file cannot be read, or no scenario fits.
+        RequestError: if there is no file, or a file cannot be read.
     """
-    folder = others() if given == OTHERS else Path(given)
-    by_folder: dict[Path, list[Path]] = {}
-    for file in files_below(folder):
-        by_folder.setdefault(file.parent, []).append(file)
     option = request.option("begin_with", given)
-    made_by = request.algorithm.made_by
-    if not (isinstance(made_by, type) and issubclass(made_by, NicheSearch)):
+    if given == OTHERS and Path(OTHERS).is_dir():
         raise RequestError(
-            f"{option}: expected the algorithm distinct or map-elites, received {request.algorithm.name}; leave one out"
+            f"{option}: expected the scenarios of the package or those of a folder, received a name that is both; "
+            f"write ./{OTHERS} for the folder here, or search in another folder"
         )
-    if not by_folder:
+    files = _in_turn(others() if given == OTHERS else Path(given), own)
+    if not files:
         raise RequestError(
-            f"{option}: expected {OTHERS} or a folder with saved scenarios (*.pafot.yaml), received {folder}, in and "
-            "below which there are none; correct the path"
+            f"{option}: expected {OTHERS}, a saved scenario (*{SUFFIX}) or a folder with some, received "
+            f"{Path(given).absolute()}, which has none; correct the path, and name no folder that is a link"
         )
-    files = list(filter(None, chain.from_iterable(zip_longest(*by_folder.values()))))
+    if not request.algorithm.begins_with_given:
+        return space, f"{option}: the algorithm {request.algorithm.name} begins with no saved scenarios"
     fitting: dict[Scenario, None] = {}
-    left_out = 0
+    fit = 0
     for file in files:
         try:
-            scenario = reader.load(file).scenario
+            scenario = _fitted(reader.load(file).scenario, space, world)
         except CorpusError as error:
             raise RequestError(f"{option}: {error}") from None
-        fitted = next(_starts(scenario, space, world), None)
-        left_out += fitted is None
-        fitting |= {} if fitted is None else {fitted: None}
-    if not fitting:
-        raise RequestError(
-            f"{option}: expected scenarios that fit the world, received {len(files)} in {folder}, none of which does: "
-            f"they are of another road; leave {option} out"
-        )
-    note = f"began with {plural(len(fitting), 'saved scenario')}; {left_out} of {len(files)} do not fit this world"
-    return replace(space, first=tuple(fitting)), note if left_out else ""
+        if scenario is not None:
+            fitting[scenario] = None
+            fit += 1
+    note = "" if fit == len(files) else f"{fit} of {len(files)} saved scenarios fit this search"
+    return replace(space, first=tuple(fitting)), note
 
 
-def _starts(scenario: Scenario, space: SearchSpace, world: Any) -> Iterator[Scenario]:
-    """Yield a scenario with each start that the space has and that fits the world, the nearest to its own first."""
+def _in_turn(folder: Path, own: Path | None) -> list[Path]:
+    """Return the first files of all folders, then the second ones, and so on."""
+    by_folder: dict[Path, list[Path]] = {}
+    for file in [folder] if folder.name.endswith(SUFFIX) and folder.is_file() else files_below(folder):
+        if own is None or file.parent.absolute() != own.absolute():
+            by_folder.setdefault(file.parent, []).append(file)
+    return [file for files in itertools.zip_longest(*by_folder.values()) for file in files if file is not None]
+
+
+def _fitted(scenario: Scenario, space: SearchSpace, world: Any) -> Scenario | None:
+    """Return a scenario with the start of the space that is nearest to its own; None if it fits with no start."""
+    if not all(_can_be_drawn(gene, space) for chain in scenario.npcs for gene in chain):
+        return None
     lanes = space.ego_lanes or (space.ego_lane,)
     slowest, fastest = space.ego_speeds or (space.ego_speed, space.ego_speed)
     speed = min(max(scenario.ego_speed, slowest), fastest)
-    npcs = tuple(
-        tuple(replace(gene, speed=min(gene.speed, space.speed_limit)) for gene in chain) for chain in scenario.npcs
-    )
+    npcs = tuple(tuple(_within(chain, space)) for chain in scenario.npcs)
     for lane in sorted(lanes, key=lambda lane: abs(lane - scenario.ego_lane)):
         with suppress(ScenarioError):
             moved = replace(scenario, npcs=npcs, ego_lane=lane, ego_speed=speed, traffic=space.traffic)
             protocol.check_fits(world, moved)
-            yield moved
+            return moved
+    return None
+
+
+def _can_be_drawn(gene: Gene, space: SearchSpace) -> bool:
+    """Return whether a space has instructions of this kind. A world need not check that they fit."""
+    if isinstance(gene, CrossingInstruction):
+        return space.crossings is not None and gene.zone in [zone.way for zone in space.crossings.zones]
+    if isinstance(gene, Manoeuvre):
+        return space.instructions == "manoeuvres"
+    return space.instructions in ("both", "lanes" if isinstance(gene, LaneInstruction) else "cells")
+
+
+def _within(chain: Iterable[Gene], space: SearchSpace) -> Iterable[Gene]:
+    """Yield instructions with speeds that a space has."""
+    low, high = space.low_step / SPEED_STEPS_PER_MPS, space.top_step / SPEED_STEPS_PER_MPS
+    return (replace(gene, speed=min(max(gene.speed, low), high)) for gene in chain)

@@ -156,8 +156,8 @@ class SearchSummary:
         known: number of failing runs by id of the saved scenario with the same failure.
         random_failing, random_otherwise, random_runs: numbers of random scenarios at the beginning: those that failed
             by the ego's fault, those that failed in any other way, and all.
-        given: number of saved scenarios with which the search began; if it is not 0, the three numbers before are of
-            these.
+        given: number of saved scenarios with which the search began. If it is not 0, `random_failing`,
+            `random_otherwise` and `random_runs` count these scenarios, and no random ones.
         drawn, coverage: a line on the range of scenarios from which the search sampled, and one on what NPCs reached.
         against: the reference that failures were compared with; empty without one.
         warnings, notes: warnings about its health, and all other remarks except those on processes.

@@ -129,7 +129,7 @@ def prepared(
     if space is None and request.settings.is_search:
         space = build_space(request, harness.world)
         if request.settings.begin_with is not None:
-            space, begun = begun_with(request.settings.begin_with, space, harness.world, request)
+            space, begun = begun_with(request.settings.begin_with, space, harness.world, request, harness.folder)
     is_for_ego = is_steered and request.blame != "any"
     try:
         fitness = resolve(request.fitness, responsible=is_ego_responsible if is_for_ego else None)
@@ -457,7 +457,7 @@ class Search:
             loop.doubt,
             loop.known_alone,
             self._unused,
-            self._out_of_reach if finds else "",
+            self._out_of_reach,
             loading_hint(self.harness.ads) if loop.runs else "",
         )
         beginning, crossings = self.sessions.beginning, None if loop.space is None else loop.space.crossings
@@ -498,7 +498,7 @@ class Search:
             random_failing=0 if is_cut_short else beginning.at_fault,
             random_runs=0 if is_cut_short else beginning.runs,
             random_otherwise=0 if is_cut_short else beginning.otherwise,
-            given=0 if loop.space is None else len(loop.space.first),
+            given=0 if loop.space is None else min(len(loop.space.first), loop.runs),
             drawn="" if self.loop.space is None else self.loop.space.described,
             coverage=health.coverage.describe(float(self.harness.world.speed_limit), ways) if loop.runs else "",
         )
@@ -506,11 +506,13 @@ class Search:
     @property
     def _out_of_reach(self) -> str:
         """A note on what reference drivers can do and the ADS cannot; empty if its actions can stop the ego."""
-        speed = protocol.least_action_speed(self.harness.world)
-        if speed <= 0 or is_vehicle_class(self.harness.ads):
+        speed, kept = protocol.least_action_speed(self.harness.world), self.loop.recorder.kept.values()
+        expected = [each.finding.expect for each in kept]
+        is_avoided = any(each.avoided_by or "avoids" in (each.reference_drivers or {}).values() for each in expected)
+        if speed <= 0 or not is_avoided or is_vehicle_class(self.harness.ads):
             return ""
         return (
-            f"the environment's actions keep {speed:g} m/s or more, and reference drivers may brake below that; "
+            f"the environment's actions keep {speed:g} m/s or more, and what braking avoids may need less; "
             "target_speeds in the action of config= lets a policy do so, too"
         )
 

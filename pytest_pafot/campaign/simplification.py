@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 import pickle
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import islice
@@ -33,12 +34,12 @@ from pytest_pafot.findings.reactions import Reaction
 from pytest_pafot.findings.shrink import OutOfBudget, Shrunk, Start, shrink
 from pytest_pafot.model.scenario import Scenario, ScenarioError
 from pytest_pafot.model.sight import Sight
-from pytest_pafot.model.trace import LANE, SPEED
+from pytest_pafot.model.trace import LANE, SPEED, Trace
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.support.errors import DriverError, OutOfTime, RequestError
 from pytest_pafot.support.text import one_line
 from pytest_pafot.world import codec, protocol
-from pytest_pafot.world.driving.ads import is_vehicle_class
+from pytest_pafot.world.driving.ads import is_vehicle_class, wants_env
 from pytest_pafot.world.driving.perception import Perception, without
 from pytest_pafot.world.guard.failure import is_interruption
 from pytest_pafot.world.guard.hang_guard import runs_end_in
@@ -249,29 +250,47 @@ class Simplification:
         harness, trace = self.loop.simulation.harness, found.trace
         if is_vehicle_class(harness.ads) or not codec.is_built_in(harness.world):
             return ()
-        isolate, record = harness.request.settings.isolate, self.loop.simulation.record
-        told: list[Reaction] = []
-        seen: dict[int | None, list[bytes]] = {}  # by the hidden NPC, the observations until the event
-        for npc in (*range(len(found.scenario.npcs)), None):
-            if npc is None and (isolate or all(each.time is not None for each in told)):
-                break  # The observations of other processes are not known; or all NPCs were seen.
-            self._check_time()
+        told = []
+        hz, until, npcs = trace.ads_hz, found.event_time, range(len(found.scenario.npcs))
+        for npc in npcs:
             self.tell(f"hiding NPC {npc} of {find_id}")
-            self.neighbour_runs += 1
-            noted = seen.setdefault(npc, [])
-            ads = without(harness.ads, npc, None if isolate else partial(_note, noted))
-            try:
-                with refusals(), runner_for(replace(harness.job(), ads=ads), record, isolate=isolate) as runner:
-                    hidden = runner.run(found.scenario, afresh=True)
-            except RequestError:  # such as an observation that is a picture, in which nothing can be hidden
+            seen: list[bytes] = []
+            hidden = self._driven(found.scenario, npc, seen)
+            if hidden is None:
                 return ()
-            finally:
-                record.clear()
-            if npc is not None:
-                hz, until = trace.ads_hz, found.event_time
-                told.append(Reaction.of(npc, trace.actions, hidden.actions, hz=hz, until=until))
-        told = [replace(each, unseen=each.time is None and seen[each.npc] == seen.get(None)) for each in told]
-        return tuple(told) if trace.actions else ()
+            told.append((Reaction.of(npc, trace.actions, hidden.actions, hz=hz, until=until), seen))
+        # An ADS that never reacts to a vehicle may not have seen it. Its observations are then the same without it, too.
+        # Those of other processes are not known, and an ADS with the environment sees more than its observations.
+        looks_only = not harness.request.settings.isolate and not wants_env(harness.ads)
+        if looks_only and any(reaction.time is None for reaction, _ in told):
+            self.tell(f"driving {find_id} again")
+            whole: list[bytes] = []
+            self._driven(found.scenario, None, whole)
+            decisions = math.floor(until * hz + 1e-9) + 1
+            told = [
+                (replace(each, unseen=each.time is None and bool(seen) and seen[:decisions] == whole[:decisions]), seen)
+                for each, seen in told
+            ]
+        return tuple(reaction for reaction, _ in told) if trace.actions else ()
+
+    def _driven(self, scenario: Scenario, npc: int | None, seen: list[bytes]) -> Trace | None:
+        """Run a scenario with an NPC hidden from the ADS, and add its observations to a list.
+
+        Returns:
+            The run; None if nothing can be hidden in an observation, such as a picture.
+        """
+        self._check_time()
+        self.neighbour_runs += 1
+        harness, record = self.loop.simulation.harness, self.loop.simulation.record
+        isolate = harness.request.settings.isolate
+        ads = without(harness.ads, npc, None if isolate else partial(_note, seen))
+        try:
+            with refusals(), runner_for(replace(harness.job(), ads=ads), record, isolate=isolate) as runner:
+                return runner.run(scenario, afresh=True)
+        except RequestError:
+            return None
+        finally:
+            record.clear()
 
     @property
     def _has_lines(self) -> bool:
@@ -671,6 +690,7 @@ def starts_of(run: Run, top_speed: float) -> tuple[Start, ...]:
     return tuple((int(row[LANE]), float(min(max(round(row[SPEED], 1), 0.0), top_speed))) for row in rows)
 
 
-def _note(noted: list[bytes], observation: Any) -> None:
-    """Add an observation to a list. Bytes of a pickle are equal where arrays, alone or in tuples and mappings, are."""
-    noted.append(pickle.dumps(observation))
+def _note(seen: list[bytes], observation: Any) -> None:
+    """Add an observation to a list, if it can be compared: the bytes of equal arrays, tuples and mappings are equal."""
+    with suppress(Exception):  # A class of the user's own may not be picklable, and the ADS must not notice.
+        seen.append(pickle.dumps(observation))

@@ -120,9 +120,14 @@ def config_of(text: str | None) -> dict[str, Any] | None:
     if text is None:
         return None
     try:
-        config = json.loads(text)
-    except json.JSONDecodeError as error:
+        config = json.loads(text, parse_constant=_refuse)
+    except ValueError as error:  # which a JSONDecodeError is, too
         raise RequestError(f"--config: expected JSON such as '{{\"vehicles_count\": 20}}', {error}") from None
     if not isinstance(config, dict):
         raise RequestError(f"--config: expected JSON such as '{{\"vehicles_count\": 20}}', received {config!r:.100}")
     return config
+
+
+def _refuse(constant: str) -> None:
+    """Refuse NaN and Infinity, which Python reads and JSON does not have."""
+    raise ValueError(f"received {constant}")

@@ -38,7 +38,7 @@ from pytest_pafot.support.text import one_line, visible
 
 CONFTEST, TEST = "conftest.py", "test_safety.py"
 PAGE = "pafot.html"
-OWN = ("runs", "seed", "report", "against", "begin_with")
+OWN = ("runs", "seed", "report", "against")
 """The options of pytest that have a short name here."""
 TESTS_FAILED, USAGE_ERROR = 1, 4
 """Exit codes of pytest. They are copied, because importing pytest would slow down the help of commands."""
@@ -240,6 +240,7 @@ def _test(arguments: argparse.Namespace) -> str:
     of_config = "" if config is None else f", config={config!r}"
     given += [] if arguments.world is None else [f"world=pafot.World({arguments.world!r}{of_config})"]
     given += [] if arguments.traffic is None else [f'traffic="{arguments.traffic}"']
+    given += [] if arguments.begin_with is None else [f"begin_with={arguments.begin_with!r}"]
     name, holds, imports = "never_at_fault_in_a_collision", "assert not run.collision, run.explain()", ""
     if arguments.blame != "ego":
         name = "never_in_a_collision"

@@ -137,8 +137,9 @@ class ExecutorPool:
         if error is not None and not self.failure:
             self._submit([scenario])
             again = self._gather(scenario)
-            # These errors say that a worker or the connection was lost; KilledWorker is Dask's. Once, any other may say
-            # so, because Dask's executor fails with a ValueError when a worker dies while its answer is read.
+            # These errors say that a worker or the connection was lost; KilledWorker is Dask's. After a first
+            # failure of any other kind there is a second try as well, because Dask's executor raises a ValueError if a
+            # worker dies while its answer is read.
             is_lost = isinstance(again, (BrokenExecutor, CancelledError, OSError))
             if isinstance(again, OSError):
                 self.failure = f"{type(again).__name__}: {again}"

@@ -57,7 +57,7 @@ if TYPE_CHECKING:
 LINE_LENGTH = 99
 """The longest line of an explanation."""
 BACKWARDS = 0.5
-"""The speed backwards from which an explanation tells it [m/s]. Less is the overshoot of a car that stops."""
+"""The lowest backward speed that an explanation mentions [m/s]. Less is the overshoot of a car that stops."""
 MAX_STEP_ROWS = 10
 """The largest number of lines on manoeuvres in an explanation."""
 MAX_GENE_ROWS = 5
@@ -540,7 +540,7 @@ class Run(Shown):
         tick = int(np.nanargmin(speeds))
         if speeds[tick] > -BACKWARDS:
             return []
-        return [f"  the ego drove backwards, with {-speeds[tick]:.1f} m/s at {tick / self.trace.physics_hz:.1f} s"]
+        return [f"  the ego drove backwards, at {-speeds[tick]:.1f} m/s after {tick / self.trace.physics_hz:.1f} s"]
 
     def _hardest_brake(self) -> str:
         """Return the words for the ego's hardest braking and its time.

@@ -76,7 +76,7 @@ class FindingRecord:
             above, and the `path` of its file, which is empty without `--pafot-save=causes`. Null if none is known.
         reactions: for each NPC the decision that is first another one with the NPC hidden: `npc`; `time` [s], null if
             there is none until the event; `before`, the time from then to the event [s]; `action`, and `hidden`, the
-            one with the NPC hidden.
+            one with the NPC hidden; `unseen`, true if the NPC was in none of the observations.
         rests_on: the number of neighbours of a replayed scenario that pass.
         severity: how bad the failure is now: `kind`, which is `collision` or `check`; `value`, the closing speed at the
             impact [m/s], or by how much the check is broken [`unit`], null if it measured no number; `delta_v` of a

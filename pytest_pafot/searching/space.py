@@ -140,7 +140,9 @@ class SearchSpace:
     @property
     def plain(self) -> dict[str, Any]:
         """The fields as plain data: without ``crossings``; some others only if they are not usual."""
-        data = asdict(replace(self, crossings=None))
+        data = asdict(replace(self, crossings=None, first=()))
+        if self.first:
+            data["begin_with"] = [scenario.id for scenario in self.first]
         usual = {
             "crossings": None,
             "acts": crossing_traffic.ACTS,

@@ -245,7 +245,8 @@ class World(BuiltInWorld):
         """The lowest speed that ``DiscreteMetaAction`` can set [m/s]; 0 for other actions, and for planners."""
         action_type = getattr(self.environment.unwrapped, "action_type", None)
         speeds = getattr(action_type, "target_speeds", ())
-        return 0.0 if self.planner_hz is not None or not len(speeds) else max(0.0, float(min(speeds)))
+        sets_speed = self.planner_hz is None and getattr(action_type, "longitudinal", False)
+        return max(0.0, float(min(speeds))) if sets_speed and len(speeds) else 0.0
 
     @property
     def has_lock_step(self) -> bool:

@@ -9,6 +9,7 @@ from pytest_pafot.campaign.beginnings import OTHERS, begun_with, others
 from pytest_pafot.campaign.options import Settings
 from pytest_pafot.campaign.request import build_space, checked_request
 from pytest_pafot.corpus.layout import files_below
+from pytest_pafot.searching import SearchSpace
 
 FILES = files_below(others())
 
@@ -19,7 +20,7 @@ def test_there_are_files_of_several_policies():
 
 
 @pytest.mark.parametrize("file", FILES, ids=lambda file: f"{file.parent.name}-{file.name.split('.')[0]}")
-def test_a_file_is_a_failure_for_which_the_ego_is_responsible_and_tells_nothing_of_a_machine(file):
+def test_a_file_is_no_fault_of_an_npc_alone_and_tells_nothing_of_a_machine(file):
     saved = pafot.load(file)
     assert saved.expect.responsibility in ("ego", "both", "none")
     assert saved.finding.flaky is None
@@ -49,4 +50,32 @@ def test_a_search_in_any_world_can_begin_with_what_fits(world):
         world.check_fits(scenario)
         assert scenario.traffic == space.traffic
         assert scenario.ego_lane in (space.ego_lanes or (space.ego_lane,))
-    assert note == "" or "do not fit this world" in note
+    assert note == "" or note.endswith(f"of {len(FILES)} saved scenarios fit this search")
+
+
+class Unchecked:
+    """A world whose author did not write check_fits."""
+
+    def __init__(self):
+        self.speed_limit, self.longest_run, self.road = 26.8, 60.0, pafot.Highway().road
+
+    def rollout(self, scenario, ads):
+        raise NotImplementedError
+
+
+def test_a_world_that_checks_nothing_gets_the_kinds_of_instructions_that_its_space_has():
+    world = Unchecked()
+    request = checked_request({"ads": lambda: 1, "world": world}, Settings(algorithm="distinct", seed=0))
+    begun, _ = begun_with(OTHERS, SearchSpace(instructions="cells"), world, request)
+    assert {type(gene) for scenario in begun.first for chain in scenario.npcs for gene in chain} == {
+        pafot.PositionInstruction
+    }
+
+
+def test_everyday_traffic_is_not_asked_for_standing_cars():
+    world, traffic = pafot.Highway(), pafot.Traffic("everyday")
+    request = checked_request({"ads": lambda: 1, "world": world}, Settings(algorithm="distinct", seed=0))
+    space = SearchSpace(instructions="both", traffic=traffic)
+    begun, _ = begun_with(OTHERS, space, world, request)
+    slowest = min(gene.speed for scenario in begun.first for chain in scenario.npcs for gene in chain)
+    assert slowest >= traffic.least_speed(space.speed_limit) - 0.05 > 0

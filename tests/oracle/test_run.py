@@ -161,7 +161,7 @@ def test_an_ego_that_drives_backwards_is_told(speed, is_told, outcome):
     ego = vehicle(0.0, 4.0, speed=20.0, ticks=45)
     ego[30:, SPEED] = speed
     text = Run(trace_of(ego, vehicle(50.0, 4.0, speed=20.0, ticks=45), outcome=outcome)).explain()
-    assert ("  the ego drove backwards, with 3.2 m/s at 2.0 s" in text.splitlines()) is is_told
+    assert ("  the ego drove backwards, at 3.2 m/s after 2.0 s" in text.splitlines()) is is_told
 
 
 @pytest.mark.parametrize(

@@ -202,6 +202,21 @@ def test_collides(run):
     )
     result, record, _ = run(project, "--pafot-neighbours=8", "--pafot-shrink-rollouts=0")
     reactions = record["reactions"]
-    result.stdout.fnmatch_lines(["  note: the environment's actions keep 20 m/s or more, and reference drivers may *"])
+    result.stdout.fnmatch_lines(["  note: the environment's actions keep 20 m/s or more, and what braking avoids *"])
     assert [each["time"] for each in reactions] == [None, None]
     assert sorted(each["unseen"] for each in reactions) == [False, True]
+
+
+def test_an_ads_with_the_environment_may_see_more_than_its_observations(project):
+    project.write("""
+CONFIG = {"observation": {"type": "Kinematics", "vehicles_count": 2, "see_behind": True}}
+
+def make(env):
+    return lambda seen: 1
+
+@pafot.search(npcs=2, genes=2, gene_seconds=5, stop_after=1, ads=make, world=pafot.World("highway-v0", CONFIG))
+def test_collides(run):
+    assert not run.collision
+""")
+    reactions = run(project, "--pafot-neighbours=8", "--pafot-shrink-rollouts=0")[1]["reactions"]
+    assert [(each["time"], each["unseen"]) for each in reactions] == [(None, False)] * 2

@@ -44,6 +44,7 @@ class AlgorithmClass:
     # the fitness that it maximises unless a different one is requested: a name, weights or a function
     fitness: str | Weights | Fitness = "default"
     instructions: Sequence[str] = tuple(LANE_SHARES)  # the kinds of instructions that it can sample, last the default
+    begins_with_given: bool = False  # whether it begins with the scenarios in ``space.first``
     is_papers: bool = False  # whether its scenarios are the paper's: two NPCs, one start, no patterns
     batch_population: int | None = None  # scenarios in a generation if the ADS decides for many runs at once
     library: str | None = None  # the library that it needs besides this package, by its import name

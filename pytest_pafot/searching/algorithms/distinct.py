@@ -32,12 +32,14 @@ from pytest_pafot.searching.space import sample
 
 @dataclass(frozen=True, slots=True)
 class NicheSearch(GenerationalSearch[GenerationStateT]):
-    """A base class of searches that begin with random scenarios and then breed children of the best runs so far.
+    """A base class of searches that begin with given and random scenarios and then breed children of the best runs.
 
     Attributes:
-        random_runs: number of scenarios before the first children.
+        random_runs: number of random scenarios before the first children.
         crossover_rate: probability that two parents swap two NPCs.
     """
+
+    begins_with_given: ClassVar[bool] = True
 
     random_runs: int = field(default=20, kw_only=True)
     crossover_rate: float = field(default=0.5, kw_only=True)
@@ -104,7 +106,7 @@ class DistinctState(GenerationState):
 class DistinctSearch(NicheSearch[DistinctState]):
     """A search that varies the worst run of each niche, which is a kind of run, and drops runs with a known failure.
 
-    1. The first scenarios are random, like the paper's first generation.
+    1. The first scenarios are those that the space gives, if any, and random ones, like the paper's first generation.
     2. After them a third of the scenarios are random, and the others are children of the worst run of every niche. The
        niche of a run with an impact is the cell and closing speed of the impact. Without an impact, it is how the ego
        reacted (:func:`~pytest_pafot.searching.evaluation.demand_of`). So no kind of run displaces the others. For an

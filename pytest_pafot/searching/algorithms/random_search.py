@@ -29,7 +29,7 @@ class RandomSearch(GenerationalSearch[GenerationState]):
     """A search that samples valid scenarios at random, in generations as large as the paper's search (section 4.2)."""
 
     name: ClassVar[str] = "random"
-    counted_at_first: ClassVar[float] = math.inf  # number of random scenarios at the beginning of a search
+    counted_at_first: ClassVar[float] = math.inf  # all scenarios are random
 
     def start(self, rng: Generator) -> GenerationState:
         """Return the state before the first generation, without using a random number."""
