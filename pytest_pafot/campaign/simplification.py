@@ -259,7 +259,7 @@ class Simplification:
             if hidden is None:
                 return ()
             told.append((Reaction.of(npc, trace.actions, hidden.actions, hz=hz, until=until), seen))
-        # An ADS that never reacts to a vehicle may not have seen it. Its observations are then the same without it, too.
+        # An ADS that never reacts to a vehicle may not have seen it. Its observations are then the same without it.
         # Those of other processes are not known, and an ADS with the environment sees more than its observations.
         looks_only = not harness.request.settings.isolate and not wants_env(harness.ads)
         if looks_only and any(reaction.time is None for reaction, _ in told):

@@ -82,7 +82,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(flag("corpus"), dest="corpus", default=CORPUS, help=argparse.SUPPRESS)
     # Messages of the session name options of pytest. All that do something in a search are options here, too.
     for option in OPTIONS:
-        if option.name not in (*OWN, "corpus", "allow_orphans"):
+        if option.name not in (*OWN, "begin_with", "corpus", "allow_orphans"):
             given: dict[str, Any] = {"nargs": 0 if option.kind == "switch" else None, "help": argparse.SUPPRESS}
             parser.add_argument(option.flag, action=_ForPytest, dest="options", default=[], **given)
     of_others = f"The options of this package for pytest, such as {flag('isolate')}, are options here, too: see "
