@@ -37,9 +37,10 @@ def import_from_clone(variable: str, repository: str, commit: str, package: str)
         imported = importlib.import_module(Path(package).name)
     finally:
         sys.path.remove(parent)
-    if not Path(str(imported.__file__)).is_relative_to(folder):
+    place = str(imported.__file__ or next(iter(imported.__path__)))  # a package without __init__.py has no file
+    if not Path(place).is_relative_to(folder):
         raise ImportError(
-            f"{variable}: expected the package {Path(package).name} of {folder}, received {imported.__file__}, of the "
+            f"{variable}: expected the package {Path(package).name} of {folder}, received {place}, of the "
             "same name and imported before; rename your own module"
         )
     return folder

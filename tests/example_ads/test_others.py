@@ -103,7 +103,9 @@ REPOSITORIES = {
 @pytest.mark.parametrize("is_set", [False, True])
 def test_error_without_clone_names_variable_and_repository(monkeypatch, tmp_path, name, variable, is_set):
     monkeypatch.delitem(sys.modules, f"example_ads.{name}", raising=False)
-    monkeypatch.setitem(sys.modules, "rl_agents", ModuleType("rl_agents"))  # the first of two is there
+    first = ModuleType("rl_agents")  # the first of two is there
+    first.__file__ = str(tmp_path / "rl_agents" / "__init__.py")
+    monkeypatch.setitem(sys.modules, "rl_agents", first)
     (tmp_path / "rl_agents").mkdir()
     monkeypatch.setenv("RL_AGENTS", str(tmp_path))
     empty = tmp_path / "empty"
@@ -114,3 +116,16 @@ def test_error_without_clone_names_variable_and_repository(monkeypatch, tmp_path
     assert str(raised.value).startswith(expected)
     assert f"received {str(empty) if is_set else None!r}; clone it" in str(raised.value)
     assert str(raised.value).endswith(f"set the environment variable {variable} to its folder")
+
+
+def test_a_module_of_the_same_name_from_elsewhere_is_refused(monkeypatch, tmp_path):
+    monkeypatch.delitem(sys.modules, "example_ads.jrc_fsm", raising=False)
+    mine = ModuleType("utility")
+    mine.__file__ = "/mine/utility.py"
+    monkeypatch.setitem(sys.modules, "utility", mine)
+    (tmp_path / "utility").mkdir()
+    monkeypatch.setenv("JRC_FSM", str(tmp_path))
+    with pytest.raises(
+        ImportError, match=r"JRC_FSM: expected the package utility of .*, received /mine/utility\.py, of the"
+    ):
+        importlib.import_module("example_ads.jrc_fsm")
