@@ -40,7 +40,7 @@ from pytest_pafot.support.errors import DriverError, OutOfTime, RequestError
 from pytest_pafot.support.text import one_line
 from pytest_pafot.world import codec, protocol
 from pytest_pafot.world.driving.ads import is_vehicle_class, wants_env
-from pytest_pafot.world.driving.perception import Perception, without
+from pytest_pafot.world.driving.perception import Perception, sight_of, without
 from pytest_pafot.world.guard.failure import is_interruption
 from pytest_pafot.world.guard.hang_guard import runs_end_in
 from pytest_pafot.world.guard.own_worlds import rollout_of
@@ -260,9 +260,11 @@ class Simplification:
                 return ()
             told.append((Reaction.of(npc, trace.actions, hidden.actions, hz=hz, until=until), seen))
         # An ADS that never reacts to a vehicle may not have seen it. Its observations are then the same without it.
-        # Those of other processes are not known, and an ADS with the environment sees more than its observations.
+        # Those of other processes are not known, and an ADS with the environment sees more than its observations. A
+        # planner with perfect sight sees everybody.
         looks_only = not harness.request.settings.isolate and not wants_env(harness.ads)
-        if looks_only and any(reaction.time is None for reaction, _ in told):
+        sees_all = sight_of(harness.ads) is None and getattr(harness.world, "planner_hz", 1) is not None
+        if looks_only and not sees_all and any(reaction.time is None for reaction, _ in told):
             self.tell(f"driving {find_id} again")
             whole: list[bytes] = []
             self._driven(found.scenario, None, whole)
