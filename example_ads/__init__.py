@@ -9,7 +9,11 @@ from __future__ import annotations
 import importlib
 import os
 import sys
+from collections.abc import Sequence
 from pathlib import Path
+
+MOVES_SIDEWAYS = 0.3
+"""The lateral speed from which an adapter takes a vehicle to be changing lanes [m/s]."""
 
 
 def import_from_clone(variable: str, repository: str, commit: str, package: str) -> Path:
@@ -44,3 +48,15 @@ def import_from_clone(variable: str, repository: str, commit: str, package: str)
             "same name and imported before; rename your own module"
         )
     return folder
+
+
+def lane_ahead(lane_centres: Sequence[float], y: float, lateral_velocity: float) -> int | None:
+    """Return the lane to whose centre a vehicle is moving; None if it is not changing lanes, or beyond the last one.
+
+    Args:
+        lane_centres: the y of each lane's centre [m].
+        y: the vehicle's y [m].
+        lateral_velocity: its velocity along y [m/s].
+    """
+    ways = [(abs(centre - y), lane) for lane, centre in enumerate(lane_centres) if (centre - y) * lateral_velocity > 0]
+    return min(ways)[1] if ways and abs(lateral_velocity) >= MOVES_SIDEWAYS else None

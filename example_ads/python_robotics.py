@@ -29,7 +29,7 @@ import numpy.typing as npt
 
 from pytest_pafot import Drive, Observation
 
-from . import import_from_clone
+from . import import_from_clone, lane_ahead
 
 import_from_clone(
     "PYTHON_ROBOTICS",
@@ -49,7 +49,6 @@ FAR_POINT = np.array([[-1e3, 0.0]])  # the planner needs at least one
 MARGIN_ALONG, MARGIN_ACROSS = 2.0, 0.5
 POINT_SPACING: npt.NDArray[np.float64] = np.array([3.0, 0.25])
 GENTLE_BRAKING = 2.0
-MOVES_SIDEWAYS = 0.3
 PURSUIT_TIME = 0.8
 
 
@@ -112,10 +111,8 @@ class FrenetPlanner:
             stop = other.speed / braking if braking else math.inf
             moving = np.minimum(times, stop)
             xs = other.x + (other.speed * moving - braking * moving**2 / 2)
-            target = other.y
-            if abs(lateral) > MOVES_SIDEWAYS:
-                sides = [y for y in seen.lane_centres if (y - other.y) * lateral > 0]
-                target = min(sides, key=lambda y: abs(y - other.y), default=other.y)
+            lane = lane_ahead(seen.lane_centres, other.y, lateral)
+            target = other.y if lane is None else seen.lane_centres[lane]
             moved = np.minimum(abs(lateral) * times, abs(target - other.y))
             ys = other.y + math.copysign(1.0, target - other.y) * moved
             meets = (np.abs(xs - ego.x - ego.speed * times) < half + MARGIN_ALONG) | (moving == stop)

@@ -27,11 +27,11 @@ import numpy as np
 
 import pytest_pafot as pafot
 
+from . import lane_ahead
 from .fiss import MAX_DECELERATION, MAX_STEERING, MAX_STEERING_RATE, PREDICTION_STEP
 
 if TYPE_CHECKING:
     from pytest_pafot import Observation
-    from pytest_pafot.world import VehicleState
 
 ORIGIN = 100.0
 PATH_LENGTH = 600.0
@@ -44,7 +44,6 @@ DECELERATION_RATIO = 0.25
 # The others are taken to be larger by this on each side, because the car does not follow a plan exactly.
 MARGIN_ALONG = 0.5
 MARGIN_ACROSS = 0.25
-MOVES_SIDEWAYS = 0.3
 MIN_SPEED = 0.01
 
 
@@ -137,7 +136,9 @@ class ReactivePlanner:
         lateral_velocities = observation.lateral_velocities[1:]
         for other, lateral in zip(observation.others, lateral_velocities, strict=True):
             half_length, half_width = other.length / 2 + MARGIN_ALONG, other.width / 2 + MARGIN_ACROSS
-            x, target = ORIGIN + other.x - observation.ego.x, _target(other, lateral, observation.lane_centres)
+            lane = lane_ahead(observation.lane_centres, other.y, lateral)
+            target = other.y if lane is None else observation.lane_centres[lane]
+            x = ORIGIN + other.x - observation.ego.x
             moving = shapes.TimeVariantCollisionObject(0)
             for time in np.arange(self._planner.N + 1) * PREDICTION_STEP:
                 moved = min(abs(lateral) * time, abs(target - other.y))
@@ -145,15 +146,6 @@ class ReactivePlanner:
                 moving.append_obstacle(shapes.RectOBB(half_length, half_width, 0.0, x + other.speed * time, -y))
             checker.add_collision_object(moving)
         return checker
-
-
-def _target(other: VehicleState, lateral: float, centres: tuple[float, ...]) -> float:
-    """Return the y at which a vehicle ends: the next centre of a lane on the side to which it moves."""
-    if abs(lateral) < MOVES_SIDEWAYS:
-        return other.y
-    if lateral > 0:
-        return min((y for y in centres if y > other.y), default=other.y)
-    return max((y for y in centres if y < other.y), default=other.y)
 
 
 def make(desired_speed: str = "") -> ReactivePlanner:

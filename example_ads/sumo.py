@@ -14,15 +14,13 @@ import math
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING
 
 import libsumo
 from libsumo import vehicle
 
 from pytest_pafot import Drive, Observation
 
-if TYPE_CHECKING:
-    from pytest_pafot.world import VehicleState
+from . import lane_ahead
 
 WORLD = """<net version="1.20"><edge id="road" from="a" to="b">{lanes}</edge>
 <junction id="a" type="dead_end" x="0" y="0" incLanes="" intLanes="" shape=""/>
@@ -35,15 +33,8 @@ shape="0,{0} {seen.road_length},{0}"/>"""
 OPTIONS = ["--collision.action=none", "--xml-validation=never", "--no-step-log", "--no-warnings"]
 
 
-MOVES_SIDEWAYS = 0.3  # [m/s]
 MARGIN = 0.5  # room across the road beside the ego's body [m]
 MIN_GAP = 2.5  # SUMO's default of minGap [m]
-
-
-def lane_ahead(seen: Observation, car: VehicleState, lateral: float) -> int:
-    """Return the lane to whose centre a vehicle is moving with a lateral velocity [m/s], or else its own."""
-    ways = [(abs(y - car.y), lane) for lane, y in enumerate(seen.lane_centres) if (y - car.y) * lateral > 0]
-    return min(ways)[1] if ways and abs(lateral) >= MOVES_SIDEWAYS else car.lane
 
 
 @dataclass
@@ -65,7 +56,8 @@ class SumoDriver:
         ego, names = seen.ego, ("ego", *map(str, seen.ids))
         ahead: list[tuple[float, float, str]] = []
         for name, car, lateral in zip(names, (ego, *seen.others), seen.lateral_velocities, strict=True):
-            lane = self.lane if name == "ego" else lane_ahead(seen, car, lateral)
+            moves_to = self.lane if name == "ego" else lane_ahead(seen.lane_centres, car.y, lateral)
+            lane = car.lane if moves_to is None else moves_to
             vehicle.moveTo(name, f"road_{seen.lanes - 1 - lane}", car.x + car.length / 2)
             vehicle.setPreviousSpeed(name, car.speed)
             gap = car.x - ego.x - (car.length + ego.length) / 2

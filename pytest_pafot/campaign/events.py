@@ -251,7 +251,7 @@ class Judged:
 
     @property
     def responsibility(self) -> str | None:
-        """Who is responsible for the run's collision, ``"ego"``, ``"npc"`` or ``"both"``; None if neither is."""
+        """The side responsible for the run's collision, ``"ego"``, ``"npc"`` or ``"both"``; None if neither is."""
         return self.known_responsibility if self.run is None else self.run.responsibility
 
 

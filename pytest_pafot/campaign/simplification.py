@@ -250,33 +250,35 @@ class Simplification:
         harness, trace = self.loop.simulation.harness, found.trace
         if is_vehicle_class(harness.ads) or not codec.is_built_in(harness.world):
             return ()
-        told = []
-        hz, until, npcs = trace.ads_hz, found.event_time, range(len(found.scenario.npcs))
-        for npc in npcs:
-            self.tell(f"hiding NPC {npc} of {find_id}")
-            seen: list[bytes] = []
-            hidden = self._driven(found.scenario, npc, seen)
-            if hidden is None:
-                return ()
-            told.append((Reaction.of(npc, trace.actions, hidden.actions, hz=hz, until=until), seen))
         # An ADS that never reacts to a vehicle may not have seen it. Its observations are then the same without it.
         # Those of other processes are not known, and an ADS with the environment sees more than its observations. A
         # planner with perfect sight sees everybody.
-        looks_only = not harness.request.settings.isolate and not wants_env(harness.ads)
         sees_all = sight_of(harness.ads) is None and getattr(harness.world, "planner_hz", 1) is not None
-        if looks_only and not sees_all and any(reaction.time is None for reaction, _ in told):
+        is_noted = not (sees_all or harness.request.settings.isolate or wants_env(harness.ads))
+        told: list[Reaction] = []
+        without_it: list[list[bytes]] = []  # for each NPC, the observations until the event with it hidden
+        hz, until = trace.ads_hz, found.event_time
+        decisions = math.floor(until * hz + 1e-9) + 1
+        for npc in range(len(found.scenario.npcs)):
+            self.tell(f"hiding NPC {npc} of {find_id}")
+            seen: list[bytes] = []
+            hidden = self._driven(found.scenario, npc, seen if is_noted else None)
+            if hidden is None:
+                return ()
+            told.append(Reaction.of(npc, trace.actions, hidden.actions, hz=hz, until=until))
+            without_it.append(seen[:decisions])
+        if is_noted and any(each.time is None for each in told):
             self.tell(f"driving {find_id} again")
             whole: list[bytes] = []
             self._driven(found.scenario, None, whole)
-            decisions = math.floor(until * hz + 1e-9) + 1
             told = [
-                (replace(each, unseen=each.time is None and bool(seen) and seen[:decisions] == whole[:decisions]), seen)
-                for each, seen in told
+                replace(each, unseen=each.time is None and bool(seen) and seen == whole[:decisions])
+                for each, seen in zip(told, without_it, strict=True)
             ]
-        return tuple(reaction for reaction, _ in told) if trace.actions else ()
+        return tuple(told) if trace.actions else ()
 
-    def _driven(self, scenario: Scenario, npc: int | None, seen: list[bytes]) -> Trace | None:
-        """Run a scenario with an NPC hidden from the ADS, and add its observations to a list.
+    def _driven(self, scenario: Scenario, npc: int | None, seen: list[bytes] | None) -> Trace | None:
+        """Run a scenario with an NPC hidden from the ADS, and add its observations to a list, if there is one.
 
         Returns:
             The run; None if nothing can be hidden in an observation, such as a picture.
@@ -284,10 +286,9 @@ class Simplification:
         self._check_time()
         self.neighbour_runs += 1
         harness, record = self.loop.simulation.harness, self.loop.simulation.record
-        isolate = harness.request.settings.isolate
-        ads = without(harness.ads, npc, None if isolate else partial(_note, seen))
+        job = replace(harness.job(), ads=without(harness.ads, npc, None if seen is None else partial(_note, seen)))
         try:
-            with refusals(), runner_for(replace(harness.job(), ads=ads), record, isolate=isolate) as runner:
+            with refusals(), runner_for(job, record, isolate=harness.request.settings.isolate) as runner:
                 return runner.run(scenario, afresh=True)
         except RequestError:
             return None

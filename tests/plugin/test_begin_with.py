@@ -139,16 +139,15 @@ def test_a_search_does_not_begin_with_its_own_findings(project, theirs):
     told.fnmatch_lines(["*--pafot-begin-with=pafot_corpus: expected others, *"])
 
 
-class TestSpeeds:
-    def test_keep_to_the_traffic_of_the_search(self, project, theirs):
-        project.write(SPEEDS_UP.replace("SHORT", 'traffic="everyday"'))
-        _, record, _ = searched(project, f"--pafot-begin-with={theirs}", "--pafot-runs=2")
-        assert record["given"] == 2
-        lowest = pafot.Traffic("everyday").least_speed(26.8)
-        driven = [pafot.load(file).finding for file in project.files]
-        for finding in driven:
-            scenario = finding.original or finding.scenario
-            assert min(gene.speed for chain in scenario.npcs for gene in chain) >= lowest - 0.05
+def test_speeds_keep_to_the_traffic_of_the_search(project, theirs):
+    project.write(SPEEDS_UP.replace("SHORT", 'traffic="everyday"'))
+    _, record, _ = searched(project, f"--pafot-begin-with={theirs}", "--pafot-runs=2")
+    assert record["given"] == 2
+    lowest = pafot.Traffic("everyday").least_speed(26.8)
+    driven = [pafot.load(file).finding for file in project.files]
+    for finding in driven:
+        scenario = finding.original or finding.scenario
+        assert min(gene.speed for chain in scenario.npcs for gene in chain) >= lowest - 0.05
 
 
 def test_a_file_that_cannot_be_read_is_named(project, theirs):
