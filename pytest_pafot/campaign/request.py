@@ -102,6 +102,9 @@ class SearchArguments(TypedDict, total=False):
     profile: str
     strict_drift: bool
     strict_health: bool
+    requirement: str | Sequence[str]
+    title: str
+    owner: str
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -33,6 +33,7 @@ from pytest_pafot.plugin.session import (
     shared_by_controller,
 )
 from pytest_pafot.plugin.terminal_reporter import Reporter
+from pytest_pafot.plugin.tracing import Tracing
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -43,7 +44,8 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 def pytest_configure(config: pytest.Config) -> None:
     """Register the marks, and a separate plugin for each feature that the options turn on."""
     for line in (
-        f"{ANY_MARK}: every test that belongs to pytest-pafot, to select or deselect all of them",
+        f"{ANY_MARK}(requirement, title, owner): every test that belongs to pytest-pafot, to select all of them, or to "
+        "say which requirement a test checks",
         f"{SEARCH_MARK}(**arguments): search for scenarios that break the test; write @pafot.search(...)",
         f"{CATALOGUE_MARK}(*names, **values): drive named scenarios; write @pafot.catalogue(...)",
         f"{SAVED_MARK}(saved): the item replays a saved scenario; set by the plugin",
@@ -51,7 +53,7 @@ def pytest_configure(config: pytest.Config) -> None:
         config.addinivalue_line("markers", line)
     config.stash[SUMMARY_LINES] = SummaryLines()
     features = {"fixtures": fixtures, "collection": Collection(config), "messages": messages}
-    features["catalogue"] = Catalogued()
+    features |= {"catalogue": Catalogued(), "tracing": Tracing()}
     if hasattr(config, "workerinput"):
         config.stash[SHARED] = shared_by_controller(config)
         features["worker"] = Worker()

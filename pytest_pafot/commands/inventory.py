@@ -1,0 +1,72 @@
+"""Which tests there are, which requirements they check, and which saved scenarios they replay: pytest collects them."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import tempfile
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from pytest_pafot.findings.traced import Traced
+from pytest_pafot.support.errors import RequestError
+from pytest_pafot.support.text import visible_lines
+
+SHOWN = 20  # the largest number of lines of pytest's output that an error repeats
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Inventory:
+    """The tests that pytest collects in the current folder.
+
+    Attributes:
+        root: the rootdir, to which all paths are relative.
+        tests: by node id, without the parts of pytest-pafot; of the tests that a mark of this plugin names.
+        searches: node ids of the tests that search.
+        files: the saved scenarios that a test replays, by path, each with the node id of its test.
+        orphans: the saved scenarios whose test is gone, by path, each with what was expected.
+        problem: why some tests are not known; empty if all were collected.
+    """
+
+    root: Path
+    tests: Mapping[str, Traced] = field(default_factory=dict)
+    searches: frozenset[str] = frozenset()
+    files: Mapping[str, str] = field(default_factory=dict)
+    orphans: Mapping[str, str] = field(default_factory=dict)
+    problem: str = ""
+
+
+def collected(arguments: Sequence[str] = ()) -> Inventory:
+    """Let pytest collect the tests in a process of its own, and return what it found.
+
+    ``arguments`` are arguments of pytest, such as folders of tests.
+
+    Raises:
+        RequestError: if pytest did not come to an end.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        told = Path(folder) / "inventory.json"
+        plugins = ["-p", "pafot", "-p", "pytest_pafot.plugin.inventory", f"--inventory-to={told}"]
+        command = [sys.executable, "-m", "pytest", *plugins, "--collect-only", "-qq", "--color=no", *arguments]
+        ended = subprocess.run(command, check=False, stdout=subprocess.PIPE, stderr=subprocess.STDOUT)  # noqa: S603
+        output = "\n".join(ended.stdout.decode(errors="replace").splitlines()[-SHOWN:])
+        if not told.is_file():
+            raise RequestError(
+                f"expected pytest to collect the tests here, received exit code {ended.returncode} and:\n"
+                f"{visible_lines(output)}"
+            )
+        data = json.loads(told.read_text(encoding="ascii"))
+    marked = {test: each for test, each in data["tests"].items() if each["is_marked"]}
+    return Inventory(
+        root=Path(data["root"]),
+        tests={
+            test: Traced(requirements=tuple(each["requirements"]), title=each["title"], owner=each["owner"])
+            for test, each in marked.items()
+        },
+        searches=frozenset(test for test, each in marked.items() if each["is_search"]),
+        files=data["files"],
+        orphans=data["orphans"],
+        problem=visible_lines(output) if data["failed"] else "",
+    )

@@ -1,0 +1,59 @@
+"""Requirements of tests: what marks say of them, and how reports carry it to the controller and to other tools."""
+
+from __future__ import annotations
+
+import inspect
+
+import pytest
+
+from pytest_pafot.findings.traced import MOST_TEXT, Traced, checked
+from pytest_pafot.plugin.marks import ANY_MARK, TRACING
+from pytest_pafot.support.text import visible
+
+TRACED = pytest.StashKey[Traced]()
+
+
+def traced(item: pytest.Item) -> Traced:
+    """Return what the marks of an item say of its requirements; nothing if they are wrong, which fails the item."""
+    if TRACED not in item.stash:
+        try:
+            item.stash[TRACED] = read(item)
+        except ValueError:
+            item.stash[TRACED] = Traced()
+    return item.stash[TRACED]
+
+
+def read(item: pytest.Item) -> Traced:
+    """Read the requirements from the marks of an item, its classes and its module; the closest mark counts.
+
+    A title belongs to the requirement of its mark: with a requirement of its own, a test does not inherit the title
+    of its class. Without a title, the first line of the docstring of what is marked is the title.
+
+    Raises:
+        ValueError: if an argument is wrong.
+    """
+    requirements: tuple[str, ...] = ()
+    title = owner = documentation = ""
+    for node, mark in item.iter_markers_with_node(ANY_MARK):
+        told = checked({name: mark.kwargs[name] for name in TRACING if name in mark.kwargs})
+        owner = owner or told.owner
+        if not requirements:
+            title = title or told.title
+            requirements = told.requirements
+            documentation = _first_line(node) if requirements else ""
+    title = title or documentation or _first_line(item)
+    return Traced(requirements=requirements, title=title if requirements else "", owner=owner)
+
+
+def _first_line(node: object) -> str:
+    documentation = inspect.getdoc(getattr(node, "obj", None)) or ""
+    return visible(documentation.partition("\n")[0].strip())[:MOST_TEXT]
+
+
+class Tracing:
+    """The hook that gives each item the properties of its requirements, which its reports carry."""
+
+    def pytest_itemcollected(self, item: pytest.Item) -> None:
+        """Set the properties of an item whose marks name a requirement or an owner."""
+        if any(item.iter_markers(ANY_MARK)):
+            item.user_properties.extend(traced(item).properties)
