@@ -15,6 +15,7 @@ def main(arguments: list[str] | None = None) -> int:
     The arguments do not include the program's name; by default they are those of this process.
     """
     from pytest_pafot.commands import bisect_command as bisecting  # noqa: PLC0415
+    from pytest_pafot.commands import requirements_command as requiring  # noqa: PLC0415
     from pytest_pafot.commands import search_command as searching  # noqa: PLC0415
     from pytest_pafot.commands.policy_reference import BAD_USE  # noqa: PLC0415
     from pytest_pafot.comparison import command as comparison  # noqa: PLC0415
@@ -24,7 +25,7 @@ def main(arguments: list[str] | None = None) -> int:
     from pytest_pafot.execution.revision_policy import RevisionError  # noqa: PLC0415
     from pytest_pafot.export import export_command as exporting  # noqa: PLC0415
     from pytest_pafot.report.animation import AnimationError  # noqa: PLC0415
-    from pytest_pafot.support.errors import AdsFactoryError, FieldError, RequestError  # noqa: PLC0415
+    from pytest_pafot.support.errors import AdsFactoryError, FieldError, RequestError, flag  # noqa: PLC0415
     from pytest_pafot.support.interrupts import Ended, interrupted_by_signals  # noqa: PLC0415
     from pytest_pafot.sweeps import map_command as mapping  # noqa: PLC0415
 
@@ -93,6 +94,15 @@ def main(arguments: list[str] | None = None) -> int:
     )
     mapping.add_arguments(of_map)
     of_map.set_defaults(run=mapping.run)
+    of_requirements = commands.add_parser(
+        "requirements",
+        help="tell which requirements are tested, what is open, since when, and whose it is",
+        description="Let pytest collect the tests, without running them, and print for each requirement that a mark "
+        f"names its tests, what fails, what is accepted, fixed or drifted, and how far it was searched. What sessions "
+        f"saw of it is read from their results, the files of {flag('json')}.",
+    )
+    requiring.add_arguments(of_requirements)
+    of_requirements.set_defaults(run=requiring.run)
     of_corpus = commands.add_parser(
         "corpus",
         help="list, count, join, prune and accept saved scenarios",
@@ -101,7 +111,7 @@ def main(arguments: list[str] | None = None) -> int:
     corpus.add_arguments(of_corpus)
     of_corpus.set_defaults(run=corpus.run)
     # Split at "--" here: argparse would add the arguments after it to the positional arguments before it.
-    own = given.index("--") if given[:1] == ["search"] and "--" in given else len(given)
+    own = given.index("--") if given[:1] in (["search"], ["requirements"]) and "--" in given else len(given)
     arguments_given, unknown = parser.parse_known_args(given[:own], argparse.Namespace(pytest=given[own + 1 :]))
     if unknown:  # The parser itself would print the usage of all commands.
         which = commands.choices[arguments_given.command]

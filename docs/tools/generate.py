@@ -90,6 +90,9 @@ MARKER_TEXTS: Mapping[str, str] = {
     "instructions": "[The kind of instructions](../explanation/default-search.md#why-both-kinds) of NPCs that do not "
     'cross: `"cells"` (Position-Instructions), `"lanes"` (Lane-Instructions), `"manoeuvres"`, or `"both"` (one of '
     "the first two with equal probability).",
+    "requirement": "[The requirement](../guide/requirements.md) that the test checks, as an id or a list of ids.",
+    "title": "What the requirement asks for; by default the first line of the docstring.",
+    "owner": "Who answers for the test.",
     "decision_limit": "Slowest decision of the ADS that is no finding [s]. Depends on wall-clock time.",
 }
 """Meanings of arguments that no docstring explains."""
@@ -104,6 +107,9 @@ MARKER_DEFAULTS: Mapping[str, str] = {
     "instructions": '`"both"`, or `"cells"`',
     "ego_lane": "sampled",
     "ego_speed": "sampled",
+    "requirement": "none",
+    "title": "the docstring",
+    "owner": "none",
 }
 """Defaults that no dataclass contains."""
 

@@ -161,6 +161,8 @@ class SearchSummary:
         drawn, coverage: a line on the range of scenarios from which the search sampled, and one on what NPCs reached.
         against: the reference that failures were compared with; empty without one.
         warnings, notes: warnings about its health, and all other remarks except those on processes.
+        requirements, title, owner: ids of the requirements that its test checks, what they ask for, and who answers for
+            the test.
     """
 
     node_id: str
@@ -199,6 +201,9 @@ class SearchSummary:
     against: str = ""
     warnings: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
+    requirements: tuple[str, ...] = ()  # these three are known only to the controller
+    title: str = ""
+    owner: str = ""
     # for the terminal alone, because they differ between machines and numbers of workers
     seconds: float = 0.0
     process_notes: tuple[str, ...] = ()  # how many processes were used, and which died

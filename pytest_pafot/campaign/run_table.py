@@ -52,6 +52,7 @@ COLUMNS: Mapping[str, str] = {
     "least_time_to_contact": "least time to contact with an NPC [s]",
     "hardest_braking": "hardest braking of the ego [m/s^2]",
     "margins": "JSON: the worst margin of each check that the test made, negative if it failed",
+    "requirements": "ids of the requirements that the test checks, with commas between them",
 }
 """The columns of the table in their order, with their meaning. A cell without a value is empty."""
 
@@ -63,6 +64,7 @@ class RunTable:
     """A collector of rows from the events of a search."""
 
     test: str = ""
+    requirements: str | None = None
     seed: int = 0
     number: int = 0
     rows: list[Row] = field(default_factory=list)
@@ -99,7 +101,8 @@ class RunTable:
 
     def _add(self, row: Row) -> None:
         self.number += 1
-        self.rows.append(row | {"test": self.test, "seed": self.seed, "run": self.number})
+        of_search = {"test": self.test, "requirements": self.requirements, "seed": self.seed}
+        self.rows.append(row | of_search | {"run": self.number})
 
 
 def row_of(evaluation: Evaluation, generation: int, local_generation: int = 0, *, reused: bool = False) -> Row:

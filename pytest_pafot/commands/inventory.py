@@ -10,9 +10,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from pytest_pafot.findings.traced import Traced
 from pytest_pafot.support.errors import RequestError
 from pytest_pafot.support.text import visible_lines
+from pytest_pafot.support.traced import Traced
 
 SHOWN = 20  # the largest number of lines of pytest's output that an error repeats
 
@@ -48,7 +48,7 @@ def collected(arguments: Sequence[str] = ()) -> Inventory:
     """
     with tempfile.TemporaryDirectory() as folder:
         told = Path(folder) / "inventory.json"
-        plugins = ["-p", "pafot", "-p", "pytest_pafot.plugin.inventory", f"--inventory-to={told}"]
+        plugins = ["-p", "pafot", "-p", "pytest_pafot.plugin.inventory_session", f"--inventory-to={told}"]
         command = [sys.executable, "-m", "pytest", *plugins, "--collect-only", "-qq", "--color=no", *arguments]
         ended = subprocess.run(command, check=False, stdout=subprocess.PIPE, stderr=subprocess.STDOUT)  # noqa: S603
         output = "\n".join(ended.stdout.decode(errors="replace").splitlines()[-SHOWN:])

@@ -23,7 +23,9 @@ from pytest_pafot.plugin.collection import saved_of
 from pytest_pafot.plugin.marks import CATALOGUE_MARK, SEARCH_MARK
 from pytest_pafot.plugin.messages import AS_SAVED
 from pytest_pafot.plugin.session import SHARED
+from pytest_pafot.plugin.tracing import traced
 from pytest_pafot.support.text import MARKER, fitted_lines, visible, visible_lines
+from pytest_pafot.support.traced import Traced
 
 if TYPE_CHECKING:
     from pytest_pafot.campaign.verdict import Verdict
@@ -58,10 +60,13 @@ class Failures:
 
     @pytest.hookimpl(wrapper=True)
     def pytest_runtest_makereport(self, item: pytest.Item, call: pytest.CallInfo[None]) -> Generator[None, Any, Any]:
-        """Shorten the report of a search, a replay or a named scenario that fails."""
+        """Shorten the report of a search, a replay or a named scenario that fails; name the requirement it breaks."""
         marked = any(item.get_closest_marker(name) is not None for name in (SEARCH_MARK, CATALOGUE_MARK))
         if call.excinfo is None or not marked:
-            return (yield)
+            report = yield
+            if report.failed and traced(item).requirements:
+                summarise(report, "")
+            return report
         option, is_brief = item.config.option, is_compact(item.config)
         style = getattr(option, "tbstyle", None)  # declared by pytest's terminal plugin, which may be off
         if is_brief and call.when == "call" and style == "auto":
@@ -111,11 +116,15 @@ def explained(run: Run, exception: BaseException, config: pytest.Config) -> str:
 
 
 def summarise(report: pytest.TestReport, text: str) -> None:
-    """Set a report's line in the short summary to a text; if it is empty, to the first line of the failure message."""
+    """Set a report's line in the short summary to a text; if it is empty, to the first line of the failure message.
+
+    The line begins with the ids of the requirements that the test checks.
+    """
     crash = getattr(report.longrepr, "reprcrash", None)
     if crash is not None:
         first = _COLOUR.sub("", crash.message).removeprefix("Failed: ").partition("\n")[0]
-        crash.message = visible(text or first)
+        ids = Traced.of_properties(report.user_properties).ids
+        crash.message = visible(": ".join(filter(None, [ids, text or first])))
 
 
 def _make_visible(report: pytest.TestReport) -> None:

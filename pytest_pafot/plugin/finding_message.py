@@ -19,6 +19,7 @@ from pytest_pafot.oracle.checks import Check
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.plugin import messages
 from pytest_pafot.plugin.session_records import is_asked_for
+from pytest_pafot.plugin.tracing import traced
 from pytest_pafot.searching.plain import plain
 from pytest_pafot.support.errors import rerun
 
@@ -75,6 +76,7 @@ def tell_finding(
             command = rerun(["pytest", find.node_id if find.path else item.nodeid], os.environ, *options, saved=saved)
             accepted = f", accepted: {finding.accepted}" if finding.accepted else ""
             label = label_of(find) if find.label == NEW else f"{find.label}{accepted}"
-            view = replace(view, label=label, severity=find.severity, path=find.path, command=command)
+            told = traced(item).described if traced(item).requirements else ""
+            view = replace(view, label=label, traced=told, severity=find.severity, path=find.path, command=command)
             data["view"] = plain(with_neighbours(view, find))
     messages.send(item, "finding", data)

@@ -18,6 +18,7 @@ from pytest_pafot.plugin import messages
 from pytest_pafot.plugin.marks import SEARCH_MARK
 from pytest_pafot.plugin.session import SUMMARY_LINES, exit_code, not_written
 from pytest_pafot.support.errors import flag, rerun
+from pytest_pafot.support.traced import Traced
 
 if TYPE_CHECKING:
     from pytest_pafot.report.page import Draft
@@ -37,6 +38,8 @@ class Pages:
         self._targets: dict[str, Path] = {}
         self._failures: dict[tuple[str, str], str] = {}
         self._shown: set[str] = set()
+        self._traced: dict[str, Traced] = {}
+        self._failed: set[str] = set()  # node ids of items
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
@@ -47,6 +50,10 @@ class Pages:
                 self._take(report.nodeid, message.data)
             self._is_compared |= message.kind == "compared"  # so that it is known why no search ran
             return
+        told = Traced.of_properties(report.user_properties)
+        if told:
+            self._traced[report.nodeid] = told
+            self._failed |= {report.nodeid} if report.failed else set()
         if report.failed and (SEARCH_MARK in report.keywords or report.nodeid in self._targets):
             self._failures[report.nodeid, report.when] = report.longreprtext
         if report.when == "call" and report.nodeid in self._rows:
@@ -109,6 +116,7 @@ class Pages:
             findings=map(self._completed, draft.findings.values()),
             errors=errors,
             is_interrupted=is_interrupted,
+            requirements=self._requirements(draft),
         )
         told = ["", ""]
         folder = path.parent if is_page_file(draft.target) else path
@@ -118,6 +126,16 @@ class Pages:
 
         problem = not_written(self._config, draft.target, folder, write)
         return ("", f"{flag('report', draft.target)}: not written: {problem}") if problem else (told[0], told[1])
+
+    def _requirements(self, draft: Draft) -> list[tuple[Traced, int]]:
+        """Return each requirement with its number of failures: findings, and tests that failed without one."""
+        found: dict[str, tuple[Traced, int]] = {}
+        for node_id, told in sorted(self._traced.items()):
+            count = int(node_id in self._failed and (node_id in draft.findings or node_id not in self._shown))
+            for id_ in told.requirements:
+                named, before = found.get(id_, (replace(told, requirements=(id_,)), 0))
+                found[id_] = named, before + count
+        return [found[id_] for id_ in sorted(found)]
 
     def _completed(self, finding: FindingView) -> FindingView:
         """Return a finding with its number of runs and its label, which are known only at the end of its search."""

@@ -23,6 +23,7 @@ import pytest
 from pytest_pafot.campaign.options import BY_NAME
 from pytest_pafot.plugin import messages
 from pytest_pafot.plugin.session import SUMMARY_LINES, not_written
+from pytest_pafot.plugin.tracing import traced
 from pytest_pafot.support.errors import flag, install
 
 if TYPE_CHECKING:
@@ -44,7 +45,7 @@ class TableMessages:
         from pytest_pafot.campaign.run_table import RunTable  # noqa: PLC0415
 
         self._item = item
-        self._table: RunTable = RunTable()
+        self._table: RunTable = RunTable(requirements=traced(item).ids or None)
 
     def __call__(self, event: SearchEvent) -> None:
         """Process an event of the search."""

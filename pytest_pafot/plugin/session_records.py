@@ -12,7 +12,7 @@ import math
 import os
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import replace
+from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -27,6 +27,7 @@ from pytest_pafot.plugin.messages import AS_SAVED
 from pytest_pafot.plugin.orphans import UNRUN, advice
 from pytest_pafot.plugin.session import HERE, SUMMARY_LINES, exit_code, not_written
 from pytest_pafot.support.errors import flag, rerun
+from pytest_pafot.support.traced import Traced
 
 if TYPE_CHECKING:
     from pytest_pafot.campaign.events import SearchSummary
@@ -60,6 +61,7 @@ class Records:
         self._runs: dict[str, int] = {}
         self._results: dict[str, list[str]] = {}
         self._reasons: dict[str, str] = {}
+        self._traced: dict[str, Traced] = {}
         self._texts: dict[str, list[str]] = {"merge": [], "warning": [], "compared": []}
 
     @pytest.hookimpl(trylast=True)
@@ -121,7 +123,10 @@ class Records:
 
     def _take_phase(self, report: pytest.TestReport) -> None:
         """Store the result of a phase. A saved scenario that failed without a message could not be read or run."""
-        if SEARCH_MARK not in report.keywords:
+        told = Traced.of_properties(report.user_properties)
+        if told:
+            self._traced[report.nodeid] = told
+        elif SEARCH_MARK not in report.keywords:
             return
         if report.when == "call" or not report.passed:  # A setup that passed is not yet a result.
             self._results.setdefault(report.nodeid, []).append(_result(report))
@@ -130,7 +135,7 @@ class Records:
             text = report.longreprtext if crash is None else str(crash.message)
             reason = next((line.strip() for line in text.splitlines() if line.strip()), "")
             self._reasons.setdefault(report.nodeid, reason)
-        if report.nodeid in self._findings:
+        if report.nodeid in self._findings or SEARCH_MARK not in report.keywords:
             return
         if report.failed and SAVED_MARK in report.keywords:
             from pytest_pafot.report.session_record import ERROR, FindingRecord  # noqa: PLC0415
@@ -152,16 +157,30 @@ class Records:
             self._searches.setdefault(report.nodeid, SearchSummary(node_id=report.nodeid))
 
     def _record(self, code: int | None) -> SessionRecord:
-        from pytest_pafot.report.session_record import SessionRecord, same_everywhere, worst  # noqa: PLC0415
+        from pytest_pafot.report.session_record import (  # noqa: PLC0415
+            ItemRecord,
+            SessionRecord,
+            same_everywhere,
+            worst,
+        )
         from pytest_pafot.support.versions import installed_versions  # noqa: PLC0415
 
         results = {node_id: worst(results) for node_id, results in self._results.items()}
         same = partial(same_everywhere, root=str(self._config.rootpath))
+        traced = {
+            node_id: {**asdict(told), "requirements": list(told.requirements)} for node_id, told in self._traced.items()
+        }
+        others = sorted(self._traced.keys() - self._searches.keys() - self._findings.keys())
         return SessionRecord(
             exit=code,
             versions=installed_versions(),
             searches=[
-                replace(search, result=results.get(node_id, ""), message=same(self._reasons.get(node_id, "")))
+                replace(
+                    search,
+                    result=results.get(node_id, ""),
+                    message=same(self._reasons.get(node_id, "")),
+                    **traced.get(node_id, {}),
+                )
                 for node_id, search in sorted(self._searches.items())
             ],
             findings=[
@@ -171,9 +190,11 @@ class Records:
                     runs=self._runs.get(node_id, 0),
                     headline=same(finding.headline),
                     detail=same(finding.detail),
+                    **traced.get(node_id, {}),
                 )
                 for node_id, finding in sorted(self._findings.items())
             ],
+            tests=[ItemRecord(node_id=each, result=results.get(each, ""), **traced[each]) for each in others],
             merged=sorted(self._texts["merge"]),
             compared=list(dict.fromkeys(self._texts["compared"])),
             orphans=self._orphans() if code is not None else [],

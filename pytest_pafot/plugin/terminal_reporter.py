@@ -25,6 +25,7 @@ from pytest_pafot.plugin.session import (
 )
 from pytest_pafot.support.errors import rerun
 from pytest_pafot.support.text import ascii_text
+from pytest_pafot.support.traced import Traced
 
 if TYPE_CHECKING:
     from pytest_pafot.campaign.events import Find, SearchSummary
@@ -102,6 +103,7 @@ class Reporter:
         self._searches: list[SearchSummary] = []
         self._replays: list[Find] = []
         self._neighbour_seconds = 0.0
+        self._traced: dict[str, Traced] = {}
         self._lines = config.stash[SUMMARY_LINES]
         self._notes: dict[str, None] = {}
         self._warnings: dict[str, None] = {}
@@ -120,6 +122,9 @@ class Reporter:
         message = received(report)
         if message is None:
             self._live.erase_progress()
+            told = Traced.of_properties(report.user_properties)
+            if told:
+                self._traced[report.nodeid] = told
         result = yield
         if message is not None:
             self._take(report, message)
@@ -202,6 +207,7 @@ class Reporter:
             notes=list(self._notes),
             again=rerun(["pytest", "FILE"], os.environ, saved="ID"),
             incomparable=list(self._incomparable),
+            traced=self._traced,
         )
         width = self._config.stash[SHARED].width
         return terminal.session_lines(session, verbose=self._config.get_verbosity() > 0, width=width)

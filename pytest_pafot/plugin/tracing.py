@@ -6,9 +6,9 @@ import inspect
 
 import pytest
 
-from pytest_pafot.findings.traced import MOST_TEXT, Traced, checked
 from pytest_pafot.plugin.marks import ANY_MARK, TRACING
 from pytest_pafot.support.text import visible
+from pytest_pafot.support.traced import MOST_TEXT, Traced, checked
 
 TRACED = pytest.StashKey[Traced]()
 
@@ -47,7 +47,7 @@ def read(item: pytest.Item) -> Traced:
 
 def _first_line(node: object) -> str:
     documentation = inspect.getdoc(getattr(node, "obj", None)) or ""
-    return visible(documentation.partition("\n")[0].strip())[:MOST_TEXT]
+    return visible(documentation.partition("\n")[0].strip())[:MOST_TEXT].removesuffix(".")
 
 
 class Tracing:

@@ -46,6 +46,7 @@ from pytest_pafot.report.page_data import (
 from pytest_pafot.support.errors import flag
 from pytest_pafot.support.files import write_whole
 from pytest_pafot.support.text import plural, quiet_json, visible_lines
+from pytest_pafot.support.traced import Traced
 from pytest_pafot.support.versions import installed_versions
 
 # The HTML that the report page has without its scripts: a list of findings, an article on each, and each search.
@@ -126,8 +127,9 @@ def finding_list(findings: Sequence[FindingView]) -> str:
     for index, (key, finding) in enumerate(zip(finding_keys(findings), findings, strict=True)):
         meta = ", ".join(_tags(finding))
         # The text that the filter searches.
-        words = " ".join([finding.node_id, finding.headline, finding.assertion, meta, finding.path]).lower()
-        groups.setdefault(finding.test, []).append(
+        searched = [finding.node_id, finding.headline, finding.assertion, meta, finding.path]
+        words = " ".join([*searched, *([finding.traced] if finding.traced else [])]).lower()
+        groups.setdefault(finding.group, []).append(
             f'<li><a href="#finding={text(quote(key, errors="replace"))}" data-index="{index}" data-key="{text(key)}" '
             f'data-outcome="{text(_kind(finding))}" data-words="{text(words)}">'
             f'<span class="mark" aria-hidden="true">{SYMBOLS.get(_who(finding), "?")}</span>'
@@ -141,10 +143,10 @@ def finding_list(findings: Sequence[FindingView]) -> str:
         for name in names
     )
     listed = f'<p class="summary">{text(summary)}</p>{_filter(findings) if len(findings) > 1 else ""}'
-    if len(groups) == 1:
-        return f"{listed}<ol>{''.join(groups[findings[0].test])}</ol>"
-    for number, (test, items) in enumerate(groups.items()):
-        name = f'<h3 id="group-{number}">{text(test.rpartition("::")[2])} <span class="count">{len(items)}</span></h3>'
+    if len(groups) == 1 and not findings[0].traced:
+        return f"{listed}<ol>{''.join(groups[findings[0].group])}</ol>"
+    for number, (group, items) in enumerate(groups.items()):
+        name = f'<h3 id="group-{number}">{text(group)} <span class="count">{len(items)}</span></h3>'
         listed += f'<div class="group">{name}<ol aria-labelledby="group-{number}">{"".join(items)}</ol></div>'
     return listed
 
@@ -175,6 +177,21 @@ def further_section(findings: Sequence[FindingView], whole: int) -> str:
     )
 
 
+def requirement_section(requirements: Sequence[tuple[Traced, int]]) -> str:
+    """Return an HTML table of the requirements and of what is open of them; an empty text if there are none."""
+    if not requirements:
+        return ""
+    rows = (
+        row(text(told.ids), text(told.title), text(told.owner), text(plural(count, "failure") if count else "none"))
+        for told, count in requirements
+    )
+    listed = table(columns("requirement", "title", "owner", "open in this session"), rows)
+    return (
+        '<section class="campaigns" id="requirements" aria-label="Requirements"><h2>Requirements</h2>'
+        f'<div class="scroll">{listed}</div></section>'
+    )
+
+
 def _filter(findings: Sequence[FindingView]) -> str:
     """Return the input fields that filter the list of findings. They work only with the page's script."""
     options = ""
@@ -200,6 +217,7 @@ def finding_article(finding: FindingView, index: int) -> str:
         f'<header><p class="id">{text(finding.id)}</p><h2 id="headline-{index}">{text(finding.headline)}</h2>',
         claim if finding.check is None else _check_figures(finding.check),
         f'<ul class="tags"><li>{mark} {text(who)}</li>{"".join(f"<li>{text(tag)}</li>" for tag in tags)}</ul>',
+        f'<p class="test">{text(finding.traced)}</p>' if finding.traced else "",
         f'<p class="test">{text(finding.node_id)}</p></header>' if finding.node_id else "</header>",
         "".join(f'<p class="sentence">{text(each)}</p>' for each in finding.sentences),
         '<div class="player"></div>' if finding.times else '<p class="empty">There is no run to draw.</p>',
@@ -467,7 +485,7 @@ def render_page(report: Report, *, embedded: bool = False) -> str:
         facts=facts(report.facts) + (copyable(report.command) if report.command else ""),
         count=len(report.findings) if not report.further else f"{len(report.findings)} of {total}",
         errors=errors,
-        further=further_section(report.further, len(report.findings)),
+        further=further_section(report.further, len(report.findings)) + requirement_section(report.requirements),
         list=(finding_list(report.findings) or f'<p class="empty">{_nothing_found(report)}</p>') + link,
         articles="".join(finding_article(finding, index) for index, finding in enumerate(report.findings)),
         campaigns=searches if campaigns else "",
@@ -575,7 +593,14 @@ class Draft:
                 self.drifted[find.node_id] = find.detail
 
     def report(
-        self, *, project: str, command: str, findings: Iterable[FindingView], errors: Errors, is_interrupted: bool
+        self,
+        *,
+        project: str,
+        command: str,
+        findings: Iterable[FindingView],
+        errors: Errors,
+        is_interrupted: bool,
+        requirements: Iterable[tuple[Traced, int]] = (),
     ) -> Report:
         """Return the finished report, in an order that does not depend on which item ran first.
 
@@ -584,14 +609,15 @@ class Draft:
         """
         ranked = sorted(findings, key=_rank)
         whole = [self._completed(finding) for finding in ranked[:WHOLE]]
-        tests = list(dict.fromkeys(finding.test for finding in whole))
+        groups = list(dict.fromkeys(finding.group for finding in whole))
         return Report(
             title=f"{project}: {_numbers(ranked, errors)}",
             facts=tuple(self._facts(is_interrupted=is_interrupted)),
             command=command,
-            findings=tuple(sorted(whole, key=lambda finding: tests.index(finding.test))),  # groups them by test
+            findings=tuple(sorted(whole, key=lambda finding: groups.index(finding.group))),
             further=tuple(map(_as_row, ranked[WHOLE:])),
             campaigns=tuple(self.campaigns[node_id] for node_id in sorted(self.campaigns)),
+            requirements=tuple(requirements),
             errors=errors,
             is_interrupted=is_interrupted,
         )

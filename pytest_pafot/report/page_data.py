@@ -14,6 +14,7 @@ from typing import Self
 from pytest_pafot.findings.neighbours import Breadth
 from pytest_pafot.findings.severity import Severity
 from pytest_pafot.model.grid import Cell
+from pytest_pafot.support.traced import Traced
 
 Numbers = tuple[float | None, ...]
 Pose = tuple[float, float, float]
@@ -254,6 +255,7 @@ class FindingView:
         runs: number of runs of the search that failed in this way; 0 for a run without a verdict.
         generation: generation in which the search first ran into the finding, from 0; None if no search found it.
         label: ``new``, ``still failing``, ``flaky`` and so on.
+        traced: the requirements that its test checks, with their title and owner, on one line.
         severity: severity of the run on the page; None if it has no measure.
         breadth: how many neighbours of its scenario fail in the same way; None if that was not examined.
         vehicles: the ego, then the NPCs.
@@ -286,6 +288,7 @@ class FindingView:
     runs: int = 1
     generation: int | None = None
     label: str = ""
+    traced: str = ""
     severity: Severity | None = None
     breadth: Breadth | None = None
     path: str = ""
@@ -299,6 +302,11 @@ class FindingView:
     shrink: ShrinkView | None = None
     drive: DriveView | None = None
     grid: tuple[tuple[Pose | None, ...], ...] = ()
+
+    @property
+    def group(self) -> str:
+        """The heading under which the page lists the finding: its requirements, or else the name of its test."""
+        return self.traced or self.test.rpartition("::")[2]
 
     @property
     def is_crossed(self) -> bool:
@@ -401,6 +409,7 @@ class Report:
         command: command that started the session.
         findings, campaigns: in the order in which they are listed.
         further: findings that the page shows only as rows of a table, the worst first, without their runs and texts.
+        requirements: the requirements that the session tested, each with its number of failures.
         is_interrupted: whether the session was interrupted.
     """
 
@@ -410,6 +419,7 @@ class Report:
     findings: tuple[FindingView, ...] = ()
     campaigns: tuple[CampaignView, ...] = ()
     further: tuple[FindingView, ...] = ()
+    requirements: tuple[tuple[Traced, int], ...] = ()
     errors: Errors = ()
     is_interrupted: bool = False
 

@@ -21,7 +21,9 @@ from pytest_pafot.findings.lines import TellingLine
 from pytest_pafot.findings.neighbours import Breadth
 from pytest_pafot.findings.severity import Severity, worsening, worst_first
 from pytest_pafot.findings.shrink import size_of
-from pytest_pafot.support.text import plural, quiet_json, visible
+from pytest_pafot.support.markup import code, plain
+from pytest_pafot.support.text import plural, quiet_json
+from pytest_pafot.support.traced import Traced
 
 VERSION = 1
 """The version of the JSON layout. It grows if a key is removed or changes its meaning, not if a key is added."""
@@ -83,6 +85,7 @@ class FindingRecord:
             collision, for equal masses [m/s]; `margin` and `name` of a check. Null if it passes or has no measure.
         severity_before: the same for the reference in this scenario, if it fails as well; otherwise null.
         xfail: `reason` and `until` (null for no end) of an accepted failure; otherwise null.
+        requirements, title, owner: as for a search.
     """
 
     node_id: str
@@ -121,6 +124,9 @@ class FindingRecord:
     severity: Mapping[str, Any] | None = None
     severity_before: Mapping[str, Any] | None = None
     xfail: Mapping[str, str | None] | None = None
+    requirements: list[str] = field(default_factory=list)
+    title: str = ""
+    owner: str = ""
 
     @property
     def is_new(self) -> bool:
@@ -171,6 +177,22 @@ class FindingRecord:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class ItemRecord:
+    """A test that names a requirement or an owner, and is neither a search nor the replay of a saved scenario.
+
+    Attributes:
+        node_id, result: node id and result of its item.
+        requirements, title, owner: as for a search.
+    """
+
+    node_id: str
+    result: str = ""
+    requirements: list[str] = field(default_factory=list)
+    title: str = ""
+    owner: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class OrphanRecord:
     """A folder of saved scenarios that no test replays.
 
@@ -198,6 +220,7 @@ class SessionRecord:
         versions: versions of the packages on which a run depends.
         searches: in the order of node ids.
         findings: replayed saved scenarios and new findings, in the order of node ids.
+        tests: other tests that name a requirement or an owner, likewise.
         merged: result of `--pafot-merge` for each test, and the reason if it failed.
         compared: lines on what was compared with a reference: commits and files, or why there was nothing to compare.
         orphans: folders of saved scenarios that no test runs any more.
@@ -208,6 +231,7 @@ class SessionRecord:
     versions: Mapping[str, str] = field(default_factory=dict)
     searches: list[SearchSummary] = field(default_factory=list)
     findings: list[FindingRecord] = field(default_factory=list)
+    tests: list[ItemRecord] = field(default_factory=list)
     merged: list[str] = field(default_factory=list)
     compared: list[str] = field(default_factory=list)
     orphans: list[OrphanRecord] = field(default_factory=list)
@@ -217,7 +241,24 @@ class SessionRecord:
     @property
     def is_empty(self) -> bool:
         """True if nothing in the session concerned this plugin."""
-        return not any((self.searches, self.findings, self.merged, self.compared, self.orphans, self.problems))
+        told = (self.searches, self.findings, self.tests, self.merged, self.compared, self.orphans, self.problems)
+        return not any(told)
+
+    @property
+    def failing(self) -> dict[str, tuple[Traced, int]]:
+        """The requirements that the session tested, by id, each with how many failures of it are not accepted.
+
+        A failure is a finding, or a test that fails without one.
+        """
+        told: dict[str, tuple[Traced, int]] = {}
+        tested: list[SearchSummary | FindingRecord | ItemRecord] = [*self.searches, *self.findings, *self.tests]
+        for each in tested:
+            told_already = isinstance(each, SearchSummary) and (each.finds or each.unsaved)
+            count = int(each.result in ("failed", "error") and not told_already)
+            for id_ in each.requirements:
+                named, before = told.get(id_, (Traced(requirements=(id_,), title=each.title, owner=each.owner), 0))
+                told[id_] = named, before + count
+        return dict(sorted(told.items()))
 
 
 def to_text(record: SessionRecord) -> str:
@@ -250,9 +291,6 @@ def worst(results: Iterable[str]) -> str:
 MAX_LISTED = 20
 """The largest number of entries that a list in the summary names. Any more are only counted."""
 
-MAX_TEXT = 300
-"""The largest number of characters of a user's text. A longer text is cut."""
-
 ACCEPTED = "accepted"
 """The group of failures that are accepted with ``xfail``."""
 
@@ -272,13 +310,6 @@ _GROUPS: Mapping[str, str] = MappingProxyType(
     }
 )
 """The title of each group of findings, by status, with the most urgent group first."""
-
-_MARKUP = re.compile(r"([\\`*_\[\]|~#!]|^[-+=](?=[-+=]*(?: |$)))")
-_ORDERED = re.compile(r"^(\d+)(?=[.)](?: |$))")
-_LINK = re.compile(r"(?i)(:)(?=//)|(?<=www)(\.)")
-_ENTITIES = MappingProxyType({"&": "&amp;", "<": "&lt;", ">": "&gt;", "$": "<span>$</span>"})
-_REFERENCE = re.compile(r"(?i)@|#(?=\w)|\bgh-(?=\d)|:(?=[\w+-]+:)")
-"""Text that GitHub turns into a mention, an issue or an emoji, even escaped, unless a zero-width space follows it."""
 
 
 def markdown(record: SessionRecord) -> str:
@@ -300,6 +331,12 @@ def _lines(record: SessionRecord) -> Iterator[str]:
             for finding in sorted(group, key=_rank)[:MAX_LISTED]:
                 yield from _finding_lines(finding)
             yield from ([f"- ... and {len(group) - MAX_LISTED} more"] if len(group) > MAX_LISTED else [])
+    told = [
+        f"{code(id_)}{f' {plain(named.title)}' if named.title else ''}"
+        f"{f' ({plain(named.owner)})' if named.owner else ''}: {plural(count, 'failure') if count else 'no failure'}"
+        for id_, (named, count) in sorted(record.failing.items(), key=lambda each: (-each[1][1], each[0]))
+    ]
+    yield from _listed("Requirements", told)
     failed = [each for each in record.searches if each.result in ("failed", "error")]
     faulty = [each for each in failed if not (each.finds or each.unsaved)]  # their new findings did not make them fail
     yield from _listed("Searches that failed", [f"{code(each.node_id)}: {plain(each.message)}" for each in faulty])
@@ -348,6 +385,7 @@ def _finding_lines(finding: FindingRecord) -> Iterator[str]:
     if finding.xfail is not None and finding.result == "xfailed":
         until = finding.xfail["until"]
         told.append(f"accepted{f' until {until}' if until else ''}: {plain(finding.xfail['reason'] or '')}")
+    told += [f"breaks {', '.join(map(code, finding.requirements))}"] if finding.requirements else []
     yield f"- {': '.join(filter(None, [code(finding.test or finding.node_id), '; '.join(filter(None, told))]))}"
     missing = f"not saved: {plain(finding.detail)}; " if finding.file is None else ""
     yield f"  <br>{missing}{code(finding.replay)}"
@@ -357,23 +395,3 @@ def _listed(title: str, entries: Sequence[str]) -> Iterator[str]:
     if entries:
         yield from ("", f"**{title}**", "", *(f"- {entry}" for entry in entries[:MAX_LISTED]))
         yield from ([f"- ... and {len(entries) - MAX_LISTED} more"] if len(entries) > MAX_LISTED else [])
-
-
-def plain(text: str) -> str:
-    """Escape a text on one line so that nothing in it is markup, a link or HTML."""
-    line = _LINK.sub(r"\\\1\2", _ORDERED.sub(r"\1\\", _MARKUP.sub(r"\\\1", _one_line(text))))
-    line = "".join(_ENTITIES.get(character, character) for character in line)
-    return _REFERENCE.sub(r"\g<0>&#8203;", line)
-
-
-def code(text: str) -> str:
-    """Return a text as Markdown code, between fences of more backticks than the text has in a row."""
-    line = _one_line(text)
-    fence = "`" * (1 + max(map(len, re.findall("`+", line)), default=0))
-    pad = " " if line.startswith(("`", " ")) or line.endswith(("`", " ")) else ""
-    return f"{fence}{pad}{line or ' '}{pad}{fence}"
-
-
-def _one_line(text: str) -> str:
-    line = " ".join(visible(text).split())
-    return line if len(line) <= MAX_TEXT else f"{line[:MAX_TEXT]}..."

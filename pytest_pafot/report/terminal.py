@@ -10,7 +10,7 @@ import os
 import re
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from pytest_pafot.campaign.events import NEW, Find, Progress, SearchSummary
 from pytest_pafot.findings.finding import Expect, Finding
@@ -21,6 +21,7 @@ from pytest_pafot.oracle.run import ReferenceOutcome
 from pytest_pafot.support.errors import flag
 from pytest_pafot.support.proportions import interval_text
 from pytest_pafot.support.text import ascii_text, fitted_lines, plural, wrapped_to
+from pytest_pafot.support.traced import Traced
 
 WIDTH = 80
 MAX_FINDS = 20
@@ -59,6 +60,7 @@ class SessionSummary:
         warnings: warnings about saved scenarios that are no longer accepted.
         again: the command that runs a single saved scenario.
         incomparable: node ids of tests whose policy could not be compared with its reference.
+        traced: requirements by the node ids of items, of those whose marks name any.
     """
 
     searches: Sequence[SearchSummary] = ()
@@ -75,6 +77,7 @@ class SessionSummary:
     notes: Sequence[str] = ()
     again: str = ""
     incomparable: Sequence[str] = ()
+    traced: Mapping[str, Traced] = field(default_factory=dict)
 
 
 def progress_line(progress: Progress, width: int = WIDTH) -> str:
@@ -204,7 +207,9 @@ def failure_message(search: SearchSummary) -> str:
     return "\n".join([first, *([f"  {_listed(firm)}"] if firm else []), *flaky, *_unsaved_lines(search)])
 
 
-def search_lines(search: SearchSummary, *, verbose: bool = False, width: int = WIDTH) -> list[str]:
+def search_lines(
+    search: SearchSummary, *, verbose: bool = False, width: int = WIDTH, traced: Traced | None = None
+) -> list[str]:
     """Summarise a search in a few lines; more if there is something to report."""
     # A search that made all that was asked for needs no counts here: the line of its runs and its end say them.
     asked = ((search.generations, search.asked, "generation"), (search.runs, search.budget, "run"))
@@ -227,6 +232,7 @@ def search_lines(search: SearchSummary, *, verbose: bool = False, width: int = W
     texts += [f"known: {plural(count, 'run')} covered by saved-{id_}" for id_, count in sorted(search.known.items())]
     texts += [f"warning: {warning}" for warning in search.warnings]
     texts += [f"note: {note}" for note in (*search.process_notes, *search.notes)]
+    texts = [traced.described, *texts] if traced else texts
     return [search.node_id, *(line for text in texts for line in _wrapped(text, width))]
 
 
@@ -326,7 +332,7 @@ def worst_lines(session: SessionSummary, width: int = WIDTH) -> list[str]:
             *worst_first(each.responsible, each.severity, each.breadth),
             -each.repeats,
             each.node_id,
-            _measured(each),
+            _measured(each, session.traced.get(each.node_id)),
         )
         for each in (*(find for search in session.searches for find in search.finds), *failing)
     )
@@ -337,17 +343,18 @@ def worst_lines(session: SessionSummary, width: int = WIDTH) -> list[str]:
     return ["failures, the worst first:", *lines, *more]
 
 
-def _measured(find: Find) -> str:
-    """Return a line with a failure's label and id, how bad the failure is, and who is responsible for it."""
+def _measured(find: Find, traced: Traced | None) -> str:
+    """Return a line with a failure's label and id, how bad it is, who is responsible, and what it breaks."""
+    breaks = f", breaks {traced.ids}" if traced is not None and traced.ids else ""
     if find.severity is None:
-        return f"{find.label}: {find.id} has no measure"
+        return f"{find.label}: {find.id} has no measure{breaks}"
     who = f", {find.responsible} at fault" if find.severity.is_fault(find.responsible) else ""
-    return f"{find.label}: {find.id} {find.severity}{who}"
+    return f"{find.label}: {find.id} {find.severity}{who}{breaks}"
 
 
 def session_lines(session: SessionSummary, *, verbose: bool = False, width: int = WIDTH) -> list[str]:
     """Return the lines of the whole summary of a session; no lines if there is nothing to report."""
-    lines = _lines_of_searches(session.searches, verbose=verbose, width=width)
+    lines = _lines_of_searches(session, verbose=verbose, width=width)
     for node_id in session.interrupted:
         lines += [node_id, *_wrapped("ended early; its findings are reported", width)]
     lines += replay_lines(session.replays, width, seconds=session.neighbour_seconds)
@@ -394,11 +401,12 @@ def _is_quiet(search: SearchSummary) -> bool:
     return is_tested and is_clean and search.reason not in ("error", "interrupted")
 
 
-def _lines_of_searches(searches: Sequence[SearchSummary], *, verbose: bool, width: int) -> list[str]:
+def _lines_of_searches(session: SessionSummary, *, verbose: bool, width: int) -> list[str]:
     """Summarise all searches of a session: many without a failing run in a line each, and all others whole.
 
     Warnings and notes of the former are printed once if they differ only in figures.
     """
+    searches = session.searches
     quiet = [] if verbose else [each for each in searches if _is_quiet(each)]
     quiet = quiet if len(quiet) > MAX_WHOLE else []
     short, lines = {each.node_id for each in quiet}, list[str]()
@@ -406,7 +414,7 @@ def _lines_of_searches(searches: Sequence[SearchSummary], *, verbose: bool, widt
         if search.node_id in short:
             lines.append(f"{search.node_id}: {_figures(search)}, ended: {search.reason}")
         else:
-            lines += search_lines(search, verbose=verbose, width=width)
+            lines += search_lines(search, verbose=verbose, width=width, traced=session.traced.get(search.node_id))
     if not quiet:
         return lines
     told: dict[str, list[tuple[str, str]]] = {}

@@ -21,7 +21,7 @@ import _pytest.fixtures
 import pytest
 
 from pytest_pafot.campaign.events import SearchSummary
-from pytest_pafot.report.session_record import VERSION, FindingRecord, SessionRecord
+from pytest_pafot.report.session_record import VERSION, FindingRecord, ItemRecord, SessionRecord
 
 INTERRUPTIBLE = (
     sys.executable,
@@ -40,7 +40,8 @@ def read_record(text):
     assert plain.pop("pafot_json") == VERSION
     searches = [SearchSummary(**each) for each in plain.pop("searches")]
     findings = [FindingRecord(**each) for each in plain.pop("findings")]
-    return SessionRecord(searches=searches, findings=findings, **plain)
+    tests = [ItemRecord(**each) for each in plain.pop("tests")]
+    return SessionRecord(searches=searches, findings=findings, tests=tests, **plain)
 
 
 def section(result, name):

@@ -30,7 +30,7 @@ def test_session_without_marked_tests_imports_only_the_plugin(project):
     gained = found[0] - found[1]
     light = {"pytest_pafot", "pytest_pafot.campaign", "pytest_pafot.campaign.options"}
     light |= {"pytest_pafot.support", "pytest_pafot.support.text", "pytest_pafot.corpus"}
-    light |= {"pytest_pafot.support.errors"}
+    light |= {"pytest_pafot.support.errors", "pytest_pafot.support.traced"}
     light |= {"pytest_pafot.corpus.layout", "pytest_pafot.corpus.saved"}
     assert {name for name in gained if not name.startswith("pytest_pafot.plugin")} <= light
 

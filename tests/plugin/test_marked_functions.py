@@ -186,7 +186,7 @@ def test_given_and_search_on_one_function_are_refused(project):
 
 
 WRONG = [
-    ("colour='red'", "*(colour=...): expected one of *received 'colour'*"),
+    ("colour='red'", "*(colour=...): expected one of acts, ads, *"),
     ("5", "*expected keyword arguments only, received (5,)*"),
     ("merge=[]", "*this applies to the whole session; give --pafot-merge on the command line*"),
     ("blame='npc'", "*(blame=...): expected one of any, ego, preventable, received 'npc'*"),

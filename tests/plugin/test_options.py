@@ -6,6 +6,7 @@ import pytest
 
 from pytest_pafot.campaign.options import BY_NAME, OPTIONS, is_ci
 from pytest_pafot.campaign.request import ROAD_ARGUMENTS, SPACE_ARGUMENTS, SearchArguments
+from pytest_pafot.plugin.marks import TRACING
 from pytest_pafot.plugin.option_sources import resolve
 from pytest_pafot.plugin.session import misspelt
 from pytest_pafot.searching import SearchSpace, resolve_algorithm
@@ -196,7 +197,7 @@ def test_wrong_value_elsewhere_fails_only_marked_items(project):
 
 
 def test_search_arguments_match_the_table_of_options():
-    own = {"world", "ads", "arg", "fitness", "blame", "decision_limit", *ROAD_ARGUMENTS, *SPACE_ARGUMENTS}
+    own = {"world", "ads", "arg", "fitness", "blame", "decision_limit", *ROAD_ARGUMENTS, *SPACE_ARGUMENTS, *TRACING}
     options = {option.name for option in OPTIONS if option.everywhere and option.is_argument}
     assert set(SearchArguments.__annotations__) == own | options
 

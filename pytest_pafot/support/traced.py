@@ -45,7 +45,8 @@ class Traced:
     def described(self) -> str:
         """Ids, title and owner on one line."""
         named = ": ".join(filter(None, [self.ids, self.title if self.requirements else ""]))
-        return "; ".join(filter(None, [named, f"owner {self.owner}" if self.owner else ""]))
+        whose = f"owner {self.owner}" if self.owner else ""
+        return f"{named} ({whose})" if named and whose else named or whose
 
     @property
     def properties(self) -> list[tuple[str, str]]:

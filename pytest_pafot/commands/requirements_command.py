@@ -1,0 +1,627 @@
+"""``python -m pytest_pafot requirements``: what was asked, how far it was tested, what is open, and whose it is.
+
+pytest collects the tests and runs none. What is known of their failures is in the saved scenarios, and in the results
+of earlier sessions, the files of ``--pafot-json``.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import json
+import math
+import re
+import sys
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from datetime import date
+from pathlib import Path
+from typing import Any
+
+from pytest_pafot.commands.inventory import Inventory, collected
+from pytest_pafot.corpus.saved import Saved, read_saved_file
+from pytest_pafot.findings.severity import Severity, worst_first
+from pytest_pafot.support.errors import RequestError, flag
+from pytest_pafot.support.markup import code, plain
+from pytest_pafot.support.proportions import interval_text
+from pytest_pafot.support.text import (
+    ascii_text,
+    csv_text,
+    day_of,
+    markdown_table,
+    plural,
+    spreadsheet_cell,
+    visible,
+    wrapped_to,
+)
+from pytest_pafot.support.traced import Traced
+
+VERSION = 1
+"""The version of the results that are read, ``pafot_json``."""
+
+MOST_BYTES = 100 * 2**20
+"""The largest size of a file of results [bytes]."""
+
+WIDTH = 100  # the width of the text [characters]
+
+OPEN, ACCEPTED, FLAKY, DRIFTED, FIXED = "open", "accepted", "flaky", "drifted", "fixed"
+STATES = (OPEN, ACCEPTED, FLAKY, DRIFTED, FIXED)
+"""The states of a failure. ``open`` is one that fails, or that no given session has replayed."""
+
+_STATE_OF: Mapping[str, str] = {"fixed": FIXED, "fixed before": FIXED, "drifted": DRIFTED, "flaky": FLAKY}
+"""The state by the status of a finding in the results; any other status is open."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments of the command."""
+    parser.usage = "%(prog)s [RESULTS.json ...] [options] [-- ARGUMENT OF PYTEST ...]"
+    parser.add_argument(
+        "results", nargs="*", type=Path, metavar="RESULTS.json", help=f"results of sessions, from {flag('json')}"
+    )
+    parser.add_argument(
+        "--format", choices=("text", "markdown", "csv"), default="text", help="how to print it (default: text)"
+    )
+    parser.add_argument(
+        "--course",
+        action="store_true",
+        help="print a row for each requirement and day: new, open and fixed failures, and the rate of random ones",
+    )
+    parser.add_argument(
+        "--list",
+        type=Path,
+        metavar="FILE.csv",
+        help="all requirements that there are: a line for each, with its id, and if wanted its title and owner",
+    )
+    parser.add_argument(
+        "--today",
+        type=_day,
+        default=None,
+        metavar="YYYY-MM-DD",
+        help="the day with which last days of accepted failures are compared (default: today)",
+    )
+    parser.add_argument("--fail-on", choices=(OPEN,), help="end with exit code 1 if a requirement has an open failure")
+
+
+def run(arguments: argparse.Namespace, _: Sequence[str]) -> int:
+    """Print what is known of each requirement; return the exit code, 1 if one is open and ``--fail-on`` asks for it."""
+    sessions = grouped([session_of(path) for path in arguments.results])
+    listed = {} if arguments.list is None else listed_in(arguments.list)
+    inventory = collected(arguments.pytest)
+    if inventory.problem:
+        sys.stderr.write(f"requirements: some tests could not be collected, and are missing:\n{inventory.problem}\n")
+    table = Table.of(inventory, sessions, listed, today=arguments.today or date.today())
+    writers = {"text": text_lines, "markdown": markdown_lines, "csv": csv_lines}
+    lines = writers[arguments.format](table, course=arguments.course)
+    sys.stdout.write("".join(f"{line}\n" for line in lines))
+    return int(arguments.fail_on == OPEN and any(each.failures(OPEN) for each in table.requirements))
+
+
+def _day(text: str) -> date:
+    day = day_of(text)
+    if day is None:
+        raise argparse.ArgumentTypeError(f"expected a day such as 2027-01-31, received {text!r:.50}")
+    return day
+
+
+# Reading: results of sessions, and the list of all requirements.
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Session:
+    """The results of one session, or of the shards of one.
+
+    Attributes:
+        day, commit: as the session was told by ``--pafot-today`` and ``--pafot-commit``; empty if it was not.
+        searches, findings, tests: the entries of its JSON.
+    """
+
+    day: str = ""
+    commit: str = ""
+    searches: tuple[Mapping[str, Any], ...] = ()
+    findings: tuple[Mapping[str, Any], ...] = ()
+    tests: tuple[Mapping[str, Any], ...] = ()
+
+    @property
+    def name(self) -> str:
+        """Day and commit in short."""
+        return " ".join(filter(None, [self.day, self.commit[:10]]))
+
+
+def session_of(path: Path) -> Session:
+    """Read the results of a session.
+
+    Raises:
+        RequestError: if the file cannot be read or has no results.
+    """
+    expected = f"{visible(str(path))}: expected the results of a session, from {flag('json')}"
+    try:
+        if path.stat().st_size > MOST_BYTES:
+            raise RequestError(f"{expected}, received more than {MOST_BYTES // 2**20} MiB")
+        data = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError) as error:
+        why = getattr(error, "strerror", None) or f"{type(error).__name__}"
+        raise RequestError(f"{expected}, received {why}") from None
+    lists = ("searches", "findings", "tests")
+    is_right = isinstance(data, dict) and data.get("pafot_json") == VERSION
+    if not is_right or not all(_are_entries(data.get(name, [])) for name in lists):
+        raise RequestError(f"{expected}, received other JSON; give a file that this version has written")
+    day, commit = (data.get(name) or "" for name in ("day", "commit"))
+    if not isinstance(commit, str) or (day and day_of(str(day)) is None):
+        raise RequestError(f"{expected}, received day {day!r:.50} and commit {commit!r:.50}")
+    return Session(day=day, commit=commit, **{name: tuple(data.get(name, ())) for name in lists})
+
+
+def _are_entries(entries: object) -> bool:
+    """Return whether the entries of results have the types that are read of them."""
+    types: dict[str, tuple[type, ...]] = {
+        **dict.fromkeys(("node_id", "test", "id", "status", "result", "title", "owner", "responsible"), (str,)),
+        **dict.fromkeys(("runs", "random_failing", "random_runs", "given"), (int,)),
+        "requirements": (list,),
+        "severity": (dict, type(None)),
+        "file": (str, type(None)),
+        "finds": (list,),
+    }
+    return isinstance(entries, list) and all(
+        isinstance(entry, dict)
+        and isinstance(entry.get("node_id"), str)
+        and all(isinstance(entry[name], kinds) for name, kinds in types.items() if name in entry)
+        and all(isinstance(id_, str) for id_ in entry.get("requirements", ()))
+        for entry in entries
+    )
+
+
+def grouped(sessions: Iterable[Session]) -> list[Session]:
+    """Sort sessions by day, and join those of the same day and commit, which are shards of one.
+
+    Sessions without a day come first, in the given order, and are not joined.
+    """
+    joined: list[Session] = []
+    for session in sorted(sessions, key=lambda each: each.day):
+        last = joined[-1] if joined else None
+        if last is None or not session.day or (last.day, last.commit) != (session.day, session.commit):
+            joined.append(session)
+            continue
+        parts = {name: getattr(last, name) + getattr(session, name) for name in ("searches", "findings", "tests")}
+        joined[-1] = replace(last, **parts)
+    return joined
+
+
+def listed_in(path: Path) -> dict[str, Traced]:
+    """Read the list of all requirements: in each line an id, then a title and an owner if there are any.
+
+    Raises:
+        RequestError: if the file cannot be read.
+    """
+    try:
+        rows = list(csv.reader(path.read_text(encoding="utf-8-sig").splitlines()))
+    except (OSError, ValueError, csv.Error) as error:
+        why = getattr(error, "strerror", None) or type(error).__name__
+        raise RequestError(f"{visible(str(path))}: expected a list of requirements as CSV, received {why}") from None
+    if rows and rows[0] and rows[0][0].strip().lower() in ("id", "requirement"):  # the heads of columns
+        rows = rows[1:]
+    padded = ([cell.strip() for cell in [*row, "", ""]] for row in rows)
+    return {id_: Traced(requirements=(id_,), title=title, owner=owner) for id_, title, owner, *_ in padded if id_}
+
+
+# The state of each failure and each requirement.
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Failure:
+    """A failure of a requirement: a finding, or a test that fails without one.
+
+    Attributes:
+        id: id of the finding, or the name of the test.
+        state: one of ``STATES``.
+        detail: what the state is known from, such as ``accepted until 2027-01-31: issue 12``.
+        severity, responsible: how bad it is, and who is responsible; None if no given session measured it.
+        since: the session since which it fails; empty if it is not known.
+    """
+
+    id: str
+    state: str
+    detail: str = ""
+    severity: Severity | None = None
+    responsible: str = "none"
+    since: str = ""
+
+    @property
+    def rank(self) -> tuple[Any, ...]:
+        """The key that sorts failures, the worst first."""
+        return STATES.index(self.state), *worst_first(self.responsible, self.severity, None), self.id
+
+    def __str__(self) -> str:
+        measured = "" if self.severity is None else f" {self.severity}"
+        since = f", since {self.since}" if self.since else ""
+        return f"{self.id}{measured}{since}{f' ({self.detail})' if self.detail else ''}"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Day:
+    """A requirement in one session: runs, failures, and random scenarios that failed by the ego's fault."""
+
+    session: Session
+    runs: int
+    new: int
+    open: int
+    fixed: int
+    random_failing: int
+    random_runs: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Requirement:
+    """What is known of a requirement. ``days`` has the sessions in which its tests ran, the last one at the end."""
+
+    told: Traced
+    tests: tuple[str, ...] = ()
+    known: tuple[Failure, ...] = ()
+    days: tuple[Day, ...] = ()
+
+    def failures(self, state: str) -> list[Failure]:
+        """Return the failures in a state, the worst first."""
+        return sorted((each for each in self.known if each.state == state), key=lambda each: each.rank)
+
+    @property
+    def runs(self) -> int:
+        """The number of runs of all given sessions."""
+        return sum(day.runs for day in self.days)
+
+    @property
+    def searched(self) -> Day | None:
+        """The last session that searched; None if none did."""
+        return next((day for day in reversed(self.days) if day.runs), None)
+
+    @property
+    def state(self) -> str:
+        """The state of the requirement in a few words."""
+        for state in (OPEN, ACCEPTED, FLAKY, DRIFTED):
+            if self.failures(state):
+                return state
+        return "no test" if not self.tests else "no failure known" if self.days else "not tested"
+
+    @property
+    def rank(self) -> tuple[Any, ...]:
+        """The key that sorts requirements, the one with the worst open failure first."""
+        first = min((each.rank for each in self.known), default=(len(STATES),))
+        return first[0], *first[1:-1], self.told.ids
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Table:
+    """All requirements, the worst first, the tests that name none, and the number of given sessions."""
+
+    requirements: tuple[Requirement, ...]
+    without: tuple[str, ...] = ()
+    orphans: tuple[str, ...] = ()
+    sessions: tuple[Session, ...] = ()
+
+    @classmethod
+    def of(
+        cls, inventory: Inventory, sessions: Sequence[Session], listed: Mapping[str, Traced], *, today: date
+    ) -> Table:
+        """Join what the tests, the saved scenarios, the sessions and a list say of each requirement."""
+        course = Course.of(inventory, sessions)
+        tests: dict[str, list[str]] = {}
+        for test, told in inventory.tests.items():
+            for id_ in told.requirements:
+                tests.setdefault(id_, []).append(test)
+        saved = {
+            (test, each.id): each
+            for file, test in inventory.files.items()
+            for each in [read_saved_file(inventory.root / file)]
+        }
+        known: dict[str, list[Failure]] = {}
+        for key in {**saved, **course.statuses}:
+            failure = course.failure(key, saved.get(key), today=today)
+            if failure is not None:
+                for id_ in course.requirements(key[0]):
+                    known.setdefault(id_, []).append(failure)
+        requirements = [
+            Requirement(
+                told=_told(id_, [inventory.tests[test] for test in tests.get(id_, ())], course.told, listed),
+                tests=tuple(sorted(tests.get(id_, ()))),
+                known=tuple(known.get(id_, ())),
+                days=tuple(course.days(id_)),
+            )
+            for id_ in {**tests, **course.told, **listed}
+        ]
+        return cls(
+            requirements=tuple(sorted(requirements, key=lambda each: each.rank)),
+            without=tuple(sorted(test for test, told in inventory.tests.items() if not told.requirements)),
+            orphans=tuple(sorted(inventory.orphans)),
+            sessions=tuple(sessions),
+        )
+
+
+def _told(
+    id_: str, of_tests: Sequence[Traced], of_sessions: Mapping[str, Traced], listed: Mapping[str, Traced]
+) -> Traced:
+    """Return title and owner of a requirement: from the list, else from its tests, else from the last session."""
+    sources = [*filter(None, [listed.get(id_)]), *of_tests, *filter(None, [of_sessions.get(id_)])]
+    owners = dict.fromkeys(each.owner for each in sources[: 1 + len(of_tests)] if each.owner)
+    title = next((each.title for each in sources if each.title), "")
+    return Traced(requirements=(id_,), title=title, owner=", ".join(owners))
+
+
+Key = tuple[str, str]
+"""A finding: the node id of its test, and its id."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Course:
+    """What happened to each finding in the sessions.
+
+    Attributes:
+        statuses: for each finding its entries in the results, by the number of the session.
+        ran: for each test the number of the last session in which it ran.
+        told: the requirements that the results name, as in the last session that names them.
+    """
+
+    inventory: Inventory
+    sessions: Sequence[Session]
+    statuses: Mapping[Key, Mapping[int, Mapping[str, Any]]]
+    ran: Mapping[str, int]
+    told: Mapping[str, Traced]
+    by_test: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, inventory: Inventory, sessions: Sequence[Session]) -> Course:
+        """Follow each finding and each failing test through the sessions."""
+        statuses: dict[Key, dict[int, Mapping[str, Any]]] = {}
+        ran: dict[str, int] = {}
+        told: dict[str, Traced] = {}
+        by_test: dict[str, tuple[str, ...]] = {}
+        for number, session in enumerate(sessions):
+            for entry in (*session.searches, *session.findings, *session.tests):
+                test = _test_of(entry)
+                ran[test] = number
+                ids = tuple(entry.get("requirements", ()))
+                by_test[test] = ids
+                told.update(
+                    (id_, Traced(requirements=(id_,), title=entry.get("title", ""), owner=entry.get("owner", "")))
+                    for id_ in ids
+                )
+            for entry in session.findings:
+                statuses.setdefault((_test_of(entry), entry.get("id", "")), {})[number] = entry
+            for entry in (*session.searches, *session.tests):
+                # A search that has findings fails because of them, and they are in the results on their own.
+                failed = entry.get("result") in ("failed", "error") and not (entry.get("finds") or entry.get("unsaved"))
+                key = (_test_of(entry), "")
+                if failed or key in statuses:
+                    status = "failing" if failed else "fixed"
+                    statuses.setdefault(key, {})[number] = {**entry, "status": status}
+        by_test.update((test, each.requirements) for test, each in inventory.tests.items())
+        return cls(inventory=inventory, sessions=sessions, statuses=statuses, ran=ran, told=told, by_test=by_test)
+
+    def requirements(self, test: str) -> tuple[str, ...]:
+        """Return the requirements of a test: as its marks say now, or as the last results say if the test is gone."""
+        return self.by_test.get(test, ())
+
+    def failure(self, key: Key, saved: Saved | None, *, today: date) -> Failure | None:
+        """Return a finding with its present state; None if it has no file here and its test ran without it since."""
+        test, id_ = key
+        entries = self.statuses.get(key, {})
+        last = max(entries, default=-1)
+        entry = entries.get(last, {})
+        if saved is None and last < self.ran.get(test, -1):
+            return None  # The test ran without it: its file was removed, or it was fixed without one.
+        state = _STATE_OF.get(entry.get("status", ""), OPEN)
+        finding = None if saved is None else saved.finding
+        detail = "not replayed by a given session" if not entries else ""
+        detail = "not in the corpus here" if saved is None and id_ else detail
+        if entry.get("status") in ("drifted", "still failing, nearby", "error"):
+            detail = entry["status"]
+        if finding is not None and finding.is_accepted(today):
+            state, detail = ACCEPTED, f"accepted: {finding.accepted}"
+        elif finding is not None and finding.xfail is not None:
+            detail = f"accepted, {finding.accepted}, which is over"
+        elif finding is not None and finding.flaky is not None:
+            state = FLAKY
+        elif saved is not None and finding is None:
+            state, detail = OPEN, "the file cannot be read"
+        measured = next((entries[n] for n in sorted(entries, reverse=True) if entries[n].get("severity")), {})
+        return Failure(
+            id=id_ or test,
+            state=state,
+            detail=detail,
+            severity=_severity(measured.get("severity")),
+            responsible=measured.get("responsible", "none") if finding is None else finding.expect.responsibility,
+            since="" if state in (FIXED, DRIFTED) else self._since(entries),
+        )
+
+    def _since(self, entries: Mapping[int, Mapping[str, Any]]) -> str:
+        """Return the session since which a finding has failed without a pass in between."""
+        first = None
+        for number in sorted(entries, reverse=True):
+            if _STATE_OF.get(entries[number].get("status", "")) == FIXED:
+                break
+            first = number
+        return "" if first is None else self.sessions[first].name
+
+    def days(self, id_: str) -> Iterator[Day]:
+        """Yield the course of a requirement: a value for each session in which one of its tests ran."""
+        failing: set[Key] = set()
+        for number, session in enumerate(self.sessions):
+            entries = (*session.searches, *session.findings, *session.tests)
+            here = {test for test in map(_test_of, entries) if id_ in self.requirements(test)}
+            if not here:
+                continue
+            before, failing = failing, {key for key in failing if key[0] not in here}
+            fixed = 0
+            for key, of_key in self.statuses.items():
+                entry = of_key.get(number)
+                if key[0] not in here or entry is None or entry.get("result") == "xfailed":
+                    continue
+                state = _STATE_OF.get(entry.get("status", ""), OPEN)
+                failing |= {key} if state == OPEN else set()
+                fixed += state == FIXED and key in before
+            searches = [each for each in session.searches if _test_of(each) in here]
+            drawn = [each for each in searches if not each.get("given")]  # else saved scenarios came first
+            yield Day(
+                session=session,
+                runs=sum(each.get("runs", 0) for each in searches),
+                new=len(failing - before),
+                open=len(failing),
+                fixed=fixed,
+                random_failing=sum(each.get("random_failing", 0) for each in drawn),
+                random_runs=sum(each.get("random_runs", 0) for each in drawn),
+            )
+
+
+def _test_of(entry: Mapping[str, Any]) -> str:
+    """Return the node id of the test of a search, a finding or another test."""
+    named: str = entry.get("test") or entry["node_id"]
+    head, bracket, parameters = named.rpartition("[")
+    # The part of a search is behind those of the user's marks, or the only one: test_x[1-search], test_x[search].
+    if not bracket or not re.fullmatch(r"(.*-)?search(-.*)?\]", parameters, re.DOTALL):
+        return named
+    rest = re.sub(r"(^|-)search(?=[-\]])", "", parameters, count=1).removeprefix("-")
+    return head if rest == "]" else f"{head}[{rest}"
+
+
+def _severity(data: Any) -> Severity | None:
+    """Return the severity in the results; None if they have none, or something else."""
+    try:
+        severity = Severity.of_data(data)
+        texts, numbers = (severity.kind, severity.unit, severity.name), (severity.value, severity.margin)
+        is_right = all(isinstance(each, str) for each in texts) and all(
+            each is None or (isinstance(each, (int, float)) and math.isfinite(each)) for each in numbers
+        )
+    except (TypeError, AttributeError):
+        return None
+    return severity if is_right else None
+
+
+# The table as text, Markdown and CSV.
+
+MOST_NAMED = 5
+"""The largest number of failures of one state, and of tests, that the text names. Any more are counted."""
+
+COLUMNS = (
+    "requirement",
+    "title",
+    "owner",
+    "state",
+    *STATES,
+    "worst",
+    "since",
+    "runs",
+    "last searched",
+    "random failures",
+    "tests",
+)
+COURSE = ("requirement", "day", "commit", "runs", "new", "open", "fixed", "random failures")
+
+
+def _rate(failing: int, runs: int) -> str:
+    return f"{failing} of {runs}, {interval_text(failing, runs)}" if runs else ""
+
+
+def _worst(requirement: Requirement) -> Failure | None:
+    known = [each for state in STATES[:-1] for each in requirement.failures(state)]
+    return known[0] if known else None
+
+
+def _cells(requirement: Requirement) -> list[object]:
+    """Return the cells of a requirement's row, in the order of the columns."""
+    told, worst, last = requirement.told, _worst(requirement), requirement.searched
+    return [
+        told.ids,
+        told.title,
+        told.owner,
+        requirement.state,
+        *(len(requirement.failures(state)) for state in STATES),
+        "" if worst is None else f"{worst.id} {worst.severity or ''}".rstrip(),
+        min((each.since for each in requirement.failures(OPEN) if each.since), default=""),
+        requirement.runs,
+        "" if last is None else last.session.name or "yes",
+        "" if last is None else _rate(last.random_failing, last.random_runs),
+        " ".join(requirement.tests),
+    ]
+
+
+def _course_cells(requirement: Requirement) -> Iterator[list[object]]:
+    for day in requirement.days:
+        session, rate = day.session, _rate(day.random_failing, day.random_runs)
+        figures = (day.runs, day.new, day.open, day.fixed)
+        yield [requirement.told.ids, session.day, session.commit[:10], *figures, rate]
+
+
+def text_lines(table: Table, *, course: bool) -> Iterator[str]:
+    """Yield the lines of the table for people: a block for each requirement, the worst first."""
+    states = [each.state for each in table.requirements]
+    counts = [f"{states.count(state)} {state}" for state in dict.fromkeys(states)]
+    yield f"{plural(len(states), 'requirement')}{': ' if counts else ''}{', '.join(counts)}"
+    for requirement in table.requirements:
+        yield ""
+        yield from wrapped_to(ascii_text(requirement.told.described), WIDTH)
+        for name, text in _parts(requirement):
+            yield from wrapped_to(ascii_text(f"  {name:9} {text}"), WIDTH)
+        if course or len(table.sessions) > 1:
+            rows = [list(map(str, cells[1:])) for cells in (COURSE, *_course_cells(requirement))]
+            widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+            for row in rows if len(rows) > 1 else ():
+                cells = (f"{cell:{width}}" for cell, width in zip(row, widths, strict=True))
+                yield ascii_text(f"    {'  '.join(cells)}".rstrip())
+    for title, names in _left_over(table):
+        yield ""
+        yield from wrapped_to(ascii_text(f"{title}: {_named(names)}"), WIDTH)
+
+
+def _parts(requirement: Requirement) -> Iterator[tuple[str, str]]:
+    for state in STATES:
+        failures = requirement.failures(state)
+        if failures:
+            yield state, f"{len(failures)}: {_named(map(str, failures), separator='; ')}"
+    last = requirement.searched
+    if last is None:
+        yield "searched", "not in a given session"
+    else:
+        when = f", last on {last.session.name}" if last.session.name else ""
+        yield "searched", f"{plural(requirement.runs, 'run')}{when}"
+        rate = _rate(last.random_failing, last.random_runs)
+        yield "random", f"{rate} failed by the ego's fault then" if rate else "no random scenario was drawn then"
+    yield "tests", _named(requirement.tests) or "none"
+
+
+def _left_over(table: Table) -> Iterator[tuple[str, Sequence[str]]]:
+    """Yield what belongs to no requirement or has no test, each with its names."""
+    untested = [each.told.ids for each in table.requirements if not each.tests]
+    for title, names in (
+        ("requirements without a test", untested),
+        ("tests without a requirement", table.without),
+        ("saved scenarios whose test is gone", table.orphans),
+    ):
+        if names:
+            yield title, names
+
+
+def _named(names: Iterable[str], separator: str = ", ") -> str:
+    listed = list(names)
+    more = f" and {len(listed) - MOST_NAMED} more" if len(listed) > MOST_NAMED else ""
+    return f"{separator.join(listed[:MOST_NAMED])}{more}"
+
+
+def markdown_lines(table: Table, *, course: bool) -> Iterator[str]:
+    """Yield the table as Markdown; nothing in texts from files, tests and results becomes markup or a link."""
+
+    def escaped(cells: Iterable[object]) -> list[str]:
+        return [plain(str(cell)) for cell in cells]
+
+    if not course:
+        yield markdown_table(COLUMNS, map(escaped, map(_cells, table.requirements)))
+    if course or len(table.sessions) > 1:
+        yield ""
+        yield markdown_table(COURSE, (escaped(row) for each in table.requirements for row in _course_cells(each)))
+    for title, names in _left_over(table):
+        yield ""
+        yield f"{title}: {', '.join(map(code, names))}"
+
+
+def csv_lines(table: Table, *, course: bool) -> Iterator[str]:
+    """Yield the table as CSV, with an empty requirement for tests that name none."""
+    rows = [row for each in table.requirements for row in (_course_cells(each) if course else [_cells(each)])]
+    if not course and table.without:
+        rows.append(["", "", "", "no requirement", *[""] * (len(COLUMNS) - 5), " ".join(table.without)])
+    yield csv_text(COURSE if course else COLUMNS, (map(spreadsheet_cell, row) for row in rows)).rstrip("\n")

@@ -1,0 +1,215 @@
+"""``python -m pytest_pafot requirements``: the state of each requirement, from tests, files and results of sessions."""
+
+import json
+from argparse import Namespace
+from datetime import date
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pytest_pafot.commands import requirements_command
+from pytest_pafot.commands.inventory import Inventory
+from pytest_pafot.commands.requirements_command import (
+    Session,
+    Table,
+    csv_lines,
+    grouped,
+    listed_in,
+    markdown_lines,
+    run,
+    session_of,
+    text_lines,
+)
+from pytest_pafot.support.errors import RequestError
+from pytest_pafot.support.traced import Traced
+
+TODAY = date(2026, 11, 25)
+TEST = "test_it.py::test_x"
+HIT = {"kind": "collision", "value": 9.8, "unit": "m/s", "margin": None, "name": "", "delta_v": 4.9}
+
+
+def inventory(**tests):
+    told = {f"test_it.py::{name}": Traced(requirements=ids, owner="planning") for name, ids in tests.items()}
+    return Inventory(root=Path("/nowhere"), tests=told)
+
+
+def finding(id_="a-1", status="still failing", test=TEST, **more):
+    result = "passed" if status in ("fixed", "drifted") else "failed"
+    return {"node_id": f"{test}[saved-{id_}]", "test": test, "id": id_, "status": status, "result": result, **more}
+
+
+def search(runs=10, test=TEST, **more):
+    return {"node_id": f"{test}[search]", "runs": runs, "random_runs": 5, "random_failing": 1, "given": 0, **more}
+
+
+def night(day, *findings, searches=None, tests=()):
+    searched = (search(),) if searches is None else tuple(searches)
+    return Session(day=f"2026-11-{day}", commit="abc", searches=searched, findings=findings, tests=tuple(tests))
+
+
+def table_of(*sessions, tests=None, listed=None):
+    return Table.of(inventory(**(tests or {"test_x": ("R1",)})), grouped(sessions), listed or {}, today=TODAY)
+
+
+def states(table):
+    return {each.told.ids: each.state for each in table.requirements}
+
+
+def test_requirement_with_the_worst_open_failure_comes_first():
+    milder = {**HIT, "value": 2.0}
+    table = table_of(
+        night(20, finding(severity=milder), finding(test="test_it.py::test_b", severity=HIT)),
+        tests={"test_x": ("R1",), "test_b": ("R2",), "test_c": ("R3",)},
+    )
+    assert states(table) == {"R2": "open", "R1": "open", "R3": "not tested"}
+    assert list(states(table)) == ["R2", "R1", "R3"]
+
+
+def test_failure_is_open_since_the_first_session_after_a_pass():
+    course = [night(20, finding()), night(21, finding(status="fixed")), night(22, finding()), night(23, finding())]
+    (requirement,) = table_of(*course).requirements
+    (failure,) = requirement.failures("open")
+    assert failure.since == "2026-11-22 abc"
+    assert [(day.new, day.open, day.fixed) for day in requirement.days] == [(1, 1, 0), (0, 0, 1), (1, 1, 0), (0, 1, 0)]
+
+
+def test_failure_without_a_file_is_gone_when_its_test_runs_without_it():
+    table = table_of(night(20, finding()), night(21))
+    assert states(table) == {"R1": "no failure known"}
+    assert [(day.open, day.fixed) for day in table.requirements[0].days] == [(1, 0), (0, 0)]
+
+
+def test_failing_test_without_findings_is_open_until_it_passes():
+    failed = {"node_id": "test_it.py::test_x", "result": "failed", "requirements": ["R1"]}
+    assert states(table_of(night(20, searches=(), tests=[failed]))) == {"R1": "open"}
+    passed = {**failed, "result": "passed"}
+    after = table_of(night(20, searches=(), tests=[failed]), night(21, searches=(), tests=[passed]))
+    assert states(after) == {"R1": "no failure known"}
+
+
+def test_search_that_fails_for_its_findings_is_no_failure_of_its_own():
+    failed = search(result="failed", finds=["a-1"])
+    (requirement,) = table_of(night(20, finding(status="new"), searches=[failed])).requirements
+    assert [each.id for each in requirement.failures("open")] == ["a-1"]
+
+
+def test_shards_of_a_day_count_together():
+    shards = [night(20, finding(), searches=[search(runs=10)]), night(20, searches=[search(runs=5, test="t.py::y")])]
+    (requirement,) = table_of(*shards, tests={"test_x": ("R1",)}).requirements
+    assert [(day.runs, day.open) for day in requirement.days] == [(10, 1)]
+    assert len(grouped(shards)) == 1
+    assert len(grouped([Session(), Session()])) == 2
+
+
+def test_random_failures_are_those_of_the_last_search_without_given_scenarios():
+    course = [night(20), night(21, searches=[search(random_runs=20, random_failing=0), search(given=3)])]
+    (requirement,) = table_of(*course).requirements
+    last = requirement.searched
+    assert (requirement.runs, last.random_failing, last.random_runs) == (30, 0, 20)
+    assert "0 of 20, 0 % (95 %: at most 16.8 %) failed by the ego's fault then" in "\n".join(
+        text_lines(table_of(*course), course=False)
+    )
+
+
+def test_requirements_without_a_test_and_tests_without_one_are_named(tmp_path):
+    file = tmp_path / "all.csv"
+    file.write_text("id,title,owner\nR1,One,\nR9,Nine,law\n")
+    table = table_of(tests={"test_x": ("R1",), "test_y": ()}, listed=listed_in(file))
+    lines = "\n".join(text_lines(table, course=False))
+    assert "R9: Nine (owner law)" in lines
+    assert "requirements without a test: R9" in lines
+    assert "tests without a requirement: test_it.py::test_y" in lines
+    assert "R1: One (owner planning)" in lines
+
+
+SEARCHES = st.sampled_from(
+    [
+        ("test_x[search]", "test_x"),
+        ("test_x[1-search]", "test_x[1]"),
+        ("test_x[search-1]", "test_x[1]"),
+        ("test_x[a-search-b]", "test_x[a-b]"),
+        ("test_x[research]", "test_x[research]"),
+        ("test_search", "test_search"),
+    ]
+)
+
+
+@given(SEARCHES)
+def test_test_of_a_search_is_its_node_id_without_the_part_of_the_search(named):
+    node_id, test = named
+    assert requirements_command._test_of({"node_id": f"a.py::{node_id}"}) == f"a.py::{test}"
+
+
+STATUSES = st.sampled_from(["new", "still failing", "fixed", "drifted", "flaky", "error", "common"])
+NIGHTS = st.lists(st.dictionaries(st.sampled_from(["a-1", "b-2", "c-3"]), STATUSES, max_size=3), max_size=5)
+
+
+@given(NIGHTS)
+def test_each_day_counts_what_fails_then_and_did_not_before(nights):
+    course = [night(10 + n, *(finding(*each) for each in told.items())) for n, told in enumerate(nights)]
+    (requirement,) = table_of(*course).requirements
+    opened: set[str] = set()
+    for day, told in zip(requirement.days, nights, strict=True):
+        failing = {id_ for id_, status in told.items() if status not in ("fixed", "drifted", "flaky")}
+        passing = {id_ for id_, status in told.items() if status == "fixed"}
+        assert day.new == len(failing - opened)
+        assert day.fixed == len(passing & opened)
+        opened = failing
+        assert day.open == len(opened)
+
+
+@pytest.mark.parametrize(
+    ("content", "why"),
+    [
+        (None, "No such file or directory"),
+        ("{", "JSONDecodeError"),
+        ("[" * 100_000, "Recursion|JSONDecode"),
+        ("[]", "other JSON"),
+        ('{"pafot_json": 2}', "other JSON"),
+        ('{"pafot_json": 1, "searches": [{"node_id": 5}]}', "other JSON"),
+        ('{"pafot_json": 1, "findings": [{"node_id": "a", "requirements": [1]}]}', "other JSON"),
+        ('{"pafot_json": 1, "day": "tomorrow"}', "day 'tomorrow'"),
+        ("\udcff", "UnicodeDecodeError"),
+    ],
+)
+def test_file_without_results_is_refused(tmp_path, content, why):
+    file = tmp_path / "a.json"
+    if content is not None:
+        file.write_bytes(content.encode("utf-8", "surrogateescape"))
+    with pytest.raises(RequestError, match=rf"a\.json: expected the results of a session, .* received .*({why})"):
+        session_of(file)
+
+
+def test_severities_that_are_no_numbers_are_left_out():
+    wrong = [{**HIT, "value": "9"}, {**HIT, "margin": []}, {"kind": 1}, {**HIT, "value": float("nan")}, {"x": 1}]
+    for severity in wrong:
+        (requirement,) = table_of(night(20, finding(severity=severity))).requirements
+        assert requirement.failures("open")[0].severity is None
+
+
+HOSTILE = '=HYPERLINK("http://a.b")|<b>@all\x1b[31m'
+
+
+def test_texts_of_strangers_are_data_in_every_format():
+    strange = finding(id_=HOSTILE, requirements=[HOSTILE], title=HOSTILE, owner=HOSTILE, test="t.py::x")
+    table = table_of(night(20, strange), tests={})
+    text, markdown, csv = ("\n".join(lines(table, course=False)) for lines in (text_lines, markdown_lines, csv_lines))
+    assert "\x1b" not in text + markdown + csv
+    rows = [line for line in markdown.splitlines() if line.startswith("|")]
+    assert "http://" not in "".join(rows)  # of which a page would make a link, unless it is code
+    assert "<b>" not in "".join(rows)
+    assert all(not line.startswith(("=", '"=')) for line in csv.splitlines())
+
+
+def test_open_failures_end_with_exit_code_1_only_if_asked(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(requirements_command, "collected", lambda arguments: inventory(test_x=("R1",)))
+    file = tmp_path / "a.json"
+    file.write_text(json.dumps({"pafot_json": 1, "searches": [search()], "findings": [finding()]}))
+    given = {"results": [file], "list": None, "today": TODAY, "format": "csv", "course": False, "pytest": []}
+    assert run(Namespace(**given, fail_on=None), []) == 0
+    assert run(Namespace(**given, fail_on="open"), []) == 1
+    file.write_text(json.dumps({"pafot_json": 1, "searches": [search()], "findings": [finding(status="fixed")]}))
+    assert run(Namespace(**given, fail_on="open"), []) == 0
+    assert "R1,,planning,open,1,0,0,0,0,a-1," in capsys.readouterr().out
