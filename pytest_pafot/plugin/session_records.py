@@ -159,6 +159,8 @@ class Records:
         same = partial(same_everywhere, root=str(self._config.rootpath))
         return SessionRecord(
             exit=code,
+            commit=self._config.getoption(BY_NAME["commit"].key),
+            day=self._config.getoption(BY_NAME["today"].key),
             versions=installed_versions(),
             searches=[
                 replace(search, result=results.get(node_id, ""), message=same(self._reasons.get(node_id, "")))
