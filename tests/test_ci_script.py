@@ -279,6 +279,27 @@ def test_night_resumes_in_fresh_clone_from_cached_states(repository, tmp_path):
     assert git(repository, "show", f"FETCH_HEAD:{filed}") == (tmp_path / "next" / "pafot.json").read_text().strip()
 
 
+@pytest.mark.parametrize(
+    "jobs", [["test_a.py", "test_b.py"], ["--splits 2 --group 1", "--splits 2 --group 2 -n 2"]], ids=["files", "groups"]
+)
+def test_jobs_that_divide_the_replays_replay_each_file_once(repository, jobs):
+    pytest.importorskip("pytest_split")
+    pytest.importorskip("xdist")
+    commit(repository, {"test_a.py": FAILS, "test_b.py": FAILS}, "Two tests")
+    options = "--pafot-shrink-rollouts=0 --pafot-neighbours=0"
+    plugins = "pytest_pafot.plugin,pytest_split.plugin,xdist.plugin"
+    assert shell(f"sh {SCRIPT} search {options}", repository, RUNS="4")[0] == 1
+    replayed = []
+    for job in jobs:
+        code, printed = shell(f"sh {SCRIPT} replay {job}", repository, PYTEST_PLUGINS=plugins)
+        record = record_of(repository)
+        assert (code, record.exit, record.orphans) == (1, 1, []), printed
+        assert {finding.result for finding in record.findings} == {"failed"}
+        assert "ERROR" not in printed
+        replayed += [finding.file for finding in record.findings]
+    assert sorted(replayed) == saved(repository)
+
+
 @pytest.fixture
 def fake(tmp_path):
     """Return the folder of a Python that searches nothing, the variables that put it first, and its record."""
