@@ -20,11 +20,16 @@
 #   COPY          files and folders that the policy needs and git ignores, such as weights, with spaces between them
 #   STATE         the folder with the states of searches that go on
 #   BRANCH        the branch for finds, neither the default one nor that of HEAD; REMOTE has it (origin)
+#   RESULTS       the folder on that branch for the pafot.json of each night (pafot_results)
 #   GIT_NAME, GIT_EMAIL  the author of the commit of finds
 #   MACHINES      the folder below this one with a folder for each machine (machines)
 #
 # Finds are a commit on top of the branch as it is then, and never a forced push. Where both HEAD and the branch have
 # moved, the commit joins them. Of a saved scenario that both have changed, the text on the branch stays.
+#
+# The pafot.json of a night names its day (UTC) and its commit (HEAD), unless --pafot-today and --pafot-commit name others.
+# If there is a BRANCH, the commit of finds has this file as RESULTS/DAY-COMMIT.json. It is made for this file alone if
+# nothing was found. A second night of the same day and commit replaces the file.
 set -eu
 
 here=$(dirname "$0")
@@ -102,6 +107,21 @@ search() {
   [ -z "${SEED:-}" ] || set -- "--pafot-seed=$SEED" "$@"
   [ -z "${RUNS:-}" ] || set -- "--pafot-runs=$RUNS" "$@"
   session "$@"
+}
+
+# The options of the day and the commit that a caller gives are arguments or in PYTEST_ADDOPTS, which pytest reads first.
+night() {
+  given="$* ${PYTEST_ADDOPTS:-}"
+  tested=$(git rev-parse -q --verify HEAD 2>/dev/null) || tested=
+  case $given in
+    *--pafot-commit*) ;;
+    *) [ -z "$tested" ] || set -- "--pafot-commit=$tested" "$@" ;;
+  esac
+  case $given in
+    *--pafot-today*) ;;
+    *) set -- "--pafot-today=$(date -u +%F)" "$@" ;;
+  esac
+  search "--pafot-resume=${STATE:-pafot_state}" "$@"
 }
 
 # The policy of before is built from all files of its commit, in a process of its own.
@@ -197,6 +217,45 @@ bring() (
   git write-tree
 )
 
+# Print a tree with the blob $2 as the file $3. It is an error if that name, or a folder in it, is something else there.
+with_file() (
+  export GIT_INDEX_FILE="$temp/file"
+  git read-tree "$1" &&
+    git update-index --add --cacheinfo "100644,$2,$(git rev-parse --show-prefix)$3" &&
+    git write-tree
+)
+
+not_filed() {
+  record=
+  echo "pafot.sh: pafot.json is not filed: expected $1, received $2" >&2
+}
+
+# Set $record to the name that pafot.json of a night gets on the branch, and $blob to its text; $record to nothing where it
+# is not to be filed. A policy may have written the file, so its day and commit are checked before they become a name.
+prepare_record() {
+  record=
+  [ "$task" = night ] || return 0
+  if [ -L pafot.json ]; then
+    received="a link"
+  elif [ ! -e pafot.json ]; then
+    received="no such file"
+  elif [ ! -f pafot.json ]; then
+    received="no regular file"
+  elif [ "$(wc -c <pafot.json)" -gt 20000000 ]; then
+    received="a larger one"
+  elif name=$(python -I -c 'import json, re
+session = json.load(open("pafot.json", "rb"))
+(day,) = re.findall(r"\A\d{4}-\d\d-\d\d\Z", session["day"], re.ASCII)
+print(day + "-" + re.sub(r"[^A-Za-z0-9._-]", "_", session["commit"][:7]))' 2>/dev/null); then
+    record=$results/$name.json
+    blob=$(git hash-object -w --path="$record" pafot.json) || not_filed "a file that git can add" "an error"
+    return 0
+  else
+    received="no JSON of a session with its day and commit"
+  fi
+  not_filed "a file of at most 20 MB" "$received"
+}
+
 # A commit of the finds on the branch, with an index and a checkout that stay as they are.
 keep() {
   found=$(
@@ -205,9 +264,16 @@ keep() {
       git ls-files -z -m -o --exclude-standard -- "$@" | git update-index --add --remove --replace -z --stdin &&
       git write-tree
   ) || fail "expected files that git can add, received an error; finds lie in $PWD"
+  what="finds are"
+  [ "$found" != "$known" ] || what="all finds are"
+  prepare_record
   refused=0
   for _ in 1 2 3 4 5 6 7 8 9; do
     tree=$(join "$known" "$onto" "$found")
+    if [ -n "$record" ]; then
+      filed=$(with_file "$tree" "$blob" "$record") && tree=$filed ||
+        not_filed "the folder $results, or none, on $BRANCH" "something else"
+    fi
     if [ "$tree" = "$(git rev-parse "$onto^{tree}")" ]; then
       [ -n "$tip" ] && echo "all finds are on $BRANCH" || echo "no finds to keep"
       return
@@ -215,7 +281,7 @@ keep() {
     commit=$(echo "Keep what searches have found" | git -c user.name="${GIT_NAME:-pytest-pafot}" \
       -c user.email="${GIT_EMAIL:-pytest-pafot@localhost}" commit-tree "$tree" $parents)
     if git push -q --no-follow-tags --recurse-submodules=no -- "$remote" "$commit:refs/heads/$BRANCH"; then
-      echo "finds are on $BRANCH"
+      echo "$what on $BRANCH${record:+, with pafot.json as $record}"
       return
     fi
     was=$tip
@@ -246,6 +312,10 @@ with_branch() {
   trap 'rm -rf "$temp"' EXIT
   look
   meet
+  results=${RESULTS:-pafot_results}
+  results=${results%/}
+  with_file "$both" "$(git hash-object -w /dev/null)" "$results/day-commit.json" >/dev/null ||
+    fail "expected as RESULTS the name of a folder below this one, received $results; name another"
   known=$(bring "$FILES" "$others")
   code=0
   "$@" || code=$?
@@ -270,7 +340,7 @@ case $task in
   replay) session --pafot-generations=0 "$@" ;;
   search) search "$@" ;;
   pull-request) pull_request "$@" ;;
-  night) with_branch search "--pafot-resume=${STATE:-pafot_state}" "$@" ;;
+  night) with_branch night "$@" ;;
   merge) with_branch merge "$@" ;;
   *) fail "expected install, replay, search, pull-request, night or merge, received '$task'" ;;
 esac

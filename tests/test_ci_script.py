@@ -1,12 +1,15 @@
 """The jobs of a CI, run in a shell: ``ci/pafot.sh``, by the commands of the action."""
 
+import json
 import os
+import re
 import shutil
 import signal
 import stat
 import subprocess
 import sys
 import time
+from fnmatch import fnmatch
 from pathlib import Path
 
 import pytest
@@ -61,8 +64,16 @@ if [ -n "${FINDS_NOW:-}" ]; then
   echo "$FINDS_NOW" >"pafot_corpus/test_it/test_x/$FINDS_NOW.pafot.yaml"
 fi
 [ -z "${MEANWHILE:-}" ] || sh -c "$MEANWHILE" || exit
-echo "{\\"exit\\": ${JSON:-${CODE:-0}}}" >pafot.json
+day=null commit=null
+for option in ${PYTEST_ADDOPTS:-} "$@"; do
+  case $option in
+    --pafot-today=*) day="\\"${option#*=}\\"" ;;
+    --pafot-commit=*) commit="\\"${option#*=}\\"" ;;
+  esac
+done
+echo "{\\"exit\\": ${JSON:-${CODE:-0}}, \\"day\\": $day, \\"commit\\": $commit}" >pafot.json
 [ "${JSON:-}" != none ] || rm pafot.json
+[ -z "${LAST:-}" ] || sh -c "$LAST" || exit
 exit "${CODE:-0}"
 """
 """A fake Python that records its calls, returns given results, and sees changes made elsewhere meanwhile."""
@@ -245,7 +256,8 @@ def test_night_resumes_in_fresh_clone_from_cached_states(repository, tmp_path):
     commit(repository, {"test_it.py": FAILS}, "A test")
     git(repository, "push", "-q", "origin", "main")
     git(tmp_path, "clone", "-q", "origin.git", "next")
-    inputs = inputs_of("night", "night") | {"runs": "4", "requirements": "", "options": "--pafot-shrink-rollouts=0 -q"}
+    options = "--pafot-shrink-rollouts=0 -q --pafot-today=2027-01-31"
+    inputs = inputs_of("night", "night") | {"runs": "4", "requirements": "", "options": options}
     found = []
     for folder in (repository, tmp_path / "next"):
         code, printed = run_action(inputs, folder)
@@ -258,7 +270,34 @@ def test_night_resumes_in_fresh_clone_from_cached_states(repository, tmp_path):
     assert found[1]
     git(repository, "fetch", "-q", "origin", "pafot-finds")
     kept = git(repository, "diff", "--name-only", "main", "FETCH_HEAD").splitlines()
-    assert kept == sorted(found[0] + found[1]) == saved(tmp_path / "next")
+    head = git(repository, "rev-parse", "main")
+    filed = f"pafot_results/2027-01-31-{head[:7]}.json"
+    assert kept == [*sorted(found[0] + found[1]), filed]
+    assert kept[:-1] == saved(tmp_path / "next")
+    record = record_of(tmp_path / "next")
+    assert (record.day, record.commit) == ("2027-01-31", head)
+    assert git(repository, "show", f"FETCH_HEAD:{filed}") == (tmp_path / "next" / "pafot.json").read_text().strip()
+
+
+@pytest.mark.parametrize(
+    "jobs", [["test_a.py", "test_b.py"], ["--splits 2 --group 1", "--splits 2 --group 2 -n 2"]], ids=["files", "groups"]
+)
+def test_jobs_that_divide_the_replays_replay_each_file_once(repository, jobs):
+    pytest.importorskip("pytest_split")
+    pytest.importorskip("xdist")
+    commit(repository, {"test_a.py": FAILS, "test_b.py": FAILS}, "Two tests")
+    options = "--pafot-shrink-rollouts=0 --pafot-neighbours=0"
+    plugins = "pytest_pafot.plugin,pytest_split.plugin,xdist.plugin"
+    assert shell(f"sh {SCRIPT} search {options}", repository, RUNS="4")[0] == 1
+    replayed = []
+    for job in jobs:
+        code, printed = shell(f"sh {SCRIPT} replay {job}", repository, PYTEST_PLUGINS=plugins)
+        record = record_of(repository)
+        assert (code, record.exit, record.orphans) == (1, 1, []), printed
+        assert {finding.result for finding in record.findings} == {"failed"}
+        assert "ERROR" not in printed
+        replayed += [finding.file for finding in record.findings]
+    assert sorted(replayed) == saved(repository)
 
 
 @pytest.fixture
@@ -371,24 +410,25 @@ FOLDER = "pafot_corpus/test_it/test_x"
 class TestTheBranch:
     """The branch where nightly jobs and merges store their findings."""
 
-    def night(self, folder, fake, *, finds="", code="1"):
-        inputs = inputs_of("night", "night") | {"requirements": ""}
+    def night(self, folder, fake, *, finds="", code="1", options=""):
+        inputs = inputs_of("night", "night") | {"requirements": "", "options": options}
         ended, printed = run_action(inputs, folder, **fake, FINDS_NOW=finds, CODE=code)
         assert ended == int(code), printed
         return printed
 
     def kept(self, folder):
         git(folder, "fetch", "-q", "origin", "+refs/heads/pafot-finds:refs/kept")
-        return [
-            name.rpartition("/")[2][0] for name in git(folder, "diff", "--name-only", "main", "refs/kept").splitlines()
-        ]
+        names = git(folder, "diff", "--name-only", "main", "refs/kept", "--", ":!pafot_results").splitlines()
+        return [name.rpartition("/")[2][0] for name in names]
 
     def test_a_night_goes_on_from_its_state(self, repository, fake):
         self.night(repository, fake, code="0")
-        assert calls(fake)[-1] == (f"{SESSION} --pafot-runs=1000000 --pafot-total-time=5400 --pafot-resume=pafot_state")
+        call, _, dated = calls(fake)[-1].rpartition(" --pafot-today=")
+        assert call == f"{SESSION} --pafot-runs=1000000 --pafot-total-time=5400 --pafot-resume=pafot_state"
+        assert re.fullmatch(rf"\d{{4}}-\d\d-\d\d --pafot-commit={git(repository, 'rev-parse', 'HEAD')}", dated)
 
-    def test_a_night_without_finds_makes_no_branch(self, repository, fake):
-        assert "no finds to keep" in self.night(repository, fake, code="0")
+    def test_a_night_without_finds_and_record_makes_no_branch(self, repository, fake):
+        assert "no finds to keep" in self.night(repository, fake | {"JSON": "none"})
         assert git(repository, "ls-remote", "origin", "pafot-finds") == ""
 
     def test_findings_are_one_commit_without_touching_the_checkout(self, repository, fake):
@@ -449,6 +489,76 @@ class TestTheBranch:
         told = f"expected to push finds to pafot-finds, received an error twice; they lie in {repository}"
         assert (code, told in printed) == (2, True), printed
 
+    def filed(self, folder, results="pafot_results"):
+        """Return the exit codes in the sessions that nights have filed, by name."""
+        git(folder, "fetch", "-q", "origin", "+refs/heads/pafot-finds:refs/kept")
+        names = git(folder, "ls-tree", "-r", "-z", "--name-only", "refs/kept", f"{results}/").split("\0")[:-1]
+        told = {name: json.loads(git(folder, "show", f"refs/kept:{name}")) for name in names}
+        assert all(name.startswith(f"{results}/{each['day']}-") for name, each in told.items())
+        return {name.removeprefix(f"{results}/"): each["exit"] for name, each in told.items()}
+
+    def test_each_night_files_its_session_by_day_and_commit(self, repository, fake):
+        head = git(repository, "rev-parse", "--short=7", "HEAD")
+        printed = self.night(repository, fake, code="0", options="--pafot-today=2027-01-30")
+        assert f"all finds are on pafot-finds, with pafot.json as pafot_results/2027-01-30-{head}.json" in printed
+        for code in ("0", "1"):  # The second replaces the first.
+            self.night(repository, fake, code=code, finds="a", options="--pafot-today=2027-01-31")
+        assert self.filed(repository) == {f"2027-01-30-{head}.json": 0, f"2027-01-31-{head}.json": 1}
+        assert git(repository, "log", "--format=%s", "main..refs/kept").count("\n") == 2
+        killed = fake | {"JSON": "null"}
+        self.night(repository, killed, code="137", options="--pafot-today=2027-02-01 --pafot-commit=../évv1.0")
+        assert self.filed(repository).popitem() == ("2027-02-01-..__vv1.json", None)
+        assert self.kept(repository) == ["a"]
+        assert git(repository, "status", "--porcelain").splitlines() == ["?? pafot_corpus/"]
+
+    @pytest.mark.parametrize(
+        ("last", "received"),
+        [
+            ("rm pafot.json", "no such file"),
+            ("mv pafot.json other; ln -s other pafot.json", "a link"),
+            ("rm pafot.json; ln -s missing pafot.json", "a link"),
+            ("rm pafot.json; mkdir pafot.json", "no regular file"),
+            ("rm pafot.json; mkfifo pafot.json", "no regular file"),
+            ("head -c 20000001 /dev/zero >pafot.json", "a larger one"),
+            ("echo [ >pafot.json", "no JSON of a session with its day and commit"),
+            ("""echo '{"day": null, "commit": "a"}' >pafot.json""", "no JSON of a session with its day and commit"),
+            (
+                """echo '{"day": "2027-01-31/x", "commit": "a"}' >pafot.json""",
+                "no JSON of a session with its day and *",
+            ),
+        ],
+    )
+    def test_unfit_session_file_is_not_filed_but_finds_are(self, repository, fake, last, received):
+        printed = self.night(repository, fake | {"LAST": last}, finds="a")
+        expected = f"pafot.json is not filed: expected a file of at most 20 MB, received {received}"
+        assert fnmatch(printed, f"*{expected}\n*")
+        assert self.kept(repository) == ["a"]
+        assert self.filed(repository) == {}
+
+    def test_session_is_filed_in_a_folder_of_any_name(self, repository, fake):
+        commit(repository, {".gitattributes": "*.json text eol=crlf"}, "Attributes")
+        git(repository, "push", "-q", "origin", "main")
+        folder = repository / "sub dir ä"
+        folder.mkdir()
+        own = fake | {"RESULTS": "-my, results\n/", "BRANCH": "pafot-finds"}
+        for _ in range(2):
+            ended, printed = shell(f"sh {SCRIPT} night --pafot-today=2027-01-31", folder, **own)
+            assert ended == 0, printed
+        assert list(self.filed(repository, "sub dir ä/-my, results\n").values()) == [0]
+
+    @pytest.mark.parametrize("name", ["/x", "../x", ".", "x/.git", "planner.py", "link"])
+    def test_unsuitable_folder_of_results_is_refused_before_the_search(self, repository, fake, name):
+        (repository / "link").symlink_to("elsewhere")
+        commit(repository, {"planner.py": PLANNER}, "A planner")
+        code, printed = shell(f"sh {SCRIPT} night", repository, BRANCH="finds", RESULTS=name, **fake)
+        told = f"expected as RESULTS the name of a folder below this one, received {name}; name another"
+        assert (code, told in printed, calls(fake)) == (2, True, []), printed
+
+    def test_merge_files_no_session(self, repository, fake):
+        (repository / "machines" / "1").mkdir(parents=True)
+        code, printed = shell(f"sh {SCRIPT} merge", repository, BRANCH="pafot-finds", FINDS_NOW="a", **fake)
+        assert (code, self.filed(repository), self.kept(repository)) == (0, {}, ["a"]), printed
+
     def on_branch(self, folder, name):
         git(folder, "fetch", "-q", "origin", "+refs/heads/pafot-finds:refs/kept")
         return git(folder, "show", f"refs/kept:{name}")
@@ -486,7 +596,8 @@ class TestTheBranch:
             assert self.on_branch(repository, name) == (repository / name).read_text() == text
         assert git(repository, "rev-parse", "refs/kept^1", "refs/kept^2").splitlines() == theirs
         changed = git(repository, "diff", "--name-only", "main...refs/kept").splitlines()
-        assert changed == ["NOTES.md", *(f"{FOLDER}/{name}.pafot.yaml" for name in ("a", "b", "old"))]
+        finds = [f"{FOLDER}/{name}.pafot.yaml" for name in ("a", "b", "old")]
+        assert [name for name in changed if not name.startswith("pafot_results/")] == ["NOTES.md", *finds]
 
     def test_finding_deleted_on_the_branch_does_not_return(self, repository, fake):
         self.night(repository, fake, finds="a")
@@ -550,6 +661,14 @@ def test_without_a_branch_finds_stay_where_they_are(repository, fake):
     assert (code, saved(repository)) == (1, ["pafot_corpus/test_it/test_x/a.pafot.yaml"])
     assert git(repository, "ls-remote", "origin").count("refs/heads") == 1
     assert "pafot-finds" not in printed
+
+
+def test_a_night_outside_of_any_repository_has_a_day_alone(tmp_path, fake):
+    code, _ = shell(f"sh {SCRIPT} night", tmp_path, GIT_CEILING_DIRECTORIES=str(tmp_path.parent), **fake)
+    assert (code, re.sub(r"today=\d{4}-\d\d-\d\d$", "today=DAY", calls(fake)[-1])) == (
+        0,
+        f"{SESSION} --pafot-resume=pafot_state --pafot-today=DAY",
+    )
 
 
 def test_a_merge_without_machines_is_refused(repository, fake):

@@ -20,7 +20,9 @@ from pytest_pafot.support.errors import RequestError, flag, page
 if TYPE_CHECKING:
     from pytest_pafot.searching.ask_tell import Algorithm
 
-Kind = Literal["integer", "seconds", "text", "page", "switch", "workers", "address", "folders", "day", "file", "table"]
+Kind = Literal[
+    "integer", "seconds", "text", "page", "switch", "workers", "address", "folders", "day", "commit", "file", "table"
+]  # fmt: skip
 
 SEED_LIMIT = 2**63
 
@@ -29,6 +31,9 @@ MOST_WORKERS = 1024
 
 MOST_NEIGHBOURS = 1000
 """The largest number of neighbours of a finding that can be requested."""
+
+MOST_OF_COMMIT = 100
+"""The largest number of characters in the name of a commit."""
 
 REVISION = "rev:"
 """The prefix of a reference that is a revision of the repository."""
@@ -311,7 +316,15 @@ class Settings:
     today: str | None = option(
         "day",
         "Compare the last days of accepted failures with this day instead of today.",
-        "The session then shows which of them will be reported on that day.",
+        "The session then shows which of them will be reported on that day. It is also `day` in the file of "
+        "`--pafot-json`.",
+        everywhere=False,
+        is_argument=False,
+    )
+    commit: str | None = option(
+        "commit",
+        "Name of the tested commit for --pafot-json, at most 100 characters without spaces.",
+        "The session does not compare it with the repository.",
         everywhere=False,
         is_argument=False,
     )
@@ -415,6 +428,18 @@ def _read_day(option: Option, value: object) -> str:
     return value
 
 
+def _read_commit(option: Option, value: object) -> str:
+    text = value if isinstance(value, str) else ""
+    if not 0 < len(text) <= MOST_OF_COMMIT or not text.isprintable() or " " in text:
+        from pytest_pafot.support.text import shown  # noqa: PLC0415  (for few sessions)
+
+        raise RequestError(
+            f"expected the name of a commit, at most {MOST_OF_COMMIT} printable characters without spaces, received "
+            f"{shown(value)}"
+        )
+    return text
+
+
 def _read_page(option: Option, value: object) -> str:
     text = _read_text(option, value)
     if is_page_file(text) or text.endswith(("/", "\\")) or not PurePath(text).suffix:
@@ -463,6 +488,7 @@ _READERS: Mapping[Kind, Callable[[Option, object], Any]] = {
     "address": _read_text,
     "folders": _read_text,
     "day": _read_day,
+    "commit": _read_commit,
     "file": _read_file,
     "table": _read_table,
 }

@@ -173,6 +173,8 @@ class Records:
         others = sorted(self._traced.keys() - self._searches.keys() - self._findings.keys())
         return SessionRecord(
             exit=code,
+            commit=self._config.getoption(BY_NAME["commit"].key),
+            day=self._config.getoption(BY_NAME["today"].key),
             versions=installed_versions(),
             searches=[
                 replace(

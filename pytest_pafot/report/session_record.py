@@ -1,7 +1,7 @@
 """The result of a session for programs, as ``--pafot-json`` writes it.
 
 The record contains no clock time and no duration, and nothing on processes, and its keys and entries are sorted. So the
-same seed gives the same text, for any number of workers.
+same seed gives the same text, for any number of workers. Its day and its commit are what the options say.
 
 The same result in a few lines of Markdown is for the page of a CI job.
 """
@@ -217,6 +217,7 @@ class SessionRecord:
 
     Attributes:
         exit: pytest's exit code; null while the session runs, or if its process was killed.
+        commit, day: the values of `--pafot-commit` and `--pafot-today`; each is null if the option is not given.
         versions: versions of the packages on which a run depends.
         searches: in the order of node ids.
         findings: replayed saved scenarios and new findings, in the order of node ids.
@@ -228,6 +229,8 @@ class SessionRecord:
     """
 
     exit: int | None = None
+    commit: str | None = None
+    day: str | None = None
     versions: Mapping[str, str] = field(default_factory=dict)
     searches: list[SearchSummary] = field(default_factory=list)
     findings: list[FindingRecord] = field(default_factory=list)

@@ -74,6 +74,22 @@ def test_a_search_and_its_find_are_recorded(failing):
     assert find.runs == search.failing > 0
 
 
+def test_record_has_the_day_and_commit_of_the_options(project):
+    record = recorded(project, "--pafot-today=2027-01-31", "--pafot-commit=v1-##[é]")
+    assert (record.day, record.commit) == ("2027-01-31", "v1-##[é]")
+    record = recorded(project)
+    assert (record.day, record.commit) == (None, None)
+
+
+@pytest.mark.parametrize("commit", ["", "a b", "a\tb", "a\u00a0b", "\x1b[31m", "a" * 101])
+def test_text_that_is_no_name_of_a_commit_is_refused(project, commit):
+    result = project.run(f"--pafot-commit={commit}")
+    assert result.ret == pytest.ExitCode.USAGE_ERROR
+    expected = "expected the name of a commit, at most 100 printable characters without spaces, received"
+    result.stderr.fnmatch_lines([f"*--pafot-commit: {expected} *"])
+    assert "\x1b" not in result.stderr.str()
+
+
 def test_a_finding_without_a_file_is_recorded_with_its_scenario(failing):
     (find,) = recorded(failing, "--pafot-save=none").findings
     assert find.file is None
