@@ -29,6 +29,7 @@ from pytest_pafot.support.text import (
     csv_text,
     day_of,
     markdown_table,
+    one_line,
     plural,
     spreadsheet_cell,
     visible,
@@ -154,7 +155,8 @@ def session_of(path: Path) -> Session:
 def _are_entries(entries: object) -> bool:
     """Return whether the entries of results have the types that are read of them."""
     types: dict[str, tuple[type, ...]] = {
-        **dict.fromkeys(("node_id", "test", "id", "status", "result", "title", "owner", "responsible"), (str,)),
+        **dict.fromkeys(("node_id", "test", "id", "status", "result", "message"), (str,)),
+        **dict.fromkeys(("title", "owner", "responsible"), (str,)),
         **dict.fromkeys(("runs", "random_failing", "random_runs", "given"), (int,)),
         "requirements": (list,),
         "severity": (dict, type(None)),
@@ -238,13 +240,17 @@ class Failure:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Day:
-    """A requirement in one session: runs, failures, and random scenarios that failed by the ego's fault."""
+    """A requirement in one session: runs, failures, and random scenarios that failed by the ego's fault.
+
+    ``new`` counts those failures that were not open in the session before; ``fixed`` and ``drifted`` those that were.
+    """
 
     session: Session
     runs: int
     new: int
     open: int
     fixed: int
+    drifted: int
     random_failing: int
     random_runs: int
 
@@ -338,8 +344,10 @@ def _told(
     id_: str, of_tests: Sequence[Traced], of_sessions: Mapping[str, Traced], listed: Mapping[str, Traced]
 ) -> Traced:
     """Return title and owner of a requirement: from the list, else from its tests, else from the last session."""
-    sources = [*filter(None, [listed.get(id_)]), *of_tests, *filter(None, [of_sessions.get(id_)])]
-    owners = dict.fromkeys(each.owner for each in sources[: 1 + len(of_tests)] if each.owner)
+    # The title of a test that checks only this requirement is more likely to be its own.
+    now = [*filter(None, [listed.get(id_)]), *sorted(of_tests, key=lambda each: len(each.requirements))]
+    sources = now or [*filter(None, [of_sessions.get(id_)])]
+    owners = dict.fromkeys(each.owner for each in sources if each.owner)
     title = next((each.title for each in sources if each.title), "")
     return Traced(requirements=(id_,), title=title, owner=", ".join(owners))
 
@@ -410,8 +418,10 @@ class Course:
         finding = None if saved is None else saved.finding
         detail = "not replayed by a given session" if not entries else ""
         detail = "not in the corpus here" if saved is None and id_ else detail
-        if entry.get("status") in ("drifted", "still failing, nearby", "error"):
+        if entry.get("status") in ("still failing, nearby", "error"):
             detail = entry["status"]
+        if not id_:
+            detail = one_line(entry.get("message", ""))
         if finding is not None and finding.is_accepted(today):
             state, detail = ACCEPTED, f"accepted: {finding.accepted}"
         elif finding is not None and finding.xfail is not None:
@@ -448,14 +458,15 @@ class Course:
             if not here:
                 continue
             before, failing = failing, {key for key in failing if key[0] not in here}
-            fixed = 0
+            ended = {FIXED: 0, DRIFTED: 0}
             for key, of_key in self.statuses.items():
                 entry = of_key.get(number)
                 if key[0] not in here or entry is None or entry.get("result") == "xfailed":
                     continue
                 state = _STATE_OF.get(entry.get("status", ""), OPEN)
                 failing |= {key} if state == OPEN else set()
-                fixed += state == FIXED and key in before
+                if state in ended:
+                    ended[state] += key in before
             searches = [each for each in session.searches if _test_of(each) in here]
             drawn = [each for each in searches if not each.get("given")]  # else saved scenarios came first
             yield Day(
@@ -463,7 +474,8 @@ class Course:
                 runs=sum(each.get("runs", 0) for each in searches),
                 new=len(failing - before),
                 open=len(failing),
-                fixed=fixed,
+                fixed=ended[FIXED],
+                drifted=ended[DRIFTED],
                 random_failing=sum(each.get("random_failing", 0) for each in drawn),
                 random_runs=sum(each.get("random_runs", 0) for each in drawn),
             )
@@ -511,7 +523,7 @@ COLUMNS = (
     "random failures",
     "tests",
 )
-COURSE = ("requirement", "day", "commit", "runs", "new", "open", "fixed", "random failures")
+COURSE = ("requirement", "day", "commit", "runs", "new", "open", "fixed", "drifted", "random failures")
 
 
 def _rate(failing: int, runs: int) -> str:
@@ -544,7 +556,7 @@ def _cells(requirement: Requirement) -> list[object]:
 def _course_cells(requirement: Requirement) -> Iterator[list[object]]:
     for day in requirement.days:
         session, rate = day.session, _rate(day.random_failing, day.random_runs)
-        figures = (day.runs, day.new, day.open, day.fixed)
+        figures = (day.runs, day.new, day.open, day.fixed, day.drifted)
         yield [requirement.told.ids, session.day, session.commit[:10], *figures, rate]
 
 
