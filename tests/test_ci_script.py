@@ -13,7 +13,7 @@ import pytest
 
 from pytest_pafot.findings.lines import TellingLine
 from pytest_pafot.findings.neighbours import Breadth
-from pytest_pafot.report.session_record import plain
+from pytest_pafot.support.markdown import plain
 from tests.helpers.actions import SCRIPT, environment, git, inputs_of, run_action, shell
 from tests.helpers.processes import begun
 from tests.helpers.sessions import read_record

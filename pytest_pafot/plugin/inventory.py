@@ -55,5 +55,5 @@ def pytest_sessionfinish(session: pytest.Session) -> None:
         for folder, orphan in session.config.stash[UNRUN].orphans.items()
         for file in files_in(folder)
     }
-    told = {"root": str(root), "tests": tests, "files": files, "orphans": orphans, "failed": session.testsfailed}
-    Path(session.config.getoption(TO)).write_text(json.dumps(told), encoding="ascii")
+    all_of_it = {"root": str(root), "tests": tests, "files": files, "orphans": orphans, "failed": session.testsfailed}
+    Path(session.config.getoption(TO)).write_text(json.dumps(all_of_it), encoding="ascii")

@@ -129,9 +129,9 @@ def _check_set_up(item: pytest.Function, replays: Replays, saved: Saved, run: Ru
 
 def _tell_pass(item: pytest.Function, finding: Finding, label: str, path: str, *, is_accepted: bool) -> None:
     """Ask to remove the line ``xfail`` of a file that passes. A flaky file stays accepted: it passes by chance."""
-    if label != FLAKY:
+    if label != FLAKY and not (is_accepted and finding.xfail_flaky):
         _add_section(item, [f"{label}: remove the line `xfail:` from {path}"])
-    elif is_accepted:
+    elif is_accepted and not finding.xfail_flaky:
         pytest.xfail(f"{visible(finding.xfail or '')}; flaky: it passed this time")
 
 

@@ -21,7 +21,8 @@ from pytest_pafot.findings.lines import TellingLine
 from pytest_pafot.findings.neighbours import Breadth
 from pytest_pafot.findings.severity import Severity, worsening, worst_first
 from pytest_pafot.findings.shrink import size_of
-from pytest_pafot.support.text import plural, quiet_json, visible
+from pytest_pafot.support.markdown import code, plain
+from pytest_pafot.support.text import plural, quiet_json
 
 VERSION = 1
 """The version of the JSON layout. It grows if a key is removed or changes its meaning, not if a key is added."""
@@ -82,7 +83,8 @@ class FindingRecord:
             impact [m/s], or by how much the check is broken [`unit`], null if it measured no number; `delta_v` of a
             collision, for equal masses [m/s]; `margin` and `name` of a check. Null if it passes or has no measure.
         severity_before: the same for the reference in this scenario, if it fails as well; otherwise null.
-        xfail: `reason` and `until` (null for no end) of an accepted failure; otherwise null.
+        xfail: `reason`, `until` (null for no end) and `flaky` (true if it may pass as well) of an accepted failure;
+            otherwise null.
     """
 
     node_id: str
@@ -120,7 +122,7 @@ class FindingRecord:
     rests_on: int = 0
     severity: Mapping[str, Any] | None = None
     severity_before: Mapping[str, Any] | None = None
-    xfail: Mapping[str, str | None] | None = None
+    xfail: Mapping[str, Any] | None = None
 
     @property
     def is_new(self) -> bool:
@@ -131,7 +133,8 @@ class FindingRecord:
     def of(cls, finding: Finding, find: Find, *, replay: str = "", sentences: Iterable[str] = ()) -> Self:
         """Make a record of a finding's file, or what would be its file, and of what this session saw of it."""
         expect, until = finding.expect, finding.xfail_until
-        accepted = {"reason": finding.xfail, "until": None if until is None else until.isoformat()}
+        until_day = None if until is None else until.isoformat()
+        accepted = {"reason": finding.xfail, "until": until_day, "flaky": finding.xfail_flaky}
         return cls(
             node_id=find.node_id,
             id=finding.id,
@@ -250,9 +253,6 @@ def worst(results: Iterable[str]) -> str:
 MAX_LISTED = 20
 """The largest number of entries that a list in the summary names. Any more are only counted."""
 
-MAX_TEXT = 300
-"""The largest number of characters of a user's text. A longer text is cut."""
-
 ACCEPTED = "accepted"
 """The group of failures that are accepted with ``xfail``."""
 
@@ -272,13 +272,6 @@ _GROUPS: Mapping[str, str] = MappingProxyType(
     }
 )
 """The title of each group of findings, by status, with the most urgent group first."""
-
-_MARKUP = re.compile(r"([\\`*_\[\]|~#!]|^[-+=](?=[-+=]*(?: |$)))")
-_ORDERED = re.compile(r"^(\d+)(?=[.)](?: |$))")
-_LINK = re.compile(r"(?i)(:)(?=//)|(?<=www)(\.)")
-_ENTITIES = MappingProxyType({"&": "&amp;", "<": "&lt;", ">": "&gt;", "$": "<span>$</span>"})
-_REFERENCE = re.compile(r"(?i)@|#(?=\w)|\bgh-(?=\d)|:(?=[\w+-]+:)")
-"""Text that GitHub turns into a mention, an issue or an emoji, even escaped, unless a zero-width space follows it."""
 
 
 def markdown(record: SessionRecord) -> str:
@@ -347,7 +340,8 @@ def _finding_lines(finding: FindingRecord) -> Iterator[str]:
     told += [plain(str(TellingLine(**line))) for line in finding.lines[:1]]
     if finding.xfail is not None and finding.result == "xfailed":
         until = finding.xfail["until"]
-        told.append(f"accepted{f' until {until}' if until else ''}: {plain(finding.xfail['reason'] or '')}")
+        flaky = " as flaky" if finding.xfail.get("flaky") else ""
+        told.append(f"accepted{flaky}{f' until {until}' if until else ''}: {plain(finding.xfail['reason'] or '')}")
     yield f"- {': '.join(filter(None, [code(finding.test or finding.node_id), '; '.join(filter(None, told))]))}"
     missing = f"not saved: {plain(finding.detail)}; " if finding.file is None else ""
     yield f"  <br>{missing}{code(finding.replay)}"
@@ -357,23 +351,3 @@ def _listed(title: str, entries: Sequence[str]) -> Iterator[str]:
     if entries:
         yield from ("", f"**{title}**", "", *(f"- {entry}" for entry in entries[:MAX_LISTED]))
         yield from ([f"- ... and {len(entries) - MAX_LISTED} more"] if len(entries) > MAX_LISTED else [])
-
-
-def plain(text: str) -> str:
-    """Escape a text on one line so that nothing in it is markup, a link or HTML."""
-    line = _LINK.sub(r"\\\1\2", _ORDERED.sub(r"\1\\", _MARKUP.sub(r"\\\1", _one_line(text))))
-    line = "".join(_ENTITIES.get(character, character) for character in line)
-    return _REFERENCE.sub(r"\g<0>&#8203;", line)
-
-
-def code(text: str) -> str:
-    """Return a text as Markdown code, between fences of more backticks than the text has in a row."""
-    line = _one_line(text)
-    fence = "`" * (1 + max(map(len, re.findall("`+", line)), default=0))
-    pad = " " if line.startswith(("`", " ")) or line.endswith(("`", " ")) else ""
-    return f"{fence}{pad}{line or ' '}{pad}{fence}"
-
-
-def _one_line(text: str) -> str:
-    line = " ".join(visible(text).split())
-    return line if len(line) <= MAX_TEXT else f"{line[:MAX_TEXT]}..."

@@ -10,7 +10,7 @@ from argparse import Namespace
 import pytest
 
 import pytest_pafot as pafot
-from pytest_pafot.corpus.corpus_command import session_of
+from pytest_pafot.commands.corpus_command import session_of
 from pytest_pafot.corpus.writer import CorpusWriteError
 from tests.plugin.test_driving_on import filed
 

@@ -7,7 +7,8 @@ from hypothesis import strategies as st
 
 from pytest_pafot.campaign.events import SearchSummary
 from pytest_pafot.findings.severity import Severity
-from pytest_pafot.report.session_record import MAX_LISTED, FindingRecord, SessionRecord, code, markdown, plain
+from pytest_pafot.report.session_record import MAX_LISTED, FindingRecord, SessionRecord, markdown
+from pytest_pafot.support.markdown import code, plain
 from tests.helpers.hostile import CHARACTERS
 from tests.helpers.tables import table
 
