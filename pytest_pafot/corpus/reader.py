@@ -298,21 +298,28 @@ def _made(field: Field, kind: Callable[..., T], values: Mapping[str, Any]) -> T:
         raise _rule_broken(field, error) from None
 
 
+@cache
+def _parts(kind: Any) -> tuple[Any, tuple[Any, ...]]:
+    """Return the origin of a generic type, and its arguments other than None."""
+    return get_origin(kind), tuple(each for each in get_args(kind) if each is not NoneType)
+
+
 def _value(field: Field, kind: Any, own: Mapping[str, Read]) -> Any:
     """Return a value of a type. A key that is not there stands for None, so no value may be null."""
-    inner = [each for each in get_args(kind) if each is not NoneType]
-    if get_origin(kind) in (Union, UnionType):
-        marked = (each for key, each in MARKS.items() if each in inner and key in field.any_mapping())
-        return _value(field, next(marked, inner[0]), own)
-    if get_origin(kind) is Literal:
+    origin, inner = _parts(kind)
+    if origin in (Union, UnionType):
+        marked = [(key, each) for key, each in MARKS.items() if each in inner]
+        keys = field.any_mapping() if marked else ()
+        return _value(field, next((each for key, each in marked if key in keys), inner[0]), own)
+    if origin is Literal:
         return field.choice(inner)
-    if get_origin(kind) is Mapping:
+    if origin is Mapping:
         return {key: _value(each, inner[1], own) for key, each in field.any_mapping().items()}
     if kind == tuple[float, float]:
         if len(field.items()) != 2:
             raise field.error("acceleration [m/s^2] and steering [rad]")
         return tuple(each.number(-MAX_NUMBER) for each in field.items())
-    if get_origin(kind) is tuple:
+    if origin is tuple:
         return tuple(_value(each, inner[0], own) for each in field.items())
     is_signed = field.place[-1] in SIGNED
     if kind is int:

@@ -75,6 +75,8 @@ def run_replay(item: pytest.Function, request: Request, saved: Saved) -> None:
         missed = unhandled(finding, run) if label == "drifted" and not verdict.failed else ""
         told = [missed, replays.changes(finding, happened(finding, run, verdict.failure)), note]
         detail = "; ".join(filter(None, told))
+    if finding.xfail_flaky and replays.accepts(finding):  # It may pass, which says nothing of a fix.
+        detail = "; ".join(filter(None, [detail, f"accepted: {finding.accepted}"]))
     line = headline(run, verdict) if verdict.failed else ""
     _tell(item, replays, saved, label, now, headline=line, detail=detail)
     item.stash[OF_ONE_RUN].show(run)  # the last call may have been for the reference
