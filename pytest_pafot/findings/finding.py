@@ -112,6 +112,8 @@ class Expect:
             without a collision, the NPC that the check names, and no cell.
         zone: zone in which the NPC crossed the ego's way, such as ``crossing from the left``.
         side: side of the ego that was hit.
+        closing_speed: closing speed of the collision [m/s], which says how bad it is; None in files that do not store
+            it. It is only a label: no replay is compared with it.
         situation: situation from which the failure arose; a replay that passes shows a fix only if this situation comes
             up. None if no NPC was involved, and in files from older versions.
         ego_mean_speed: mean speed of the ego until the event [m/s]; None in files that do not store it. Neighbours of
@@ -127,8 +129,6 @@ class Expect:
             it does not, and for any other failure.
         against: the reference that passed the scenario, such as ``module:factory`` or ``rev:main (1a2b3c4)``; empty
             without a reference, or if it has no such name.
-        closing_speed: closing speed of the collision [m/s], which says how bad it is; None in files that do not store
-            it. It is only a label: no replay is compared with it.
         traceback: traceback of an ADS that raised. It and ``message`` have no addresses, process ids and temporary
             folders.
     """
