@@ -75,8 +75,6 @@ def run_replay(item: pytest.Function, request: Request, saved: Saved) -> None:
         missed = unhandled(finding, run) if label == "drifted" and not verdict.failed else ""
         told = [missed, replays.changes(finding, happened(finding, run, verdict.failure)), note]
         detail = "; ".join(filter(None, told))
-    if finding.xfail_flaky and replays.accepts(finding):  # It may pass, which says nothing of a fix.
-        detail = "; ".join(filter(None, [detail, f"accepted: {finding.accepted}"]))
     line = headline(run, verdict) if verdict.failed else ""
     _tell(item, replays, saved, label, now, headline=line, detail=detail)
     item.stash[OF_ONE_RUN].show(run)  # the last call may have been for the reference
@@ -188,6 +186,9 @@ def _tell(
     today = date.fromisoformat(item.config.stash[SHARED].today)
     failure = None if verdict is None else verdict.failure
     reference = None if verdict is None else verdict.reference
+    may_pass = finding.xfail_flaky and finding.is_accepted(today)
+    if may_pass:
+        detail = "; ".join(filter(None, [detail, f"accepted: {finding.accepted}"]))
     find = Find(
         id=finding.id,
         node_id=item.nodeid,
@@ -200,6 +201,7 @@ def _tell(
         responsible=finding.expect.responsibility,
         against=replays.harness.against_name,
         is_accepted=finding.is_accepted(today),
+        may_pass=may_pass,
         rests_on=around.passing,
     )
     if headline:

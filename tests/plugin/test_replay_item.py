@@ -408,6 +408,7 @@ def test_failure_accepted_as_flaky_may_pass_until_its_last_day(saved):
     edited(saved, '# xfail: "reason"', AS_FLAKY)
     fails = saved.run("--pafot-today=2027-01-31", generations=0)
     fails.assert_outcomes(xfailed=1, skipped=1)
+    fails.stdout.fnmatch_lines(["  still failing: *", "*accepted: planner issue 12, flaky until 2027-01-31"])
     over = saved.run("--pafot-today=2027-02-01", generations=0)
     over.assert_outcomes(failed=1, skipped=1)
     over.stdout.fnmatch_lines(["  warning: *: accepted (planner issue 12, flaky until 2027-01-31), but that *"])
