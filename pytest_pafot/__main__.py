@@ -15,11 +15,11 @@ def main(arguments: list[str] | None = None) -> int:
     The arguments do not include the program's name; by default they are those of this process.
     """
     from pytest_pafot.commands import bisect_command as bisecting  # noqa: PLC0415
+    from pytest_pafot.commands import corpus_command as corpus  # noqa: PLC0415
     from pytest_pafot.commands import requirements_command as requiring  # noqa: PLC0415
     from pytest_pafot.commands import search_command as searching  # noqa: PLC0415
     from pytest_pafot.commands.policy_reference import BAD_USE  # noqa: PLC0415
     from pytest_pafot.comparison import command as comparison  # noqa: PLC0415
-    from pytest_pafot.corpus import corpus_command as corpus  # noqa: PLC0415
     from pytest_pafot.episodes import progress_command as progressing  # noqa: PLC0415
     from pytest_pafot.episodes import rate_command as rating  # noqa: PLC0415
     from pytest_pafot.execution.revision_policy import RevisionError  # noqa: PLC0415

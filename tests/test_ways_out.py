@@ -89,7 +89,7 @@ OF_COMMANDS = {
     "rate": ["episodes/rate_command.py", "episodes/rate.py", "commands/resumable.py"],
     "compare": ["comparison/command.py", "comparison/plan.py", "comparison/algorithm_run.py", "commands/resumable.py"],
     "export": ["export/export_command.py", "export/exporter.py"],
-    "corpus": ["corpus/corpus_command.py"],
+    "corpus": ["commands/corpus_command.py"],
 }
 SHOWN_BY = {
     "corpus": [["corpus", each] for each in ("list", "join", "prune", "nearby", "accept")],

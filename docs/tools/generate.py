@@ -33,6 +33,7 @@ from pytest_pafot.episodes.rate import EpisodeRow
 from pytest_pafot.episodes.rate_command import add_arguments as add_rate_arguments
 from pytest_pafot.export.export_command import add_arguments as add_export_arguments
 from pytest_pafot.findings.finding import Expect, Finding, Found
+from pytest_pafot.findings.neighbours import Breadth
 from pytest_pafot.findings.shrink import Shrunk, SpeedInterval
 from pytest_pafot.model.crossings import Zone
 from pytest_pafot.model.driving_style import PARTS, STYLES, Traffic
@@ -154,14 +155,18 @@ FILE_TEXTS: Mapping[str, str] = {
     "tried.",
     "shrunk.speeds": "For each instruction, by `npc` and by the `gene` with which it begins, the speeds from `low` to "
     "`high` [m/s] at which the scenario still fails. Not all speeds between them were tried.",
+    "neighbours": "How many of the [neighbours](../explanation/findings.md#how-broad-it-is) with full steps failed in "
+    "the same way when the scenario was found: `failing`, `of`. Like `expect.closing_speed`, it is for lists of files. "
+    "A replay ignores it.",
     "flaky": "What differed when the scenario was run again. Remove the line when the ADS drives a scenario in the "
     "same way each time.",
     "xfail": "[Your reason to accept the failure](../guide/triage.md#accept-a-failure-for-a-while); the line that "
-    "you write by hand. With `{reason: ..., until: 2027-01-31}` it is accepted up to that day.",
+    "you write by hand. With `{reason: ..., until: 2027-01-31}` it is accepted up to that day, and with `flaky: true` "
+    "in addition it may pass as well.",
 }
 """Meanings of keys that no docstring explains for a reader of files, or only at length."""
 
-AT_THE_END = ("perception", "original", "shrunk", "flaky", "xfail")
+AT_THE_END = ("perception", "original", "shrunk", "neighbours", "flaky", "xfail")
 """Keys of a file that follow the keys of dataclasses. All are optional."""
 
 
@@ -441,11 +446,13 @@ def _example() -> Finding:
             npc=0,
             cell=Cell.FRONT,
             side="front",
+            closing_speed=9.8,
             responsibility="ego",
             fault="cut-in-unanswered",
         ),
         original=Scenario(npcs=(as_found,), seed=7),
         shrunk=Shrunk(rollouts=41, speeds=(SpeedInterval(npc=0, gene=1, low=0.0, high=13.8),)),
+        neighbours=Breadth(failing=28, of=40, full=40),
         found=Found(
             seed=1234,
             generation=17,

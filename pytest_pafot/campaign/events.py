@@ -88,6 +88,7 @@ class Find:
         repeats: number of other runs of the search that failed in the same way.
         against: the reference that a replay is compared with; empty without one.
         is_accepted: True if the file of a replay accepts its failure.
+        may_pass: True if the failure is accepted as flaky, so that its scenario may pass as well.
     """
 
     id: str
@@ -110,6 +111,7 @@ class Find:
     repeats: int = 0
     against: str = ""
     is_accepted: bool = False
+    may_pass: bool = False
 
     @property
     def is_flaky(self) -> bool:

@@ -6,7 +6,6 @@ import os
 import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from datetime import date
 from pathlib import Path
 
 from pytest_pafot.campaign.replays import Replays
@@ -15,7 +14,7 @@ from pytest_pafot.corpus.saved import Saved, saved_in
 from pytest_pafot.corpus.writer import CorpusWriteError, text_of, write
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.execution.scenario_pool import expectation
-from pytest_pafot.findings.finding import Finding, of_failure
+from pytest_pafot.findings.finding import NOT_ACCEPTED, Acceptance, Finding, of_failure
 from pytest_pafot.findings.shrink import sort_key
 from pytest_pafot.findings.signature import Signature
 from pytest_pafot.support.errors import RequestError, flag
@@ -68,8 +67,8 @@ def join(candidates: Iterable[Candidate], taken: Iterable[str] = ()) -> Joined:
         if len(accepted) > 1:
             conflicts.append(group)
             continue
-        first, (reason, until) = min(group, key=_order), next(iter(accepted), (None, None))
-        best.append(replace(first, finding=replace(first.finding, xfail=reason, xfail_until=until)))
+        first = min(group, key=_order)
+        best.append(replace(first, finding=first.finding.accepting(next(iter(accepted), NOT_ACCEPTED))))
     ids = {*taken, *(each.finding.id for group in conflicts for each in group)}
     kept: dict[str, Candidate] = {}
     for each in sorted(best, key=_order):
@@ -87,15 +86,15 @@ def free_id(finding: Finding, taken: Collection[str]) -> str:
     return name
 
 
-def acceptances(group: Iterable[Candidate]) -> set[tuple[str, date | None]]:
-    """Return the different reasons for which files of one kind are accepted (``xfail``), each with its last day."""
-    return {(each.finding.xfail, each.finding.xfail_until) for each in group if each.finding.xfail is not None}
+def acceptances(group: Iterable[Candidate]) -> set[Acceptance]:
+    """Return the different ways in which files of one kind are accepted (``xfail``)."""
+    return {each.finding.acceptance for each in group if each.finding.xfail is not None}
 
 
 def _order(candidate: Candidate) -> tuple[bool, tuple[int, ...], str, str]:
     finding = candidate.finding
     # The text orders findings that are equal otherwise, such as the same scenario from two searches.
-    text = text_of(replace(finding, xfail=None, xfail_until=None))
+    text = text_of(finding.accepting(NOT_ACCEPTED))
     return finding.flaky is not None, sort_key(finding.scenario), _stem(finding), text
 
 
@@ -183,8 +182,8 @@ def _conflict(group: Sequence[Candidate], root: Path) -> str:
     )
 
 
-def _accepts(finding: Finding | None) -> tuple[str | None, date | None]:
-    return (None, None) if finding is None else (finding.xfail, finding.xfail_until)
+def _accepts(finding: Finding | None) -> Acceptance:
+    return NOT_ACCEPTED if finding is None else finding.acceptance
 
 
 def _write(result: Joined, folder: Path, old: set[Path]) -> list[str]:

@@ -197,6 +197,9 @@ class Simplification:
             with runs_end_in(self.until - self.clock()):
                 breadth = self._breadth(kept, deeds)
                 find = replace(find, breadth=breadth)
+                if breadth is not None:
+                    labelled = replace(kept.finding, neighbours=breadth.at_full_steps)
+                    kept = self.loop.recorder.rewritten(kept, labelled)
                 self.loop.recorder.tell(replace(kept, find=find, is_new=False))
                 if found is not None:
                     told = "reactions"
@@ -418,7 +421,8 @@ class Simplification:
         known = {(line.file, line.number) for line in find.lines}
         if not lines or (lines[0].file, lines[0].number) in known or runs_in(found, lines[0]):
             return None
-        return SecondPlace(scenario=simple, lines=lines, path=self._saved_beside(like, run))
+        labelled = replace(like, finding=replace(like.finding, neighbours=breadth.at_full_steps))
+        return SecondPlace(scenario=simple, lines=lines, path=self._saved_beside(labelled, run))
 
     def _saved_beside(self, kept: FindTold, run: Run) -> str:
         """Save a run of a second place, if that is asked for, and return the path of its file; otherwise empty."""

@@ -134,6 +134,40 @@ class History:
         """
         return self._git("rev-list", "--first-parent", "--reverse", f"{good}..{bad}", "--", *self.paths).split()
 
+    def added(self) -> dict[str, tuple[str, str]]:
+        """Return the commit that added each file in the paths: its short hash and its day, by the file's path.
+
+        A file that was renamed is the same file if nine tenths of its text stayed. Files that the oldest commit of a
+        shallow clone has are left out, because an earlier commit may have added them.
+
+        Raises:
+            RequestError: if git fails, or there is no commit.
+        """
+        is_shallow = self._git("rev-parse", "--is-shallow-repository").strip() == "true"
+        form = ("-z", "--no-show-signature", "--format=%x01%h %cs %p", "--no-color", "--no-ext-diff")
+        changes = ("--name-status", "--diff-filter=AR", "--find-renames=90%", "--no-relative")
+        told = self._git("-c", "log.showRoot=true", "log", *form, *changes, "--", *self.paths).split("\0")
+        found: dict[str, tuple[str, str]] = {}
+        later: dict[str, str] = {}  # the present name of a file, by an earlier name
+        commit, day, parents = "", "", ""
+        parts = iter(told)
+        for part in parts:  # The newest commit is first.
+            if part.startswith("\1"):
+                commit, day, parents = part.removeprefix("\1").split(" ", 2)
+                continue
+            kind = part.strip()
+            if not kind:
+                continue
+            before = next(parts)
+            if kind.startswith("R"):
+                after = next(parts)
+                later[before] = later.pop(after, after)
+            else:
+                name = later.pop(before, before)
+                if parents.strip() or not is_shallow:
+                    found.setdefault(name, (commit, day))
+        return found
+
     def content(self, commit: str) -> str:
         """Return a text that identifies the files of the paths in a commit: their names, modes and hashes."""
         return self._git("ls-tree", "-r", "-z", commit, "--", *self.paths)

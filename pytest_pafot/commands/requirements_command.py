@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import argparse
 import csv
-import json
 import math
 import re
 import sys
@@ -18,9 +17,11 @@ from datetime import date
 from pathlib import Path
 from typing import Any
 
+from pytest_pafot.commands.corpus_table import Since, added_in, place_of
 from pytest_pafot.commands.inventory import Inventory, collected
+from pytest_pafot.commands.results import Session, session_of
 from pytest_pafot.corpus.saved import Saved, read_saved_file
-from pytest_pafot.findings.severity import Severity, worst_first
+from pytest_pafot.findings.severity import Severity, severity_in, worst_first
 from pytest_pafot.support.errors import RequestError, flag
 from pytest_pafot.support.markup import code, plain
 from pytest_pafot.support.proportions import interval_text
@@ -36,12 +37,6 @@ from pytest_pafot.support.text import (
     wrapped_to,
 )
 from pytest_pafot.support.traced import Traced
-
-VERSION = 1
-"""The version of the results that are read, ``pafot_json``."""
-
-MOST_BYTES = 100 * 2**20
-"""The largest size of a file of results [bytes]."""
 
 WIDTH = 100  # the width of the text [characters]
 
@@ -90,7 +85,8 @@ def run(arguments: argparse.Namespace, _: Sequence[str]) -> int:
     inventory = collected(arguments.pytest)
     if inventory.problem:
         sys.stderr.write(f"requirements: some tests could not be collected, and are missing:\n{inventory.problem}\n")
-    table = Table.of(inventory, sessions, listed, today=arguments.today or date.today())
+    added = added_in({inventory.root / Path(file).parent for file in inventory.files}, [inventory.root])
+    table = Table.of(inventory, sessions, listed, added=added, today=arguments.today or date.today())
     writers = {"text": text_lines, "markdown": markdown_lines, "csv": csv_lines}
     lines = writers[arguments.format](table, course=arguments.course)
     sys.stdout.write("".join(f"{line}\n" for line in lines))
@@ -105,71 +101,6 @@ def _day(text: str) -> date:
 
 
 # Reading: results of sessions, and the list of all requirements.
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Session:
-    """The results of one session, or of the shards of one.
-
-    Attributes:
-        day, commit: as the session was told by ``--pafot-today`` and ``--pafot-commit``; empty if it was not.
-        searches, findings, tests: the entries of its JSON.
-    """
-
-    day: str = ""
-    commit: str = ""
-    searches: tuple[Mapping[str, Any], ...] = ()
-    findings: tuple[Mapping[str, Any], ...] = ()
-    tests: tuple[Mapping[str, Any], ...] = ()
-
-    @property
-    def name(self) -> str:
-        """Day and commit in short."""
-        return " ".join(filter(None, [self.day, self.commit[:10]]))
-
-
-def session_of(path: Path) -> Session:
-    """Read the results of a session.
-
-    Raises:
-        RequestError: if the file cannot be read or has no results.
-    """
-    expected = f"{visible(str(path))}: expected the results of a session, from {flag('json')}"
-    try:
-        if path.stat().st_size > MOST_BYTES:
-            raise RequestError(f"{expected}, received more than {MOST_BYTES // 2**20} MiB")
-        data = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError) as error:
-        why = getattr(error, "strerror", None) or f"{type(error).__name__}"
-        raise RequestError(f"{expected}, received {why}") from None
-    lists = ("searches", "findings", "tests")
-    is_right = isinstance(data, dict) and data.get("pafot_json") == VERSION
-    if not is_right or not all(_are_entries(data.get(name, [])) for name in lists):
-        raise RequestError(f"{expected}, received other JSON; give a file that this version has written")
-    day, commit = (data.get(name) or "" for name in ("day", "commit"))
-    if not isinstance(commit, str) or (day and day_of(str(day)) is None):
-        raise RequestError(f"{expected}, received day {day!r:.50} and commit {commit!r:.50}")
-    return Session(day=day, commit=commit, **{name: tuple(data.get(name, ())) for name in lists})
-
-
-def _are_entries(entries: object) -> bool:
-    """Return whether the entries of results have the types that are read of them."""
-    types: dict[str, tuple[type, ...]] = {
-        **dict.fromkeys(("node_id", "test", "id", "status", "result", "message"), (str,)),
-        **dict.fromkeys(("title", "owner", "responsible"), (str,)),
-        **dict.fromkeys(("runs", "random_failing", "random_runs", "given"), (int,)),
-        "requirements": (list,),
-        "severity": (dict, type(None)),
-        "file": (str, type(None)),
-        "finds": (list,),
-    }
-    return isinstance(entries, list) and all(
-        isinstance(entry, dict)
-        and isinstance(entry.get("node_id"), str)
-        and all(isinstance(entry[name], kinds) for name, kinds in types.items() if name in entry)
-        and all(isinstance(id_, str) for id_ in entry.get("requirements", ()))
-        for entry in entries
-    )
 
 
 def grouped(sessions: Iterable[Session]) -> list[Session]:
@@ -217,7 +148,8 @@ class Failure:
         state: one of ``STATES``.
         detail: what the state is known from, such as ``accepted until 2027-01-31: issue 12``.
         severity, responsible: how bad it is, and who is responsible; None if no given session measured it.
-        since: the session since which it fails; empty if it is not known.
+        since: day and commit of the session since which it fails, or else of the commit that added its file; empty if
+            neither is known.
     """
 
     id: str
@@ -304,9 +236,18 @@ class Table:
 
     @classmethod
     def of(
-        cls, inventory: Inventory, sessions: Sequence[Session], listed: Mapping[str, Traced], *, today: date
+        cls,
+        inventory: Inventory,
+        sessions: Sequence[Session],
+        listed: Mapping[str, Traced],
+        *,
+        added: Mapping[Path, Since],
+        today: date,
     ) -> Table:
-        """Join what the tests, the saved scenarios, the sessions and a list say of each requirement."""
+        """Join what the tests, the saved scenarios, the sessions and a list say of each requirement.
+
+        ``added`` has the commit that added each file, as far as git knows it.
+        """
         course = Course.of(inventory, sessions)
         tests: dict[str, list[str]] = {}
         for test, told in inventory.tests.items():
@@ -319,7 +260,10 @@ class Table:
         }
         known: dict[str, list[Failure]] = {}
         for key in {**saved, **course.statuses}:
-            failure = course.failure(key, saved.get(key), today=today)
+            file = saved.get(key)
+            failure = course.failure(key, file, today=today)
+            if failure is not None and file is not None and not failure.since and failure.state != FIXED:
+                failure = replace(failure, since=" ".join(reversed(added.get(place_of(file.path), ()))))
             if failure is not None:
                 for id_ in course.requirements(key[0]):
                     known.setdefault(id_, []).append(failure)
@@ -435,7 +379,7 @@ class Course:
             id=id_ or test,
             state=state,
             detail=detail,
-            severity=_severity(measured.get("severity")),
+            severity=_severity(measured.get("severity")) or (None if finding is None else severity_in(finding.expect)),
             responsible=measured.get("responsible", "none") if finding is None else finding.expect.responsibility,
             since="" if state in (FIXED, DRIFTED) else self._since(entries),
         )

@@ -11,7 +11,6 @@ import re
 from collections.abc import Callable, Mapping
 from dataclasses import MISSING
 from dataclasses import fields as fields_of
-from datetime import date
 from functools import cache
 from pathlib import Path
 from types import MappingProxyType, NoneType, UnionType
@@ -20,7 +19,18 @@ from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_
 from pytest_pafot.attribution.mistakes import LANE_CHANGES
 from pytest_pafot.corpus.layout import SUFFIX
 from pytest_pafot.corpus.yaml_document import MAX_BYTES, Field, Keys, one_of, parse
-from pytest_pafot.findings.finding import MAX_NUMBER, Expect, Finding, Found, Perceived, check_plain, is_id
+from pytest_pafot.findings.finding import (
+    MAX_NUMBER,
+    NOT_ACCEPTED,
+    Acceptance,
+    Expect,
+    Finding,
+    Found,
+    Perceived,
+    check_plain,
+    is_id,
+)
+from pytest_pafot.findings.neighbours import Breadth
 from pytest_pafot.findings.shrink import Shrunk, SpeedInterval
 from pytest_pafot.findings.signature import ZONES
 from pytest_pafot.findings.situation import ZoneSituation
@@ -46,7 +56,8 @@ DEFAULT_GENE_SECONDS = 10.0
 """The duration of a gene in a file that does not give it [s]. It stays, whatever the default of a scenario becomes."""
 
 FILE = Keys(
-    ("pafot", "test", "world", "scenario", "expect", "found"), ("perception", "original", "shrunk", "flaky", "xfail")
+    ("pafot", "test", "world", "scenario", "expect", "found"),
+    ("perception", "original", "shrunk", "neighbours", "flaky", "xfail"),
 )
 
 _BUILT_IN = ("clearance", "headway", "limits", "hang_limit")
@@ -66,8 +77,11 @@ SCENARIO = Keys(("seed", "ego", "npcs"), ("gene_seconds", "traffic"))
 """The keys of ``scenario`` and ``original``. ``npcs`` holds a list of genes for each NPC."""
 
 EGO = Keys(("lane", "speed"))
-XFAIL = Keys(("reason",), ("until",))
+XFAIL = Keys(("reason",), ("until", "flaky"))
 """The keys of ``xfail``, if it is not just a reason."""
+
+MOST_NEIGHBOURS = 1000
+"""The largest number of neighbours in a file. No search examines more."""
 
 REQUIRED: Mapping[type, tuple[str, ...]] = MappingProxyType(
     {Expect: ("responsibility",), Found: ("versions",), Shrunk: ("is_minimal", "speeds"), Traffic: ("style",)}
@@ -157,7 +171,7 @@ def parsed(path: Path, content: bytes, loader: type[Any] | None = None) -> Findi
     def npc(field: Field) -> int:
         return field.whole(0, len(scenario.npcs) - 1)
 
-    reason, until = _given(fields, "xfail", _xfail, (None, None))
+    reason, until, is_flaky = _given(fields, "xfail", _xfail, NOT_ACCEPTED)
     return Finding(
         id=name,
         test=fields["test"].some_text("name the test's node id, such as tests/test_safety.py::test_it"),
@@ -168,9 +182,11 @@ def parsed(path: Path, content: bytes, loader: type[Any] | None = None) -> Findi
         perception=_given(fields, "perception", _perceived),
         original=_given(fields, "original", _scenario),
         shrunk=_given(fields, "shrunk", lambda field: _shrunk(field, scenario, npc)),
+        neighbours=_given(fields, "neighbours", _neighbours),
         flaky=_given(fields, "flaky", lambda field: field.some_text("say what differed, or remove the line")),
         xfail=reason,
         xfail_until=until,
+        xfail_flaky=is_flaky,
     )
 
 
@@ -282,21 +298,28 @@ def _made(field: Field, kind: Callable[..., T], values: Mapping[str, Any]) -> T:
         raise _rule_broken(field, error) from None
 
 
+@cache
+def _parts(kind: Any) -> tuple[Any, tuple[Any, ...]]:
+    """Return the origin of a generic type, and its arguments other than None."""
+    return get_origin(kind), tuple(each for each in get_args(kind) if each is not NoneType)
+
+
 def _value(field: Field, kind: Any, own: Mapping[str, Read]) -> Any:
     """Return a value of a type. A key that is not there stands for None, so no value may be null."""
-    inner = [each for each in get_args(kind) if each is not NoneType]
-    if get_origin(kind) in (Union, UnionType):
-        marked = (each for key, each in MARKS.items() if each in inner and key in field.any_mapping())
-        return _value(field, next(marked, inner[0]), own)
-    if get_origin(kind) is Literal:
+    origin, inner = _parts(kind)
+    if origin in (Union, UnionType):
+        marked = [(key, each) for key, each in MARKS.items() if each in inner]
+        keys = field.any_mapping() if marked else ()
+        return _value(field, next((each for key, each in marked if key in keys), inner[0]), own)
+    if origin is Literal:
         return field.choice(inner)
-    if get_origin(kind) is Mapping:
+    if origin is Mapping:
         return {key: _value(each, inner[1], own) for key, each in field.any_mapping().items()}
     if kind == tuple[float, float]:
         if len(field.items()) != 2:
             raise field.error("acceleration [m/s^2] and steering [rad]")
         return tuple(each.number(-MAX_NUMBER) for each in field.items())
-    if get_origin(kind) is tuple:
+    if origin is tuple:
         return tuple(_value(each, inner[0], own) for each in field.items())
     is_signed = field.place[-1] in SIGNED
     if kind is int:
@@ -379,13 +402,23 @@ def _expect(field: Field, npc: Read) -> Expect:
     )
 
 
-def _xfail(field: Field) -> tuple[str, date | None]:
-    """Return why the failure is accepted, and the last day on which it is accepted; None for no last day."""
+def _xfail(field: Field) -> Acceptance:
+    """Return why the failure is accepted, the last day or None, and whether the scenario may pass as well."""
     fix = 'write the reason in quotes, as in xfail: "issue 12" or xfail: {reason: "issue 12", until: 2027-01-31}'
     if not isinstance(field.value, dict):
-        return field.some_text(fix), None
+        return field.some_text(fix), None, False
     fields = field.mapping(XFAIL)
-    return fields["reason"].some_text(fix), _given(fields, "until", Field.day)
+    reason, until = fields["reason"].some_text(fix), _given(fields, "until", Field.day)
+    is_flaky: bool = _given(fields, "flaky", Field.truth, default=False)
+    if is_flaky and until is None:
+        raise fields["flaky"].error("a last day with flaky", "add the day, as in until: 2027-01-31", "none")
+    return reason, until, is_flaky
+
+
+def _neighbours(field: Field) -> Breadth:
+    fields = field.mapping(Keys(("failing", "of")))
+    of = fields["of"].whole(1, MOST_NEIGHBOURS)
+    return Breadth(failing=fields["failing"].whole(0, of), of=of, full=of)
 
 
 def _perceived(field: Field) -> Perceived:

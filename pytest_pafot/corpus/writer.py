@@ -69,8 +69,7 @@ def rewrite(path: Path, finding: Finding) -> Finding:
     kept = finding
     if finding.xfail is None and os.path.lexists(path):
         try:
-            there = load(path)
-            kept = replace(finding, xfail=there.xfail, xfail_until=there.xfail_until)
+            kept = finding.accepting(load(path).acceptance)
         except CorpusError as error:
             raise CorpusWriteError(path, f"a file that cannot be read ({error})", "correct or delete it") from error
     write(path, kept, over=True)
@@ -127,7 +126,9 @@ def text_of(finding: Finding) -> str:
     xfail = '# xfail: "reason"'  # a hint on how to accept the failure
     if finding.xfail is not None:
         reason, until = _quoted(finding.xfail), finding.xfail_until
-        xfail = f"xfail: {reason}" if until is None else f"xfail: {{reason: {reason}, until: {until}}}"
+        is_flaky = ", flaky: true" if finding.xfail_flaky else ""
+        xfail = f"xfail: {reason}" if until is None else f"xfail: {{reason: {reason}, until: {until}{is_flaky}}}"
+    broad = finding.neighbours
     lines = [
         f"{f'pafot: {VERSION}':30}# format version",
         f"test: {test}",
@@ -138,6 +139,7 @@ def text_of(finding: Finding) -> str:
         *([] if finding.perception is None else _filled("perception: ", perceived)),
         *([] if finding.original is None else scenario_lines("original", finding.original)),
         *([] if finding.shrunk is None else _filled("shrunk: ", asdict(finding.shrunk))),
+        *([] if broad is None else [f"neighbours: {{failing: {broad.failing}, of: {broad.of}}}"]),
         *([] if finding.flaky is None else [f"flaky: {_quoted(finding.flaky)}"]),
         xfail,
     ]

@@ -18,6 +18,7 @@ import numpy as np
 from pytest_pafot.attribution.last_chance import Avoidance, Escape, LastChance
 from pytest_pafot.attribution.mistakes import Manoeuvre, Mistake, manoeuvre_before, mistake_of
 from pytest_pafot.attribution.responsibility import Fault, Responsibility
+from pytest_pafot.findings.neighbours import Breadth
 from pytest_pafot.findings.shrink import Shrunk
 from pytest_pafot.findings.signature import (
     AT_ZONES,
@@ -111,6 +112,8 @@ class Expect:
             without a collision, the NPC that the check names, and no cell.
         zone: zone in which the NPC crossed the ego's way, such as ``crossing from the left``.
         side: side of the ego that was hit.
+        closing_speed: closing speed of the collision [m/s], which says how bad it is; None in files that do not store
+            it. It is only a label: no replay is compared with it.
         situation: situation from which the failure arose; a replay that passes shows a fix only if this situation comes
             up. None if no NPC was involved, and in files from older versions.
         ego_mean_speed: mean speed of the ego until the event [m/s]; None in files that do not store it. Neighbours of
@@ -140,6 +143,7 @@ class Expect:
     cell: Cell | None = None
     zone: str | None = None
     side: Side | None = None
+    closing_speed: float | None = None
     ego_mean_speed: float | None = None
     responsibility: Responsibility = "none"
     fault: Fault | None = None
@@ -172,6 +176,14 @@ class Expect:
     @property
     def event(self) -> str:
         """The failure in a line: the check with its value and bound, the collision, or the error."""
+        return self._in_words(is_brief=False)
+
+    @property
+    def brief(self) -> str:
+        """The failure in a line, without the side of the ego that was hit and who is responsible."""
+        return self._in_words(is_brief=True)
+
+    def _in_words(self, *, is_brief: bool) -> str:
         if self.check is not None:
             told = {name: value for name, value in asdict(self.check).items() if name != "value"}
             value = math.nan if self.check.value is None else self.check.value
@@ -184,9 +196,9 @@ class Expect:
         npc = "" if self.npc is None else f": NPC {self.npc}"
         place = "" if self.zone is None else f" {self.zone}"
         place = place if self.cell is None else f" in cell {int(self.cell)} ({self.cell.label})"
-        side = "" if self.side is None else f" against the ego's {self.side}"
+        side = "" if self.side is None or is_brief else f" against the ego's {self.side}"
         who = {"ego": ", ego at fault", "npc": ", NPC at fault", "both": ", both at fault"}.get(self.responsibility, "")
-        return f"{self.outcome} after {self.time:.1f} s{npc}{place}{side}{who}"
+        return f"{self.outcome} after {self.time:.1f} s{npc}{place}{side}{'' if is_brief else who}"
 
     def known_of(self, run: Run) -> Run:
         """Return a run with what this finding knows of its collision: how it is avoided."""
@@ -242,6 +254,7 @@ class Expect:
             cell=event.cell,
             zone=event.zone,
             side=None if hit is None else hit.side,
+            closing_speed=None if hit is None else _told(hit.closing_speed, 3),
             ego_mean_speed=mean_speed(trace, event.time),
             situation=situation_of(run, failure, event.time),
             responsibility=run.attribution.responsibility,
@@ -299,6 +312,12 @@ class Perceived:
         return f"only with {self.sight.described(self.needed)}" if self.needed else "fails also with perfect sight"
 
 
+Acceptance = tuple[str | None, date | None, bool]
+"""The reason to accept a failure, the last day, and whether the scenario may pass as well; see :class:`Finding`."""
+
+NOT_ACCEPTED: Acceptance = (None, None, False)
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)
 class Finding(Shown):
     """A finding, the content of one file of the corpus.
@@ -314,14 +333,18 @@ class Finding(Shown):
         perception: sight of an ADS that sees imperfectly; None for perfect sight.
         original: the scenario as first found, if shrinking has replaced it by a simpler scenario; otherwise None.
         shrunk: the result of shrinking; None if the scenario was not shrunk.
+        neighbours: how many neighbours of the scenario failed in the same way when it was found; None if that was not
+            examined. It is only a label.
         flaky: what differed when the scenario was run again, or None; a flaky finding is never reported as fixed.
         xfail: the user's reason to accept the failure, or None.
         xfail_until: the last day on which the failure is accepted; None for no end.
+        xfail_flaky: True if the scenario may pass as well while its failure is accepted.
         trace: trace of the run that shows the failure, if a search in this process made it. It is part of neither the
             identity nor the file of a finding.
 
     Raises:
-        ValueError: for an invalid id, a world that is not plain data, an empty reason, or a day without a reason.
+        ValueError: for an invalid id, a world that is not plain data, an empty reason, a day without a reason, or a
+            failure that is accepted as flaky without a last day.
     """
 
     id: str
@@ -333,9 +356,11 @@ class Finding(Shown):
     perception: Perceived | None = None
     original: Scenario | None = None
     shrunk: Shrunk | None = None
+    neighbours: Breadth | None = None
     flaky: str | None = None
     xfail: str | None = None
     xfail_until: date | None = None
+    xfail_flaky: bool = False
     trace: Trace | None = field(default=None, compare=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -348,6 +373,8 @@ class Finding(Shown):
             raise ValueError(
                 f"xfail_until: expected None without xfail, received {self.xfail_until!r}; give a reason in xfail"
             )
+        if self.xfail_flaky and self.xfail_until is None:
+            raise ValueError("xfail_until: expected a day with xfail_flaky, received None; give the last day")
         check_plain("world", self.world)
 
     def __repr__(self) -> str:
@@ -369,8 +396,18 @@ class Finding(Shown):
     @property
     def accepted(self) -> str:
         """The reason why the failure is accepted, with its last day if there is one; empty if it is not accepted."""
-        until = "" if self.xfail_until is None else f", until {self.xfail_until}"
+        until = "" if self.xfail_until is None else f", {'flaky ' * self.xfail_flaky}until {self.xfail_until}"
         return "" if self.xfail is None else f"{self.xfail}{until}"
+
+    @property
+    def acceptance(self) -> Acceptance:
+        """What the line ``xfail`` of the file says."""
+        return self.xfail, self.xfail_until, self.xfail_flaky
+
+    def accepting(self, acceptance: Acceptance) -> Finding:
+        """Return the finding with another line ``xfail``."""
+        reason, until, is_flaky = acceptance
+        return replace(self, xfail=reason, xfail_until=until, xfail_flaky=is_flaky)
 
     def is_accepted(self, today: date) -> bool:
         """Return whether the failure is accepted on the day ``today``: there is a reason, and it has not expired."""

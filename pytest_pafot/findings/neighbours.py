@@ -76,6 +76,11 @@ class Breadth:
         """A number that is larger for a broader failure: the share of neighbours that fail at full steps."""
         return self.failing / self.of if self.share == 1 else 0.0
 
+    @property
+    def at_full_steps(self) -> Breadth:
+        """The numbers of neighbours with the full steps, as a file stores them."""
+        return Breadth(failing=self.failing if self.share == 1 else 0, of=self.full, full=self.full)
+
     def __str__(self) -> str:
         if self.share == 1 and self.failing:
             return f"{self.failing} of {self.of} neighbours fail the same way"

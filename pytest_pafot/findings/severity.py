@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass
 from functools import total_ordering
 from typing import Any, Literal, Self
 
+from pytest_pafot.findings.finding import Expect
 from pytest_pafot.findings.neighbours import Breadth
 from pytest_pafot.findings.signature import SLOW_DECISION, Failure, Signature, normalised
 from pytest_pafot.oracle.checks import Check
@@ -99,9 +100,27 @@ def severity_of(run: Run, failure: Failure) -> Severity | None:
         return _of_check(failure.check)
     text = normalised(failure.assertion, failure.message)
     signature = Signature(failure=failure.kind, assertion=text, outcome=run.outcome, responsibility="none")
-    if run.collision is None or failure.kind == SLOW_DECISION or signature.is_property:
+    return _of_collision(signature, None if run.collision is None else round(run.collision.closing_speed, 6))
+
+
+def severity_in(expect: Expect) -> Severity | None:
+    """Return how bad the failure in a file is; None if it has no measure, or if an older file does not store it.
+
+    A file does not store the scale of a check, so the margin is the one with the default scale.
+    """
+    if expect.check is None:
+        return _of_collision(expect.signature, expect.closing_speed)
+    value = math.nan if expect.check.value is None else expect.check.value
+    most, least, unit = expect.check.at_most, expect.check.at_least, expect.check.unit
+    signed = [(bound, sign) for bound, sign in ((most, -1), (least, 1)) if bound is not None]
+    margin = min((sign * (value - bound) / (abs(bound) or 1.0) for bound, sign in signed), default=-math.inf)
+    return _of_check(Check(name=expect.assertion, value=value, margin=margin, at_most=most, at_least=least, unit=unit))
+
+
+def _of_collision(signature: Signature, closing_speed: float | None) -> Severity | None:
+    if closing_speed is None or signature.failure == SLOW_DECISION or signature.is_property:
         return None
-    return Severity(kind="collision", value=round(run.collision.closing_speed, 6), unit="m/s")
+    return Severity(kind="collision", value=closing_speed, unit="m/s")
 
 
 def _of_check(check: Check) -> Severity:

@@ -170,7 +170,8 @@ class Collection:
         # Only now are the parameters known, and with them the one file that the item replays.
         item.add_marker(getattr(pytest.mark, SAVED_MARK)(saved), append=False)
         if saved.is_accepted(date.fromisoformat(self._config.stash[SHARED].today)):
-            item.add_marker(pytest.mark.xfail(strict=True, reason=visible(saved.xfail or "")), append=False)
+            is_strict = saved.finding is None or not saved.finding.xfail_flaky
+            item.add_marker(pytest.mark.xfail(strict=is_strict, reason=visible(saved.xfail or "")), append=False)
         return True
 
     @pytest.hookimpl(wrapper=True, tryfirst=True)

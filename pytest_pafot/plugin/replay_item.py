@@ -129,9 +129,9 @@ def _check_set_up(item: pytest.Function, replays: Replays, saved: Saved, run: Ru
 
 def _tell_pass(item: pytest.Function, finding: Finding, label: str, path: str, *, is_accepted: bool) -> None:
     """Ask to remove the line ``xfail`` of a file that passes. A flaky file stays accepted: it passes by chance."""
-    if label != FLAKY:
+    if label != FLAKY and not (is_accepted and finding.xfail_flaky):
         _add_section(item, [f"{label}: remove the line `xfail:` from {path}"])
-    elif is_accepted:
+    elif is_accepted and not finding.xfail_flaky:
         pytest.xfail(f"{visible(finding.xfail or '')}; flaky: it passed this time")
 
 
@@ -186,6 +186,9 @@ def _tell(
     today = date.fromisoformat(item.config.stash[SHARED].today)
     failure = None if verdict is None else verdict.failure
     reference = None if verdict is None else verdict.reference
+    may_pass = finding.xfail_flaky and finding.is_accepted(today)
+    if may_pass:
+        detail = "; ".join(filter(None, [detail, f"accepted: {finding.accepted}"]))
     find = Find(
         id=finding.id,
         node_id=item.nodeid,
@@ -198,6 +201,7 @@ def _tell(
         responsible=finding.expect.responsibility,
         against=replays.harness.against_name,
         is_accepted=finding.is_accepted(today),
+        may_pass=may_pass,
         rests_on=around.passing,
     )
     if headline:

@@ -84,7 +84,8 @@ class FindingRecord:
             impact [m/s], or by how much the check is broken [`unit`], null if it measured no number; `delta_v` of a
             collision, for equal masses [m/s]; `margin` and `name` of a check. Null if it passes or has no measure.
         severity_before: the same for the reference in this scenario, if it fails as well; otherwise null.
-        xfail: `reason` and `until` (null for no end) of an accepted failure; otherwise null.
+        xfail: `reason`, `until` (null for no end) and `flaky` (true if it may pass as well) of an accepted failure;
+            otherwise null.
         requirements, title, owner: as for a search.
     """
 
@@ -123,7 +124,7 @@ class FindingRecord:
     rests_on: int = 0
     severity: Mapping[str, Any] | None = None
     severity_before: Mapping[str, Any] | None = None
-    xfail: Mapping[str, str | None] | None = None
+    xfail: Mapping[str, Any] | None = None
     requirements: list[str] = field(default_factory=list)
     title: str = ""
     owner: str = ""
@@ -137,7 +138,8 @@ class FindingRecord:
     def of(cls, finding: Finding, find: Find, *, replay: str = "", sentences: Iterable[str] = ()) -> Self:
         """Make a record of a finding's file, or what would be its file, and of what this session saw of it."""
         expect, until = finding.expect, finding.xfail_until
-        accepted = {"reason": finding.xfail, "until": None if until is None else until.isoformat()}
+        until_day = None if until is None else until.isoformat()
+        accepted = {"reason": finding.xfail, "until": until_day, "flaky": finding.xfail_flaky}
         return cls(
             node_id=find.node_id,
             id=finding.id,
@@ -387,7 +389,8 @@ def _finding_lines(finding: FindingRecord) -> Iterator[str]:
     told += [plain(str(TellingLine(**line))) for line in finding.lines[:1]]
     if finding.xfail is not None and finding.result == "xfailed":
         until = finding.xfail["until"]
-        told.append(f"accepted{f' until {until}' if until else ''}: {plain(finding.xfail['reason'] or '')}")
+        flaky = " as flaky" if finding.xfail.get("flaky") else ""
+        told.append(f"accepted{flaky}{f' until {until}' if until else ''}: {plain(finding.xfail['reason'] or '')}")
     told += [f"breaks {', '.join(map(code, finding.requirements))}"] if finding.requirements else []
     yield f"- {': '.join(filter(None, [code(finding.test or finding.node_id), '; '.join(filter(None, told))]))}"
     missing = f"not saved: {plain(finding.detail)}; " if finding.file is None else ""

@@ -289,7 +289,7 @@ def replay_lines(replays: Sequence[Find], width: int = WIDTH, *, seconds: float 
     lines = wrapped_to(f"replayed {plural(len(replays), 'saved scenario')}: {figures}", width)
     if several:
         lines.append(f"  {plural(several, 'neighbour')} passed, in {seconds:.1f} s ({flag('replay_neighbours')})")
-    shown = [replay for replay in replays if replay.label not in ("still failing", "common")]
+    shown = [replay for replay in replays if replay.may_pass or replay.label not in ("still failing", "common")]
     for replay in shown[:MAX_REPLAYS]:
         lines.append(f"  {replay.label}: {replay.node_id}")
         lines += [f"  {line}" for line in _wrapped(replay.detail, width - 2)] if replay.detail else []

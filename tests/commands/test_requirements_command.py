@@ -12,16 +12,15 @@ from hypothesis import strategies as st
 from pytest_pafot.commands import requirements_command
 from pytest_pafot.commands.inventory import Inventory
 from pytest_pafot.commands.requirements_command import (
-    Session,
     Table,
     csv_lines,
     grouped,
     listed_in,
     markdown_lines,
     run,
-    session_of,
     text_lines,
 )
+from pytest_pafot.commands.results import Session, session_of
 from pytest_pafot.support.errors import RequestError
 from pytest_pafot.support.traced import Traced
 
@@ -50,7 +49,7 @@ def night(day, *findings, searches=None, tests=()):
 
 
 def table_of(*sessions, tests=None, listed=None):
-    return Table.of(inventory(**(tests or {"test_x": ("R1",)})), grouped(sessions), listed or {}, today=TODAY)
+    return Table.of(inventory(**(tests or {"test_x": ("R1",)})), grouped(sessions), listed or {}, added={}, today=TODAY)
 
 
 def states(table):

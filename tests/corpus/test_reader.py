@@ -210,6 +210,25 @@ def test_error_gives_place_expected_value_and_remedy(path):
         ('# xfail: "reason"', "xfail: {reason: slow, til: 2027-01-31}", 17, "xfail.til"),
         ('# xfail: "reason"', "xfail: {reason: 2027-01-31}", 17, ""),
         ('# xfail: "reason"', "xfail: {reason: slow, until: [2027-01-31]}", 17, ""),
+        ('# xfail: "reason"', "xfail: {reason: slow, until: 2027-01-31, flaky: yes}", 17, ""),
+        ('# xfail: "reason"', "xfail: {reason: slow, until: 2027-01-31, flaky: 1}", 17, "xfail.flaky"),
+        ('# xfail: "reason"', "xfail: {reason: slow, until: 2027-01-31, flaky: 'true'}", 17, "xfail.flaky"),
+        ('# xfail: "reason"', "xfail: {reason: slow, until: 2027-01-31, flaky: 2027-01-31}", 17, "xfail.flaky"),
+        ('# xfail: "reason"', "xfail: {reason: slow, flaky: true}", 17, "xfail.flaky"),
+        ('# xfail: "reason"', "xfail: {until: 2027-01-31, flaky: true}", 17, "xfail"),
+        ('# xfail: "reason"', "neighbours: {failing: 3}", 17, "neighbours"),
+        ('# xfail: "reason"', "neighbours: 3", 17, "neighbours"),
+        ('# xfail: "reason"', "neighbours: {failing: 3, of: 2}", 17, "neighbours.failing"),
+        ('# xfail: "reason"', "neighbours: {failing: -1, of: 2}", 17, "neighbours.failing"),
+        ('# xfail: "reason"', "neighbours: {failing: 1.5, of: 2}", 17, "neighbours.failing"),
+        ('# xfail: "reason"', "neighbours: {failing: true, of: 2}", 17, "neighbours.failing"),
+        ('# xfail: "reason"', "neighbours: {failing: 0, of: 0}", 17, "neighbours.of"),
+        ('# xfail: "reason"', "neighbours: {failing: 0, of: 1001}", 17, "neighbours.of"),
+        ('# xfail: "reason"', "neighbours: {failing: 0, of: 40, share: 1.0}", 17, "neighbours.share"),
+        ("side: front", "side: front, closing_speed: -1.0", 14, "expect.closing_speed"),
+        ("side: front", "side: front, closing_speed: .nan", 14, "expect.closing_speed"),
+        ("side: front", "side: front, closing_speed: .inf", 14, "expect.closing_speed"),
+        ("side: front", "side: front, closing_speed: fast", 14, "expect.closing_speed"),
         ('# xfail: "reason"', "xfail: 2027-01-31", 17, ""),
     ],
 )
@@ -317,7 +336,7 @@ def test_invalid_xfail_day_error_shows_the_correct_format(path):
 def test_misspelt_xfail_key_is_named_before_its_date(path):
     error = fault(path, swapped('# xfail: "reason"', "xfail: {reason: slow, untill: 2027-01-31}"))
     assert str(error).endswith(
-        ":17: xfail.untill: expected one of reason, until (format 2), received 'untill'; did you mean 'until'?"
+        ":17: xfail.untill: expected one of reason, until, flaky (format 2), received 'untill'; did you mean 'until'?"
     )
 
 

@@ -83,6 +83,12 @@ def test_rewrite_preserves_the_last_day_of_an_xfail(tmp_path):
     assert rewrite(path, plain_finding()).xfail_until == load(path).xfail_until == date(2027, 1, 31)
 
 
+def test_rewrite_preserves_that_an_xfail_is_flaky(path):
+    write(path, plain_finding(xfail="issue 12", xfail_until=date(2027, 1, 31), xfail_flaky=True))
+    assert rewrite(path, plain_finding()) == load(path)
+    assert load(path).acceptance == ("issue 12", date(2027, 1, 31), True)
+
+
 def test_rewrite_of_a_vanished_file_creates_it_again(path):
     rewrite(path, plain_finding())
     assert load(path) == plain_finding()

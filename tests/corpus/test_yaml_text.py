@@ -9,6 +9,7 @@ from pytest_pafot.attribution.last_chance import Avoidance, Escape, LastChance
 from pytest_pafot.corpus.reader import load, parsed
 from pytest_pafot.corpus.writer import text_of, write
 from pytest_pafot.findings.finding import Expect
+from pytest_pafot.findings.neighbours import Breadth
 from pytest_pafot.findings.situation import Situation
 from pytest_pafot.model.driving_style import Traffic
 from pytest_pafot.model.grid import Cell
@@ -68,6 +69,19 @@ def test_xfail_reason_replaces_the_hint():
 def test_last_xfail_day_is_written_with_its_reason():
     text = text_of(plain_finding(xfail='planner "issue" 12', xfail_until=date(2027, 1, 31)))
     assert text.endswith('}}\nxfail: {reason: "planner \\"issue\\" 12", until: 2027-01-31}\n')
+
+
+def test_what_is_accepted_as_flaky_says_so_in_its_line():
+    text = text_of(plain_finding(xfail="issue 12", xfail_until=date(2027, 1, 31), xfail_flaky=True))
+    assert text.endswith('\nxfail: {reason: "issue 12", until: 2027-01-31, flaky: true}\n')
+
+
+def test_speed_and_breadth_are_written_as_labels():
+    finding = plain_finding(
+        expect=replace(plain_finding().expect, closing_speed=7.533), neighbours=Breadth(failing=28, of=40, full=40)
+    )
+    assert "side: front, closing_speed: 7.533, responsibility" in text_of(finding).replace("\n        ", "")
+    assert '\nneighbours: {failing: 28, of: 40}\n# xfail: "reason"\n' in text_of(finding)
 
 
 def test_gene_duration_is_written_unless_default():

@@ -9,6 +9,7 @@ from pytest_pafot.attribution.last_chance import Avoidance, Escape, LastChance
 from pytest_pafot.attribution.mistakes import LANE_CHANGES, Manoeuvre
 from pytest_pafot.corpus.reader import LIMITS, WORLDS
 from pytest_pafot.findings.finding import MAX_KEY, MAX_NUMBER, Bounded, Expect, Finding, Found, Perceived
+from pytest_pafot.findings.neighbours import Breadth
 from pytest_pafot.findings.shrink import Shrunk, SpeedInterval
 from pytest_pafot.findings.signature import ZONES
 from pytest_pafot.findings.situation import Situation, ZoneSituation
@@ -180,6 +181,7 @@ def expectations(draw, npcs):
         cell=draw(some(draw(st.sampled_from(Cell)))) if zone is None else draw(st.none() | st.sampled_from(Cell)),
         zone=zone,
         side=draw(some(draw(st.sampled_from(["front", "rear", "left", "right"])))),
+        closing_speed=draw(st.none() | st.floats(0, MAX_NUMBER)),
         situation=draw(st.none() | situations(npcs)),
         responsibility=draw(st.sampled_from(["ego", "npc", "both", "none"])),
         **draw(st.sampled_from([{}, *({"fault": "entered-lane", "mistake": each} for each in LANE_CHANGES)])),
@@ -217,6 +219,11 @@ def simplifications(draw, scenario):
     return Shrunk(rollouts=draw(st.integers(0, 10**6)), is_minimal=draw(st.booleans()), speeds=tuple(speeds))
 
 
+def breadths():
+    counts = st.tuples(st.integers(1, 1000), st.floats(0, 1))
+    return counts.map(lambda each: Breadth(failing=int(each[0] * each[1]), of=each[0], full=each[0]))
+
+
 @st.composite
 def perceptions(draw):
     numbers = st.floats(0, 1e6)
@@ -235,6 +242,7 @@ def perceptions(draw):
 def findings(draw):
     scenario = draw(scenarios())
     reason = draw(st.one_of(st.none(), texts(min_size=1).filter(str.strip)))
+    until = None if reason is None else draw(st.none() | st.dates())
     return Finding(
         id=draw(st.sampled_from(["front-2-1f3a9c", "a", "A_b.c-d"])),
         test=draw(texts(min_size=1).filter(str.strip)),
@@ -251,7 +259,9 @@ def findings(draw):
         perception=draw(st.none() | perceptions()),
         original=draw(st.one_of(st.none(), scenarios())),
         shrunk=draw(st.one_of(st.none(), simplifications(scenario))),
+        neighbours=draw(st.none() | breadths()),
         flaky=draw(st.one_of(st.none(), texts(min_size=1).filter(str.strip))),
         xfail=reason,
-        xfail_until=None if reason is None else draw(st.none() | st.dates()),
+        xfail_until=until,
+        xfail_flaky=until is not None and draw(st.booleans()),
     )

@@ -56,6 +56,7 @@ def test_it_expects_what_the_run_showed():
         ego_mean_speed=20.0,
         cell=Cell.FRONT,
         side="front",
+        closing_speed=10.0,
         situation=Situation(npc=0, time=0.0, ahead=26.0, lane=0, ego_speed=20.0, npc_speed=10.0),
         responsibility="ego",
         fault="leader-unanswered",

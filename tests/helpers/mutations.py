@@ -220,6 +220,9 @@ def holds(finding: Finding) -> dict[str, Any]:
             "is_minimal": shrunk.is_minimal,
             "speeds": [{name: getattr(each, name) for name in each.__slots__} for each in shrunk.speeds],
         },
+        "neighbours": None
+        if finding.neighbours is None
+        else {"failing": finding.neighbours.failing, "of": finding.neighbours.of},
         "flaky": finding.flaky,
         "xfail": _accepted(finding),
     }
@@ -227,7 +230,8 @@ def holds(finding: Finding) -> dict[str, Any]:
 
 def _accepted(finding: Finding) -> Any:
     until = finding.xfail_until
-    return finding.xfail if until is None else {"reason": finding.xfail, "until": until.isoformat()}
+    is_flaky = {"flaky": True} if finding.xfail_flaky else {}
+    return finding.xfail if until is None else {"reason": finding.xfail, "until": until.isoformat(), **is_flaky}
 
 
 def _chance(chance: LastChance | None) -> dict[str, Any] | None:

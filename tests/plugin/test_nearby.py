@@ -10,7 +10,7 @@ from argparse import Namespace
 import pytest
 
 import pytest_pafot as pafot
-from pytest_pafot.corpus.corpus_command import session_of
+from pytest_pafot.commands.corpus_command import session_of
 from pytest_pafot.corpus.writer import CorpusWriteError
 from tests.plugin.test_driving_on import filed
 
@@ -134,13 +134,16 @@ def test_the_search_covers_what_only_a_neighbour_shows(project):
 def test_the_command_puts_the_neighbour_into_the_file(project, write):
     fixed(project, "braking")
     file = project.path / project.files[0]
-    before = file.read_text()
+    label = "neighbours: {failing: 3, of: 40}\n"  # of the scenario that the neighbour replaces
+    before = file.read_text().replace("# xfail:", f"{label}# xfail:")
+    file.write_text(before)
     command = session_of(Namespace(what="nearby", write=write, arguments=[]))
     result = project.run(*command[3:], generations=None)
     assert result.ret == 0
     name = file.relative_to(project.path).as_posix()
     result.stdout.fnmatch_lines([f"{'replaced' if write else 'would replace'}: {name}"])
     assert (file.read_text() != before) == write
+    assert (label in file.read_text()) == (not write)
     _, record = replay(project)
     assert record["status"] == ("still failing" if write else "still failing, nearby")
 

@@ -29,7 +29,16 @@ def run(project, *args, **options):
     return result, record, project.contents
 
 
-def test_how_broad_a_finding_is_stands_in_the_report_and_in_json_but_not_in_its_file(collides):
+def labelled(contents, record):
+    """Return the contents of the one file of a finding with the label that says how broad the finding is."""
+    ((name, text),) = contents.items()
+    breadth = record["breadth"]
+    failing = breadth["failing"] if breadth["share"] == 1 else 0
+    label = f"neighbours: {{failing: {failing}, of: {breadth['full']}}}"
+    return {name: text.replace('# xfail: "reason"', f'{label}\n# xfail: "reason"')}
+
+
+def test_how_broad_a_finding_is_stands_in_the_report_in_json_and_in_its_file(collides):
     plain, record, contents = run(collides)
     assert record["breadth"] is None
     assert "neighbours" not in plain.stdout.str()
@@ -38,12 +47,13 @@ def test_how_broad_a_finding_is_stands_in_the_report_and_in_json_but_not_in_its_
     result.stdout.re_match_lines([TEXT, r"  \d+ runs and \d+ of neighbours in .*"])
     assert record["breadth"]["of"] == 8
     assert 0 <= record["breadth"]["failing"] <= 8
-    assert same == contents
+    assert same == labelled(contents, record)
 
 
 def test_it_is_the_same_with_workers_and_on_each_run(collides):
-    told = [run(collides, "--pafot-neighbours=8", *more)[1] for more in ((), (), ("--pafot-workers=2",))]
+    told = [run(collides, "--pafot-neighbours=8", *more)[1:] for more in ((), (), ("--pafot-workers=2",))]
     assert told[0] == told[1] == told[2]
+    assert "neighbours: {failing: " in str(told[0][1])
 
 
 PLANNER = """
@@ -105,7 +115,7 @@ def test_lines_that_tell_failing_neighbours_from_passing_ones_are_told(project, 
     )
     _, without, same = run(project)
     assert without["lines"] == []
-    assert same == contents
+    assert contents == labelled(same, record)
 
 
 def test_a_second_place_is_told_and_saved_only_if_asked_for(project):
@@ -118,6 +128,8 @@ def test_a_second_place_is_told_and_saved_only_if_asked_for(project):
     _, again, both = run(project, "--pafot-neighbours=40", "--pafot-save=causes", "--pafot-workers=2", seed=3)
     (path,) = both.keys() - contents.keys()
     assert again == record | {"second": record["second"] | {"path": path}}
+    assert {name: text for name, text in both.items() if name != path} == contents
+    assert "\nneighbours: {failing: " in both[path]
     replayed = project.run("--pafot-json=out.json", generations=0)
     replayed.assert_outcomes(failed=2, skipped=1)
     found = json.loads((project.path / "out.json").read_text())["findings"]

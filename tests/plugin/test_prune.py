@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from pytest_pafot.corpus.corpus_command import session_of
+from pytest_pafot.commands.corpus_command import session_of
 from tests.plugin.conftest import FAILING
 
 links = pytest.mark.skipif(os.name == "nt", reason="links need a privilege on Windows")

@@ -401,6 +401,41 @@ def test_a_search_finds_no_accepted_flaky_failure_again(project, by_chance):
     assert over.ret == pytest.ExitCode.TESTS_FAILED
 
 
+AS_FLAKY = UNTIL.replace("}", ", flaky: true}")
+
+
+def test_failure_accepted_as_flaky_may_pass_until_its_last_day(saved):
+    edited(saved, '# xfail: "reason"', AS_FLAKY)
+    fails = saved.run("--pafot-today=2027-01-31", generations=0)
+    fails.assert_outcomes(xfailed=1, skipped=1)
+    fails.stdout.fnmatch_lines(["  still failing: *", "*accepted: planner issue 12, flaky until 2027-01-31"])
+    over = saved.run("--pafot-today=2027-02-01", generations=0)
+    over.assert_outcomes(failed=1, skipped=1)
+    over.stdout.fnmatch_lines(["  warning: *: accepted (planner issue 12, flaky until 2027-01-31), but that *"])
+    saved.write(PASSES)
+    passes = saved.run("--pafot-today=2027-01-31", "--pafot-json=r.json", generations=0)
+    passes.assert_outcomes(xpassed=1, skipped=1)
+    assert passes.ret == 0
+    assert "remove the line" not in passes.stdout.str()
+    passes.stdout.fnmatch_lines(["  fixed: *", "*accepted: planner issue 12, flaky until 2027-01-31"])
+    (record,) = json.loads((saved.path / "r.json").read_text())["findings"]
+    assert record["status"] == "fixed"
+    assert record["xfail"] == {"reason": "planner issue 12", "until": "2027-01-31", "flaky": True}
+    saved.run("--pafot-today=2027-02-01", generations=0).assert_outcomes(passed=1, skipped=1)
+
+
+def test_a_search_does_not_find_again_what_is_accepted_as_flaky(project, by_chance):
+    edited(project, f'flaky: "another run"\n{UNTIL}', AS_FLAKY)
+    before = project.contents
+    by_chance("4")  # The replay passes, and later runs of the search fail in the same way.
+    result = project.run("--pafot-today=2027-01-31", "test_it.py::test_brakes[search]", generations=2)
+    result.assert_outcomes(passed=1)
+    result.stdout.fnmatch_lines([f"  known: * covered by saved-{project.only_id}"])
+    assert project.contents == before
+    over = project.run("--pafot-today=2027-02-01", "test_it.py::test_brakes[search]", generations=2)
+    assert over.ret == pytest.ExitCode.TESTS_FAILED
+
+
 TRAINED = """
 class Trained:
     weights_digest = "sha256:1"

@@ -106,7 +106,7 @@ def test_replay_is_recorded_with_label_and_result(saved):
     saved.only_file.write_text(saved.only_file.read_text().replace("# xfail", "xfail"))
     record = recorded(saved, generations=0)
     assert (record.exit, record.findings[0].result, record.searches) == (0, "xfailed", [])
-    assert record.findings[0].xfail == {"reason": "reason", "until": None}
+    assert record.findings[0].xfail == {"reason": "reason", "until": None, "flaky": False}
 
 
 def test_expired_xfail_is_recorded_with_a_warning(saved):

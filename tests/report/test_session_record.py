@@ -100,7 +100,7 @@ def test_a_finding_tells_what_its_file_does():
     expect = finding.expect
     assert (record.id, record.test, record.time) == (finding.id, finding.test, expect.time)
     assert (record.outcome, record.responsible, record.kind) == ("collision", "ego", finding.signature.slug)
-    assert record.xfail == {"reason": "issue 12", "until": "2027-01-31"}
+    assert record.xfail == {"reason": "issue 12", "until": "2027-01-31", "flaky": False}
     assert FindingRecord.of(plain_finding(), FIND).xfail is None
 
 

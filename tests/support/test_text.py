@@ -134,7 +134,8 @@ def test_corpus_command_output_contains_no_control_sequences(tmp_path_factory, t
             load(path)
         assert obeyed(str(raised.value)) == []
         assert "\n" not in str(raised.value)
-    for arguments in (["list"], ["stats"], ["list", "--json"], ["stats", "--json"]):
+    listed = [["list", "--no-tests", f"--format={form}"] for form in ("text", "markdown", "csv", "json")]
+    for arguments in (*listed, ["stats"], ["stats", "--json"]):
         told = io.StringIO()
         with contextlib.redirect_stdout(told):
             main(["corpus", *arguments, str(folder)])

@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 
 from pytest_pafot.__main__ import main
+from pytest_pafot.corpus.reader import load
 from pytest_pafot.corpus.writer import write
-from pytest_pafot.findings.finding import Bounded
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.scenario import PositionInstruction, Scenario
 from pytest_pafot.model.trace import Outcome
@@ -26,42 +26,8 @@ def folder(tmp_path):
     return tmp_path
 
 
-def test_the_list_has_a_line_for_each_file(folder, capsys):
-    assert main(["corpus", "list", str(folder)]) == 0
-    one, other = capsys.readouterr().out.splitlines()
-    assert "a-111111.pafot.yaml: collision after 12.4 s: NPC 0 in cell 2 (front) against the ego's front, ego at" in one
-    assert other.endswith(", accepted until 2027-01-31: issue 12")
-
-
-AHEAD = {"outcome": Outcome.SAFE, "time": 5.9, "cell": None, "side": None, "responsibility": "none"}
-
-
-@pytest.mark.parametrize(
-    ("changes", "told"),
-    [
-        (
-            {"failure": "CheckFailed", "assertion": "gap", "check": Bounded(value=0.64, at_least=10.0, unit="m")}
-            | AHEAD,
-            "gap 0.64 < 10 m at 5.9 s (NPC 0)",
-        ),
-        (
-            {"failure": "CheckFailed", "assertion": "gap", "check": Bounded(value=None, at_most=2.0)} | AHEAD,
-            "gap nan is not within 2 at 5.9 s (NPC 0)",
-        ),
-        ({"assertion": "run.min_ttc > N"} | AHEAD, "run.min_ttc > N fails"),
-        ({"failure": "KeyError", "assertion": "speeds[0]"} | AHEAD, "speeds[0] raises KeyError"),
-        ({"failure": "ValueError", "outcome": Outcome.ADS_ERROR, "message": "no\x1b[31m"}, "ValueError: no\\x1b[31m"),
-        ({"outcome": Outcome.OFF_ROAD, "npc": None, "cell": None, "side": None}, "off_road after 12.4 s, ego at fault"),
-    ],
-)
-def test_the_list_says_what_failed_and_how_bad(tmp_path, capsys, changes, told):
-    write(tmp_path / "a.pafot.yaml", plain_finding(id="a", expect=replace(plain_finding().expect, **changes)))
-    assert main(["corpus", "list", str(tmp_path)]) == 0
-    assert capsys.readouterr().out.endswith(f"a.pafot.yaml: {told}; 1 NPC, 2 instructions, 20 s\n")
-
-
 def test_json_list_has_each_file_once(folder, capsys):
-    assert main(["corpus", "list", "--json", str(folder), str(folder / "test_it")]) == 0
+    assert main(["corpus", "list", "--no-tests", "--json", str(folder), str(folder / "test_it")]) == 0
     rows = json.loads(capsys.readouterr().out)
     assert [(row["id"], row["xfail"]) for row in rows] == [("a-111111", None), ("b-222222", "issue 12")]
 
@@ -95,12 +61,12 @@ def test_unwritable_output_is_reported_unlike_a_closed_pipe(folder, monkeypatch,
     os.close(end)
     with os.fdopen(start, "w") as head, monkeypatch.context() as patch:
         patch.setattr(sys, "stdout", head)
-        assert main(["corpus", "list", str(folder)]) == 141  # like a program that SIGPIPE has ended
+        assert main(["corpus", "list", "--no-tests", str(folder)]) == 141  # like a program that SIGPIPE has ended
     assert capsys.readouterr().err == ""
     if Path("/dev/full").exists():
         with Path("/dev/full").open("w") as full, monkeypatch.context() as patch:
             patch.setattr(sys, "stdout", full)
-            assert main(["corpus", "list", str(folder)]) == 2
+            assert main(["corpus", "list", "--no-tests", str(folder)]) == 2
         assert capsys.readouterr().err == (
             "corpus: expected a standard output that can be written, received No space left on device; "
             "free some space on the disk, or redirect it\n"
@@ -227,9 +193,45 @@ def test_accepting_a_failure_changes_one_listed_line(folder, capsys, monkeypatch
     assert accept(str(file)) == 0
     assert file.read_text() == before.replace('# xfail: "reason"', 'xfail: "TICKET-7"')
     capsys.readouterr()
-    assert main(["corpus", "list", str(folder)]) == 0
-    told = capsys.readouterr().out.splitlines()[0]
-    assert told.endswith(", accepted for good: TICKET-7")
+    assert main(["corpus", "list", "--no-tests", str(folder)]) == 0
+    assert capsys.readouterr().out.splitlines()[1].endswith("  accepted")
+
+
+def test_a_failure_is_accepted_as_flaky_only_up_to_a_day(folder, capsys, monkeypatch):
+    monkeypatch.chdir(folder)
+    file = folder / "test_it" / "test_x" / "a-111111.pafot.yaml"
+    before = file.read_text()
+    assert accept("a-111111", "--flaky") == 2
+    assert capsys.readouterr().err == (
+        "corpus: expected a last day with --flaky, received none; add --until=YYYY-MM-DD\n"
+    )
+    assert file.read_text() == before
+    assert accept("a-111111", "--flaky", "--until", "2999-01-31") == 0
+    line = 'xfail: {reason: "TICKET-7", until: 2999-01-31, flaky: true}'
+    assert file.read_text() == before.replace('# xfail: "reason"', line)
+    assert capsys.readouterr().out.endswith("a-111111.pafot.yaml: accepted as flaky until 2999-01-31: TICKET-7\n")
+    assert main(["corpus", "list", "--no-tests", str(folder)]) == 0
+    assert capsys.readouterr().out.splitlines()[1].endswith("  accepted until 2999-01-31, flaky")
+    assert accept("a-111111", "--until", "2999-01-31") == 0  # no longer flaky
+    assert load(file) == replace(load(file), xfail="TICKET-7", xfail_until=date(2999, 1, 31), xfail_flaky=False)
+
+
+def test_a_full_disk_leaves_the_file_as_it_was(folder, capsys, monkeypatch):
+    monkeypatch.chdir(folder)
+    file = folder / "test_it" / "test_x" / "a-111111.pafot.yaml"
+    before = file.read_bytes()
+
+    def full(descriptor):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(os, "fsync", full)
+    assert accept("a-111111", "--flaky", "--until", "2999-01-31") == 1
+    assert capsys.readouterr().err == (
+        "corpus: a-111111: expected a file that can be written, received No space left on device; "
+        "free some space on the disk, then accept it again\n"
+    )
+    assert file.read_bytes() == before
+    assert list(file.parent.iterdir()) == sorted(file.parent.glob("*.pafot.yaml"))
 
 
 def test_several_failures_are_accepted_despite_a_wrong_id(folder, capsys, monkeypatch):

@@ -10,22 +10,36 @@ from __future__ import annotations
 import argparse
 import json
 import re
+import shutil
 import subprocess
 import sys
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from concurrent.futures import ThreadPoolExecutor
 from datetime import date
 from pathlib import Path
 from typing import Any
 
+from pytest_pafot.commands.corpus_table import (
+    COLUMNS,
+    added_in,
+    condition,
+    data_of,
+    holds,
+    in_order,
+    labels_in,
+    orders,
+    rows_of,
+    table_in,
+)
+from pytest_pafot.commands.inventory import Inventory, collected
 from pytest_pafot.corpus.layout import files_in, folders_below, link_below
 from pytest_pafot.corpus.reader import content_of, parsed
-from pytest_pafot.corpus.saved import Saved, named_file, of_one_kind, read_saved_file, refusal
+from pytest_pafot.corpus.saved import named_file, of_one_kind, read_saved_file, refusal
 from pytest_pafot.corpus.writer import text_of
 from pytest_pafot.findings.finding import Finding
-from pytest_pafot.findings.shrink import size_of, sort_key
-from pytest_pafot.support.errors import CorpusError, flag
+from pytest_pafot.findings.shrink import sort_key
+from pytest_pafot.support.errors import CorpusError, RequestError, flag
 from pytest_pafot.support.files import way_out, write_whole
 from pytest_pafot.support.text import ascii_text, day_of, plural, quiet_json, visible
 
@@ -40,9 +54,51 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of the command."""
     kinds = parser.add_subparsers(required=True, metavar="WHAT", dest="what")
     of_folders = "searched for saved scenarios, with all folders below (default: here)"
-    for name, about in (("list", "print a line for each saved scenario"), ("stats", "count saved scenarios by kind")):
-        each = kinds.add_parser(name, help=about, description=about.capitalize())
-        each.add_argument("--json", action="store_true", help="print JSON, for programs")
+    about = "print a table of the saved scenarios, the worst first; pytest collects their tests, and runs none"
+    listing = kinds.add_parser("list", help=about, description=about.capitalize())
+    names = ", ".join(COLUMNS)
+    listing.add_argument(
+        "--sort",
+        action="extend",
+        type=orders,
+        default=[],
+        metavar="COLUMN",
+        help=f"sort by a column, or by several with commas between; --sort=-COLUMN reverses it; columns: {names}",
+    )
+    listing.add_argument(
+        "--where",
+        action="append",
+        type=condition,
+        default=[],
+        metavar="COLUMN=TEXT",
+        help="list only rows that have the text in the column, or with `COLUMN=` nothing; all conditions must hold",
+    )
+    listing.add_argument(
+        "--results",
+        action="append",
+        type=Path,
+        default=[],
+        metavar="FILE",
+        help=f"results of a session, from {flag('json')}; the last file that has a scenario tells its state",
+    )
+    listing.add_argument(
+        "--no-tests", action="store_true", help="read only the files, without the requirements and owners of tests"
+    )
+    listing.add_argument(
+        "--today",
+        type=_day,
+        metavar="YYYY-MM-DD",
+        help="the day with which last days of accepted failures are compared (default: today)",
+    )
+    listing.add_argument(
+        "--format", choices=("text", "markdown", "csv", "json"), default="text", help="how to print (default: text)"
+    )
+    about = "count saved scenarios by kind"
+    counting = kinds.add_parser("stats", help=about, description=about.capitalize())
+    for each in (listing, counting):
+        each.add_argument(
+            "--json", action="store_const", const="json", dest="format", default="text", help="print JSON, for programs"
+        )
         each.add_argument("folders", nargs="*", type=Path, default=[Path()], metavar="FOLDER", help=of_folders)
     about = "keep one of the files in a folder that were saved for the same kind of failure; nothing is run"
     joining = kinds.add_parser("join", help=about, description=about.capitalize())
@@ -63,7 +119,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     accepting.add_argument("ids", nargs="+", metavar="ID", help="saved scenarios: their files, or their ids")
     accepting.add_argument("--reason", required=True, metavar="TEXT", help="why, such as the number of an issue")
     accepting.add_argument(
-        "--until", type=_day, metavar="YYYY-MM-DD", help="the last day, from today on (default: for good)"
+        "--until", type=_last_day, metavar="YYYY-MM-DD", help="the last day, from today on (default: for good)"
+    )
+    accepting.add_argument(
+        "--flaky", action="store_true", help="let them pass as well, up to the last day, which has to be given"
     )
     accepting.set_defaults(folders=[Path()])
 
@@ -73,6 +132,8 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
 
     The exit code is 1 if a file cannot be read or written, or if files cannot be joined.
     """
+    if arguments.what == "accept" and arguments.flaky and arguments.until is None:
+        raise RequestError("expected a last day with --flaky, received none; add --until=YYYY-MM-DD")
     if arguments.what in ("prune", "nearby"):
         return subprocess.run(session_of(arguments), check=False).returncode  # noqa: S603
     for folder in arguments.folders:
@@ -92,11 +153,43 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
     files = [file for folder in sorted(below.values()) for file in files_in(folder)]  # each once
     if arguments.what == "accept":
         return max(_accept(name, arguments) for name in arguments.ids)
-    rows = [_row(read_saved_file(file)) for file in files]
-    shown: Any = rows if arguments.what == "list" else _counts(rows)
-    lines = [quiet_json(json.dumps(shown, indent=2))] if arguments.json else _lines(shown)
+    if arguments.what == "list":
+        return _list(files, arguments)
+    rows = [data_of(read_saved_file(file)) for file in files]
+    counts = _counts(rows)
+    lines = [quiet_json(json.dumps(counts, indent=2))] if arguments.format == "json" else _lines(counts)
     sys.stdout.write("".join(f"{line}\n" for line in lines))
     return int(any("error" in row for row in rows))
+
+
+def _list(files: Sequence[Path], arguments: argparse.Namespace) -> int:
+    """Print the table of saved scenarios; return the exit code, 1 if a file cannot be read."""
+    labels = labels_in(arguments.results)
+    with ThreadPoolExecutor(max_workers=1) as pool:  # pytest reads the files, too, and takes as long.
+        collecting = None if arguments.no_tests or not files else pool.submit(_inventory)
+        saved = [read_saved_file(file) for file in files]
+        added = added_in({file.parent for file in files}, arguments.folders)
+        inventory = Inventory(root=Path()) if collecting is None else collecting.result()
+    rows = rows_of(saved, inventory=inventory, added=added, labels=labels, today=arguments.today or date.today())
+    if arguments.sort or arguments.format != "json":  # Programs that do not ask for an order get that of the files.
+        rows = in_order(rows, arguments.sort)
+    width = shutil.get_terminal_size().columns if sys.stdout.isatty() else None
+    sys.stdout.write(table_in(arguments.format, [row for row in rows if holds(row, arguments.where)], width))
+    return int(any(each.finding is None for each in saved))
+
+
+def _inventory() -> Inventory:
+    """Let pytest collect the tests here; if it cannot, say so in a line, and go on without them."""
+    try:
+        found = collected()
+    except RequestError as error:
+        found = Inventory(root=Path(), problem=str(error))
+    lines = found.problem.splitlines() or ([] if found.tests else ["no test found here"])
+    errors = [line for line in lines if line.startswith("ERROR")]
+    if lines:
+        why = (errors or lines)[-1]
+        sys.stderr.write(f"corpus: some requirements and owners are not known: {visible(why)}; --no-tests is quicker\n")
+    return found
 
 
 def session_of(arguments: argparse.Namespace) -> list[str]:
@@ -124,7 +217,7 @@ def _join(folder: Path, *, write: bool) -> tuple[list[str], bool]:
     failed = bool(lines)
     for group in of_one_kind(files):
         findings = {saved.path: saved.finding for saved in group if saved.finding is not None}
-        accepted = {(finding.xfail, finding.xfail_until) for finding in findings.values() if finding.xfail is not None}
+        accepted = {finding.acceptance for finding in findings.values() if finding.xfail is not None}
         if len(accepted) > 1:
             names = ", ".join(path.name for path in findings)
             lines.append(
@@ -157,9 +250,14 @@ def _order(finding: Finding) -> tuple[bool, bool, tuple[int, ...], str]:
 def _day(text: str) -> date:
     day = day_of(text)
     if day is None:
-        raise argparse.ArgumentTypeError(f"expected a day such as 2027-01-31, received {text!r:.50}")
+        raise RequestError(f"expected a day such as 2027-01-31, received {text!r:.50}")
+    return day
+
+
+def _last_day(text: str) -> date:
+    day = _day(text)
     if day < date.today():
-        raise argparse.ArgumentTypeError(f"expected today or a later day, received {text}, which is over")
+        raise RequestError(f"expected today or a later day, received {text}, which is over")
     return day
 
 
@@ -168,7 +266,7 @@ def _accept(name: str, arguments: argparse.Namespace) -> int:
     try:
         path = named_file(name)
         content = content_of(path)
-        finding = replace(parsed(path, content), xfail=arguments.reason, xfail_until=arguments.until)
+        finding = parsed(path, content).accepting((arguments.reason, arguments.until, arguments.flaky))
         line = text_of(finding).rstrip().rpartition("\n")[2].encode()
         is_there = XFAIL_LINE.search(content) is not None
         accepted = (
@@ -186,39 +284,14 @@ def _accept(name: str, arguments: argparse.Namespace) -> int:
     except (CorpusError, ValueError) as error:
         sys.stderr.write(f"corpus: {visible(str(error))}\n")
         return 1
-    sys.stdout.write(f"{ascii_text(f'{path}: {_accepted(finding.xfail, arguments.until)}')}\n")
+    sys.stdout.write(f"{ascii_text(f'{path}: accepted {_how_long(arguments)}: {finding.xfail}')}\n")
     return 0
 
 
-def _accepted(reason: str | None, until: object) -> str:
-    return f"accepted {'for good' if until is None else f'until {until}'}: {reason}"
-
-
-def _row(saved: Saved) -> dict[str, Any]:
-    """Return a saved scenario as plain data: its path and its finding, or why the file cannot be read."""
-    finding, file = saved.finding, saved.path.as_posix()
-    if finding is None:
-        return {"file": file, "id": saved.id, "error": saved.error}
-    expect = finding.expect
-    return {
-        "file": file,
-        "id": finding.id,
-        "test": finding.test,
-        "kind": finding.signature.slug,
-        "event": expect.event,
-        "failure": expect.failure,
-        "assertion": expect.assertion,
-        "outcome": str(expect.outcome),
-        "time": expect.time,
-        "responsibility": expect.responsibility,
-        "preventable_by": list(expect.preventable_by),
-        "size": size_of(finding.scenario, finding.longest_run),
-        "algorithm": finding.found.algorithm,
-        "seed": finding.found.seed,
-        "flaky": finding.flaky,
-        "xfail": finding.xfail,
-        "xfail_until": None if finding.xfail_until is None else finding.xfail_until.isoformat(),
-    }
+def _how_long(arguments: argparse.Namespace) -> str:
+    if arguments.until is None:
+        return "for good"
+    return f"{'as flaky ' if arguments.flaky else ''}until {arguments.until}"
 
 
 def _counts(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
@@ -234,17 +307,10 @@ def _counts(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
     }
 
 
-def _lines(told: list[dict[str, Any]] | dict[str, Any]) -> Iterator[str]:
-    """Yield the lines of a list of saved scenarios, or of counts of them, for people to read."""
-    if isinstance(told, list):
-        for row in told:
-            marks = f", flaky: {row['flaky']}" if row.get("flaky") else ""
-            marks += f", {_accepted(row['xfail'], row['xfail_until'])}" if row.get("xfail") else ""
-            rest = row.get("error") or f"{row['event']}; {row['size']}{marks}"
-            yield ascii_text(f"{row['file']}: {rest}")
-        return
-    parts = [f"{told[name]} {name}" for name in ("broken", "flaky", "xfail") if told[name]]
-    yield ", ".join([plural(told["files"], "saved scenario"), *parts])
+def _lines(counts: dict[str, Any]) -> Iterator[str]:
+    """Yield the lines of counts of saved scenarios, for people to read."""
+    parts = [f"{counts[name]} {name}" for name in ("broken", "flaky", "xfail") if counts[name]]
+    yield ", ".join([plural(counts["files"], "saved scenario"), *parts])
     for name in ("test", "kind", "outcome", "responsibility"):
-        for value, count in told[name].items():
+        for value, count in counts[name].items():
             yield ascii_text(f"{name:14} {count:4}  {value}")

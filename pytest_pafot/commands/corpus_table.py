@@ -1,0 +1,317 @@
+"""The table of ``python -m pytest_pafot corpus list``: a row for each saved scenario, to decide what comes first.
+
+No scenario is run. A row joins what the file says, what the marks of its test say, the commit that added the file, and
+the labels of its replays in earlier sessions.
+"""
+
+from __future__ import annotations
+
+import difflib
+import json
+import os
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from datetime import date
+from pathlib import Path
+from typing import Any
+
+from pytest_pafot.commands.history import History
+from pytest_pafot.commands.inventory import Inventory
+from pytest_pafot.commands.results import session_of
+from pytest_pafot.corpus.saved import Saved
+from pytest_pafot.findings.severity import Severity, severity_in, worst_first
+from pytest_pafot.findings.shrink import size_of
+from pytest_pafot.support.errors import RequestError
+from pytest_pafot.support.markup import plain
+from pytest_pafot.support.text import (
+    ascii_text,
+    csv_text,
+    markdown_table,
+    quiet_json,
+    spreadsheet_cell,
+    wrapped_to,
+)
+from pytest_pafot.support.traced import Traced
+
+COLUMNS = ("id", "what", "severity", "breadth", "who", "requirement", "owner", "state", "since")
+
+GAP = "  "
+"""The space between two columns of text."""
+
+BELOW = ("what", "since", "requirement", "owner", "who", "breadth", "state", "severity")
+"""The columns that move to a line of their own below a row that is too wide, in this order."""
+
+Since = tuple[str, str]
+"""The short hash of a commit, and its day."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Row:
+    """A saved scenario, with what is known of it.
+
+    Attributes:
+        saved: the file with its finding, or with the reason why it cannot be read.
+        severity: how bad the failure is; None if nothing measures it, or if an older file does not store it.
+        traced: what the marks of its test say.
+        state: what has become of it, in words.
+        since: the commit that added the file; None if that is not known.
+    """
+
+    saved: Saved
+    severity: Severity | None
+    traced: Traced
+    state: str
+    since: Since | None
+
+    @property
+    def cells(self) -> dict[str, str]:
+        """The texts of the row, by column."""
+        finding = self.saved.finding
+        broad = None if finding is None else finding.neighbours
+        return {
+            "id": self.saved.id,
+            "what": self.saved.error if finding is None else finding.expect.brief,
+            "severity": "" if self.severity is None else str(self.severity),
+            "breadth": "" if broad is None else f"{broad.failing} of {broad.of}",
+            "who": "" if finding is None else finding.expect.responsibility,
+            "requirement": self.traced.ids,
+            "owner": self.traced.owner,
+            "state": self.state,
+            "since": "" if self.since is None else " ".join(self.since),
+        }
+
+    @property
+    def rank(self) -> tuple[Any, ...]:
+        """The key that sorts rows: the worst first, and files that cannot be read last."""
+        finding, names = self.saved.finding, (self.saved.id, self.saved.path.as_posix())
+        if finding is None:
+            return True, *worst_first("none", None, None), *names
+        return False, *worst_first(finding.expect.responsibility, self.severity, finding.neighbours), *names
+
+    def key(self, column: str) -> Any:
+        """Return the value by which rows are sorted in a column. In these two, the worst and the broadest are first."""
+        finding = self.saved.finding
+        if column == "severity" and self.severity is not None:
+            return tuple(-each for each in self.severity.figures)
+        if column == "breadth" and finding is not None and finding.neighbours is not None:
+            return -finding.neighbours.rank
+        if column == "since" and self.since is not None:
+            return self.since[::-1]
+        return self.cells[column].casefold()
+
+    @property
+    def data(self) -> dict[str, Any]:
+        """The row as plain data, for programs."""
+        return data_of(self.saved) | {
+            "severity": None if self.severity is None else self.severity.data(),
+            "requirements": list(self.traced.requirements),
+            "owner": self.traced.owner,
+            "state": self.state,
+            "since": None if self.since is None else dict(zip(("commit", "day"), self.since, strict=True)),
+        }
+
+
+def data_of(saved: Saved) -> dict[str, Any]:
+    """Return a saved scenario as plain data: its path and its finding, or why the file cannot be read."""
+    finding, file = saved.finding, saved.path.as_posix()
+    if finding is None:
+        return {"file": file, "id": saved.id, "error": saved.error}
+    expect, broad = finding.expect, finding.neighbours
+    return {
+        "file": file,
+        "id": finding.id,
+        "test": finding.test,
+        "kind": finding.signature.slug,
+        "event": expect.event,
+        "failure": expect.failure,
+        "assertion": expect.assertion,
+        "outcome": str(expect.outcome),
+        "time": expect.time,
+        "responsibility": expect.responsibility,
+        "preventable_by": list(expect.preventable_by),
+        "size": size_of(finding.scenario, finding.longest_run),
+        "neighbours": None if broad is None else {"failing": broad.failing, "of": broad.of},
+        "algorithm": finding.found.algorithm,
+        "seed": finding.found.seed,
+        "flaky": finding.flaky,
+        "xfail": finding.xfail,
+        "xfail_until": None if finding.xfail_until is None else finding.xfail_until.isoformat(),
+        "xfail_flaky": finding.xfail_flaky,
+    }
+
+
+def rows_of(
+    files: Iterable[Saved],
+    *,
+    inventory: Inventory,
+    added: Mapping[Path, Since],
+    labels: Mapping[str, Sequence[tuple[str, str]]],
+    today: date,
+) -> list[Row]:
+    """Return the rows of saved scenarios.
+
+    Args:
+        files: the files as read.
+        inventory: the tests, and which of them replays which file.
+        added: the commit that added each file, see :func:`added_in`.
+        labels: the labels of replays, see :func:`labels_in`.
+        today: the day with which the last days of accepted failures are compared.
+    """
+    tests = {place_of(inventory.root / file): inventory.tests.get(test) for file, test in inventory.files.items()}
+    orphans = {place_of(inventory.root / file) for file in inventory.orphans}
+    rows = []
+    for saved in files:
+        place, finding = place_of(saved.path), saved.finding
+        state = _state(saved, place in orphans, _label(place, labels.get(place.name, ())), today)
+        rows.append(
+            Row(
+                saved=saved,
+                severity=None if finding is None else severity_in(finding.expect),
+                traced=tests.get(place) or Traced(),
+                state=state,
+                since=added.get(place),
+            )
+        )
+    return rows
+
+
+def place_of(path: Path) -> Path:
+    """Return the path of a file without links in its folder, by which a file is known whoever names it."""
+    return Path(os.path.realpath(path.parent), path.name)
+
+
+def _label(place: Path, labels: Sequence[tuple[str, str]]) -> str:
+    """Return the last label of a file; results name files relative to the rootdir of their session."""
+    return next((label for file, label in reversed(labels) if f"/{place.as_posix()}".endswith(f"/{file}")), "")
+
+
+def _state(saved: Saved, is_orphan: bool, label: str, today: date) -> str:
+    finding = saved.finding
+    if finding is None:
+        return "broken"
+    parts = [label, "orphaned" if is_orphan else ""]
+    if finding.is_accepted(today):
+        parts.append("accepted" if finding.xfail_until is None else f"accepted until {finding.xfail_until}")
+    elif finding.xfail is not None:
+        parts.append(f"expired {finding.xfail_until}")
+    parts.append("flaky" if finding.flaky is not None or finding.xfail_flaky else "")
+    return ", ".join(dict.fromkeys(filter(None, parts))) or "open"
+
+
+def added_in(folders: Iterable[Path], given: Iterable[Path]) -> dict[Path, Since]:
+    """Return the commit that added each file in some folders, as far as git knows it; git is asked once a repository.
+
+    ``given`` are folders in the repositories. Without git, or outside of a repository, no commit is known.
+    """
+    real = [Path(os.path.realpath(folder)) for folder in folders]
+    roots: dict[Path, None] = {}
+    for folder in given:
+        with suppress(RequestError):
+            roots[History.of((), folder).root] = None
+    found: dict[Path, Since] = {}
+    for root in roots:
+        # The whole corpus, because a file that moves with its renamed test comes from another folder of it.
+        inside = [folder for folder in real if folder.is_relative_to(root)]
+        corpora = {max(root, *folder.parents[1:2], key=lambda each: len(each.parts)) for folder in inside}
+        with suppress(RequestError, OSError):
+            history = History(root, tuple(sorted(each.relative_to(root).as_posix() for each in corpora)))
+            found |= {root / name: since for name, since in history.added().items()}
+    return found
+
+
+def labels_in(results: Iterable[Path]) -> dict[str, list[tuple[str, str]]]:
+    """Return the labels of replays in the results of sessions (``--pafot-json``), by the names of the files.
+
+    Each label comes with the path of its file in that session, and the last session is last.
+
+    Raises:
+        RequestError: if a file cannot be read, or has no results.
+    """
+    found: dict[str, list[tuple[str, str]]] = {}
+    for path in results:
+        for entry in session_of(path).findings:
+            file = entry.get("file")
+            if file:
+                found.setdefault(file.rpartition("/")[2], []).append((file, entry.get("status", "")))
+    return found
+
+
+# Sorting and filtering.
+
+
+def checked_column(name: str) -> str:
+    """Return the name of a column.
+
+    Raises:
+        RequestError: if there is no such column.
+    """
+    if name not in COLUMNS:
+        near = difflib.get_close_matches(name, COLUMNS, n=1)
+        fix = f"; did you mean {near[0]}?" if near else ""
+        raise RequestError(f"expected one of {', '.join(COLUMNS)}, received {name!a:.50}{fix}")
+    return name
+
+
+def orders(text: str) -> list[tuple[str, bool]]:
+    """Return the columns in an argument such as ``owner,-since``, each with whether its order is reversed."""
+    names = text.split(",")
+    return [(checked_column(name.strip().removeprefix("-")), name.strip().startswith("-")) for name in names]
+
+
+def condition(text: str) -> tuple[str, str]:
+    """Return the column and the text of a condition such as ``owner=Ann``."""
+    column, separator, wanted = text.partition("=")
+    if not separator:
+        raise RequestError(f"expected COLUMN=TEXT, such as owner=Ann, received {text!a:.50}")
+    return checked_column(column), wanted
+
+
+def holds(row: Row, conditions: Iterable[tuple[str, str]]) -> bool:
+    """Return whether a row fulfils all conditions: its cell contains the text, or is empty for an empty text."""
+    cells = row.cells
+    return all(
+        wanted.casefold() in cells[column].casefold() if wanted else not cells[column] for column, wanted in conditions
+    )
+
+
+def in_order(rows: Iterable[Row], order: Sequence[tuple[str, bool]]) -> list[Row]:
+    """Return rows in the order of some columns, otherwise the worst first. Empty cells are last in both directions."""
+    told = sorted(rows, key=lambda row: row.rank)
+    for column, is_reversed in reversed(order):
+        filled = [row for row in told if row.cells[column]]
+        empty = [row for row in told if not row.cells[column]]
+        told = [*sorted(filled, key=lambda row: row.key(column), reverse=is_reversed), *empty]
+    return told
+
+
+# Writing.
+
+
+def table_in(form: str, rows: Sequence[Row], width: int | None) -> str:
+    """Write rows as ``text``, ``markdown``, ``csv`` or ``json``; a text is wrapped to a width, if there is one."""
+    if form == "json":
+        return quiet_json(json.dumps([row.data for row in rows], indent=2)) + "\n"
+    cells = [[row.cells[column] for column in COLUMNS] for row in rows]
+    if form == "csv":
+        return csv_text(COLUMNS, (map(spreadsheet_cell, each) for each in cells))
+    if form == "markdown":
+        return markdown_table(COLUMNS, (map(plain, each) for each in cells)) + "\n"
+    return "".join(f"{line}\n" for line in _lines(cells, width)) if rows else "no saved scenarios\n"
+
+
+def _lines(rows: Sequence[Sequence[str]], width: int | None) -> Iterator[str]:
+    """Yield the lines of a table: one for each row, and if that is too wide, the rest of the row below it."""
+    texts = {name: list(map(ascii_text, cells)) for name, *cells in zip(COLUMNS, *rows, strict=True)}
+    widths = {name: max(map(len, (name, *cells))) for name, cells in texts.items()}
+    below: list[str] = []
+    order = [*(name for name in COLUMNS if not any(texts[name])), *(name for name in BELOW if any(texts[name]))]
+    while width is not None and order and sum(widths.values()) + len(GAP) * (len(widths) - 1) > width:
+        below.append(order.pop(0))
+        del widths[below[-1]]
+    for number in range(-1, len(rows)):
+        cells = {name: name if number < 0 else texts[name][number] for name in COLUMNS}
+        yield GAP.join(f"{cells[name]:{room}}" for name, room in widths.items()).rstrip()
+        rest = [cells[name] if name == "what" else f"{name} {cells[name]}" for name in below if cells[name]]
+        if rest and number >= 0 and width is not None:
+            yield from wrapped_to(f"    {'; '.join(rest)}", width)

@@ -1,0 +1,403 @@
+"""The table of ``python -m pytest_pafot corpus list``: its columns, states, order, filters and formats."""
+
+import csv
+import io
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+from dataclasses import replace
+from datetime import date
+from pathlib import Path
+
+import pytest
+
+from pytest_pafot.__main__ import main
+from pytest_pafot.commands import corpus_command
+from pytest_pafot.commands.corpus_table import BELOW, COLUMNS, table_in
+from pytest_pafot.corpus.writer import write
+from pytest_pafot.findings.finding import Bounded
+from pytest_pafot.findings.neighbours import Breadth
+from pytest_pafot.model.trace import Outcome
+from tests.findings.builders import plain_finding
+
+AHEAD = {"outcome": Outcome.SAFE, "time": 5.9, "cell": None, "side": None, "responsibility": "none"}
+
+
+def finding(id_, broad=None, test="test_it.py::test_x", xfail=None, **expect):
+    """Return a finding; ``broad`` is how many of forty neighbours fail, and ``xfail`` the fields of its acceptance."""
+    breadth = None if broad is None else Breadth(failing=broad, of=40, full=40)
+    return plain_finding(
+        id=id_, test=test, expect=replace(plain_finding().expect, **expect), neighbours=breadth, **(xfail or {})
+    )
+
+
+def save(root, *findings, test="test_x"):
+    for each in findings:
+        write(root / "pafot_corpus" / "test_it" / test / f"{each.id}.pafot.yaml", each)
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def listed(capsys, *arguments, tests=False, code=0):
+    """Return the rows of a list, each as its cells by column."""
+    given = [*([] if tests else ["--no-tests"]), "--format=csv", *arguments]
+    assert main(["corpus", "list", *given]) == code
+    rows = list(csv.DictReader(io.StringIO(capsys.readouterr().out)))
+    assert all(tuple(row) == COLUMNS for row in rows)
+    return rows
+
+
+def ids(rows):
+    return [row["id"] for row in rows]
+
+
+@pytest.mark.parametrize(
+    ("changes", "what", "severity"),
+    [
+        ({}, "collision after 12.4 s: NPC 0 in cell 2 (front)", ""),  # an older file
+        ({"closing_speed": 7.533}, "collision after 12.4 s: NPC 0 in cell 2 (front)", "hits at 7.5 m/s"),
+        ({"closing_speed": 7.5, "failure": "SlowDecision"}, "collision after 12.4 s: NPC 0 in cell 2 (front)", ""),
+        (
+            {"failure": "CheckFailed", "assertion": "gap", "check": Bounded(value=0.64, at_least=10.0, unit="m")}
+            | AHEAD,
+            "gap 0.64 < 10 m at 5.9 s (NPC 0)",
+            "breaks gap by 9.36 m",
+        ),
+        (
+            {"failure": "CheckFailed", "assertion": "gap", "check": Bounded(value=None, at_most=2.0)} | AHEAD,
+            "gap nan is not within 2 at 5.9 s (NPC 0)",
+            "breaks gap by no finite number",
+        ),
+        ({"assertion": "run.min_ttc > N"} | AHEAD, "run.min_ttc > N fails", ""),
+        ({"assertion": "run.min_ttc > N", "closing_speed": 3.0}, "run.min_ttc > N fails", ""),
+        ({"failure": "KeyError", "assertion": "speeds[0]"} | AHEAD, "speeds[0] raises KeyError", ""),
+        (
+            {"failure": "ValueError", "outcome": Outcome.ADS_ERROR, "message": "no\x1b[31m"},
+            "ValueError: no\\x1b[31m",
+            "",
+        ),
+        ({"outcome": Outcome.OFF_ROAD, "npc": None, "cell": None, "side": None}, "off_road after 12.4 s", ""),
+    ],
+)
+def test_a_row_says_what_failed_and_how_bad(here, capsys, changes, what, severity):
+    save(here, finding("a", **changes))
+    (row,) = listed(capsys)
+    assert (row["what"], row["severity"]) == (what, severity)
+
+
+def test_the_worst_rows_are_first(here, capsys):
+    check = {"failure": "CheckFailed", "assertion": "gap", **AHEAD}
+    save(
+        here,
+        finding("a-unknown"),
+        finding("b-slow", broad=9, closing_speed=3.0),
+        finding("c-narrow", broad=1, closing_speed=8.0),
+        finding("d-broad", broad=39, closing_speed=8.0),
+        finding("e-npc", closing_speed=20.0, responsibility="npc"),
+        finding("f-check", check=Bounded(value=1.0, at_least=10.0, unit="m"), **check),
+        finding("g-worse", check=Bounded(value=9.0, at_most=2.0, unit="m"), **check),
+    )
+    (here / "pafot_corpus" / "test_it" / "test_x" / "0-broken.pafot.yaml").write_text("pafot: 99\n")
+    rows = listed(capsys, code=1)
+    assert ids(rows) == ["d-broad", "c-narrow", "b-slow", "e-npc", "g-worse", "f-check", "a-unknown", "0-broken"]
+    assert [row["breadth"] for row in rows] == ["39 of 40", "1 of 40", "9 of 40", *[""] * 5]
+    assert (rows[-1]["state"], rows[0]["state"]) == ("broken", "open")
+    assert "expected the format version 2, received 99" in rows[-1]["what"]
+    assert ids(listed(capsys, "--sort=breadth,id", code=1))[:4] == ["d-broad", "b-slow", "c-narrow", "0-broken"]
+    assert ids(listed(capsys, "--sort=-severity", code=1))[:3] == ["f-check", "g-worse", "b-slow"]
+    assert ids(listed(capsys, "--sort", "who", "--sort=-id", code=1))[:2] == ["d-broad", "c-narrow"]
+    assert json.loads(_printed(capsys, "--format=json", code=1))[0]["id"] == "0-broken"  # in the order of the files
+    assert json.loads(_printed(capsys, "--json", "--sort=severity", code=1))[0]["id"] == "e-npc"
+
+
+def _printed(capsys, *arguments, code=0):
+    assert main(["corpus", "list", "--no-tests", *arguments]) == code
+    return capsys.readouterr().out
+
+
+DAY = date(2027, 1, 31)
+
+
+@pytest.mark.parametrize(
+    ("xfail", "today", "state"),
+    [
+        ({}, "2027-01-31", "open"),
+        ({"xfail": "issue 12"}, "2027-01-31", "accepted"),
+        ({"xfail": "issue 12", "xfail_until": DAY}, "2027-01-31", "accepted until 2027-01-31"),
+        ({"xfail": "issue 12", "xfail_until": DAY}, "2027-02-01", "expired 2027-01-31"),
+        (
+            {"xfail": "issue 12", "xfail_until": DAY, "xfail_flaky": True},
+            "2027-01-31",
+            "accepted until 2027-01-31, flaky",
+        ),
+        ({"flaky": "another end"}, "2027-01-31", "flaky"),
+    ],
+)
+def test_the_state_is_what_the_file_says_on_a_day(here, capsys, xfail, today, state):
+    save(here, finding("a", xfail=xfail))
+    assert [row["state"] for row in listed(capsys, f"--today={today}")] == [state]
+
+
+def results(path, **labels):
+    """Write the results of a session with the labels of files, and return the option that names them."""
+    entries = [{"node_id": "a", "file": f"pafot_corpus/test_it/test_x/{id_}.pafot.yaml", "status": labels[id_]} for id_ in labels]
+    path.write_text(json.dumps({"pafot_json": 1, "findings": [{"node_id": "a", "file": None, "status": "new"}, *entries]}))
+    return f"--results={path}"
+
+
+def test_the_last_given_results_tell_the_state(here, capsys):
+    save(here, finding("a"), finding("b", xfail={"xfail": "issue 12"}), finding("c"))
+    save(here, finding("a", test="test_it.py::test_y"), test="test_y")
+    first = results(here / "1.json", a="fixed", b="drifted")
+    last = results(here / "2.json", a="still failing")
+    rows = listed(capsys, first, last, "--sort=id")
+    told = ["still failing", "open", "drifted, accepted", "open"]
+    assert [row["state"] for row in rows] == told
+    assert ids(listed(capsys, last, first, "--where=state=FIXED")) == ["a"]
+
+
+@pytest.mark.parametrize(
+    "content", [b"", b"{}", b"[]", b"[" * 100_000, b'{"findings": 1}', b'{"findings": [1]}', b"\xff", None]
+)
+def test_files_that_are_no_results_are_refused(here, capsys, content):
+    path = here / "a\n.json"
+    if content is not None:
+        path.write_bytes(content)
+    assert main(["corpus", "list", "--no-tests", f"--results={path}"]) == 2
+    told = capsys.readouterr().err
+    assert told.count("\n") == 1
+    assert "a\\n.json: expected the results of a session, from --pafot-json, received " in told
+
+
+def test_rows_are_filtered_by_texts_in_cells(here, capsys):
+    save(here, finding("aa", broad=3, closing_speed=8.0), finding("ab"), finding("bb", responsibility="npc"))
+    assert ids(listed(capsys, "--where=id=A")) == ["aa", "ab"]
+    assert ids(listed(capsys, "--where", "severity=")) == ["ab", "bb"]
+    assert ids(listed(capsys, "--where=severity=", "--where=who=EGO")) == ["ab"]
+    assert ids(listed(capsys, "--where=breadth=3 of")) == ["aa"]
+    assert _printed(capsys, "--where=owner=Ann") == "no saved scenarios\n"
+
+
+@pytest.mark.parametrize(
+    ("argument", "told"),
+    [
+        ("--sort=ownr", "received 'ownr'; did you mean owner?"),
+        ("--sort=id,-sin", "received 'sin'; did you mean since?"),
+        ("--sort=", "received ''"),
+        ("--where=colour=red", "received 'colour'"),
+        ("--where=owner", "expected COLUMN=TEXT, such as owner=Ann, received 'owner'"),
+        ("--today=soon", "expected a day such as 2027-01-31, received 'soon'"),
+    ],
+)
+def test_a_wrong_column_or_condition_is_told_with_the_right_ones(here, capsys, argument, told):
+    with pytest.raises(SystemExit, match="2"):
+        main(["corpus", "list", argument])
+    said = capsys.readouterr().err
+    assert said.endswith(f"{told}\n")
+    assert f"expected one of {', '.join(COLUMNS)}" in said or "=" in told or "day" in told
+
+
+OWNED = """
+import pytest
+import pytest_pafot as pafot
+
+@pafot.search(ads=lambda: lambda observation: (0.0, 0.0), requirement=["REQ-1", "REQ-2"], owner={owner!r})
+def test_x(run):
+    assert not run.collision
+"""
+FORMULA = '=HYPERLINK("http://x.org")|`@Bob` [a](b)'
+
+
+def test_requirement_and_owner_are_those_of_the_test(here, capsys):
+    (here / "test_it.py").write_text(OWNED.format(owner=FORMULA))
+    save(here, finding("a"))
+    save(here, finding("b"), test="test_gone")
+    (row, gone) = listed(capsys, "--sort=id", tests=True)
+    assert (row["requirement"], row["owner"], row["state"]) == ("REQ-1, REQ-2", f"'{FORMULA}", "open")
+    assert (gone["requirement"], gone["owner"], gone["state"]) == ("", "", "orphaned")
+    assert main(["corpus", "list", "--format=markdown", "--where=id=a"]) == 0
+    cells = capsys.readouterr().out.splitlines()[2]
+    assert '=HYPERLINK("http\\://x.org")\\\\|\\`@&#8203;Bob\\` \\[a\\](b)' in cells
+    assert main(["corpus", "list", "--json", "--where=id=a"]) == 0
+    (data,) = json.loads(capsys.readouterr().out)
+    assert (data["requirements"], data["owner"], data["state"]) == (["REQ-1", "REQ-2"], FORMULA, "open")
+    assert (data["severity"], data["neighbours"], data["since"], data["xfail_flaky"]) == (None, None, None, False)
+
+
+@pytest.mark.parametrize(
+    ("module", "why"),
+    [
+        (None, "no test found here"),
+        ("def broken(:\n", "ERROR test_it.py"),
+        ("import nothing_\x1b[31m\n", "ERROR test_it.py"),
+    ],
+)
+def test_a_list_goes_on_without_tests(here, capsys, module, why):
+    save(here, finding("a"))
+    if module is not None:
+        (here / "test_it.py").write_text(module)
+    assert main(["corpus", "list"]) == 0
+    told = capsys.readouterr()
+    assert told.out.splitlines()[1].split()[0] == "a"
+    assert told.err.startswith(f"corpus: some requirements and owners are not known: {why}")
+    assert told.err.endswith("; --no-tests is quicker\n")
+    assert told.err.count("\n") == 1
+    assert "\x1b" not in told.err
+
+
+def test_no_test_is_collected_if_nothing_is_saved(here, capsys, monkeypatch):
+    monkeypatch.setattr(corpus_command, "collected", None)
+    assert main(["corpus", "list"]) == 0
+    assert capsys.readouterr().out == "no saved scenarios\n"
+
+
+def git(root, *arguments):
+    names = ["-c", "user.name=Ann", "-c", "user.email=ann@example.org", "-c", "init.defaultBranch=main"]
+    done = subprocess.run(["git", "-C", root, *names, *arguments], check=True, capture_output=True, text=True)
+    return done.stdout.strip()
+
+
+@pytest.fixture
+def repository(here, monkeypatch):
+    """Return a repository in which a scenario was added on one day, and another one on the next day."""
+    git(here, "init", "-q")
+    for day, id_ in (("2026-10-01", "a"), ("2026-10-02", "b")):
+        monkeypatch.setenv("GIT_COMMITTER_DATE", f"{day}T12:00:00Z")
+        save(here, finding(id_, closing_speed=ord(id_)))
+        git(here, "add", ".")
+        git(here, "commit", "-qm", id_)
+    return here
+
+
+def days(rows):
+    return {row["id"]: row["since"].partition(" ")[2] for row in rows}
+
+
+def test_since_is_the_commit_that_added_the_file(repository, capsys, monkeypatch):
+    save(repository, finding("c"))
+    rows = listed(capsys, "--sort=since")
+    assert ids(rows) == ["a", "b", "c"]
+    assert rows[0]["since"] == f"{git(repository, 'rev-parse', '--short', 'HEAD~1')} 2026-10-01"
+    assert days(rows) == {"a": "2026-10-01", "b": "2026-10-02", "c": ""}
+    assert ids(listed(capsys, "--sort=-since")) == ["b", "a", "c"]
+    git(repository, "config", "log.showSignature", "true")
+    git(repository, "config", "log.showRoot", "false")
+    git(repository, "config", "diff.renames", "false")
+    monkeypatch.chdir("pafot_corpus")
+    assert listed(capsys, "--sort=since") == rows
+    monkeypatch.chdir(repository.parent)
+    assert listed(capsys, "--sort=since", str(repository)) == rows
+    assert ids(listed(capsys, "--sort=id", str(repository), str(repository / "pafot_corpus"))) == ["a", "b", "c"]
+
+
+def test_since_survives_a_renamed_test_and_an_odd_name(repository, capsys, monkeypatch):
+    monkeypatch.setenv("GIT_COMMITTER_DATE", "2026-10-03T12:00:00Z")
+    corpus = repository / "pafot_corpus" / "test_it"
+    (corpus / "test_x").rename(corpus / "test_y")
+    for file in (corpus / "test_y").iterdir():
+        file.write_text(file.read_text().replace("test_it.py::test_x", "test_it.py::test_y"))
+    odd = corpus / "test_y" / "o\nd\x01.pafot.yaml"
+    shutil.copy(corpus / "test_y" / "b.pafot.yaml", odd)
+    odd.write_text("pafot: 99\n")
+    git(repository, "add", ".")
+    git(repository, "commit", "-qm", "rename")
+    assert days(listed(capsys, code=1)) == {"a": "2026-10-01", "b": "2026-10-02", "o\\nd\\x01": "2026-10-03"}
+
+
+def test_a_file_that_was_added_again_counts_since_then(repository, capsys, monkeypatch):
+    monkeypatch.setenv("GIT_COMMITTER_DATE", "2026-10-04T12:00:00Z")
+    git(repository, "rm", "-q", "pafot_corpus/test_it/test_x/a.pafot.yaml")
+    git(repository, "commit", "-qm", "remove")
+    save(repository, finding("a"))
+    git(repository, "add", ".")
+    git(repository, "commit", "-qm", "again")
+    assert days(listed(capsys)) == {"a": "2026-10-04", "b": "2026-10-02"}
+
+
+def test_since_is_empty_where_git_does_not_know_it(repository, capsys, monkeypatch, tmp_path):
+    shallow = tmp_path / "shallow"
+    git(repository, "clone", "-q", "--depth=1", f"file://{repository}", str(shallow))
+    assert days(listed(capsys, "shallow")) == {"a": "", "b": ""}
+    git(shallow, "fetch", "-q", "--unshallow")
+    assert days(listed(capsys, "shallow")) == {"a": "2026-10-01", "b": "2026-10-02"}
+    monkeypatch.setenv("PATH", str(tmp_path))
+    assert days(listed(capsys, "pafot_corpus")) == {"a": "", "b": ""}
+
+
+def test_each_repository_is_asked_for_its_own_files(repository, capsys, tmp_path_factory):
+    outside = tmp_path_factory.mktemp("outside")
+    save(outside, finding("c"))
+    assert days(listed(capsys, str(outside), ".")) == {"a": "2026-10-01", "b": "2026-10-02", "c": ""}
+
+
+def rows_for(*cells):
+    class Row:
+        def __init__(self, cells):
+            self.cells = dict(zip(COLUMNS, cells, strict=True))
+
+    return list(map(Row, cells))
+
+
+LONG = ("leader-unanswered-b7c133", "collision after 6.3 s: NPC 0 in cell 2 (front)", "hits at 7.5 m/s", "38 of 40",
+        "ego", "REQ-1", "Ann", "still failing, accepted until 2027-01-31", "1a2b3c4 2026-10-01")  # fmt: skip
+SHORT = ("a", "gap 1 < 2 m", "", "", "none", "", "", "open", "")
+
+
+def test_a_text_without_a_width_has_a_line_for_each_row():
+    assert [re.split(" {2,}", line) for line in table_in("text", rows_for(LONG), None).splitlines()] == [
+        list(COLUMNS),
+        list(LONG),
+    ]
+
+
+@pytest.mark.parametrize("width", [20, 40, 60, 80, 100, 120, 160, 200, 240])
+def test_a_text_fits_its_width_and_loses_nothing(width):
+    lines = table_in("text", rows_for(LONG, SHORT), width).splitlines()
+    assert max(map(len, lines)) <= max(width, len(LONG[0]))  # an id is never cut
+    text = " ".join(" ".join(lines).split())
+    for cell in (*LONG, *SHORT):
+        assert " ".join(cell.split()) in text
+    assert any(line.startswith(LONG[0]) for line in lines)
+    assert set(BELOW) == set(COLUMNS) - {"id"}
+
+
+def test_texts_of_strangers_change_no_table(here, capsys, monkeypatch):
+    nasty = "=1+1|\x1b[31m\n<b>@x `y` ##[error]"
+    save(here, finding("a", xfail={"xfail": nasty, "flaky": nasty}, assertion=nasty, failure="KeyError", **AHEAD))
+    name = "-1+1|\n\x1b[2J.pafot.yaml"
+    (here / "pafot_corpus" / "test_it" / "test_x" / name).write_text("pafot: 99\n")
+    for form in ("text", "markdown", "csv"):
+        printed = _printed(capsys, f"--format={form}", code=1)
+        assert "\x1b" not in printed
+        assert printed.count("\n") == (4 if form == "markdown" else 3)
+    rows = listed(capsys, "--sort=id", code=1)
+    assert rows[0]["id"] == "'-1+1|\\n\\x1b[2J"
+
+
+@pytest.mark.skipif(os.name == "nt", reason="links need a privilege on Windows")
+def test_a_link_that_leads_out_is_broken(here, capsys, tmp_path_factory):
+    secret = tmp_path_factory.mktemp("secret") / "key"
+    secret.write_text("password: 1\n")
+    save(here, finding("a"))
+    (here / "pafot_corpus" / "test_it" / "test_x" / "b.pafot.yaml").symlink_to(secret)
+    rows = listed(capsys, "--sort=id", code=1)
+    assert [row["state"] for row in rows] == ["open", "broken"]
+    assert "a link that leads out of it" in rows[1]["what"]
+    assert "password" not in str(rows)
+
+
+def test_the_terminal_decides_the_width(here, capsys, monkeypatch):
+    save(here, finding("a", broad=3, closing_speed=8.0))
+    monkeypatch.setattr(sys.stdout, "isatty", lambda: True, raising=False)
+    monkeypatch.setenv("COLUMNS", "60")
+    lines = _printed(capsys).splitlines()
+    assert len(lines) > 2
+    assert max(map(len, lines)) <= 60
+    assert Path.cwd() == here
