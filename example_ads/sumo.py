@@ -1,8 +1,10 @@
 """SUMO's drivers: any of its car-following and lane-change models, by libsumo (``pip install "pytest-pafot[sumo]"``).
 
 Kind (a), for ``pafot.Highway``. At each decision all vehicles are placed in a SUMO simulation, which makes one step;
-the ego's motion in it is the decision. SUMO changes lanes at once. So each vehicle is in the lane that it is
-moving to, and until the ego has arrived there, it also follows whoever is ahead of its body, by SUMO's rule.
+the ego's motion in it is the decision. SUMO changes lanes at once, and a change takes seconds here. So each other
+vehicle is in the lane that it is moving to. The ego is in the lane of its body, and until it has arrived, SUMO is asked
+again in each step for the lane that it moves to: if SUMO finds the gaps too small by now, the ego turns back. Until
+then it also follows whoever is ahead of its body, by SUMO's rule.
 
 SUMO counts lanes from the right, and the position of a vehicle is its front bumper. libsumo allows one simulation per
 process, which ``close`` ends with the run.
@@ -19,6 +21,7 @@ import libsumo
 from libsumo import vehicle
 
 from pytest_pafot import Drive, Observation
+from pytest_pafot.world import VehicleState
 
 from . import lane_ahead
 
@@ -35,6 +38,7 @@ OPTIONS = ["--collision.action=none", "--xml-validation=never", "--no-step-log",
 
 MARGIN = 0.5  # room across the road beside the ego's body [m]
 MIN_GAP = 2.5  # SUMO's default of minGap [m]
+BY_ITSELF, AS_ASKED = 1621, 1877  # SUMO's lane change modes: its default, and one in which it only does what is asked
 
 
 @dataclass
@@ -54,14 +58,15 @@ class SumoDriver:
         """Return what SUMO's ego does in one step from the current places of all vehicles."""
         self.lane = self.started(seen) if self.lane < 0 else self.lane
         ego, names = seen.ego, ("ego", *map(str, seen.ids))
+        is_changing = self.lane != ego.lane
         ahead: list[tuple[float, float, str]] = []
         for name, car, lateral in zip(names, (ego, *seen.others), seen.lateral_velocities, strict=True):
-            moves_to = self.lane if name == "ego" else lane_ahead(seen.lane_centres, car.y, lateral)
+            moves_to = None if name == "ego" else lane_ahead(seen.lane_centres, car.y, lateral)
             lane = car.lane if moves_to is None else moves_to
             vehicle.moveTo(name, f"road_{seen.lanes - 1 - lane}", car.x + car.length / 2)
             vehicle.setPreviousSpeed(name, car.speed)
             gap = car.x - ego.x - (car.length + ego.length) / 2
-            if name != "ego" and gap > 0 and abs(car.y - ego.y) < (car.width + ego.width) / 2 + MARGIN:
+            if name != "ego" and gap > 0 and abs(car.y - ego.y) < (_across(car) + _across(ego)) / 2 + MARGIN:
                 ahead.append((gap, car.speed, name))
         acceleration = math.inf
         if ahead:
@@ -69,6 +74,9 @@ class SumoDriver:
             braking = vehicle.getDecel(name)
             wanted = vehicle.getFollowSpeed("ego", ego.speed, max(gap - MIN_GAP, 0.01), speed, braking, name)
             acceleration = max((wanted - ego.speed) / seen.decision_period, -vehicle.getEmergencyDecel("ego"))
+        vehicle.setLaneChangeMode("ego", AS_ASKED if is_changing else BY_ITSELF)
+        if is_changing:
+            vehicle.changeLane("ego", seen.lanes - 1 - self.lane, 0)
         libsumo.simulationStep()
         self.lane = seen.lanes - 1 - vehicle.getLaneIndex("ego")
         return Drive(lane=self.lane, acceleration=min(acceleration, vehicle.getAcceleration("ego")))
@@ -88,6 +96,11 @@ class SumoDriver:
     def close(self) -> None:
         """End the simulation."""
         libsumo.close()
+
+
+def _across(car: VehicleState) -> float:
+    """Return the width of a car across the road, which is larger if it is turned [m]."""
+    return car.width * abs(math.cos(car.heading)) + car.length * abs(math.sin(car.heading))
 
 
 make = SumoDriver

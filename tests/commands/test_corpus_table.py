@@ -147,8 +147,13 @@ def test_the_state_is_what_the_file_says_on_a_day(here, capsys, xfail, today, st
 
 def results(path, **labels):
     """Write the results of a session with the labels of files, and return the option that names them."""
-    entries = [{"node_id": "a", "file": f"pafot_corpus/test_it/test_x/{id_}.pafot.yaml", "status": labels[id_]} for id_ in labels]
-    path.write_text(json.dumps({"pafot_json": 1, "findings": [{"node_id": "a", "file": None, "status": "new"}, *entries]}))
+    entries = [
+        {"node_id": "a", "file": f"pafot_corpus/test_it/test_x/{id_}.pafot.yaml", "status": labels[id_]}
+        for id_ in labels
+    ]
+    path.write_text(
+        json.dumps({"pafot_json": 1, "findings": [{"node_id": "a", "file": None, "status": "new"}, *entries]})
+    )
     return f"--results={path}"
 
 
