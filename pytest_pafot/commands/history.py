@@ -137,20 +137,24 @@ class History:
     def added(self) -> dict[str, tuple[str, str]]:
         """Return the commit that added each file in the paths: its short hash and its day, by the file's path.
 
-        A file that was renamed is the same file if nine tenths of its text stayed. Files that the oldest commit of a
-        shallow clone has are left out, because an earlier commit may have added them.
+        A file that was renamed is the same file if nine tenths of its text stayed, or all of it in a partial clone that
+        lacks the texts. Files that the oldest commit of a shallow clone has are left out, because an earlier commit may
+        have added them.
 
         Raises:
             RequestError: if git fails, or there is no commit.
         """
         is_shallow = self._git("rev-parse", "--is-shallow-repository").strip() == "true"
         form = ("-z", "--no-show-signature", "--format=%x01%h %cs %p", "--no-color", "--no-ext-diff")
-        changes = ("--name-status", "--diff-filter=AR", "--find-renames=90%", "--no-relative")
-        told = self._git("-c", "log.showRoot=true", "log", *form, *changes, "--", *self.paths).split("\0")
+        log = ("-c", "log.showRoot=true", "log", *form, "--name-status", "--diff-filter=AR", "--no-relative")
+        try:
+            told = self._git(*log, "--find-renames=90%", "--", *self.paths)
+        except RequestError:  # Nothing is fetched.
+            told = self._git(*log, "--find-renames=100%", "--", *self.paths)
         found: dict[str, tuple[str, str]] = {}
         later: dict[str, str] = {}  # the present name of a file, by an earlier name
         commit, day, parents = "", "", ""
-        parts = iter(told)
+        parts = iter(told.split("\0"))
         for part in parts:  # The newest commit is first.
             if part.startswith("\1"):
                 commit, day, parents = part.removeprefix("\1").split(" ", 2)

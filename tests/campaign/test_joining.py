@@ -68,6 +68,14 @@ def test_a_last_day_goes_with_its_reason():
     assert (best.finding.id, best.finding.xfail, best.finding.xfail_until) == ("b-222222", "issue 12", DAY)
 
 
+def test_accepted_as_flaky_or_not_is_a_difference():
+    flaky = {"xfail": "issue 12", "xfail_until": DAY, "xfail_flaky": True}
+    two = [candidate(**flaky), candidate("b-222222", xfail="issue 12", xfail_until=DAY)]
+    assert join(two).conflicts == [two]
+    (best,) = join([two[0], candidate("b-222222", speed=10.0)]).kept.values()
+    assert best.finding.acceptance == ("issue 12", DAY, True)
+
+
 def test_any_order_and_any_grouping_gives_the_same():
     all_four = [
         candidate("a-111111", speed=20.0),

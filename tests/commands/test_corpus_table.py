@@ -332,6 +332,17 @@ def test_since_is_empty_where_git_does_not_know_it(repository, capsys, monkeypat
     assert days(listed(capsys, "shallow")) == {"a": "", "b": ""}
     git(shallow, "fetch", "-q", "--unshallow")
     assert days(listed(capsys, "shallow")) == {"a": "2026-10-01", "b": "2026-10-02"}
+    partial = tmp_path / "partial"
+    corpus = repository / "pafot_corpus" / "test_it" / "test_x"
+    corpus.joinpath("a.pafot.yaml").write_text(corpus.joinpath("a.pafot.yaml").read_text() + "# ours\n")
+    corpus.rename(corpus.with_name("test_y"))
+    monkeypatch.setenv("GIT_COMMITTER_DATE", "2026-10-03T12:00:00Z")
+    git(repository, "add", ".")
+    git(repository, "commit", "-qm", "rename")
+    git(repository, "config", "uploadpack.allowFilter", "true")
+    assert days(listed(capsys, "pafot_corpus")) == {"a": "2026-10-01", "b": "2026-10-02"}
+    git(repository, "clone", "-q", "--filter=blob:none", f"file://{repository}", str(partial))
+    assert days(listed(capsys, "partial")) == {"a": "2026-10-03", "b": "2026-10-02"}  # no text to compare
     monkeypatch.setenv("PATH", str(tmp_path))
     assert days(listed(capsys, "pafot_corpus")) == {"a": "", "b": ""}
 

@@ -1,6 +1,7 @@
 """The summary of a CI job is short, and only this plugin's own text in it is markup."""
 
 import re
+from dataclasses import replace
 
 from hypothesis import given
 from hypothesis import strategies as st
@@ -95,6 +96,8 @@ def test_accepted_finding_comes_with_reason_and_last_day():
     text = markdown(SessionRecord(findings=[accepted]))
     assert text.startswith("### pafot: nothing new, 1 accepted\n\nNo search was requested.\n\n**Accepted for now**\n")
     assert "collision after 5.4 s; accepted until 2027-01-31: issue 12\n" in text
+    flaky = replace(accepted, xfail={**accepted.xfail, "flaky": True})
+    assert "; accepted as flaky until 2027-01-31: issue 12\n" in markdown(SessionRecord(findings=[flaky]))
 
 
 def test_unsaved_finding_comes_with_its_search_command():
