@@ -75,7 +75,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     listing.add_argument(
         "--results",
-        action="append",
+        nargs="+",
+        action="extend",
         type=Path,
         default=[],
         metavar="FILE",

@@ -174,7 +174,8 @@ class Failure:
 class Day:
     """A requirement in one session: runs, failures, and random scenarios that failed by the ego's fault.
 
-    ``new`` counts those failures that were not open in the session before; ``fixed`` and ``drifted`` those that were.
+    ``new`` counts those failures that were not open in the session before, ``drifted`` those that were, and ``fixed``
+    those that were open at some time before and not fixed since.
     """
 
     session: Session
@@ -262,7 +263,7 @@ class Table:
         for key in {**saved, **course.statuses}:
             file = saved.get(key)
             failure = course.failure(key, file, today=today)
-            if failure is not None and file is not None and not failure.since and failure.state != FIXED:
+            if failure is not None and file is not None and key not in course.statuses:
                 failure = replace(failure, since=" ".join(reversed(added.get(place_of(file.path), ()))))
             if failure is not None:
                 for id_ in course.requirements(key[0]):
@@ -367,7 +368,8 @@ class Course:
         if not id_:
             detail = one_line(entry.get("message", ""))
         if finding is not None and finding.is_accepted(today):
-            state, detail = ACCEPTED, f"accepted: {finding.accepted}"
+            passes = "; it passes now, so remove the line" if state == FIXED and not finding.xfail_flaky else ""
+            state, detail = ACCEPTED, f"{finding.accepted}{passes}"
         elif finding is not None and finding.xfail is not None:
             detail = f"accepted, {finding.accepted}, which is over"
         elif finding is not None and finding.flaky is not None:
@@ -385,32 +387,39 @@ class Course:
         )
 
     def _since(self, entries: Mapping[int, Mapping[str, Any]]) -> str:
-        """Return the session since which a finding has failed without a pass in between."""
+        """Return the session since which a finding has failed, or failed until it passed, without a pass in between."""
         first = None
         for number in sorted(entries, reverse=True):
-            if _STATE_OF.get(entries[number].get("status", "")) == FIXED:
+            state = _STATE_OF.get(entries[number].get("status", ""), OPEN)
+            if state == FIXED and first is not None:
                 break
-            first = number
+            first = number if state in (OPEN, FLAKY) else first
         return "" if first is None else self.sessions[first].name
 
     def days(self, id_: str) -> Iterator[Day]:
         """Yield the course of a requirement: a value for each session in which one of its tests ran."""
         failing: set[Key] = set()
+        unfixed: set[Key] = set()
         for number, session in enumerate(self.sessions):
             entries = (*session.searches, *session.findings, *session.tests)
             here = {test for test in map(_test_of, entries) if id_ in self.requirements(test)}
             if not here:
                 continue
             before, failing = failing, {key for key in failing if key[0] not in here}
-            ended = {FIXED: 0, DRIFTED: 0}
+            fixed = drifted = 0
             for key, of_key in self.statuses.items():
                 entry = of_key.get(number)
                 if key[0] not in here or entry is None or entry.get("result") == "xfailed":
                     continue
                 state = _STATE_OF.get(entry.get("status", ""), OPEN)
-                failing |= {key} if state == OPEN else set()
-                if state in ended:
-                    ended[state] += key in before
+                if state == OPEN:
+                    failing.add(key)
+                    unfixed.add(key)
+                elif state == DRIFTED:
+                    drifted += key in before
+                elif state == FIXED:
+                    fixed += key in unfixed
+                    unfixed.discard(key)
             searches = [each for each in session.searches if _test_of(each) in here]
             drawn = [each for each in searches if not each.get("given")]  # else saved scenarios came first
             yield Day(
@@ -418,8 +427,8 @@ class Course:
                 runs=sum(each.get("runs", 0) for each in searches),
                 new=len(failing - before),
                 open=len(failing),
-                fixed=ended[FIXED],
-                drifted=ended[DRIFTED],
+                fixed=fixed,
+                drifted=drifted,
                 random_failing=sum(each.get("random_failing", 0) for each in drawn),
                 random_runs=sum(each.get("random_runs", 0) for each in drawn),
             )

@@ -25,6 +25,9 @@ from pytest_pafot.support.text import visible
 COLLECTED: pytest.StashKey[dict[Path, dict[str, Saved]]] = pytest.StashKey()
 """The saved scenarios that existed when the session collected its items, by folder and file name."""
 
+NAMES_ONLY: pytest.StashKey[bool] = pytest.StashKey()
+"""True for a session that only lists its items: it reads no saved scenario, so that none counts as accepted."""
+
 SEARCH = "search"  # a placeholder for the argument of an item, which a simulated run replaces
 
 
@@ -122,7 +125,12 @@ class Collection:
         for folder in layout.entries_of(module_folder):
             if layout.may_be_of(folder.name, name):
                 if folder not in self._saved:
-                    read = saved_in(folder) if link is None else refused_in(folder, link)
+                    if link is not None:
+                        read = refused_in(folder, link)
+                    elif self._config.stash.get(NAMES_ONLY, False):
+                        read = list(map(Saved, layout.files_in(folder)))
+                    else:
+                        read = saved_in(folder)
                     self._saved[folder] = {saved.path.name: saved for saved in read}
                 found |= {saved.id: saved for saved in self._saved[folder].values()}
         return found.values()

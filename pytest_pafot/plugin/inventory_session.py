@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from pytest_pafot.corpus.layout import files_in, relative
-from pytest_pafot.plugin.collection import is_search, saved_of
+from pytest_pafot.plugin.collection import NAMES_ONLY, is_search, saved_of
 from pytest_pafot.plugin.marks import ANY_MARK
 from pytest_pafot.plugin.node_ids import base_id
 from pytest_pafot.plugin.orphans import UNRUN
@@ -26,6 +26,11 @@ TO = "--inventory-to"
 def pytest_addoption(parser: pytest.Parser) -> None:
     """Declare the option with which the command names the file."""
     parser.addoption(TO, help=argparse.SUPPRESS)
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Leave saved scenarios unread: reading them takes longer than all else, and the command reads them itself."""
+    config.stash[NAMES_ONLY] = True
 
 
 @pytest.hookimpl(trylast=True)

@@ -149,14 +149,14 @@ NIGHTS = st.lists(st.dictionaries(st.sampled_from(["a-1", "b-2", "c-3"]), STATUS
 def test_each_day_counts_what_fails_then_and_did_not_before(nights):
     course = [night(10 + n, *(finding(*each) for each in told.items())) for n, told in enumerate(nights)]
     (requirement,) = table_of(*course).requirements
-    opened: set[str] = set()
+    before, unfixed = set(), set()
     for day, told in zip(requirement.days, nights, strict=True):
         failing = {id_ for id_, status in told.items() if status not in ("fixed", "drifted", "flaky")}
         passing = {id_ for id_, status in told.items() if status == "fixed"}
-        assert day.new == len(failing - opened)
-        assert day.fixed == len(passing & opened)
-        opened = failing
-        assert day.open == len(opened)
+        drifted = {id_ for id_, status in told.items() if status == "drifted"}
+        assert (day.new, day.open, day.drifted) == (len(failing - before), len(failing), len(drifted & before))
+        assert day.fixed == len(passing & unfixed)
+        before, unfixed = failing, (unfixed | failing) - passing
 
 
 @pytest.mark.parametrize(
