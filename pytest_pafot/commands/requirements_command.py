@@ -546,7 +546,7 @@ def _parts(requirement: Requirement) -> Iterator[tuple[str, str]]:
         when = f", last on {last.session.name}" if last.session.name else ""
         yield "searched", f"{plural(requirement.runs, 'run')}{when}"
         rate = _rate(last.random_failing, last.random_runs)
-        yield "random", f"{rate} failed by the ego's fault then" if rate else "no random scenario was drawn then"
+        yield "random", f"{rate} failed then" if rate else "no random scenario was drawn then"
     yield "tests", _named(requirement.tests) or "none"
 
 

@@ -121,9 +121,11 @@ def summarise(report: pytest.TestReport, text: str) -> None:
     The line begins with the ids of the requirements that the test checks.
     """
     crash = getattr(report.longrepr, "reprcrash", None)
+    ids = Traced.of_properties(report.user_properties).ids
+    if isinstance(report.longrepr, str) and report.failed and ids:  # an accepted failure that passes now
+        report.longrepr = f"{ids}: {report.longrepr}"
     if crash is not None:
         first = _COLOUR.sub("", crash.message).removeprefix("Failed: ").partition("\n")[0]
-        ids = Traced.of_properties(report.user_properties).ids
         crash.message = visible(": ".join(filter(None, [ids, text or first])))
 
 

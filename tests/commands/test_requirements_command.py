@@ -107,7 +107,7 @@ def test_random_failures_are_those_of_the_last_search_without_given_scenarios():
     (requirement,) = table_of(*course).requirements
     last = requirement.searched
     assert (requirement.runs, last.random_failing, last.random_runs) == (30, 0, 20)
-    assert "0 of 20, 0 % (95 %: at most 16.8 %) failed by the ego's fault then" in "\n".join(
+    assert "0 of 20, 0 % (95 %: at most 16.8 %) failed then" in "\n".join(
         text_lines(table_of(*course), course=False)
     )
 
