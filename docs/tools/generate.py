@@ -50,7 +50,7 @@ from pytest_pafot.model.trace import Collision, Outcome
 from pytest_pafot.oracle.checks import check
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.plugin import fixtures
-from pytest_pafot.report.session_record import FindingRecord, OrphanRecord, SessionRecord
+from pytest_pafot.report.session_record import FindingRecord, ItemRecord, OrphanRecord, SessionRecord
 from pytest_pafot.searching.fitness import Weights
 from pytest_pafot.searching.space import SearchSpace
 from pytest_pafot.sweeps.entries import ENTRIES
@@ -175,6 +175,7 @@ def sections() -> dict[str, str]:
     return {
         "options": _options_table(),
         "session-record": _record_table(SessionRecord),
+        "item-record": _record_table(ItemRecord),
         "orphan-record": _record_table(OrphanRecord),
         "search-record": _record_table(SearchSummary),
         "finding-record": _record_table(FindingRecord),
