@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import io
 import os
 import sys
 from contextlib import suppress
@@ -116,6 +117,9 @@ def main(arguments: list[str] | None = None) -> int:
     if unknown:  # The parser itself would print the usage of all commands.
         which = commands.choices[arguments_given.command]
         which.error(f"unrecognized arguments: {' '.join(unknown)}; {which.prog} --help lists the options")
+    # A text that the encoding of the output does not have must not end a command.
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="backslashreplace")
     try:
         # Policies are in the current folder, as with pytest. It may be gone, if a shell is still in it.
         sys.path.insert(0, str(Path.cwd()))

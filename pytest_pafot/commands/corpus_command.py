@@ -33,6 +33,7 @@ from pytest_pafot.commands.corpus_table import (
     table_in,
 )
 from pytest_pafot.commands.inventory import Inventory, collected
+from pytest_pafot.commands.results import day_argument
 from pytest_pafot.corpus.layout import files_in, folders_below, link_below
 from pytest_pafot.corpus.reader import content_of, parsed
 from pytest_pafot.corpus.saved import named_file, of_one_kind, read_saved_file, refusal
@@ -41,7 +42,7 @@ from pytest_pafot.findings.finding import Finding
 from pytest_pafot.findings.shrink import sort_key
 from pytest_pafot.support.errors import CorpusError, RequestError, flag
 from pytest_pafot.support.files import way_out, write_whole
-from pytest_pafot.support.text import ascii_text, day_of, plural, quiet_json, visible
+from pytest_pafot.support.text import ascii_text, plural, quiet_json, visible
 
 XFAIL_LINE = re.compile(rb"^(# )?xfail:.*$", re.MULTILINE)
 """The line ``xfail:`` in a file, which accepts the file's failure, or the comment in its place."""
@@ -87,7 +88,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     listing.add_argument(
         "--today",
-        type=_day,
+        type=day_argument,
         metavar="YYYY-MM-DD",
         help="the day with which last days of accepted failures are compared (default: today)",
     )
@@ -248,15 +249,8 @@ def _order(finding: Finding) -> tuple[bool, bool, tuple[int, ...], str]:
     return finding.xfail is None, finding.flaky is not None, sort_key(finding.scenario), finding.id
 
 
-def _day(text: str) -> date:
-    day = day_of(text)
-    if day is None:
-        raise RequestError(f"expected a day such as 2027-01-31, received {text!r:.50}")
-    return day
-
-
 def _last_day(text: str) -> date:
-    day = _day(text)
+    day = day_argument(text)
     if day < date.today():
         raise RequestError(f"expected today or a later day, received {text}, which is over")
     return day

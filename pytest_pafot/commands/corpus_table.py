@@ -18,7 +18,7 @@ from typing import Any
 
 from pytest_pafot.commands.history import History
 from pytest_pafot.commands.inventory import Inventory
-from pytest_pafot.commands.results import session_of
+from pytest_pafot.commands.results import grouped, read_results
 from pytest_pafot.corpus.saved import Saved
 from pytest_pafot.findings.severity import Severity, severity_in, worst_first
 from pytest_pafot.findings.shrink import size_of
@@ -229,8 +229,8 @@ def labels_in(results: Iterable[Path]) -> dict[str, list[tuple[str, str]]]:
         RequestError: if a file cannot be read, or has no results.
     """
     found: dict[str, list[tuple[str, str]]] = {}
-    for path in results:
-        for entry in session_of(path).findings:
+    for session in grouped(map(read_results, results)):
+        for entry in session.findings:
             file = entry.get("file")
             if file:
                 found.setdefault(file.rpartition("/")[2], []).append((file, entry.get("status", "")))

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from pytest_pafot.support.errors import RequestError
-from pytest_pafot.support.text import visible_lines
+from pytest_pafot.support.text import visible, visible_lines
 from pytest_pafot.support.traced import Traced
 
 SHOWN = 20  # the largest number of lines of pytest's output that an error repeats
@@ -24,7 +24,6 @@ class Inventory:
     Attributes:
         root: the rootdir, to which all paths are relative.
         tests: by node id, without the parts of pytest-pafot; of the tests that a mark of this plugin names.
-        searches: node ids of the tests that search.
         files: the saved scenarios that a test replays, by path, each with the node id of its test.
         orphans: the saved scenarios whose test is gone, by path, each with what was expected.
         problem: why some tests are not known; empty if all were collected.
@@ -32,7 +31,6 @@ class Inventory:
 
     root: Path
     tests: Mapping[str, Traced] = field(default_factory=dict)
-    searches: frozenset[str] = frozenset()
     files: Mapping[str, str] = field(default_factory=dict)
     orphans: Mapping[str, str] = field(default_factory=dict)
     problem: str = ""
@@ -58,15 +56,16 @@ def collected(arguments: Sequence[str] = ()) -> Inventory:
                 f"{visible_lines(output)}"
             )
         data = json.loads(told.read_text(encoding="ascii"))
-    marked = {test: each for test, each in data["tests"].items() if each["is_marked"]}
+    # In the order of their names, since a plugin may shuffle the tests of each session anew.
+    marked = {test: each for test, each in sorted(data["tests"].items()) if each["is_marked"]}
+    wrong = [f"{test}: {visible(error)}" for test, error in sorted(data["wrong"].items())]
     return Inventory(
         root=Path(data["root"]),
         tests={
             test: Traced(requirements=tuple(each["requirements"]), title=each["title"], owner=each["owner"])
             for test, each in marked.items()
         },
-        searches=frozenset(test for test, each in marked.items() if each["is_search"]),
         files=data["files"],
         orphans=data["orphans"],
-        problem=visible_lines(output) if data["failed"] else "",
+        problem="\n".join([*wrong, *([visible_lines(output)] if data["failed"] else [])]),
     )

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import argparse
 import csv
-import math
-import re
+import io
+import shutil
 import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -19,7 +19,7 @@ from typing import Any
 
 from pytest_pafot.commands.corpus_table import Since, added_in, place_of
 from pytest_pafot.commands.inventory import Inventory, collected
-from pytest_pafot.commands.results import Session, session_of
+from pytest_pafot.commands.results import Session, day_argument, grouped, read_results, test_of_search
 from pytest_pafot.corpus.saved import Saved, read_saved_file
 from pytest_pafot.findings.severity import Severity, severity_in, worst_first
 from pytest_pafot.support.errors import RequestError, flag
@@ -28,7 +28,6 @@ from pytest_pafot.support.proportions import interval_text
 from pytest_pafot.support.text import (
     ascii_text,
     csv_text,
-    day_of,
     markdown_table,
     one_line,
     plural,
@@ -38,7 +37,10 @@ from pytest_pafot.support.text import (
 )
 from pytest_pafot.support.traced import Traced
 
-WIDTH = 100  # the width of the text [characters]
+WIDTH = 100  # the width of the text if it does not go to a terminal [characters]
+
+HEADS = ("id", "requirement", "requirement id")
+"""The names of the first column by which a list of requirements shows that its first line has none."""
 
 OPEN, ACCEPTED, FLAKY, DRIFTED, FIXED = "open", "accepted", "flaky", "drifted", "fixed"
 STATES = (OPEN, ACCEPTED, FLAKY, DRIFTED, FIXED)
@@ -70,7 +72,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--today",
-        type=_day,
+        type=day_argument,
         default=None,
         metavar="YYYY-MM-DD",
         help="the day with which last days of accepted failures are compared (default: today)",
@@ -80,7 +82,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace, _: Sequence[str]) -> int:
     """Print what is known of each requirement; return the exit code, 1 if one is open and ``--fail-on`` asks for it."""
-    sessions = grouped([session_of(path) for path in arguments.results])
+    sessions = grouped([read_results(path) for path in arguments.results])
     listed = {} if arguments.list is None else listed_in(arguments.list)
     inventory = collected(arguments.pytest)
     if inventory.problem:
@@ -90,33 +92,12 @@ def run(arguments: argparse.Namespace, _: Sequence[str]) -> int:
     writers = {"text": text_lines, "markdown": markdown_lines, "csv": csv_lines}
     lines = writers[arguments.format](table, course=arguments.course)
     sys.stdout.write("".join(f"{line}\n" for line in lines))
-    return int(arguments.fail_on == OPEN and any(each.failures(OPEN) for each in table.requirements))
+    # A table that lacks tests cannot say that nothing is open.
+    is_open = bool(inventory.problem) or any(each.failures(OPEN) for each in table.requirements)
+    return int(arguments.fail_on == OPEN and is_open)
 
 
-def _day(text: str) -> date:
-    day = day_of(text)
-    if day is None:
-        raise argparse.ArgumentTypeError(f"expected a day such as 2027-01-31, received {text!r:.50}")
-    return day
-
-
-# Reading: results of sessions, and the list of all requirements.
-
-
-def grouped(sessions: Iterable[Session]) -> list[Session]:
-    """Sort sessions by day, and join those of the same day and commit, which are shards of one.
-
-    Sessions without a day come first, in the given order, and are not joined.
-    """
-    joined: list[Session] = []
-    for session in sorted(sessions, key=lambda each: each.day):
-        last = joined[-1] if joined else None
-        if last is None or not session.day or (last.day, last.commit) != (session.day, session.commit):
-            joined.append(session)
-            continue
-        parts = {name: getattr(last, name) + getattr(session, name) for name in ("searches", "findings", "tests")}
-        joined[-1] = replace(last, **parts)
-    return joined
+# Reading the list of all requirements.
 
 
 def listed_in(path: Path) -> dict[str, Traced]:
@@ -126,11 +107,16 @@ def listed_in(path: Path) -> dict[str, Traced]:
         RequestError: if the file cannot be read.
     """
     try:
-        rows = list(csv.reader(path.read_text(encoding="utf-8-sig").splitlines()))
+        text = path.read_text(encoding="utf-8-sig")
+        head = text.partition("\n")[0]
+        delimiter = ";" if ";" in head and "," not in head else ","  # as spreadsheets write it in some countries
+        rows = list(csv.reader(io.StringIO(text, newline=""), delimiter=delimiter))
     except (OSError, ValueError, csv.Error) as error:
         why = getattr(error, "strerror", None) or type(error).__name__
         raise RequestError(f"{visible(str(path))}: expected a list of requirements as CSV, received {why}") from None
-    if rows and rows[0] and rows[0][0].strip().lower() in ("id", "requirement"):  # the heads of columns
+    if (
+        rows and rows[0] and rows[0][0].strip().lower() in ("id", "requirement", "requirement id")
+    ):  # the heads of columns
         rows = rows[1:]
     padded = ([cell.strip() for cell in [*row, "", ""]] for row in rows)
     return {id_: Traced(requirements=(id_,), title=title, owner=owner) for id_, title, owner, *_ in padded if id_}
@@ -228,7 +214,7 @@ class Requirement:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Table:
-    """All requirements, the worst first, the tests that name none, and the number of given sessions."""
+    """All requirements, the worst first; the tests that name none, files whose test is gone, and the sessions."""
 
     requirements: tuple[Requirement, ...]
     without: tuple[str, ...] = ()
@@ -260,13 +246,15 @@ class Table:
             for each in [read_saved_file(inventory.root / file)]
         }
         known: dict[str, list[Failure]] = {}
-        for key in {**saved, **course.statuses}:
+        for key in {**saved, **course.events}:
             file = saved.get(key)
-            failure = course.failure(key, file, today=today)
-            if failure is not None and file is not None and key not in course.statuses:
+            names = {event.entry.get("file") or "" for event in course.events.get(key, {}).values()}
+            is_file = any(name and (inventory.root / name).is_file() for name in names)
+            failure = course.failure(key, file, is_file=is_file, today=today)
+            if failure is not None and file is not None and key not in course.events:
                 failure = replace(failure, since=" ".join(reversed(added.get(place_of(file.path), ()))))
             if failure is not None:
-                for id_ in course.requirements(key[0]):
+                for id_ in course.by_test.get(key[0], ()):
                     known.setdefault(id_, []).append(failure)
         requirements = [
             Requirement(
@@ -289,80 +277,97 @@ def _told(
     id_: str, of_tests: Sequence[Traced], of_sessions: Mapping[str, Traced], listed: Mapping[str, Traced]
 ) -> Traced:
     """Return title and owner of a requirement: from the list, else from its tests, else from the last session."""
+    first = listed.get(id_, Traced())
     # The title of a test that checks only this requirement is more likely to be its own.
-    now = [*filter(None, [listed.get(id_)]), *sorted(of_tests, key=lambda each: len(each.requirements))]
-    sources = now or [*filter(None, [of_sessions.get(id_)])]
-    owners = dict.fromkeys(each.owner for each in sources if each.owner)
-    title = next((each.title for each in sources if each.title), "")
-    return Traced(requirements=(id_,), title=title, owner=", ".join(owners))
+    others = sorted(of_tests, key=lambda each: len(each.requirements)) or [of_sessions.get(id_, Traced())]
+    owners = ", ".join(dict.fromkeys(each.owner for each in others if each.owner))
+    title = next((each.title for each in (first, *others) if each.title), "")
+    return Traced(requirements=(id_,), title=title, owner=first.owner or owners)
 
 
 Key = tuple[str, str]
 """A finding: the node id of its test, and its id."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
+class Event:
+    """What a session saw of a finding, or of a test that failed without one: its state, and its entry."""
+
+    state: str
+    entry: Mapping[str, Any]
+
+
+@dataclass(slots=True)
 class Course:
     """What happened to each finding in the sessions.
 
     Attributes:
-        statuses: for each finding its entries in the results, by the number of the session.
-        ran: for each test the number of the last session in which it ran.
+        sessions: in their order; sessions are named by their numbers.
+        events: for each finding what a session saw of it, by the session. Of shards that differ, the worst counts.
+        searched: for each test the sessions in which it ran, and was not only replayed or skipped.
         told: the requirements that the results name, as in the last session that names them.
+        by_test: the requirements of each test: as its marks say now, or as the last results say if the test is gone.
     """
 
-    inventory: Inventory
     sessions: Sequence[Session]
-    statuses: Mapping[Key, Mapping[int, Mapping[str, Any]]]
-    ran: Mapping[str, int]
-    told: Mapping[str, Traced]
-    by_test: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    events: dict[Key, dict[int, Event]] = field(default_factory=dict)
+    searched: dict[str, set[int]] = field(default_factory=dict)
+    told: dict[str, Traced] = field(default_factory=dict)
+    by_test: dict[str, tuple[str, ...]] = field(default_factory=dict)
 
     @classmethod
     def of(cls, inventory: Inventory, sessions: Sequence[Session]) -> Course:
         """Follow each finding and each failing test through the sessions."""
-        statuses: dict[Key, dict[int, Mapping[str, Any]]] = {}
-        ran: dict[str, int] = {}
-        told: dict[str, Traced] = {}
-        by_test: dict[str, tuple[str, ...]] = {}
+        course = cls(sessions)
         for number, session in enumerate(sessions):
-            for entry in (*session.searches, *session.findings, *session.tests):
-                test = _test_of(entry)
-                ran[test] = number
-                ids = tuple(entry.get("requirements", ()))
-                by_test[test] = ids
-                told.update(
-                    (id_, Traced(requirements=(id_,), title=entry.get("title", ""), owner=entry.get("owner", "")))
-                    for id_ in ids
-                )
             for entry in session.findings:
-                statuses.setdefault((_test_of(entry), entry.get("id", "")), {})[number] = entry
-            for entry in (*session.searches, *session.tests):
+                test = course._names(entry["test"] if entry.get("test") else entry["node_id"], entry)
+                state = _STATE_OF.get(entry.get("status", ""), OPEN)
+                state = ACCEPTED if entry.get("result") == "xfailed" else state
+                course._see((test, entry.get("id", "")), number, Event(state, entry))
+            others = [(test_of_search(entry["node_id"]), entry) for entry in session.searches]
+            for test, entry in (*others, *((entry["node_id"], entry) for entry in session.tests)):
+                course._names(test, entry)
+                result = entry.get("result", "")
+                if result in ("", "skipped"):
+                    continue
+                course.searched.setdefault(test, set()).add(number)
                 # A search that has findings fails because of them, and they are in the results on their own.
-                failed = entry.get("result") in ("failed", "error") and not (entry.get("finds") or entry.get("unsaved"))
-                key = (_test_of(entry), "")
-                if failed or key in statuses:
-                    status = "failing" if failed else "fixed"
-                    statuses.setdefault(key, {})[number] = {**entry, "status": status}
-        by_test.update((test, each.requirements) for test, each in inventory.tests.items())
-        return cls(inventory=inventory, sessions=sessions, statuses=statuses, ran=ran, told=told, by_test=by_test)
+                failed = result in ("failed", "error") and not (entry.get("finds") or entry.get("unsaved"))
+                if failed or (test, "") in course.events:
+                    state = OPEN if failed else ACCEPTED if result == "xfailed" else FIXED
+                    course._see((test, ""), number, Event(state, entry))
+        course.by_test.update((test, each.requirements) for test, each in inventory.tests.items())
+        return course
 
-    def requirements(self, test: str) -> tuple[str, ...]:
-        """Return the requirements of a test: as its marks say now, or as the last results say if the test is gone."""
-        return self.by_test.get(test, ())
+    def _names(self, test: str, entry: Mapping[str, Any]) -> str:
+        """Note the requirements that an entry names; return its test."""
+        self.by_test[test] = tuple(entry.get("requirements", ()))
+        for id_ in self.by_test[test]:
+            self.told[id_] = Traced(requirements=(id_,), title=entry.get("title", ""), owner=entry.get("owner", ""))
+        return test
 
-    def failure(self, key: Key, saved: Saved | None, *, today: date) -> Failure | None:
-        """Return a finding with its present state; None if it has no file here and its test ran without it since."""
+    def _see(self, key: Key, number: int, event: Event) -> None:
+        known = self.events.setdefault(key, {})
+        if number not in known or STATES.index(event.state) < STATES.index(known[number].state):
+            known[number] = event
+
+    def failure(self, key: Key, saved: Saved | None, *, is_file: bool, today: date) -> Failure | None:
+        """Return a finding with its present state; None if it has no file here and its test ran without it since.
+
+        ``is_file`` is True if its file is in the corpus, although no test that was collected replays it.
+        """
         test, id_ = key
-        entries = self.statuses.get(key, {})
-        last = max(entries, default=-1)
-        entry = entries.get(last, {})
-        if saved is None and last < self.ran.get(test, -1):
-            return None  # The test ran without it: its file was removed, or it was fixed without one.
-        state = _STATE_OF.get(entry.get("status", ""), OPEN)
+        events = self.events.get(key, {})
+        last = max(events, default=-1)
+        if saved is None and last < max(self.searched.get(test, ()), default=-1):
+            return None  # Its file was removed, or it was fixed without one.
+        state = events[last].state if events else OPEN
+        entry = events[last].entry if events else {}
         finding = None if saved is None else saved.finding
-        detail = "not replayed by a given session" if not entries else ""
-        detail = "not in the corpus here" if saved is None and id_ else detail
+        detail = "not replayed by a given session" if not events else ""
+        if saved is None and id_:
+            detail = "its test was not collected here" if is_file else "not in the corpus here"
         if entry.get("status") in ("still failing, nearby", "error"):
             detail = entry["status"]
         if not id_:
@@ -371,78 +376,64 @@ class Course:
             passes = "; it passes now, so remove the line" if state == FIXED and not finding.xfail_flaky else ""
             state, detail = ACCEPTED, f"{finding.accepted}{passes}"
         elif finding is not None and finding.xfail is not None:
+            state = OPEN if state == ACCEPTED else state
             detail = f"accepted, {finding.accepted}, which is over"
         elif finding is not None and finding.flaky is not None:
             state = FLAKY
         elif saved is not None and finding is None:
             state, detail = OPEN, "the file cannot be read"
-        measured = next((entries[n] for n in sorted(entries, reverse=True) if entries[n].get("severity")), {})
+        measured = next((events[n].entry for n in sorted(events, reverse=True) if events[n].entry.get("severity")), {})
         return Failure(
             id=id_ or test,
             state=state,
             detail=detail,
             severity=_severity(measured.get("severity")) or (None if finding is None else severity_in(finding.expect)),
             responsible=measured.get("responsible", "none") if finding is None else finding.expect.responsibility,
-            since="" if state in (FIXED, DRIFTED) else self._since(entries),
+            since="" if state in (FIXED, DRIFTED) else self._since(key),
         )
 
-    def _since(self, entries: Mapping[int, Mapping[str, Any]]) -> str:
-        """Return the session since which a finding has failed, or failed until it passed, without a pass in between."""
+    def _since(self, key: Key) -> str:
+        """Return the session since which a finding fails in each session that saw it; empty if it does not fail."""
+        events, searched = self.events.get(key, {}), self.searched.get(key[0], set())
         first = None
-        for number in sorted(entries, reverse=True):
-            state = _STATE_OF.get(entries[number].get("status", ""), OPEN)
-            if state == FIXED and first is not None:
-                break
-            first = number if state in (OPEN, FLAKY) else first
+        for number in sorted(events.keys() | searched):
+            fails = number in events and events[number].state in (OPEN, ACCEPTED)
+            first = (number if first is None else first) if fails else None
         return "" if first is None else self.sessions[first].name
 
     def days(self, id_: str) -> Iterator[Day]:
-        """Yield the course of a requirement: a value for each session in which one of its tests ran."""
+        """Yield the course of a requirement: a value for each session that saw one of its tests or findings."""
         failing: set[Key] = set()
         unfixed: set[Key] = set()
+        own = {key: events for key, events in self.events.items() if id_ in self.by_test.get(key[0], ())}
+        tests = {test for test, ids in self.by_test.items() if id_ in ids}
         for number, session in enumerate(self.sessions):
-            entries = (*session.searches, *session.findings, *session.tests)
-            here = {test for test in map(_test_of, entries) if id_ in self.requirements(test)}
-            if not here:
-                continue
-            before, failing = failing, {key for key in failing if key[0] not in here}
-            fixed = drifted = 0
-            for key, of_key in self.statuses.items():
-                entry = of_key.get(number)
-                if key[0] not in here or entry is None or entry.get("result") == "xfailed":
-                    continue
-                state = _STATE_OF.get(entry.get("status", ""), OPEN)
-                if state == OPEN:
-                    failing.add(key)
-                    unfixed.add(key)
-                elif state == DRIFTED:
-                    drifted += key in before
-                elif state == FIXED:
-                    fixed += key in unfixed
-                    unfixed.discard(key)
-            searches = [each for each in session.searches if _test_of(each) in here]
+            ran = {test for test in tests if number in self.searched.get(test, ())}
+            seen = {key: events[number].state for key, events in own.items() if number in events}
+            searches = [each for each in session.searches if test_of_search(each["node_id"]) in tests]
+            if not ran and not seen and not any(each.get("runs") for each in searches):
+                continue  # nothing but skipped tests
+            before = failing
+            # What was open stays so until it is seen again, or until its test ran without it.
+            failing = {key for key in before if key not in seen and key[0] not in ran}
+            failing |= {key for key, state in seen.items() if state == OPEN}
+            fixed = {key for key, state in seen.items() if state == FIXED and key in unfixed}
+            unfixed = (unfixed | failing) - fixed
             drawn = [each for each in searches if not each.get("given")]  # else saved scenarios came first
             yield Day(
                 session=session,
                 runs=sum(each.get("runs", 0) for each in searches),
                 new=len(failing - before),
                 open=len(failing),
-                fixed=fixed,
-                drifted=drifted,
+                fixed=len(fixed),
+                drifted=sum(state == DRIFTED and key in before for key, state in seen.items()),
                 random_failing=sum(each.get("random_failing", 0) for each in drawn),
                 random_runs=sum(each.get("random_runs", 0) for each in drawn),
             )
 
 
-def _test_of(entry: Mapping[str, Any]) -> str:
-    """Return the node id of the test of a search, a finding or another test."""
-    named: str = entry.get("test") or entry["node_id"]
-    head, bracket, parameters = named.rpartition("[")
-    # The part of a search is behind those of the user's marks, or the only one: test_x[1-search], test_x[search].
-    if not bracket or not re.fullmatch(r"(.*-)?search(-.*)?\]", parameters, re.DOTALL):
-        return named
-    rest = re.sub(r"(^|-)search(?=[-\]])", "", parameters, count=1).removeprefix("-")
-    return head if rest == "]" else f"{head}[{rest}"
+MOST_SEVERE = 1e9
+"""A limit of the figures of a severity, which also leaves out what is no number."""
 
 
 def _severity(data: Any) -> Severity | None:
@@ -451,7 +442,7 @@ def _severity(data: Any) -> Severity | None:
         severity = Severity.of_data(data)
         texts, numbers = (severity.kind, severity.unit, severity.name), (severity.value, severity.margin)
         is_right = all(isinstance(each, str) for each in texts) and all(
-            each is None or (isinstance(each, (int, float)) and math.isfinite(each)) for each in numbers
+            each is None or (isinstance(each, (int, float)) and abs(each) < MOST_SEVERE) for each in numbers
         )
     except (TypeError, AttributeError):
         return None
@@ -502,7 +493,7 @@ def _cells(requirement: Requirement) -> list[object]:
         requirement.runs,
         "" if last is None else last.session.name or "yes",
         "" if last is None else _rate(last.random_failing, last.random_runs),
-        " ".join(requirement.tests),
+        ", ".join(requirement.tests),
     ]
 
 
@@ -515,14 +506,15 @@ def _course_cells(requirement: Requirement) -> Iterator[list[object]]:
 
 def text_lines(table: Table, *, course: bool) -> Iterator[str]:
     """Yield the lines of the table for people: a block for each requirement, the worst first."""
+    width = shutil.get_terminal_size().columns if sys.stdout.isatty() else WIDTH
     states = [each.state for each in table.requirements]
     counts = [f"{states.count(state)} {state}" for state in dict.fromkeys(states)]
     yield f"{plural(len(states), 'requirement')}{': ' if counts else ''}{', '.join(counts)}"
     for requirement in table.requirements:
         yield ""
-        yield from wrapped_to(ascii_text(requirement.told.described), WIDTH)
+        yield from wrapped_to(ascii_text(requirement.told.described), width)
         for name, text in _parts(requirement):
-            yield from wrapped_to(ascii_text(f"  {name:9} {text}"), WIDTH)
+            yield from wrapped_to(ascii_text(f"  {name:9} {text}"), width)
         if course or len(table.sessions) > 1:
             rows = [list(map(str, cells[1:])) for cells in (COURSE, *_course_cells(requirement))]
             widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
@@ -531,7 +523,7 @@ def text_lines(table: Table, *, course: bool) -> Iterator[str]:
                 yield ascii_text(f"    {'  '.join(cells)}".rstrip())
     for title, names in _left_over(table):
         yield ""
-        yield from wrapped_to(ascii_text(f"{title}: {_named(names)}"), WIDTH)
+        yield from wrapped_to(ascii_text(f"{title}: {_named(names)}"), width)
 
 
 def _parts(requirement: Requirement) -> Iterator[tuple[str, str]]:
@@ -576,8 +568,9 @@ def markdown_lines(table: Table, *, course: bool) -> Iterator[str]:
 
     if not course:
         yield markdown_table(COLUMNS, map(escaped, map(_cells, table.requirements)))
-    if course or len(table.sessions) > 1:
+    if not course and len(table.sessions) > 1:
         yield ""
+    if course or len(table.sessions) > 1:
         yield markdown_table(COURSE, (escaped(row) for each in table.requirements for row in _course_cells(each)))
     for title, names in _left_over(table):
         yield ""
@@ -588,5 +581,5 @@ def csv_lines(table: Table, *, course: bool) -> Iterator[str]:
     """Yield the table as CSV, with an empty requirement for tests that name none."""
     rows = [row for each in table.requirements for row in (_course_cells(each) if course else [_cells(each)])]
     if not course and table.without:
-        rows.append(["", "", "", "no requirement", *[""] * (len(COLUMNS) - 5), " ".join(table.without)])
+        rows.append(["", "", "", "no requirement", *[""] * (len(COLUMNS) - 5), ", ".join(table.without)])
     yield csv_text(COURSE if course else COLUMNS, (map(spreadsheet_cell, row) for row in rows)).rstrip("\n")

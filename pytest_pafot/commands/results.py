@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+import re
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from datetime import date
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +18,12 @@ VERSION = 1
 
 MOST_BYTES = 100 * 2**20
 """The largest size of a file of results [bytes]."""
+
+MOST_RUNS = 10**12
+"""The largest number of runs that a search can have."""
+
+SEARCH_PART = re.compile(r"(.*[\[-])search([\]-].*)", re.DOTALL)
+"""The node id of a search, around the part that says so, which is the last one of that name."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -39,7 +47,7 @@ class Session:
         return " ".join(filter(None, [self.day, self.commit[:10]]))
 
 
-def session_of(path: Path) -> Session:
+def read_results(path: Path) -> Session:
     """Read the results of a session.
 
     Raises:
@@ -47,9 +55,13 @@ def session_of(path: Path) -> Session:
     """
     expected = f"{visible(str(path))}: expected the results of a session, from {flag('json')}"
     try:
-        if path.stat().st_size > MOST_BYTES:
+        if path.exists() and not path.is_file():  # a pipe or a device could go on for ever
+            raise RequestError(f"{expected}, received no regular file")
+        with path.open("rb") as file:
+            content = file.read(MOST_BYTES + 1)
+        if len(content) > MOST_BYTES:
             raise RequestError(f"{expected}, received more than {MOST_BYTES // 2**20} MiB")
-        data = json.loads(path.read_text(encoding="utf-8"))
+        data = json.loads(content)
     except (OSError, ValueError, RecursionError) as error:
         why = getattr(error, "strerror", None) or f"{type(error).__name__}"
         raise RequestError(f"{expected}, received {why}") from None
@@ -64,11 +76,11 @@ def session_of(path: Path) -> Session:
 
 
 def _are_entries(entries: object) -> bool:
-    """Return whether the entries of results have the types that are read of them."""
+    """Return whether the entries of results have the types that are read of them, and numbers that can be counts."""
+    counts = ("runs", "random_failing", "random_runs", "given")
     types: dict[str, tuple[type, ...]] = {
         **dict.fromkeys(("node_id", "test", "id", "status", "result", "message"), (str,)),
         **dict.fromkeys(("title", "owner", "responsible"), (str,)),
-        **dict.fromkeys(("runs", "random_failing", "random_runs", "given"), (int,)),
         "requirements": (list,),
         "severity": (dict, type(None)),
         "file": (str, type(None)),
@@ -79,5 +91,54 @@ def _are_entries(entries: object) -> bool:
         and isinstance(entry.get("node_id"), str)
         and all(isinstance(entry[name], kinds) for name, kinds in types.items() if name in entry)
         and all(isinstance(id_, str) for id_ in entry.get("requirements", ()))
+        and all(type(entry.get(name, 0)) is int and 0 <= entry.get(name, 0) <= MOST_RUNS for name in counts)
+        and entry.get("random_failing", 0) <= entry.get("random_runs", 0)
         for entry in entries
     )
+
+
+def grouped(sessions: Iterable[Session]) -> list[Session]:
+    """Sort sessions by day, and join those of the same day and commit, which are shards of one.
+
+    Sessions without a day come first and are not joined. Those of one day keep the order of their commits in what is
+    given. A session that is given twice counts once.
+    """
+    parts: dict[tuple[str, str, int], list[Session]] = {}
+    for number, session in enumerate(sessions):
+        same = parts.setdefault((session.day, session.commit, 0 if session.day else number), [])
+        if session not in same:
+            same.append(session)
+    joined = [
+        Session(
+            day=day,
+            commit=commit,
+            searches=tuple(each for session in same for each in session.searches),
+            findings=tuple(each for session in same for each in session.findings),
+            tests=tuple(each for session in same for each in session.tests),
+        )
+        for (day, commit, _), same in parts.items()
+    ]
+    return sorted(joined, key=lambda each: each.day)
+
+
+def test_of_search(node_id: str) -> str:
+    """Return the node id of the test of a search: ``test_x[1]`` for ``test_x[1-search]``."""
+    found = SEARCH_PART.fullmatch(node_id)
+    if found is None:
+        return node_id
+    head, tail = found.groups()
+    if tail.startswith("-"):
+        return head + tail[1:]
+    return head[:-1] if head.endswith("[") else head[:-1] + tail
+
+
+def day_argument(text: str) -> date:
+    """Return the day that an argument names.
+
+    Raises:
+        RequestError: if it names none.
+    """
+    day = day_of(text)
+    if day is None:
+        raise RequestError(f"expected a day such as 2027-01-31, received {text!r:.50}")
+    return day

@@ -7,20 +7,26 @@ from __future__ import annotations
 
 import argparse
 import json
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from pytest_pafot.corpus.layout import files_in, relative
-from pytest_pafot.plugin.collection import NAMES_ONLY, is_search, saved_of
+from pytest_pafot.plugin.collection import NAMES_ONLY, saved_of
 from pytest_pafot.plugin.marks import ANY_MARK
 from pytest_pafot.plugin.node_ids import base_id
 from pytest_pafot.plugin.orphans import UNRUN
-from pytest_pafot.plugin.tracing import traced
+from pytest_pafot.plugin.tracing import read, traced
 
 TO = "--inventory-to"
 """The option of this session that names the file."""
+
+ALL: pytest.StashKey[list[pytest.Item]] = pytest.StashKey()
+
+ENDS = (pytest.ExitCode.OK, pytest.ExitCode.NO_TESTS_COLLECTED)
+"""The exit codes of a session that collected all that there is."""
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -33,25 +39,29 @@ def pytest_configure(config: pytest.Config) -> None:
     config.stash[NAMES_ONLY] = True
 
 
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Note all items, also those that an option such as ``-m`` leaves out afterwards."""
+    config.stash[ALL] = list(items)
+
+
 @pytest.hookimpl(trylast=True)
-def pytest_sessionfinish(session: pytest.Session) -> None:
-    """Write what was collected, also if some files could not be collected."""
+def pytest_sessionfinish(session: pytest.Session, exitstatus: int) -> None:
+    """Write what was collected, also if some files could not be collected; nothing if the session was broken off."""
+    if ALL not in session.config.stash or not (session.testsfailed or exitstatus in ENDS):
+        return
     tests: dict[str, dict[str, Any]] = {}
     files: dict[str, str] = {}
     root = session.config.rootpath
-    for item in session.items:
-        test, told = base_id(item), traced(item)
-        known = tests.setdefault(
-            test,
-            {
-                "requirements": told.requirements,
-                "title": told.title,
-                "owner": told.owner,
-                "is_marked": item.get_closest_marker(ANY_MARK) is not None,
-                "is_search": False,
-            },
-        )
-        known["is_search"] = known["is_search"] or is_search(item)
+    wrong: dict[str, str] = {}
+    for item in session.config.stash[ALL]:
+        test = base_id(item)
+        try:
+            read(item)
+        except ValueError as error:
+            wrong[test] = str(error)
+        is_marked = item.get_closest_marker(ANY_MARK) is not None
+        tests[test] = {**asdict(traced(item)), "is_marked": is_marked}
         saved = saved_of(item)
         if saved is not None:
             files[relative(saved.path, root)] = test
@@ -60,5 +70,6 @@ def pytest_sessionfinish(session: pytest.Session) -> None:
         for folder, orphan in session.config.stash[UNRUN].orphans.items()
         for file in files_in(folder)
     }
-    all_of_it = {"root": str(root), "tests": tests, "files": files, "orphans": orphans, "failed": session.testsfailed}
-    Path(session.config.getoption(TO)).write_text(json.dumps(all_of_it), encoding="ascii")
+    collected = {"tests": tests, "files": files, "orphans": orphans, "wrong": wrong}
+    content = json.dumps({"root": str(root), "failed": session.testsfailed, **collected})
+    Path(session.config.getoption(TO)).write_text(content, encoding="ascii")

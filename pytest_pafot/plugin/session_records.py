@@ -196,7 +196,15 @@ class Records:
                 )
                 for node_id, finding in sorted(self._findings.items())
             ],
-            tests=[ItemRecord(node_id=each, result=results.get(each, ""), **traced[each]) for each in others],
+            tests=[
+                ItemRecord(
+                    node_id=each,
+                    result=results.get(each, ""),
+                    message=same(self._reasons.get(each, "")),
+                    **traced[each],
+                )
+                for each in others
+            ],
             merged=sorted(self._texts["merge"]),
             compared=list(dict.fromkeys(self._texts["compared"])),
             orphans=self._orphans() if code is not None else [],

@@ -35,7 +35,10 @@ def read(item: pytest.Item) -> Traced:
     requirements: tuple[str, ...] = ()
     title = owner = documentation = ""
     for node, mark in item.iter_markers_with_node(ANY_MARK):
-        told = checked({name: mark.kwargs[name] for name in TRACING if name in mark.kwargs})
+        if mark.args or not mark.kwargs.keys() <= set(TRACING):
+            received = ", ".join([*map(repr, mark.args), *(f"{name}=" for name in mark.kwargs if name not in TRACING)])
+            raise ValueError(f"pytest.mark.{ANY_MARK}: expected {', '.join(TRACING)} by name, received {received:.100}")
+        told = checked(mark.kwargs)
         owner = owner or told.owner
         if not requirements:
             title = title or told.title
@@ -46,14 +49,20 @@ def read(item: pytest.Item) -> Traced:
 
 
 def _first_line(node: object) -> str:
-    documentation = inspect.getdoc(getattr(node, "obj", None)) or ""
-    return visible(documentation.partition("\n")[0].strip())[:MOST_TEXT].removesuffix(".")
+    # Not inspect.getdoc, which takes the docstring of a base class for one that has none.
+    documentation = getattr(getattr(node, "obj", None), "__doc__", None)
+    is_inherited = inspect.isclass(getattr(node, "obj", None)) and "__doc__" not in vars(node.obj)  # type: ignore[attr-defined]
+    if not isinstance(documentation, str) or is_inherited:
+        return ""
+    return visible(documentation.strip().partition("\n")[0].strip())[:MOST_TEXT].removesuffix(".")
 
 
 class Tracing:
     """The hook that gives each item the properties of its requirements, which its reports carry."""
 
-    def pytest_itemcollected(self, item: pytest.Item) -> None:
-        """Set the properties of an item whose marks name a requirement or an owner."""
-        if any(item.iter_markers(ANY_MARK)):
-            item.user_properties.extend(traced(item).properties)
+    @pytest.hookimpl(trylast=True)
+    def pytest_collection_finish(self, session: pytest.Session) -> None:
+        """Set the properties of items whose marks name a requirement or an owner, also marks that a hook has added."""
+        for item in session.items:
+            if item.get_closest_marker(ANY_MARK) is not None:
+                item.user_properties.extend(traced(item).properties)

@@ -183,12 +183,13 @@ class ItemRecord:
     """A test that names a requirement or an owner, and is neither a search nor the replay of a saved scenario.
 
     Attributes:
-        node_id, result: node id and result of its item.
+        node_id, result, message: of its item, as for a search.
         requirements, title, owner: as for a search.
     """
 
     node_id: str
     result: str = ""
+    message: str = ""
     requirements: list[str] = field(default_factory=list)
     title: str = ""
     owner: str = ""

@@ -1,7 +1,9 @@
 """``python -m pytest_pafot requirements``: the state of each requirement, from tests, files and results of sessions."""
 
 import json
+import os
 from argparse import Namespace
+from dataclasses import replace
 from datetime import date
 from pathlib import Path
 
@@ -14,13 +16,13 @@ from pytest_pafot.commands.inventory import Inventory
 from pytest_pafot.commands.requirements_command import (
     Table,
     csv_lines,
-    grouped,
     listed_in,
     markdown_lines,
     run,
     text_lines,
 )
-from pytest_pafot.commands.results import Session, session_of
+from pytest_pafot.commands.results import Session, grouped, read_results
+from pytest_pafot.commands.results import test_of_search as base_of
 from pytest_pafot.support.errors import RequestError
 from pytest_pafot.support.traced import Traced
 
@@ -40,7 +42,15 @@ def finding(id_="a-1", status="still failing", test=TEST, **more):
 
 
 def search(runs=10, test=TEST, **more):
-    return {"node_id": f"{test}[search]", "runs": runs, "random_runs": 5, "random_failing": 1, "given": 0, **more}
+    return {
+        "node_id": f"{test}[search]",
+        "result": "passed",
+        "runs": runs,
+        "random_runs": 5,
+        "random_failing": 1,
+        "given": 0,
+        **more,
+    }
 
 
 def night(day, *findings, searches=None, tests=()):
@@ -102,14 +112,50 @@ def test_shards_of_a_day_count_together():
     assert len(grouped([Session(), Session()])) == 2
 
 
+def test_shards_are_joined_also_if_another_commit_lies_between_them():
+    one, other = night(20, finding()), replace(night(20), commit="def")
+    two = night(20, searches=[search(runs=5)])
+    assert [(each.commit, len(each.searches)) for each in grouped([one, other, two, two])] == [("abc", 2), ("def", 1)]
+
+
+@pytest.mark.parametrize("order", [(0, 1), (1, 0)])
+def test_of_shards_that_differ_the_worst_counts(order):
+    shards = [night(20, finding(status="fixed")), night(20, finding())]
+    assert states(table_of(*(shards[number] for number in order))) == {"R1": "open"}
+
+
+def test_session_that_skips_the_search_says_nothing_of_it():
+    replay_only = night(21, searches=[search(runs=0, result="skipped")])
+    table = table_of(night(20, finding()), replay_only)
+    assert states(table) == {"R1": "open"}
+    assert len(table.requirements[0].days) == 1
+    assert states(table_of(replay_only)) == {"R1": "not tested"}
+
+
+def test_failure_that_pytest_expects_is_accepted():
+    assert states(table_of(night(20, finding() | {"result": "xfailed"}))) == {"R1": "accepted"}
+    failed = {"node_id": TEST, "result": "failed", "requirements": ["R1"]}
+    course = [night(20, searches=(), tests=[failed]), night(21, searches=(), tests=[failed | {"result": "xfailed"}])]
+    assert states(table_of(*course)) == {"R1": "accepted"}
+
+
+@pytest.mark.parametrize(
+    ("course", "since"),
+    [(["drifted", "new"], 21), (["new", "drifted", "new"], 22), (["new", None, "new"], 22), (["new", "error"], 20)],
+)
+def test_failure_is_open_since_the_day_on_which_the_course_calls_it_new(course, since):
+    nights = [night(20 + n, *([] if told is None else [finding(status=told)])) for n, told in enumerate(course)]
+    (requirement,) = table_of(*nights).requirements
+    assert requirement.failures("open")[0].since == f"2026-11-{since} abc"
+    assert [day.session.day for day in requirement.days if day.new][-1] == f"2026-11-{since}"
+
+
 def test_random_failures_are_those_of_the_last_search_without_given_scenarios():
     course = [night(20), night(21, searches=[search(random_runs=20, random_failing=0), search(given=3)])]
     (requirement,) = table_of(*course).requirements
     last = requirement.searched
     assert (requirement.runs, last.random_failing, last.random_runs) == (30, 0, 20)
-    assert "0 of 20, 0 % (95 %: at most 16.8 %) failed then" in "\n".join(
-        text_lines(table_of(*course), course=False)
-    )
+    assert "0 of 20, 0 % (95 %: at most 16.8 %) failed then" in "\n".join(text_lines(table_of(*course), course=False))
 
 
 def test_requirements_without_a_test_and_tests_without_one_are_named(tmp_path):
@@ -129,6 +175,7 @@ SEARCHES = st.sampled_from(
         ("test_x[1-search]", "test_x[1]"),
         ("test_x[search-1]", "test_x[1]"),
         ("test_x[a-search-b]", "test_x[a-b]"),
+        ("test_x[search-fast-search]", "test_x[search-fast]"),
         ("test_x[research]", "test_x[research]"),
         ("test_search", "test_search"),
     ]
@@ -138,7 +185,7 @@ SEARCHES = st.sampled_from(
 @given(SEARCHES)
 def test_test_of_a_search_is_its_node_id_without_the_part_of_the_search(named):
     node_id, test = named
-    assert requirements_command._test_of({"node_id": f"a.py::{node_id}"}) == f"a.py::{test}"
+    assert base_of(f"a.py::{node_id}") == f"a.py::{test}"
 
 
 STATUSES = st.sampled_from(["new", "still failing", "fixed", "drifted", "flaky", "error", "common"])
@@ -169,6 +216,9 @@ def test_each_day_counts_what_fails_then_and_did_not_before(nights):
         ('{"pafot_json": 2}', "other JSON"),
         ('{"pafot_json": 1, "searches": [{"node_id": 5}]}', "other JSON"),
         ('{"pafot_json": 1, "findings": [{"node_id": "a", "requirements": [1]}]}', "other JSON"),
+        ('{"pafot_json": 1, "searches": [{"node_id": "a", "random_runs": -5}]}', "other JSON"),
+        ('{"pafot_json": 1, "searches": [{"node_id": "a", "runs": 1e400}]}', "other JSON"),
+        ('{"pafot_json": 1, "searches": [{"node_id": "a", "random_runs": 2, "random_failing": 10}]}', "other JSON"),
         ('{"pafot_json": 1, "day": "tomorrow"}', "day 'tomorrow'"),
         ("\udcff", "UnicodeDecodeError"),
     ],
@@ -178,11 +228,12 @@ def test_file_without_results_is_refused(tmp_path, content, why):
     if content is not None:
         file.write_bytes(content.encode("utf-8", "surrogateescape"))
     with pytest.raises(RequestError, match=rf"a\.json: expected the results of a session, .* received .*({why})"):
-        session_of(file)
+        read_results(file)
 
 
 def test_severities_that_are_no_numbers_are_left_out():
     wrong = [{**HIT, "value": "9"}, {**HIT, "margin": []}, {"kind": 1}, {**HIT, "value": float("nan")}, {"x": 1}]
+    wrong += [{**HIT, "value": 10**400}, {**HIT, "margin": 10**400}]
     for severity in wrong:
         (requirement,) = table_of(night(20, finding(severity=severity))).requirements
         assert requirement.failures("open")[0].severity is None
@@ -212,3 +263,17 @@ def test_open_failures_end_with_exit_code_1_only_if_asked(tmp_path, monkeypatch,
     file.write_text(json.dumps({"pafot_json": 1, "searches": [search()], "findings": [finding(status="fixed")]}))
     assert run(Namespace(**given, fail_on="open"), []) == 0
     assert "R1,,planning,open,1,0,0,0,0,a-1," in capsys.readouterr().out
+
+
+def test_list_of_a_spreadsheet_in_another_country_is_read(tmp_path):
+    file = tmp_path / "all.csv"
+    file.write_text('\ufeffRequirement ID;Title;Owner\nR1;"Brakes; softly";Ann\n', encoding="utf-8")
+    table = table_of(listed=listed_in(file))
+    assert [(each.told.title, each.told.owner) for each in table.requirements] == [("Brakes; softly", "Ann")]
+
+
+def test_pipe_is_no_file_of_results(tmp_path):
+    if hasattr(os, "mkfifo"):
+        os.mkfifo(tmp_path / "pipe")
+        with pytest.raises(RequestError, match="received no regular file"):
+            read_results(tmp_path / "pipe")

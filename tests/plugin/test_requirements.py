@@ -1,11 +1,15 @@
 """Requirements that marks name: who inherits what, and where a session says it."""
 
 import json
+import os
+import sys
 from xml.etree import ElementTree
 
 import pytest
 
+from pytest_pafot.commands.inventory import collected
 from pytest_pafot.report.page import requirement_section
+from pytest_pafot.support.errors import RequestError
 from pytest_pafot.support.traced import Traced
 
 INHERITED = '''
@@ -143,3 +147,43 @@ def test_page_escapes_texts_of_requirements():
     assert "<script>" not in section
     assert "<img" not in section
     assert "<b>" not in section
+
+
+def test_wrong_argument_of_the_mark_itself_fails_its_item(project):
+    project.write("@pytest.mark.pafot(requirment='R')\ndef test_it():\n    pass\n")
+    result = project.run()
+    result.assert_outcomes(errors=1)
+    result.stdout.fnmatch_lines(["*pytest.mark.pafot: expected requirement, title, owner by name, *requirment=*"])
+
+
+def test_mark_of_a_hook_is_seen_and_docstring_of_a_base_class_is_no_title(project):
+    project.write(
+        "class Base:\n    'Of the base.'\n\n@pytest.mark.pafot(requirement='R1')\nclass TestIt(Base):\n"
+        "    def test_it(self):\n        assert False\n\ndef test_other():\n    assert False\n"
+    )
+    (project.path / "conftest.py").write_text(
+        "import pytest\n\ndef pytest_collection_modifyitems(items):\n"
+        "    items[-1].add_marker(pytest.mark.pafot(requirement='R2'))\n"
+    )
+    project.run("--pafot-json=a.json")
+    tests = json.loads((project.path / "a.json").read_text())["tests"]
+    assert [(each["requirements"], each["title"]) for each in tests] == [(["R1"], ""), (["R2"], "")]
+
+
+@pytest.mark.parametrize(
+    ("source", "option"),
+    [("raise KeyboardInterrupt", None), ("raise SystemExit(0)", None), ("def test_it(): pass", "nowhere")],
+)
+def test_inventory_of_a_session_that_was_broken_off_is_refused(project, monkeypatch, source, option):
+    project.write(source)
+    monkeypatch.chdir(project.path)
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(sys.path))
+    with pytest.raises(RequestError, match="expected pytest to collect the tests here"):
+        collected([] if option is None else [option])
+
+
+def test_inventory_has_what_a_selection_leaves_out(project, monkeypatch):
+    project.write(SESSION)
+    (project.path / "pytest.ini").write_text("[pytest]\naddopts = -k nothing\n")
+    monkeypatch.chdir(project.path)
+    assert set(collected().tests) == {"test_it.py::test_fails", "test_it.py::test_plain"}
