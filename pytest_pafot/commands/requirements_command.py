@@ -114,9 +114,7 @@ def listed_in(path: Path) -> dict[str, Traced]:
     except (OSError, ValueError, csv.Error) as error:
         why = getattr(error, "strerror", None) or type(error).__name__
         raise RequestError(f"{visible(str(path))}: expected a list of requirements as CSV, received {why}") from None
-    if (
-        rows and rows[0] and rows[0][0].strip().lower() in ("id", "requirement", "requirement id")
-    ):  # the heads of columns
+    if rows and rows[0] and rows[0][0].strip().lower() in HEADS:
         rows = rows[1:]
     padded = ([cell.strip() for cell in [*row, "", ""]] for row in rows)
     return {id_: Traced(requirements=(id_,), title=title, owner=owner) for id_, title, owner, *_ in padded if id_}
@@ -132,8 +130,9 @@ class Failure:
     Attributes:
         id: id of the finding, or the name of the test.
         state: one of ``STATES``.
-        detail: what the state is known from, such as ``accepted until 2027-01-31: issue 12``.
-        severity, responsible: how bad it is, and who is responsible; None if no given session measured it.
+        detail: what else is known of the state, such as ``issue 12, until 2027-01-31``; may be empty.
+        severity, responsible: how bad it is, and who is responsible, as the last session measured it, or else as its
+            file has it.
         since: day and commit of the session since which it fails, or else of the commit that added its file; empty if
             neither is known.
     """
@@ -158,7 +157,7 @@ class Failure:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Day:
-    """A requirement in one session: runs, failures, and random scenarios that failed by the ego's fault.
+    """A requirement in one session: runs, failures, and random scenarios in which the test failed.
 
     ``new`` counts those failures that were not open in the session before, ``drifted`` those that were, and ``fixed``
     those that were open at some time before and not fixed since.
