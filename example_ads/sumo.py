@@ -30,13 +30,15 @@ WORLD = """<net version="1.20"><edge id="road" from="a" to="b">{lanes}</edge>
 <junction id="b" type="dead_end" x="{seen.road_length}" y="0" incLanes="" intLanes="" shape=""/>
 <route id="road" edges="road"/>
 <vType id="ego" length="5" speedDev="0" carFollowModel="{self.following}" laneChangeModel="{self.changing}"/>
-<vType id="other" length="5" accel="1e-3" speedFactor="9" speedDev="0" lcSpeedGain="0" lcKeepRight="0"/></net>"""
+<vType id="other" length="5" accel="1e-3" decel="{braking}" speedFactor="9" speedDev="0" lcSpeedGain="0"
+lcKeepRight="0"/></net>"""
 LANE = """<lane id="road_{0}" index="{0}" speed="{seen.speed_limit}" length="{seen.road_length}"
 shape="0,{0} {seen.road_length},{0}"/>"""
 OPTIONS = ["--collision.action=none", "--xml-validation=never", "--no-step-log", "--no-warnings"]
 
 
 MARGIN = 0.5  # room across the road beside the ego's body [m]
+BRAKING = 8.0  # how hard others may brake, by which SUMO chooses its gaps; its default is 4.5 [m/s^2]
 MIN_GAP = 2.5  # SUMO's default of minGap [m]
 BY_ITSELF, AS_ASKED = 1621, 1877  # SUMO's lane change modes: its default, and one in which it only does what is asked
 
@@ -85,7 +87,12 @@ class SumoDriver:
         """Start a simulation with this road and these vehicles, and return the ego's lane."""
         with TemporaryDirectory() as folder:
             Path(folder, "world.xml").write_text(
-                WORLD.format(lanes="".join(LANE.format(i, seen=seen) for i in range(seen.lanes)), seen=seen, self=self),
+                WORLD.format(
+                    lanes="".join(LANE.format(i, seen=seen) for i in range(seen.lanes)),
+                    seen=seen,
+                    self=self,
+                    braking=BRAKING,
+                ),
                 encoding="utf-8",
             )
             libsumo.start(["sumo", f"--net-file={folder}/world.xml", f"--step-length={seen.decision_period}", *OPTIONS])
