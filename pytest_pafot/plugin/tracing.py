@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
-
 import pytest
 
 from pytest_pafot.plugin.marks import ANY_MARK, TRACING
@@ -51,8 +49,7 @@ def read(item: pytest.Item) -> Traced:
 def _first_line(node: object) -> str:
     # Not inspect.getdoc, which takes the docstring of a base class for one that has none.
     documentation = getattr(getattr(node, "obj", None), "__doc__", None)
-    is_inherited = inspect.isclass(getattr(node, "obj", None)) and "__doc__" not in vars(node.obj)  # type: ignore[attr-defined]
-    if not isinstance(documentation, str) or is_inherited:
+    if not isinstance(documentation, str):
         return ""
     return visible(documentation.strip().partition("\n")[0].strip())[:MOST_TEXT].removesuffix(".")
 
