@@ -1,4 +1,4 @@
-"""Which tests there are, which requirements they check, and which saved scenarios they replay: pytest collects them."""
+"""The inventory of tests, of the requirements that they check and of the files that they replay; pytest collects it."""
 
 from __future__ import annotations
 

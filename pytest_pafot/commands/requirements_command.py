@@ -1,4 +1,4 @@
-"""``python -m pytest_pafot requirements``: what was asked, how far it was tested, what is open, and whose it is.
+"""``python -m pytest_pafot requirements``: print what was asked, how far it was tested, what is open, and whose it is.
 
 pytest collects the tests and runs none. What is known of their failures is in the saved scenarios, and in the results
 of earlier sessions, the files of ``--pafot-json``.
@@ -175,7 +175,7 @@ class Day:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Requirement:
-    """What is known of a requirement. ``days`` has the sessions in which its tests ran, the last one at the end."""
+    """A requirement with its tests, its failures and its course. ``days`` has the sessions in which its tests ran, the last one at the end."""
 
     told: Traced
     tests: tuple[str, ...] = ()
@@ -290,7 +290,7 @@ Key = tuple[str, str]
 
 @dataclass(frozen=True, slots=True)
 class Event:
-    """What a session saw of a finding, or of a test that failed without one: its state, and its entry."""
+    """The state of a finding, or of a test that failed without one, in one session, with its entry in the results."""
 
     state: str
     entry: Mapping[str, Any]

@@ -20,7 +20,7 @@ StrictDoc and others read one ``requirement`` for each id, Xray one ``requiremen
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Traced:
-    """What the marks of a test say of its requirements.
+    """The requirements of a test, with their title and its owner, as its marks say.
 
     Attributes:
         requirements: ids of the requirements that the test checks; empty if it names none.
