@@ -175,7 +175,10 @@ class Day:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Requirement:
-    """A requirement with its tests, its failures and its course. ``days`` has the sessions in which its tests ran, the last one at the end."""
+    """A requirement with its tests, its failures and its course.
+
+    ``days`` has the sessions that saw its tests or their findings, the last one at the end.
+    """
 
     told: Traced
     tests: tuple[str, ...] = ()

@@ -220,6 +220,7 @@ def test_x(run):
 FORMULA = '=HYPERLINK("http://x.org")|`@Bob` [a](b)'
 
 
+@pytest.mark.processes
 def test_requirement_and_owner_are_those_of_the_test(here, capsys):
     (here / "test_it.py").write_text(OWNED.format(owner=FORMULA))
     save(here, finding("a"))
@@ -236,6 +237,7 @@ def test_requirement_and_owner_are_those_of_the_test(here, capsys):
     assert (data["severity"], data["neighbours"], data["since"], data["xfail_flaky"]) == (None, None, None, False)
 
 
+@pytest.mark.processes
 @pytest.mark.parametrize(
     ("module", "why"),
     [

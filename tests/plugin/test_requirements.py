@@ -170,6 +170,7 @@ def test_mark_of_a_hook_is_seen_and_docstring_of_a_base_class_is_no_title(projec
     assert [(each["requirements"], each["title"]) for each in tests] == [(["R1"], ""), (["R2"], "")]
 
 
+@pytest.mark.processes
 @pytest.mark.parametrize(
     ("source", "option"),
     [("raise KeyboardInterrupt", None), ("raise SystemExit(0)", None), ("def test_it(): pass", "nowhere")],
@@ -182,6 +183,7 @@ def test_inventory_of_a_session_that_was_broken_off_is_refused(project, monkeypa
         collected([] if option is None else [option])
 
 
+@pytest.mark.processes
 def test_inventory_has_what_a_selection_leaves_out(project, monkeypatch):
     project.write(SESSION)
     (project.path / "pytest.ini").write_text("[pytest]\naddopts = -k nothing\n")
