@@ -22,7 +22,6 @@ from typing import Any
 
 from pytest_pafot.commands.corpus_table import (
     COLUMNS,
-    added_in,
     condition,
     data_of,
     holds,
@@ -32,6 +31,7 @@ from pytest_pafot.commands.corpus_table import (
     rows_of,
     table_in,
 )
+from pytest_pafot.commands.history import added_in
 from pytest_pafot.commands.inventory import Inventory, collected
 from pytest_pafot.commands.results import day_argument
 from pytest_pafot.corpus.layout import files_in, folders_below, link_below
@@ -167,7 +167,7 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
 def _list(files: Sequence[Path], arguments: argparse.Namespace) -> int:
     """Print the table of saved scenarios; return the exit code, 1 if a file cannot be read."""
     labels = labels_in(arguments.results)
-    with ThreadPoolExecutor(max_workers=1) as pool:  # pytest reads the files, too, and takes as long.
+    with ThreadPoolExecutor(max_workers=1) as pool:  # pytest collects while the files are read here.
         collecting = None if arguments.no_tests or not files else pool.submit(_inventory)
         saved = [read_saved_file(file) for file in files]
         added = added_in({file.parent for file in files}, arguments.folders)

@@ -8,15 +8,13 @@ from __future__ import annotations
 
 import difflib
 import json
-import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from datetime import date
 from pathlib import Path
 from typing import Any
 
-from pytest_pafot.commands.history import History
+from pytest_pafot.commands.history import Since, place_of
 from pytest_pafot.commands.inventory import Inventory
 from pytest_pafot.commands.results import grouped, read_results
 from pytest_pafot.corpus.saved import Saved
@@ -41,9 +39,6 @@ GAP = "  "
 
 BELOW = ("what", "since", "requirement", "owner", "who", "breadth", "state", "severity")
 """The columns that move to a line of their own below a row that is too wide, in this order."""
-
-Since = tuple[str, str]
-"""The short hash of a commit, and its day."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -154,7 +149,7 @@ def rows_of(
     Args:
         files: the files as read.
         inventory: the tests, and which of them replays which file.
-        added: the commit that added each file, see :func:`added_in`.
+        added: the commit that added each file, see :func:`~pytest_pafot.commands.history.added_in`.
         labels: the labels of replays, see :func:`labels_in`.
         today: the day with which the last days of accepted failures are compared.
     """
@@ -176,11 +171,6 @@ def rows_of(
     return rows
 
 
-def place_of(path: Path) -> Path:
-    """Return the path of a file without links in its folder, by which a file is known whoever names it."""
-    return Path(os.path.realpath(path.parent), path.name)
-
-
 def _label(place: Path, labels: Sequence[tuple[str, str]]) -> str:
     """Return the last label of a file; results name files relative to the rootdir of their session."""
     return next((label for file, label in reversed(labels) if f"/{place.as_posix()}".endswith(f"/{file}")), "")
@@ -197,27 +187,6 @@ def _state(saved: Saved, is_orphan: bool, label: str, today: date) -> str:
         parts.append(f"expired {finding.xfail_until}")
     parts.append("flaky" if finding.flaky is not None or finding.xfail_flaky else "")
     return ", ".join(dict.fromkeys(filter(None, parts))) or "open"
-
-
-def added_in(folders: Iterable[Path], given: Iterable[Path]) -> dict[Path, Since]:
-    """Return the commit that added each file in some folders, as far as git knows it; git is asked once a repository.
-
-    ``given`` are folders in the repositories. Without git, or outside of a repository, no commit is known.
-    """
-    real = [Path(os.path.realpath(folder)) for folder in folders]
-    roots: dict[Path, None] = {}
-    for folder in given:
-        with suppress(RequestError):
-            roots[History.of((), folder).root] = None
-    found: dict[Path, Since] = {}
-    for root in roots:
-        # The whole corpus, because a file that moves with its renamed test comes from another folder of it.
-        inside = [folder for folder in real if folder.is_relative_to(root)]
-        corpora = {max(root, *folder.parents[1:2], key=lambda each: len(each.parts)) for folder in inside}
-        with suppress(RequestError, OSError):
-            history = History(root, tuple(sorted(each.relative_to(root).as_posix() for each in corpora)))
-            found |= {root / name: since for name, since in history.added().items()}
-    return found
 
 
 def labels_in(results: Iterable[Path]) -> dict[str, list[tuple[str, str]]]:

@@ -67,6 +67,10 @@ def halved(commits: Sequence[str], passes: Callable[[str], bool | None]) -> Sequ
             low, high = (place, high) if verdict else (low, place)
 
 
+Since = tuple[str, str]
+"""The short hash of a commit, and its day."""
+
+
 @dataclass(frozen=True, slots=True)
 class History:
     """The history of some paths in a repository. The paths are relative to the root of the repository."""
@@ -495,3 +499,29 @@ def _git(folder: Path, *arguments: str, environ: Mapping[str, str] = MappingProx
         command = [each for each in arguments if not each.startswith("--")]
         raise RequestError(f"git {command[0]} in {folder}: {visible(os.fsdecode(done.stderr).strip())}")
     return os.fsdecode(done.stdout)
+
+
+def place_of(path: Path) -> Path:
+    """Return the path of a file without links in its folder, by which a file is known whoever names it."""
+    return Path(os.path.realpath(path.parent), path.name)
+
+
+def added_in(folders: Iterable[Path], given: Iterable[Path]) -> dict[Path, Since]:
+    """Return the commit that added each file in some folders, as far as git knows it; git is asked once a repository.
+
+    ``given`` are folders in the repositories. Without git, or outside of a repository, no commit is known.
+    """
+    real = [Path(os.path.realpath(folder)) for folder in folders]
+    roots: dict[Path, None] = {}
+    for folder in given:
+        with suppress(RequestError):
+            roots[History.of((), folder).root] = None
+    found: dict[Path, Since] = {}
+    for root in roots:
+        # The whole corpus, because a file that moves with its renamed test comes from another folder of it.
+        inside = [folder for folder in real if folder.is_relative_to(root)]
+        corpora = {max(root, *folder.parents[1:2], key=lambda each: len(each.parts)) for folder in inside}
+        with suppress(RequestError, OSError):
+            history = History(root, tuple(sorted(each.relative_to(root).as_posix() for each in corpora)))
+            found |= {root / name: since for name, since in history.added().items()}
+    return found

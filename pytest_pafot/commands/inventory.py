@@ -57,7 +57,7 @@ def collected(arguments: Sequence[str] = ()) -> Inventory:
             )
         data = json.loads(told.read_text(encoding="ascii"))
     # In the order of their names, since a plugin may shuffle the tests of each session anew.
-    marked = {test: each for test, each in sorted(data["tests"].items()) if each["is_marked"]}
+    marked = dict(sorted(data["tests"].items()))
     wrong = [f"{test}: {visible(error)}" for test, error in sorted(data["wrong"].items())]
     return Inventory(
         root=Path(data["root"]),

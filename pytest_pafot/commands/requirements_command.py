@@ -17,9 +17,10 @@ from datetime import date
 from pathlib import Path
 from typing import Any
 
-from pytest_pafot.commands.corpus_table import Since, added_in, place_of
+from pytest_pafot.commands.history import Since, added_in, place_of
 from pytest_pafot.commands.inventory import Inventory, collected
-from pytest_pafot.commands.results import Session, day_argument, grouped, read_results, test_of_search
+from pytest_pafot.commands.results import Session, day_argument, grouped, read_results
+from pytest_pafot.corpus.layout import SEARCH_PART, name_without
 from pytest_pafot.corpus.saved import Saved, read_saved_file
 from pytest_pafot.findings.severity import Severity, severity_in, worst_first
 from pytest_pafot.support.errors import RequestError, flag
@@ -301,7 +302,7 @@ class Event:
 
 @dataclass(slots=True)
 class Course:
-    """What happened to each finding in the sessions.
+    """The course of each finding through the sessions.
 
     Attributes:
         sessions: in their order; sessions are named by their numbers.
@@ -327,7 +328,7 @@ class Course:
                 state = _STATE_OF.get(entry.get("status", ""), OPEN)
                 state = ACCEPTED if entry.get("result") == "xfailed" else state
                 course._see((test, entry.get("id", "")), number, Event(state, entry))
-            others = [(test_of_search(entry["node_id"]), entry) for entry in session.searches]
+            others = [(name_without(SEARCH_PART, entry["node_id"]), entry) for entry in session.searches]
             for test, entry in (*others, *((entry["node_id"], entry) for entry in session.tests)):
                 course._names(test, entry)
                 result = entry.get("result", "")
@@ -412,7 +413,7 @@ class Course:
         for number, session in enumerate(self.sessions):
             ran = {test for test in tests if number in self.searched.get(test, ())}
             seen = {key: events[number].state for key, events in own.items() if number in events}
-            searches = [each for each in session.searches if test_of_search(each["node_id"]) in tests]
+            searches = [each for each in session.searches if name_without(SEARCH_PART, each["node_id"]) in tests]
             if not ran and not seen and not any(each.get("runs") for each in searches):
                 continue  # nothing but skipped tests
             before = failing

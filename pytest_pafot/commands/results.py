@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from datetime import date
@@ -21,9 +20,6 @@ MOST_BYTES = 100 * 2**20
 
 MOST_RUNS = 10**12
 """The largest number of runs that a search can have."""
-
-SEARCH_PART = re.compile(r"(.*[\[-])search([\]-].*)", re.DOTALL)
-"""The node id of a search, around the part that says so, which is the last one of that name."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -119,17 +115,6 @@ def grouped(sessions: Iterable[Session]) -> list[Session]:
         for (day, commit, _), same in parts.items()
     ]
     return sorted(joined, key=lambda each: each.day)
-
-
-def test_of_search(node_id: str) -> str:
-    """Return the node id of the test of a search: ``test_x[1]`` for ``test_x[1-search]``."""
-    found = SEARCH_PART.fullmatch(node_id)
-    if found is None:
-        return node_id
-    head, tail = found.groups()
-    if tail.startswith("-"):
-        return head + tail[1:]
-    return head[:-1] if head.endswith("[") else head[:-1] + tail
 
 
 def day_argument(text: str) -> date:

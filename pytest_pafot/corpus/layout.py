@@ -19,6 +19,9 @@ SUFFIX = ".pafot.yaml"
 CORPUS = "pafot_corpus"
 """The name of the folder next to a test file, unless the option ``corpus`` gives another name."""
 
+SEARCH_PART = "search"
+"""The part of an item's name by which it is a search: ``test_x[1-search]``."""
+
 MAX_NAME = 80
 DIGEST = 10
 _DIGITS = string.digits + string.ascii_lowercase
@@ -198,3 +201,20 @@ def may_be_of(folder: str, test: str) -> bool:
 
 def _readable(text: str) -> str:
     return re.sub(r"[^A-Za-z0-9_.,=+@-]+", "-", text.replace("::", "."))[: MAX_NAME - DIGEST - 2].strip("-.")
+
+
+def around(part: str, name: str) -> tuple[str, str] | None:
+    """Return the text before and after the last occurrence of a part in a parametrised name; None if there is none."""
+    found = re.fullmatch(rf"(.*[\[-]){re.escape(part)}([\]-].*)", name, re.DOTALL)
+    return None if found is None else (found[1], found[2])
+
+
+def name_without(part: str, name: str) -> str:
+    """Return a parametrised name, or a node id, without a part: ``test_x[1]`` for ``test_x[1-search]``."""
+    parts = around(part, name)
+    if parts is None:
+        return name
+    head, tail = parts
+    if tail.startswith("-"):
+        return head + tail[1:]
+    return head[:-1] if head.endswith("[") else head[:-1] + tail

@@ -401,7 +401,7 @@ class Finding(Shown):
 
     @property
     def acceptance(self) -> Acceptance:
-        """What the line ``xfail`` of the file says."""
+        """The content of the line ``xfail`` of the file."""
         return self.xfail, self.xfail_until, self.xfail_flaky
 
     def accepting(self, acceptance: Acceptance) -> Finding:

@@ -16,7 +16,7 @@ from pytest_pafot.campaign.options import BY_NAME, OF_COMMAND
 from pytest_pafot.corpus import layout
 from pytest_pafot.corpus.saved import Saved, refusal, refused_in, saved_in
 from pytest_pafot.plugin.marks import DEFAULT_ARG, SAVED_MARK, SEARCH_MARK, arguments_of
-from pytest_pafot.plugin.node_ids import SEARCH_PART, base_id, qualified_name, saved_part
+from pytest_pafot.plugin.node_ids import base_id, qualified_name, saved_part
 from pytest_pafot.plugin.option_sources import corpus_name
 from pytest_pafot.plugin.orphans import UNRUN, Collected, Unrun, find_orphans, find_strays
 from pytest_pafot.plugin.session import SHARED, SUMMARY_LINES, base_line
@@ -110,7 +110,7 @@ class Collection:
             pytest.param(SEARCH, id=saved_part(each.id), marks=[getattr(pytest.mark, SAVED_MARK)(each)])
             for each in self._saved_by_id(metafunc.definition, arguments)
         ]
-        metafunc.parametrize(arg, [pytest.param(SEARCH, id=SEARCH_PART), *saved])
+        metafunc.parametrize(arg, [pytest.param(SEARCH, id=layout.SEARCH_PART), *saved])
 
     def _saved_by_id(self, definition: pytest.Item, arguments: Mapping[str, Any]) -> Iterable[Saved]:
         """Return the saved scenarios of a test in all its parametrisations, one scenario per id."""

@@ -18,7 +18,8 @@ from pytest_pafot.plugin.collection import NAMES_ONLY, saved_of
 from pytest_pafot.plugin.marks import ANY_MARK
 from pytest_pafot.plugin.node_ids import base_id
 from pytest_pafot.plugin.orphans import UNRUN
-from pytest_pafot.plugin.tracing import read, traced
+from pytest_pafot.plugin.tracing import read
+from pytest_pafot.support.traced import Traced
 
 TO = "--inventory-to"
 """The option of this session that names the file."""
@@ -55,16 +56,15 @@ def pytest_sessionfinish(session: pytest.Session, exitstatus: int) -> None:
     root = session.config.rootpath
     wrong: dict[str, str] = {}
     for item in session.config.stash[ALL]:
-        test = base_id(item)
-        try:
-            read(item)
-        except ValueError as error:
-            wrong[test] = str(error)
-        is_marked = item.get_closest_marker(ANY_MARK) is not None
-        tests[test] = {**asdict(traced(item)), "is_marked": is_marked}
-        saved = saved_of(item)
+        test, saved = base_id(item), saved_of(item)
         if saved is not None:
             files[relative(saved.path, root)] = test
+        if item.get_closest_marker(ANY_MARK) is None:
+            continue
+        try:
+            tests[test] = asdict(read(item))
+        except ValueError as error:
+            tests[test], wrong[test] = asdict(Traced()), str(error)
     orphans = {
         relative(file, root): orphan.expected
         for folder, orphan in session.config.stash[UNRUN].orphans.items()

@@ -10,6 +10,7 @@ from collections.abc import Generator, Sequence
 import pytest
 
 from pytest_pafot.campaign.request import Request
+from pytest_pafot.corpus.layout import SEARCH_PART
 from pytest_pafot.execution.crash_records import left_by
 from pytest_pafot.plugin.collection import is_search, saved_of
 from pytest_pafot.plugin.marks import (
@@ -23,7 +24,7 @@ from pytest_pafot.plugin.marks import (
 )
 from pytest_pafot.plugin.merge_item import MERGES, run_merge
 from pytest_pafot.plugin.messages import set_of_saved
-from pytest_pafot.plugin.node_ids import SEARCH_PART, base_id
+from pytest_pafot.plugin.node_ids import base_id
 from pytest_pafot.plugin.option_sources import request_of_mark
 from pytest_pafot.plugin.session import SHARED, records_folder
 from pytest_pafot.plugin.tracing import read

@@ -5,14 +5,13 @@ Both belong to the test ``test_x[1]``. This module calls that name the base name
 
 from __future__ import annotations
 
-import re
-
 import pytest
 
+from pytest_pafot.corpus.layout import SEARCH_PART, around, name_without
 from pytest_pafot.plugin.marks import SAVED_MARK
 from pytest_pafot.support.text import visible
 
-SEARCH_PART, SAVED_PART = "search", "saved-"
+SAVED_PART = "saved-"
 
 
 def saved_part(id_: str) -> str:
@@ -30,13 +29,7 @@ def saved_part(id_: str) -> str:
 def base_name(item: pytest.Item) -> str:
     """Return the name of an item's test: ``test_x[1]`` for ``test_x[1-search]``."""
     mark = item.get_closest_marker(SAVED_MARK)
-    parts = _around(SEARCH_PART if mark is None else saved_part(mark.args[0].id), item.name)
-    if parts is None:
-        return item.name
-    head, tail = parts
-    if tail.startswith("-"):
-        return head + tail[1:]
-    return head[:-1] if head.endswith("[") else head[:-1] + tail
+    return name_without(SEARCH_PART if mark is None else saved_part(mark.args[0].id), item.name)
 
 
 def base_id(item: pytest.Item) -> str:
@@ -65,11 +58,5 @@ def _node_id(item: pytest.Item, name: str) -> str:
 
 
 def _renamed(text: str, id_: str) -> str:
-    parts = _around(SEARCH_PART, text)
+    parts = around(SEARCH_PART, text)
     return text if parts is None else saved_part(id_).join(parts)
-
-
-def _around(part: str, text: str) -> tuple[str, str] | None:
-    """Return the text before and after the last occurrence of a part in a parametrised name; None if there is none."""
-    found = re.fullmatch(rf"(.*[\[-]){re.escape(part)}([\]-].*)", text, re.DOTALL)
-    return None if found is None else (found[1], found[2])

@@ -18,7 +18,7 @@ from pytest_pafot.plugin import messages
 from pytest_pafot.plugin.marks import SEARCH_MARK
 from pytest_pafot.plugin.session import SUMMARY_LINES, exit_code, not_written
 from pytest_pafot.support.errors import flag, rerun
-from pytest_pafot.support.traced import Traced
+from pytest_pafot.support.traced import Traced, counted
 
 if TYPE_CHECKING:
     from pytest_pafot.report.page import Draft
@@ -129,13 +129,10 @@ class Pages:
 
     def _requirements(self, draft: Draft) -> list[tuple[Traced, int]]:
         """Return each requirement with its number of failures: findings, and tests that failed without one."""
-        found: dict[str, tuple[Traced, int]] = {}
-        for node_id, told in sorted(self._traced.items()):
-            count = int(node_id in self._failed and (node_id in draft.findings or node_id not in self._shown))
-            for id_ in told.requirements:
-                named, before = found.get(id_, (replace(told, requirements=(id_,)), 0))
-                found[id_] = named, before + count
-        return [found[id_] for id_ in sorted(found)]
+        return counted(
+            (told, node_id in self._failed and (node_id in draft.findings or node_id not in self._shown))
+            for node_id, told in sorted(self._traced.items())
+        )
 
     def _completed(self, finding: FindingView) -> FindingView:
         """Return a finding with its number of runs and its label, which are known only at the end of its search."""

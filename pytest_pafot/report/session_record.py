@@ -23,7 +23,7 @@ from pytest_pafot.findings.severity import Severity, worsening, worst_first
 from pytest_pafot.findings.shrink import size_of
 from pytest_pafot.support.markup import code, plain
 from pytest_pafot.support.text import plural, quiet_json
-from pytest_pafot.support.traced import Traced
+from pytest_pafot.support.traced import Traced, counted
 
 VERSION = 1
 """The version of the JSON layout. It grows if a key is removed or changes its meaning, not if a key is added."""
@@ -251,20 +251,20 @@ class SessionRecord:
         return not any(told)
 
     @property
-    def failing(self) -> dict[str, tuple[Traced, int]]:
-        """The requirements that the session tested, by id, each with how many failures of it are not accepted.
+    def failing(self) -> list[tuple[Traced, int]]:
+        """The requirements that the session tested, each with how many failures of it are not accepted.
 
         A failure is a finding, or a test that fails without one.
         """
-        told: dict[str, tuple[Traced, int]] = {}
         tested: list[SearchSummary | FindingRecord | ItemRecord] = [*self.searches, *self.findings, *self.tests]
-        for each in tested:
-            told_already = isinstance(each, SearchSummary) and (each.finds or each.unsaved)
-            count = int(each.result in ("failed", "error") and not told_already)
-            for id_ in each.requirements:
-                named, before = told.get(id_, (Traced(requirements=(id_,), title=each.title, owner=each.owner), 0))
-                told[id_] = named, before + count
-        return dict(sorted(told.items()))
+        return counted(
+            (
+                Traced(requirements=tuple(each.requirements), title=each.title, owner=each.owner),
+                each.result in ("failed", "error")
+                and not (isinstance(each, SearchSummary) and (each.finds or each.unsaved)),
+            )
+            for each in tested
+        )
 
 
 def to_text(record: SessionRecord) -> str:
@@ -338,9 +338,9 @@ def _lines(record: SessionRecord) -> Iterator[str]:
                 yield from _finding_lines(finding)
             yield from ([f"- ... and {len(group) - MAX_LISTED} more"] if len(group) > MAX_LISTED else [])
     told = [
-        f"{code(id_)}{f' {plain(named.title)}' if named.title else ''}"
+        f"{code(named.ids)}{f' {plain(named.title)}' if named.title else ''}"
         f"{f' ({plain(named.owner)})' if named.owner else ''}: {plural(count, 'failure') if count else 'no failure'}"
-        for id_, (named, count) in sorted(record.failing.items(), key=lambda each: (-each[1][1], each[0]))
+        for named, count in sorted(record.failing, key=lambda each: (-each[1], each[0].ids))
     ]
     yield from _listed("Requirements", told)
     failed = [each for each in record.searches if each.result in ("failed", "error")]

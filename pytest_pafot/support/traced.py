@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Self
 
 from pytest_pafot.support.text import visible
@@ -62,11 +62,24 @@ class Traced:
     def of_properties(cls, properties: Iterable[tuple[str, Any]]) -> Self:
         """Return what the properties of a report say, whether the marks of its test or the test itself set them."""
         found: dict[str, list[str]] = {}
-        for name, value in properties:
+        for name, value in ((name, value) for name, value in properties if name in (EACH, TITLE, OWNER)):
             found.setdefault(name, []).append(visible(str(value)))
         title, owner = (found.get(name, [""])[0] for name in (TITLE, OWNER))
         requirements = tuple(dict.fromkeys(found.get(EACH, ())))
         return cls(requirements=requirements, title=title if requirements else "", owner=owner)
+
+
+def counted(failures: Iterable[tuple[Traced, bool]]) -> list[tuple[Traced, int]]:
+    """Return each requirement with its number of failures, in the order of ids.
+
+    ``failures`` has the requirements of each item, and whether it failed.
+    """
+    found: dict[str, tuple[Traced, int]] = {}
+    for told, is_failure in failures:
+        for id_ in told.requirements:
+            named, before = found.get(id_, (replace(told, requirements=(id_,)), 0))
+            found[id_] = named, before + is_failure
+    return [found[id_] for id_ in sorted(found)]
 
 
 def checked(arguments: Mapping[str, Any]) -> Traced:

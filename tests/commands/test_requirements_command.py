@@ -22,7 +22,7 @@ from pytest_pafot.commands.requirements_command import (
     text_lines,
 )
 from pytest_pafot.commands.results import Session, grouped, read_results
-from pytest_pafot.commands.results import test_of_search as base_of
+from pytest_pafot.corpus.layout import SEARCH_PART, name_without
 from pytest_pafot.support.errors import RequestError
 from pytest_pafot.support.traced import Traced
 
@@ -185,7 +185,7 @@ SEARCHES = st.sampled_from(
 @given(SEARCHES)
 def test_test_of_a_search_is_its_node_id_without_the_part_of_the_search(named):
     node_id, test = named
-    assert base_of(f"a.py::{node_id}") == f"a.py::{test}"
+    assert name_without(SEARCH_PART, f"a.py::{node_id}") == f"a.py::{test}"
 
 
 STATUSES = st.sampled_from(["new", "still failing", "fixed", "drifted", "flaky", "error", "common"])

@@ -390,7 +390,14 @@ def test_an_accepted_flaky_failure_never_fails_by_chance(project, by_chance, pas
     over.assert_outcomes(**{"passed" if passes == PASSES_ALWAYS else "failed": 1}, skipped=1)
 
 
-def test_a_search_finds_no_accepted_flaky_failure_again(project, by_chance):
+AS_FLAKY = UNTIL.replace("}", ", flaky: true}")
+
+
+@pytest.mark.parametrize(
+    "lines", [f'flaky: "another run"\n{UNTIL}', AS_FLAKY], ids=["flaky and accepted", "accepted as flaky"]
+)
+def test_a_search_finds_no_accepted_flaky_failure_again(project, by_chance, lines):
+    edited(project, f'flaky: "another run"\n{UNTIL}', lines)
     before = project.contents
     by_chance("4")  # The replay passes, and later runs of the search fail in the same way.
     result = project.run("--pafot-today=2027-01-31", "test_it.py::test_brakes[search]", generations=2)
@@ -399,9 +406,6 @@ def test_a_search_finds_no_accepted_flaky_failure_again(project, by_chance):
     assert project.contents == before
     over = project.run("--pafot-today=2027-02-01", "test_it.py::test_brakes[search]", generations=2)
     assert over.ret == pytest.ExitCode.TESTS_FAILED
-
-
-AS_FLAKY = UNTIL.replace("}", ", flaky: true}")
 
 
 def test_failure_accepted_as_flaky_may_pass_until_its_last_day(saved):
@@ -422,18 +426,6 @@ def test_failure_accepted_as_flaky_may_pass_until_its_last_day(saved):
     assert record["status"] == "fixed"
     assert record["xfail"] == {"reason": "planner issue 12", "until": "2027-01-31", "flaky": True}
     saved.run("--pafot-today=2027-02-01", generations=0).assert_outcomes(passed=1, skipped=1)
-
-
-def test_a_search_does_not_find_again_what_is_accepted_as_flaky(project, by_chance):
-    edited(project, f'flaky: "another run"\n{UNTIL}', AS_FLAKY)
-    before = project.contents
-    by_chance("4")  # The replay passes, and later runs of the search fail in the same way.
-    result = project.run("--pafot-today=2027-01-31", "test_it.py::test_brakes[search]", generations=2)
-    result.assert_outcomes(passed=1)
-    result.stdout.fnmatch_lines([f"  known: * covered by saved-{project.only_id}"])
-    assert project.contents == before
-    over = project.run("--pafot-today=2027-02-01", "test_it.py::test_brakes[search]", generations=2)
-    assert over.ret == pytest.ExitCode.TESTS_FAILED
 
 
 TRAINED = """
