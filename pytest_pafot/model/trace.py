@@ -34,7 +34,8 @@ class Outcome(StrEnum):
     SAFE = "safe"
     """The run lasted for its full duration, and none of the other outcomes occurred."""
     OFF_ROAD = "off_road"
-    """The ego's centre was off the road at some tick; on a road that is not straight, the run ended there."""
+    """The ego's centre was off the road at some tick; on a road that is not straight, the run ended there. Or the
+    ego touched a fixed object, which ends a run on any road."""
     LEFT_ROUTE = "left_route"
     """The ego entered a lane that does not belong to its route, which the grid follows; the run ended there."""
     END_OF_ROAD = "end_of_road"
@@ -140,7 +141,8 @@ class Trace(Shown):
             all others.
         physics_hz: ticks per second.
         ads_hz: decisions of the ADS per second; divides ``physics_hz``.
-        actions: the actions that the ADS returned, one per decision.
+        actions: the actions that the ADS returned, one per decision; none if the ADS is a vehicle class, which
+            decides at every tick.
         arrivals: for each NPC and each gene that was started, the tick at which the NPC reached the target, or None.
         off_road_tick: first tick with the ego's centre off the road, or at which it touched a fixed object; or None.
         max_decision_seconds: longest decision of the ADS in wall-clock time [s]; not reproducible.

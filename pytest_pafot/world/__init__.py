@@ -1,4 +1,18 @@
-"""Worlds: the roads on which scenarios run against an ADS. Most code that uses highway-env is in this package."""
+"""Worlds: the roads on which scenarios run against an ADS. Most code that uses highway-env is in this package.
+
+A world (``highway.py``, ``gym_world.py``) checks a scenario and begins a run of it (``engines/``): the vehicles at
+their starts, and a driver of the ego. The kernel's loop (``kernel/loop.py``) then drives it, tick by tick. Which driver
+an ego has depends on the ADS:
+
+- a planner, which returns acceleration and steering: ``PlannerDriver`` of the kernel;
+- highway-env's IDM, on lanes that the kernel knows: ``ModelDriver`` of the kernel;
+- any other vehicle class: ``ObjectDriver`` (``driving/object_driver.py``), which calls the class's own code;
+- a policy with an environment's actions: ``ModelPolicyDriver`` (``driving/policy.py``), and where the kernel does not
+  know the lanes or the environment's vehicle, ``PolicyDriver``, which calls highway-env's code.
+
+Only environments with wrappers, or with a step function of their own, are driven by ``env.step``
+(``engines/gym_replay.py``), as is the check of each finding.
+"""
 
 from pytest_pafot.model.crossings import CrossingVehicle
 from pytest_pafot.support.errors import AdsFactoryError, WorldError

@@ -205,7 +205,8 @@ class World(BuiltInWorld):
                 "sees a pafot.Observation; leave planner_hz= out for planners that simulate inside the environment"
             )
         if not isinstance(self.road, StraightRoad) and not wants_env(ads_factory):
-            ads = make_ads(ads_factory)  # the ADS decides whether the run needs the environment's own steps
+            # Known now, because in some environments policies need the environment's own steps, and vehicle classes do not.
+            ads = make_ads(ads_factory)
             ads_factory = ads if is_vehicle_class(ads) else wraps(ads_factory, updated=())(lambda: ads)
         drives_itself = self.planner_hz is not None or is_vehicle_class(ads_factory)
         if self.wrappers is not None or self.environment.steps_itself(drives_itself=drives_itself):
@@ -225,7 +226,7 @@ class World(BuiltInWorld):
         """Simulate a scenario as :meth:`rollout` does, but entirely with ``env.step`` of the registered environment.
 
         Args:
-            scenario: the scenario as driven, such as :attr:`pytest_pafot.Trace.executed`; it must fit this world.
+            scenario: the scenario, which must fit this world; to confirm a run, the ``executed`` of its trace.
             ads_factory: a callable that returns the ADS; it is called once.
         """
         from pytest_pafot.world.engines.gym_replay import replay_environment  # noqa: PLC0415  (imports highway-env)

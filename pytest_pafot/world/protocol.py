@@ -1,7 +1,7 @@
 """The interface between a search and a world: members that every world has, and optional capabilities.
 
-A user-defined world only needs to satisfy :class:`WorldLike`. For each optional capability, a function in this module
-finds out whether a world has it; other modules call that function and do not look at the world's class or methods.
+A user-defined world only needs to satisfy :class:`WorldLike`. For each optional capability that a search asks for, a
+function in this module finds out whether a world has it, so that the search does not look at the world's class.
 """
 
 from __future__ import annotations
@@ -244,7 +244,10 @@ def straight_road(world: Any) -> StraightRoad | None:
 
 
 def runs_in_kernel(world: Any, ads: Any) -> bool:
-    """Return whether a world drives ``ads``, an ADS or its factory, entirely in the kernel, in milliseconds per run."""
+    """Return whether a world drives ``ads``, an ADS or its factory, without Python code in each tick.
+
+    A run then takes about a millisecond. False if that is not known before the run, such as of a factory that returns a vehicle class.
+    """
     return bool(world.runs_in_kernel(ads)) if hasattr(world, "runs_in_kernel") else False
 
 

@@ -1,1 +1,1 @@
-"""Drivers and vehicles: kinds of ADS and what they see, highway-env's vehicles, and directors, which steer the NPCs."""
+"""Kinds of ADS, what they see, and the drivers and vehicles that need highway-env's code; others are in the kernel."""

@@ -50,7 +50,9 @@ class GuardedDriver(EgoDriver):
 
 
 class ObjectDriver(GuardedDriver):
-    """The driver of an ego that is a highway-env vehicle, whose class decides at every tick how it drives.
+    """The driver of an ego that is a highway-env vehicle, moved by the code of its class.
+
+    By default the class also decides, at every tick. :meth:`show` must be called before the run begins.
 
     Args:
         vehicle: the ego as a highway-env vehicle, at its start.

@@ -98,7 +98,7 @@ class PolicyDriver(ObjectDriver):
 
 
 class ModelPolicyDriver(PolicyDriver):
-    """A driver whose ego the kernel moves, as highway-env's own classes for actions would.
+    """A driver whose ego the kernel moves, as highway-env's vehicle classes of its actions would.
 
     The environment's vehicle gets the state of the ego before anything reads it, which is once a decision, or at every
     tick for a sight with a memory.

@@ -1,4 +1,4 @@
-"""The runs of the kinds of egos: planners in SI units, vehicle classes, and policies of an environment."""
+"""Runs of planners in SI units, and of vehicle classes on :class:`pytest_pafot.Highway`."""
 
 from __future__ import annotations
 
@@ -91,7 +91,7 @@ def planner_driver(
 
 
 def vehicle_run(rules: Rules, scenario: Scenario, network: Callable[[], Any], vehicle_class: Any) -> SteppedRun:
-    """Begin a run of a highway-env vehicle class, which drives itself, on a road without rules of its own."""
+    """Begin a run of a highway-env vehicle class, which drives itself, on a road where nobody has to yield."""
     guard, road, start = HangGuard(rules.hang_limit), rules.road, rules.ego_position(scenario)
     model = idm_model(vehicle_class) if isinstance(road, StraightRoad) and road.starts_at_origin else None
     if model is not None and isinstance(road, StraightRoad):

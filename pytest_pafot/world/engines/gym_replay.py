@@ -1,9 +1,11 @@
-"""A second run of a scenario by independent code: ``env.step`` of the plain registered highway-env environment.
+"""Runs of a scenario by independent code: ``env.step`` of the plain registered highway-env environment.
 
 A finding depends on this package's own road, vehicles and loop. This module confirms it with highway-env's own code:
 the environment of ``gymnasium.make``, its road and vehicle classes, observations, action types and frames per decision.
-Only three parts are this package's: the NPCs' director, called in the road's ``act``; the contact test, called after
-each step of the road; and the record.
+This package's are the NPCs' director, called in the road's ``act``; the contact test, called after each step of the
+road; the record; and the observations and controls of planners in SI units, which highway-env does not have.
+
+For environments with wrappers or a step function of their own, it is the only way to run, and no second one.
 """
 
 from __future__ import annotations

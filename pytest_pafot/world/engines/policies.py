@@ -1,4 +1,8 @@
-"""The runs of egos in a copy of an environment, whose road the loop steps."""
+"""Runs of policies and of vehicle classes in an environment.
+
+Each run has a copy of the environment, which holds what the ego's driver and its observations read. The loop moves the
+vehicles; it never calls the environment's ``step`` or that of its road.
+"""
 
 from __future__ import annotations
 
@@ -68,10 +72,13 @@ def begin(
 
 
 def _lanes_of_idm(environment: GymEnvironment, road: Any) -> StraightRoad | Network | None:
-    """Return the lanes for an IDM vehicle; None if the kernel does not know them or all that it considers there."""
+    """Return the lanes for an IDM vehicle; None if the kernel does not know them.
+
+    On a straight road, the kernel's IDM knows no objects, and no rules of who has to yield.
+    """
     lanes = environment.compiled_lanes
-    has_objects = isinstance(lanes, StraightRoad) and road.objects
-    return None if has_objects else lanes
+    has_more = road.objects or isinstance(road, EgosRegulatedRoad)
+    return None if isinstance(lanes, StraightRoad) and has_more else lanes
 
 
 def _policy_driver(
@@ -112,7 +119,10 @@ def _put_policys_ego(environment: GymEnvironment, env: Any, rules: Rules, scenar
 
 
 def _env_of(environment: GymEnvironment, scenario: Scenario) -> Any:
-    """Copy the environment for one run, without vehicles; runs may nest, so they share no state."""
+    """Copy the environment for one run, without vehicles.
+
+    Runs may nest, so each has a road, a time and random numbers of its own.
+    """
     env = copy.copy(environment.unwrapped)
     env.np_random = np.random.default_rng(scenario.seed)
     env.time = env.steps = 0

@@ -96,7 +96,7 @@ class VehiclesOfRun:
         elif loop.is_over:
             touched = Outcome.COLLISION if loop.ego_touched else Outcome.INVALID
             outcome = touched if loop.ego_touched or loop.npcs_touched else places.left or outcome
-            if outcome is Outcome.OFF_ROAD and off_road_tick is None:  # it has touched a fixed object beside the road
+            if outcome is Outcome.OFF_ROAD and off_road_tick is None:  # it has touched a fixed object
                 off_road_tick = loop.tick
         return Trace(
             scenario=self.scenario,
@@ -186,7 +186,10 @@ class SteppedRun:
         return self.driver.observe(self.vehicles.loop.tick)
 
     def take(self, action: Any, seconds: float) -> None:
-        """Apply a decision that took ``seconds``, and drive until the next decision or the end of the run."""
+        """Apply a decision that took ``seconds``, and drive until the next decision or the end of the run.
+
+        The driver must be one whose decisions are passed in, so that its ``decide`` does nothing.
+        """
         loop, guard, error = self.vehicles.loop, self._guard, None
         try:
             try:

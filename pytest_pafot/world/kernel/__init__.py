@@ -1,7 +1,9 @@
 """The kernel, which simulates runs: typed, plain Python that is compiled if there is a C compiler.
 
-The types for the compiler are in the ``.pxd`` file next to each module. Without compiled modules, or if the environment
-variable ``PAFOT_KERNEL`` is ``interpreted`` at the first import, the same files run interpreted.
+The types for the compiler are in the ``.pxd`` file next to each module; ``setup.py`` builds :data:`MODULES`. Without
+compiled modules, or if the environment variable ``PAFOT_KERNEL`` is ``interpreted`` at the first import, the same files
+run interpreted, some twenty times slower and with equal results. Where this package says that something is compiled, it
+is in the kernel.
 """
 
 from __future__ import annotations

@@ -74,7 +74,7 @@ class Npc(Body):
     """An NPC in road coordinates, and the director's state for it.
 
     Attributes:
-        index: its index in the scenario.
+        index: its index among the chains of its director; beside crossing NPCs, not that in the scenario.
         chain: its instructions.
         executed: the cells or lanes of the genes that have begun.
         arrivals: for each gene that has begun, the tick at which the NPC arrived; None if it has not.
@@ -138,10 +138,10 @@ def start_cell(manoeuvre: Manoeuvre) -> Cell:
 class BaseDirector:
     """The director of the NPCs of one run on any road.
 
-    Beside these, a run reads ``first_cells``, ``arrivals``, ``executed``, ``driven`` and ``begun`` of each kind.
+    Each kind also has ``first_cells``, ``arrivals``, ``executed``, ``driven`` and ``begun``, for the trace of a run.
 
     Attributes:
-        npcs: one NPC for each chain; the loop updates their places before each tick.
+        npcs: one NPC for each chain; the loop updates their places after each tick.
     """
 
     def __init__(self, npcs: list[Any]) -> None:

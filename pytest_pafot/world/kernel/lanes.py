@@ -23,7 +23,10 @@ class Lanes:
         self._right = (count - 1) * width + width / 2.0
 
     def locate(self, body: Body) -> int:
-        """Set a body's nearest lane (of two equally near, the left lane); return the lane, or -1 off the road."""
+        """Set a body's nearest lane (of two equally near, the left lane); return the lane, or -1 off the road.
+
+        This is the lane of the record, the grid and the NPCs; highway-env's vehicles go by :meth:`closest`.
+        """
         across = body.y
         offset = across - body.lane * self.width
         if -self._inside < offset < self._inside and 0.0 <= body.x <= self.length:

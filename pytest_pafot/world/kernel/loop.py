@@ -1,8 +1,9 @@
 # cython: auto_pickle=False
 """The loop of a run, on every road and with every kind of ego.
 
-In each tick the ego's driver decides if it is due, and sets the ego's controls; the director sets those of the NPCs;
-all vehicles move; their places are found and recorded; and contacts are looked for.
+In each tick the ego's driver decides if it is due, and sets the ego's controls; the director sets those of the NPCs,
+which see the ego where it was after the last tick; the ego moves, then each NPC; their places are found and recorded;
+and contacts are looked for, so the last row of a record has the contact. Row 0 has the starts, which do not touch.
 """
 
 from __future__ import annotations
@@ -51,7 +52,10 @@ class EgoDriver:
         self.slowest = 0.0
 
     def decide(self, tick: int) -> AdsError | None:
-        """Decide what to do until the next decision, and return the error of the ADS, or None."""
+        """Ask the ADS what to do until its next decision, and return its error, or None.
+
+        It is called every ``every`` ticks. A driver without an ADS does nothing here, and all in :meth:`actuate`.
+        """
         return None
 
     def actuate(self) -> None:
@@ -157,7 +161,8 @@ class GivenDriver(EgoDriver):
     def actuate(self) -> None:
         """Set the controls of a tick: steer towards the lane and speed of a Drive, and never drive in reverse.
 
-        On a bent road, the ego's place is that of its last observation, and its steering is added to the lane's bend.
+        On a bent road, the ego's place is that of its last observation, which must have been made, and its steering is
+        added to the lane's bend.
         """
         ego = self.ego
         if self._lane >= 0:
@@ -236,9 +241,11 @@ class PlannerDriver(GivenDriver):
 class Loop:
     """The loop of one run.
 
-    It needs little of whoever moves the vehicles. A :class:`Body` is put at its start by ``place``, moved by ``step``
-    for one tick with the acceleration and steering that were set, and read as the numbers that :meth:`moved` records;
-    ``EgoDriver.step`` may move the ego in another way. :class:`Places` says where vehicles are on their road.
+    It needs little of whoever moves the vehicles. A :class:`Body` has a length and a width, is put at its start by
+    ``place``, moved by ``step`` for one tick with the acceleration and steering that were set, and read as the numbers
+    that :meth:`moved` records; ``EgoDriver.step`` may move the ego in another way. :class:`Places` has the vehicles
+    twice, in the world's coordinates and in those of their road, in which the director thinks, and finds their lanes.
+    A simulator with a loop of its own calls :meth:`command` before and :meth:`moved` after it has moved the vehicles.
 
     Args:
         director: the director of the NPCs.
@@ -278,7 +285,7 @@ class Loop:
         return self.ego_touched or self.npcs_touched or self._places.left is not None
 
     def run(self, driver: EgoDriver, ticks: int) -> AdsError | None:
-        """Drive until the run is over, ``ticks`` is reached, or the ADS fails; return the ADS's error, or None."""
+        """Drive until the run is over, its tick is ``ticks``, or the ADS fails; return the ADS's error, or None."""
         due = 0
         while self.tick < ticks:
             if due == 0:

@@ -1,4 +1,4 @@
-"""The observation of a planner in :class:`pytest_pafot.Highway`: the world in SI units, read-only and made lazily."""
+"""The observation of a planner: the world in SI units, read-only and made lazily; its makers on straight roads."""
 
 from __future__ import annotations
 
@@ -62,7 +62,10 @@ class Sensor:
         self.along = self.across = self.heading = self.bend = 0.0
 
     def observation(self, tick: int) -> Observation:
-        """Return the observation at a tick."""
+        """Return the observation at the current tick, or on a straight road at an earlier one.
+
+        On a bent road, it also finds the ego's place, which the driver then steers by.
+        """
         raise NotImplementedError
 
     def has_lane(self, lane: int) -> bool:

@@ -58,7 +58,10 @@ class Places:
             vehicle.steering = body.steering
 
     def see(self, record: Any, row: int) -> None:
-        """Find all vehicles, place the bodies on the road, and write the vehicles' lanes into a row of a record."""
+        """Find all vehicles, place the bodies on the road, and write the vehicles' lanes into a row of a record.
+
+        Called once a tick, in which the run may have left its road.
+        """
         lanes: Any = self._lanes
         for number in range(len(self.bodies)):
             vehicle, body = self.vehicles[number], self.bodies[number]
@@ -134,7 +137,10 @@ class RoadPlaces(Places):
         self.on_way = array("d", [NOWHERE]) * ((count - 1) * (ticks + 1) if self._crosses else 0)
 
     def see(self, record: Any, row: int) -> None:
-        """Find all vehicles, place the bodies, and write the vehicles' lanes into a row of a record."""
+        """Find all vehicles, place the bodies on the road, and write the vehicles' lanes into a row of a record.
+
+        Called once a tick, of which it also keeps the vehicles' places, and in which the run may have left its road.
+        """
         bends, has_ended, count = self._bends, False, len(self.vehicles)
         first = row
         for number in range(count):

@@ -209,7 +209,7 @@ class JunctionDirector(BaseDirector):
         physics_hz: ticks per second.
 
     Attributes:
-        npcs: one NPC for each chain; the engine updates their places before each tick.
+        npcs: one NPC for each chain; the loop updates their places after each tick.
     """
 
     def __init__(
