@@ -205,7 +205,7 @@ class World(BuiltInWorld):
                 "sees a pafot.Observation; leave planner_hz= out for planners that simulate inside the environment"
             )
         if not isinstance(self.road, StraightRoad) and not wants_env(ads_factory):
-            # Known now, because in some environments policies need the environment's own steps, and vehicle classes do not.
+            # In some environments policies need the environment's own steps, and vehicle classes do not.
             ads = make_ads(ads_factory)
             ads_factory = ads if is_vehicle_class(ads) else wraps(ads_factory, updated=())(lambda: ads)
         drives_itself = self.planner_hz is not None or is_vehicle_class(ads_factory)

@@ -246,7 +246,8 @@ def straight_road(world: Any) -> StraightRoad | None:
 def runs_in_kernel(world: Any, ads: Any) -> bool:
     """Return whether a world drives ``ads``, an ADS or its factory, without Python code in each tick.
 
-    A run then takes about a millisecond. False if that is not known before the run, such as of a factory that returns a vehicle class.
+    A run then takes about a millisecond.
+    False if that is not known before the run, such as of a factory that returns a vehicle class.
     """
     return bool(world.runs_in_kernel(ads)) if hasattr(world, "runs_in_kernel") else False
 
