@@ -4,13 +4,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, is_dataclass
 from typing import Any, Self
 
 import numpy as np
 
-ACCELERATION, STEERING = 0.2, 0.02
-"""The smallest differences between two decisions that count, in acceleration [m/s^2] and steering angle [rad]."""
+PARTS = {
+    "acceleration": (0.2, "{:.1f} m/s^2"),
+    "steering": (0.02, "{:.2f} rad"),
+    "speed": (0.2, "{:.1f} m/s"),
+    "lateral_acceleration": (0.2, "{:.1f} m/s^2"),
+    "lateral_jerk": (0.2, "{:.1f} m/s^3"),
+}
+"""The parts of a planner's decision: the smallest difference that counts, and how each is shown."""
 SHARE = 0.05
 """The smallest difference between two values of an action in an environment's own units."""
 
@@ -68,8 +74,8 @@ def _differ(action: Any, other: Any) -> bool:
     """Return whether two actions differ by more than a vehicle far away changes in the output of a network."""
     if other is None or type(action) is not type(other):
         return True
-    if is_si(action) and is_si(other):
-        return bool(abs(action[0] - other[0]) >= ACCELERATION or abs(action[1] - other[1]) >= STEERING)
+    if is_si(action) or is_dataclass(action):
+        return bool(_told(action, other))
     if isinstance(action, (float, np.ndarray, np.floating)) and np.asarray(action).dtype.kind == "f":
         is_like = np.shape(action) == np.shape(other)
         return not is_like or bool(np.max(np.abs(np.subtract(action, other)), initial=0) >= SHARE)
@@ -81,14 +87,33 @@ def is_si(action: Any) -> bool:
     return type(action) is tuple and len(action) == 2 and all(isinstance(each, float) for each in action)
 
 
+def _parts(action: Any) -> dict[str, Any]:
+    """Return the named parts of a planner's decision, which is a pair or a :class:`pytest_pafot.Drive`."""
+    if is_si(action):
+        return dict(zip(("acceleration", "steering"), action, strict=True))
+    return {field.name: getattr(action, field.name) for field in fields(action)}
+
+
+def _told(action: Any, other: Any) -> list[str]:
+    """Return the names of the parts in which a planner's decision differs from another one; all if that is None."""
+    parts = _parts(action)
+    if type(action) is not type(other) or is_si(action) is not is_si(other):
+        return list(parts)
+    names = []
+    for name, there in _parts(other).items():
+        here, (least, _) = parts[name], PARTS.get(name, (0.0, ""))
+        is_number = isinstance(here, float) and isinstance(there, float)
+        if abs(here - there) >= least if is_number else here != there:
+            names.append(name)
+    return names
+
+
 def _text(action: Any, other: Any) -> str:
     """Describe an action; of a planner's, only the parts in which it differs from the other action."""
     if action is None:
         return "no decision"
-    if not is_si(action):
+    if not (is_si(action) or is_dataclass(action)):
         return f"{action.tolist() if isinstance(action, (np.ndarray, np.generic)) else action!r}"[:80]
-    parts = [f"acceleration {action[0]:.1f} m/s^2", f"steering {action[1]:.2f} rad"]
-    if is_si(other):
-        is_told = abs(action[0] - other[0]) >= ACCELERATION, abs(action[1] - other[1]) >= STEERING
-        parts = [part for part, told in zip(parts, is_told, strict=True) if told]
-    return ", ".join(parts)
+    parts = {name: _parts(action)[name] for name in _told(action, other)}
+    shown = [f"{name} {PARTS.get(name, (0, '{}'))[1].format(part)}" for name, part in parts.items() if part is not None]
+    return ", ".join(shown).replace("_", " ")

@@ -258,8 +258,9 @@ def start_positions(
 ) -> list[tuple[float, float, float]]:
     """Return world x [m], y [m] and heading [rad] of the ego and of each NPC at tick 0.
 
-    NPCs of cells 4 and 8 start next to the ego, all others in their cell's lane, ahead or behind by the headway.
-    So there is no danger at the start, and all danger results from driving.
+    NPCs of cells 4 and 8 start next to the ego, those of other cells in their cell's lane, ahead or behind by the
+    headway. So there is no danger at the start, and all danger results from driving. NPCs with manoeuvres start where
+    these say, and NPCs that cross are left out.
     """
     return [rules.road.position(along, lane) for along, lane in start_places(rules, scenario, cells, ego_length)]
 
@@ -267,7 +268,7 @@ def start_positions(
 def start_places(
     rules: Rules, scenario: Scenario, cells: tuple[Cell, ...], ego_length: float = NPC_LENGTH
 ) -> list[tuple[float, int]]:
-    """Return the place along the road [m] and the lane of the ego and of each NPC at tick 0."""
+    """Return the place along the road [m] and the lane of the ego and of each NPC that does not cross, at tick 0."""
     far = rules.start_distance(scenario, ego_length)
     beside = [(rules.ego_start + cell.row * far, scenario.ego_lane + cell.column) for cell in cells]
     for number, (_, first) in enumerate(_not_crossing(scenario)):

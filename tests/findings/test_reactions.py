@@ -32,6 +32,7 @@ def test_the_first_decision_that_differs_is_told_with_both_actions():
         (3, 3),
         (np.array([0.5]), np.array([0.54])),
         (pafot.Drive(lane=1, speed=2.0),) * 2,
+        (pafot.Drive(lane=1, speed=2.0), pafot.Drive(lane=1, speed=2.19)),
     ],
 )
 def test_decisions_that_hardly_differ_are_no_reaction(action, other):
@@ -45,6 +46,16 @@ def test_decisions_that_hardly_differ_are_no_reaction(action, other):
     [
         ((0.0, 0.0), (0.0, 0.03), "steering 0.00 rad; with it hidden steering 0.03 rad"),
         (3, 1, "3; with it hidden 1"),
+        (
+            pafot.Drive(lane=0, acceleration=-1.0312),
+            pafot.Drive(lane=0, acceleration=0.5),
+            "acceleration -1.0 m/s^2; with it hidden acceleration 0.5 m/s^2",
+        ),
+        (
+            pafot.Drive(lane=0, speed=5.0, lateral_jerk=2.0),
+            pafot.Drive(lane=1, acceleration=-4.0, lateral_jerk=2.1),
+            "lane 0, speed 5.0 m/s; with it hidden lane 1, acceleration -4.0 m/s^2",
+        ),
         (np.array([0.5]), np.array([0.1]), r"[0.5]; with it hidden [0.1]"),
         (KEEPS, None, "acceleration 0.0 m/s^2, steering 0.00 rad; with it hidden no decision"),
     ],

@@ -101,7 +101,7 @@ class ModelPolicyDriver(PolicyDriver):
     """A driver whose ego the kernel moves, as highway-env's vehicle classes of its actions would.
 
     The environment's vehicle gets the state of the ego before anything reads it, which is once a decision, or at every
-    tick for a sight with a memory.
+    tick with an imperfect sight.
     """
 
     def __init__(
@@ -174,7 +174,8 @@ def checked_action(action: Any, space: Any) -> Any:
     """Return an action as its space requires: as an int, or as a float array with the shape of the space.
 
     Raises:
-        BadAction: for an action that is not in the space.
+        BadAction: for an action of another kind or shape than the space has; numbers outside its bounds are the
+            environment's to limit.
     """
     is_choice = isinstance(space, spaces.Discrete)
     expected = f"expected finite numbers of shape {space.shape}"

@@ -44,8 +44,8 @@ TRAFFIC_HOOKS = ("_spawn_vehicle", "_clear_vehicles")
 class StockVehicle(Vehicle):  # type: ignore[misc]
     """A highway-env vehicle with highway-env's own physics, lane search and shape.
 
-    ``target_speed`` is its current speed, which highway-env's IDM then assumes to be the desired speed of a vehicle
-    ahead.
+    ``target_speed`` is its current speed, which highway-env's IDM then assumes to be the desired speed of a
+    follower.
     """
 
     @property
@@ -165,7 +165,10 @@ def replay_highway(rules: Rules, scenario: Scenario, ads_factory: AdsFactory) ->
 def replay_environment(
     environment: GymEnvironment, rules: Rules, scenario: Scenario, ads_factory: AdsFactory, *, is_planner: bool
 ) -> Trace:
-    """Simulate a run of a :class:`pytest_pafot.World` with ``env.step`` of its environment, in all wrappers."""
+    """Simulate a run of a :class:`pytest_pafot.World` with ``env.step`` of its environment.
+
+    A policy's is in all its wrappers. Vehicle classes and planners need none, and call highway-env's own ``step``.
+    """
     outer, route = environment.make(), environment.route
     env = _reset(outer, scenario)
     is_policy, view = not (is_planner or is_vehicle_class(ads_factory)), None

@@ -71,7 +71,7 @@ def rollouts(
     If ``batch`` raises or hangs, all runs are repeated one by one, so that the error belongs to the run that causes it.
 
     ``start`` begins a run in lock step for an ADS with the given sight; ``rollout`` simulates a single run. A decision
-    for one run may take ``hang_limit`` [s], and a decision for n runs n times as long.
+    for all n scenarios may take n times ``hang_limit`` [s].
 
     Raises:
         AdsFactoryError: if the factory returns nothing that drives, or ``batch`` does not return one action per run.

@@ -29,7 +29,7 @@ class VehiclesOfRun:
         rules: the rules that all runs share; the scenario fits them.
         scenario: the scenario.
         ego: the ego, at its start in world coordinates.
-        network: the road as a road network of highway-env; None on a straight road.
+        network: the road as a road network of highway-env; a straight road may do without.
 
     Attributes:
         director: the director of the NPCs.

@@ -35,7 +35,7 @@ class Body(Box):
         speed: the speed [m/s].
         acceleration: the acceleration [m/s^2].
         steering: the steering angle [rad].
-        lane: the index of the nearest lane, which is found after all bodies have moved (see ``Places.see``).
+        lane: the index of the nearest lane, which is found after all bodies have moved, not for vehicles that cross.
     """
 
     def __init__(self, length: float, width: float) -> None:

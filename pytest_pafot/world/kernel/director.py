@@ -61,8 +61,9 @@ ENTRY_GAP = 1.5
 NOT_BEHIND = -1
 
 AFTER, AT_GAP, AT_HEADWAY, NEVER = 0, 1, 2, 3
-NOT_WAITING = 2
 """What begins the next step of a manoeuvre: time, a gap, a headway, or nothing, because there is no next step."""
+NOT_WAITING = 2
+"""The side of an NPC that does not wait for a gap or a headway yet."""
 RELEASE_SHARE, RELEASE_GAIN = 1.6, 5.0
 """Near the speed of a step: twice the share of the jerk with which the acceleration is released, and the acceleration
 per difference [1/s]."""

@@ -3,7 +3,7 @@
 
 In each tick the ego's driver decides if it is due, and sets the ego's controls; the director sets those of the NPCs,
 which see the ego where it was after the last tick; the ego moves, then each NPC; their places are found and recorded;
-and contacts are looked for, so the last row of a record has the contact. Row 0 has the starts, which do not touch.
+and contacts are looked for, so the last row of a record has the contact. Row 0 has the starts.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ class EgoDriver:
     def decide(self, tick: int) -> AdsError | None:
         """Ask the ADS what to do until its next decision, and return its error, or None.
 
-        It is called every ``every`` ticks. A driver without an ADS does nothing here, and all in :meth:`actuate`.
+        It is called every ``every`` ticks. A driver without an ADS does nothing here.
         """
         return None
 
@@ -281,7 +281,7 @@ class Loop:
 
     @property
     def is_over(self) -> bool:
-        """True if a contact or the end of the road has ended the run."""
+        """True if a contact has ended the run, or a vehicle or the ego has left the road that the run needs."""
         return self.ego_touched or self.npcs_touched or self._places.left is not None
 
     def run(self, driver: EgoDriver, ticks: int) -> AdsError | None:

@@ -53,7 +53,7 @@ class Sensor:
         is_bent: true on a bent road, which the ADS sees straightened. The following attributes are the ego's place in
             the last observation on such a road.
         along, across: the ego's place along the road and its nominal place across it [m].
-        heading: its heading relative to its lane [rad].
+        heading: its heading relative to that of a vehicle that follows its lane [rad].
         bend: the steering angle with which it follows its lane [rad].
     """
 

@@ -60,7 +60,7 @@ class Places:
     def see(self, record: Any, row: int) -> None:
         """Find all vehicles, place the bodies on the road, and write the vehicles' lanes into a row of a record.
 
-        Called once a tick, in which the run may have left its road.
+        Called once a tick, unless :attr:`lanes` makes it unnecessary.
         """
         lanes: Any = self._lanes
         for number in range(len(self.bodies)):

@@ -24,7 +24,8 @@ class RoadSensor(Sensor):
     """The maker of observations on a bent road, from the record of a run.
 
     In its observations, x is along the ego's way and y nominal across it (see :class:`NetworkRoad`). Distances are
-    driven distances, and headings are relative to the lane. NPCs on ways of their own are in ``crossing``.
+    driven distances, and headings are relative to that of a vehicle that follows the lane. NPCs on ways of their own
+    are in ``crossing``.
 
     Args:
         places: the vehicles and their places on the road.
