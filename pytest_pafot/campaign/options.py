@@ -176,7 +176,8 @@ class Settings:
     max_time: float | None = option(
         "seconds",
         "Limit of wall-clock time of each search [s].",
-        "It includes shrinking and reference drivers, for which a search with findings reserves a third of the time. "
+        "It includes shrinking and neighbours, for which a search with findings reserves what they may take, at most a "
+        "third of the time. "
         "It ends a run before its next decision. A search that this limit cuts is not reproducible.",
     )
     total_time: float | None = option(

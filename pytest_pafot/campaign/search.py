@@ -24,7 +24,7 @@ from pytest_pafot.campaign.request import build_space
 from pytest_pafot.campaign.resuming import RandomBeginning, Sessions
 from pytest_pafot.campaign.search_loop import Counting, Reader, Recorder, SearchLoop, difference
 from pytest_pafot.campaign.setup_fault import SetupFaultError
-from pytest_pafot.campaign.simplification import Simplification
+from pytest_pafot.campaign.simplification import Simplification, rollouts_for
 from pytest_pafot.campaign.verdict import no_skip, skips
 from pytest_pafot.corpus.saved import Saved, saved_in
 from pytest_pafot.execution import scenario_pool
@@ -46,7 +46,10 @@ from pytest_pafot.world.guard.hang_guard import runs_end_in
 
 DONE, ALL_RUN = "all generations done", "all runs done"
 FOR_SIMPLIFYING = 1 / 3
-"""The share of a search's time limit that is reserved to shrink findings and to try reference drivers in them."""
+"""The largest share of a search's time limit that is reserved to shrink findings and to look at their neighbours."""
+RUNS_A_NEIGHBOUR = 10
+"""The time for one of a finding's neighbours, as a number of runs: more are run with other steps, and for their lines,
+which slow a run down."""
 
 RUNS_TO_CONFIRM = 4
 """The time to find and confirm a failure, as a number of runs.
@@ -364,11 +367,12 @@ class Search:
         def adapted(algorithm: Algorithm[Any], generation: int) -> Algorithm[Any]:
             return for_batches if generation and self.sessions.decides_for_many else algorithm
 
-        runs_before = loop.runs
+        runs_before, campaign_began = loop.runs, self.sessions.clock()
+        campaign_ends = self._campaign_ends(search_until)
 
         # A run may be cut when the time is over; the first run gets its time in any case.
         def seconds_left() -> float:
-            ends = search_until if loop.recorder.has_firm else self.limit.until
+            ends = campaign_ends() if loop.recorder.firm else self.limit.until
             return (ends if loop.runs > runs_before else max(ends, began + LEAST)) - self.sessions.clock()
 
         is_ahead = draws_ahead(algorithm)
@@ -388,7 +392,7 @@ class Search:
                 generations=settings.generations,
                 runs=settings.runs,
                 seed=self.sessions.seed,
-                max_seconds=self._most_seconds(search_until),
+                max_seconds=lambda: max(0.0, campaign_ends() - campaign_began),
                 clock=self.sessions.clock,
                 stop=lambda: limit is not None and loop.recorder.count >= limit,
                 seeds_matter=(sight_of(self.harness.ads) or Sight()).is_drawn,
@@ -409,23 +413,22 @@ class Search:
         reasons = {"generations": DONE, "runs": ALL_RUN, "time": self.limit.flag, "stopped": "enough findings"}
         return "interrupted" if loop.finished is None else reasons[loop.finished.reason]
 
-    def _most_seconds(self, search_until: float) -> Callable[[], float]:
-        """Return a function that says how long the campaign may take from now on [s], given its findings so far.
+    def _campaign_ends(self, search_until: float) -> Callable[[], float]:
+        """Return a function that says when the campaign, which begins now, has to end [s], given its findings so far.
 
-        With a finding to simplify, the campaign ends at the time ``search_until`` [s]. Without one, it may use all of
-        the search's time, except for the time that is needed to confirm a finding in its last run.
+        That leaves the time to simplify its findings, or without any, to confirm one in its last run, as far as can be
+        told from the runs so far. ``search_until`` is the earliest end [s].
         """
         loop, clock, began, runs_before = self.loop, self.sessions.clock, self.sessions.clock(), self.loop.runs
-        workers = self.harness.request.settings.workers
+        settings = self.harness.request.settings
+        to_simplify = RUNS_TO_CONFIRM + rollouts_for(self.harness) + RUNS_A_NEIGHBOUR * settings.neighbours
 
-        def most_seconds() -> float:
-            ends = search_until
-            if not loop.recorder.has_firm:
-                run_seconds = (clock() - began) * workers / max(loop.runs - runs_before, 1)
-                ends = max(ends, self.limit.until - RUNS_TO_CONFIRM * run_seconds)
-            return max(0.0, ends - began)
+        def ends() -> float:
+            run_seconds = (clock() - began) * settings.workers / max(loop.runs - runs_before, 1)
+            needed = loop.recorder.firm * to_simplify or RUNS_TO_CONFIRM
+            return max(search_until, self.limit.until - needed * run_seconds)
 
-        return most_seconds
+        return ends
 
     def _tell_progress(self, phase: str = "") -> None:
         now, loop = self.sessions.clock(), self.loop

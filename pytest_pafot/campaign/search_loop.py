@@ -612,9 +612,9 @@ class Recorder:
         return len(self.kept) + len(self.unsaved) - len(self.held or ())
 
     @property
-    def has_firm(self) -> bool:
-        """True if there is a finding that can be shrunk."""
-        return any(kept.is_firm for kept in self.kept.values())
+    def firm(self) -> int:
+        """The number of findings that can be shrunk."""
+        return sum(kept.is_firm for kept in self.kept.values())
 
     def keep(self, run: Run, verdict: Verdict, generation: int, number: int) -> str:
         """Save a new finding, run its scenario again to confirm it, and report it or hold it back; return its id.

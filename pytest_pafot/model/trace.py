@@ -34,8 +34,7 @@ class Outcome(StrEnum):
     SAFE = "safe"
     """The run lasted for its full duration, and none of the other outcomes occurred."""
     OFF_ROAD = "off_road"
-    """The ego's centre was off the road at some tick; on a road that is not straight, the run ended there. Or the
-    ego touched a fixed object, which ends a run on any road."""
+    """The ego's centre was off the road, which ends runs on roads that are not straight; or it hit a fixed object."""
     LEFT_ROUTE = "left_route"
     """The ego entered a lane that does not belong to its route, which the grid follows; the run ended there."""
     END_OF_ROAD = "end_of_road"

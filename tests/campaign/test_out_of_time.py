@@ -84,6 +84,14 @@ def test_search_with_finding_leaves_third_for_shrinking(clock):
     assert clock.now <= 31
 
 
+def test_search_with_findings_goes_on_until_these_need_the_rest_of_its_time(clock):
+    result = searched(clock, fails_in_three_ways, runs=1000, max_time=300)
+    assert len(result.findings) == 3
+    to_simplify = 3 * (15 + search.RUNS_TO_CONFIRM)  # a run takes a second
+    assert 300 - to_simplify - 3 <= result.summary.runs <= 300 - to_simplify
+    assert not any(unshrunk(result))
+
+
 def test_finding_in_the_last_third_ends_the_search(clock):
     def fails_late(run):
         assert clock.now < 25
