@@ -43,6 +43,7 @@ class FastObservation:
     def __init__(self, env: Any, stock: Any, network: Network) -> None:
         self._env = env
         self._stock = stock
+        self._stock_observe = stock.observe  # before a caller replaces it by this object
         self._network = network
         self._roads = env.road.network
         self._lanes = {lane: number for number, lane in enumerate(self._roads.lanes_list())}
@@ -62,7 +63,7 @@ class FastObservation:
                     return self._observe(ego, road)
                 except (LookupError, ZeroDivisionError):  # a lane that is not on the road, or an empty features_range
                     pass
-        return self._stock.observe()
+        return self._stock_observe()
 
     def _observe(self, ego: Any, road: Any) -> Any:
         raise NotImplementedError
@@ -88,7 +89,7 @@ class FastTable(FastObservation):
         elif stock.include_obstacles:
             objects = road.objects
         if not (_is_plain(road.__class__, Road) and all(_is_plain(each.__class__, RoadObject) for each in objects)):
-            return stock.observe()
+            return self._stock_observe()
         return self._table.observe(ego, road.vehicles, objects, self._env.PERCEPTION_DISTANCE, exit_lane)
 
     @cached_property
@@ -135,7 +136,7 @@ class FastCollisions(FastObservation):
         # With a single speed, highway-env returns the grid for two speeds.
         is_usual = _is_plain(ego.__class__, MDPVehicle) and ego.target_speeds.size > 1
         if ego is not self._env.vehicle or not is_usual:
-            return self._stock.observe()
+            return self._stock_observe()
         period = 1 / self._env.config["policy_frequency"]
         cells = int(self._stock.horizon / period)
         return self._collisions.observe(ego, road.vehicles, self._roads, period, cells)

@@ -16,8 +16,6 @@ cdef class NetworkVehicle(GoalVehicle):
     cdef object _following
     cdef list _searched
 
-    cpdef start(self, double x, double y, double heading, double speed, bint changes_lanes)
-
     cdef int _found(self, Body vehicle) except -1
 
     cdef _follow_road(self)
@@ -36,6 +34,7 @@ cdef class NetworkVehicle(GoalVehicle):
 
     cdef double _limit(self, Body vehicle) except? -1
 
+    @cython.locals(other=GoalVehicle)
     cdef int _lane_of(self, Body vehicle) except -1
 
     @cython.locals(network=Network, goal=int, offset=double, ahead=double, angle=double)

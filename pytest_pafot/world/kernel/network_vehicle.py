@@ -25,7 +25,7 @@ class StaticObstacle(Body):
 
 
 class NetworkVehicle(GoalVehicle):
-    """A vehicle with a goal on any road, among others that are only seen.
+    """A vehicle with a goal on any road.
 
     Args:
         constants: the constants of the vehicle class, by name.
@@ -49,11 +49,6 @@ class NetworkVehicle(GoalVehicle):
         self._following = following
         self._routed = routed
         self._searched = list(searched)
-
-    def start(self, x: float, y: float, heading: float, speed: float, changes_lanes: bool) -> None:
-        """Begin a run at x [m], y [m], heading [rad] and speed [m/s], which becomes the desired speed."""
-        GoalVehicle.start(self, x, y, heading, speed, changes_lanes)
-        self._closest = self._goal = self._found(self)
 
     def _found(self, vehicle: Body) -> int:
         return self._network.closest(vehicle.x, vehicle.y, vehicle.heading)
@@ -86,7 +81,10 @@ class NetworkVehicle(GoalVehicle):
         return self._network.speed_limit(self._lane_of(vehicle))
 
     def _lane_of(self, vehicle: Body) -> int:
-        return self._closest if vehicle is self else self._found(vehicle)
+        if isinstance(vehicle, GoalVehicle):
+            other: GoalVehicle = vehicle
+            return other._closest
+        return self._found(vehicle)
 
     def _steering(self) -> float:
         network, goal = self._network, self._goal
@@ -101,7 +99,7 @@ class NetworkVehicle(GoalVehicle):
         own = self._network.along
         for other in others:
             along = self._along(lane, other)
-            if own <= along <= nearest:  # also false for NaN
+            if own <= along <= nearest and other is not self:  # also false for NaN
                 nearest, found = along, other
         return found
 
@@ -111,7 +109,7 @@ class NetworkVehicle(GoalVehicle):
         own = self._network.along
         for other in others:
             along = self._along(lane, other)
-            if nearest < along < own:  # also false for NaN
+            if nearest < along < own and other is not self:  # also false for NaN
                 nearest, found = along, other
         return found
 
