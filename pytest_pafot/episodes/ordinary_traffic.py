@@ -16,6 +16,8 @@ from typing import Any
 import numpy as np
 from highway_env.envs.common.abstract import AbstractEnv
 from highway_env.envs.exit_env import ExitEnv
+from highway_env.envs.intersection_env import IntersectionEnv
+from highway_env.road.regulation import RegulatedRoad
 from highway_env.road.road import Road
 from highway_env.vehicle.controller import ControlledVehicle, MDPVehicle
 from highway_env.vehicle.kinematics import Vehicle
@@ -25,7 +27,7 @@ from pytest_pafot.episodes.episode import Episode, EpisodeRecording, Kind, Start
 from pytest_pafot.model.trace import AdsError, Outcome
 from pytest_pafot.support.errors import AdsFactoryError, WorldError
 from pytest_pafot.world.driving.ads import AdsFactory, is_vehicle_class, make_ads, wants_env
-from pytest_pafot.world.driving.compiled_vehicle import CompiledRoad, obstacles_on
+from pytest_pafot.world.driving.compiled_vehicle import CompiledRoad, obstacles_on, road_rules
 from pytest_pafot.world.driving.idm_model import idm_model
 from pytest_pafot.world.driving.observations import observer
 from pytest_pafot.world.driving.perception import ads_and_sight
@@ -45,8 +47,9 @@ def why_not(start: Start) -> str:
         inner = inner.env
     if inner is not env:
         return f"the environment is wrapped in {type(inner).__name__}"
-    is_known = cls.step in (AbstractEnv.step, ExitEnv.step) and cls._simulate is AbstractEnv._simulate
-    if type(road) is not Road or not is_known:
+    steps = AbstractEnv.step, ExitEnv.step, IntersectionEnv.step
+    is_known = cls.step in steps and cls._simulate is AbstractEnv._simulate
+    if type(road) not in (Road, RegulatedRoad) or not is_known:
         return f"{cls.__name__} has its own steps"
     if start.compiled_lanes is None:
         return "the road has lanes of a class of its own"
@@ -63,8 +66,9 @@ def why_not(start: Start) -> str:
     has_range = getattr(env.action_type, "speed_range", None) is not None  # actions limit the ego's speed to it
     if start.kind == "policy" and (type(ego) not in (MDPVehicle, Vehicle) or has_range):
         return f"the actions drive a {type(ego).__name__} with its own limits"
-    if road.vehicles[0] is not ego:
-        return "the ego is not the first on its road"
+    decides_itself = start.kind == "planner" or (start.kind == "vehicle" and idm_model(type(ego)) is None)
+    if decides_itself and (road.vehicles[0] is not ego or type(road) is RegulatedRoad):
+        return "the ego is not the first on its road, or the road makes it yield"
     return ""
 
 
@@ -163,11 +167,16 @@ class CompiledSteps(Steps):
         env = start.env
         assert start.compiled_lanes is not None  # noqa: S101  (see why_not)
         self._road = CompiledRoad(env.road, start.compiled_lanes)
-        self._pairs = [(each, self._road.vehicle(each)) for each in env.road.vehicles]
-        self._ego = dict(self._pairs)[env.vehicle]
+        self._bodies = {each: self._road.vehicle(each) for each in env.road.vehicles}
+        self._ego = self._bodies[env.vehicle]
         record = start.record() if start.kind == "planner" else None
-        bodies = [body for _, body in self._pairs]
-        self._traffic = OrdinaryTraffic(bodies, obstacles_on(env.road), 1 / start.physics_hz, record)
+        self._traffic = OrdinaryTraffic(
+            list(self._bodies.values()),
+            obstacles_on(env.road),
+            1 / start.physics_hz,
+            record,
+            road_rules(env.road, start.compiled_lanes, start.physics_hz),
+        )
         self._planner = None if record is None else start.driver(self._ego, record)
         super().__init__(start, self._act, self._step)
         if start.eyes is None:
@@ -182,7 +191,10 @@ class CompiledSteps(Steps):
 
     def _act(self) -> None:
         """Let the ego decide, unless its model does; the environment has interpreted the action of a policy."""
-        start, ego = self._start, self._start.env.vehicle
+        start, ego, vehicles = self._start, self._start.env.vehicle, self._start.env.road.vehicles
+        if vehicles != list(self._bodies):  # the environment has added or removed some after its last step
+            self._bodies = {each: self._bodies.get(each) or self._road.vehicle(each) for each in vehicles}
+            self._traffic.vehicles = list(self._bodies.values())
         if self._planner is not None:
             if self.tick % self._planner.every == 0:
                 self.error = self.error or self._planner.decide(self.tick)
@@ -211,7 +223,7 @@ class CompiledSteps(Steps):
 
     def _show(self) -> None:
         """Move the environment's vehicles to the places of the compiled ones."""
-        for vehicle, body in self._pairs:
+        for vehicle, body in self._bodies.items():
             self._road.show(vehicle, body)
 
 

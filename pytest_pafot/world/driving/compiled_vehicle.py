@@ -15,11 +15,11 @@ from pytest_pafot.world.kernel.idm import GoalVehicle
 from pytest_pafot.world.kernel.lane_network import Network
 from pytest_pafot.world.kernel.network_vehicle import NetworkVehicle, StaticObstacle
 from pytest_pafot.world.kernel.places import Places
-from pytest_pafot.world.kernel.road_rules import RoadRules
+from pytest_pafot.world.kernel.road_rules import EgosRoadRules, RoadRules
 from pytest_pafot.world.roads.network import NetworkRoad
 from pytest_pafot.world.roads.straight import StraightRoad
 from pytest_pafot.world.run_config import Rules
-from pytest_pafot.world.stock import ControlledVehicle
+from pytest_pafot.world.stock import ControlledVehicle, RegulatedRoad
 
 
 def constants_of(vehicle: Any) -> dict[str, float]:
@@ -58,15 +58,21 @@ class CompiledRoad:
             after = network.next_lane(self._named[lane][0], route=route, position=here, np_random=random)
             return numbers[after], routed()
 
+        def route(lane: int) -> list[int]:
+            """Return the lanes of the route; where the route leaves the lane open, the vehicle keeps its number."""
+            here = self._named[lane][0]
+            return [numbers[a, b, here[2] if number is None else number] for a, b, number in vehicle.route or [here]]
+
         body: GoalVehicle
         if isinstance(self._lanes, Network):
-            body = NetworkVehicle(constants_of(vehicle), self._lanes, following, routed(), self._searched)
+            body = NetworkVehicle(constants_of(vehicle), self._lanes, following, routed(), route, self._searched)
         else:
             body = GoalVehicle(constants_of(vehicle), self._lanes.grid, self._lanes.speed_limit)
         body.has_goal = isinstance(vehicle, ControlledVehicle)
         body.drives_itself = idm_model(type(vehicle)) is not None
         body.checks = bool(vehicle.check_collisions)
         body.crashed = bool(vehicle.crashed)
+        body.waited = vehicle.yield_timer if getattr(vehicle, "is_yielding", False) else -1
         if not hasattr(vehicle, "target_speed"):
             body.taken_for = 0.0  # highway-env's IDM treats it as one that wants to stand still
         body.start(*self.state(vehicle), bool(getattr(vehicle, "enable_lane_change", True)))
@@ -88,13 +94,13 @@ class CompiledRoad:
 
     def show(self, vehicle: Any, body: GoalVehicle) -> None:
         """Copy the state of a compiled vehicle to a vehicle of highway-env."""
-        x, y, vehicle.heading, vehicle.speed, lane, goal = body.seen()
+        x, y, vehicle.heading, vehicle.speed, lane, goal, wanted = body.seen()
         vehicle.position = np.array([x + self._x, y + self._y])
         vehicle.action = {"steering": body.steering, "acceleration": body.acceleration}
         vehicle.lane_index, vehicle.lane = self._named[lane]
         vehicle.crashed = body.crashed
         if body.has_goal:
-            vehicle.target_lane_index = self._named[goal][0]
+            vehicle.target_lane_index, vehicle.target_speed = self._named[goal][0], wanted
 
 
 def _searched(road: Any, numbers: dict[Any, int]) -> list[list[tuple[int, float]]]:
@@ -115,33 +121,25 @@ def _searched(road: Any, numbers: dict[Any, int]) -> list[list[tuple[int, float]
     return searched
 
 
-def rules_for(ego: Any, model: GoalVehicle, places: Places, rules: Rules, network: Any) -> RoadRules | None:
+def egos_rules(ego: Any, model: GoalVehicle, places: Places, rules: Rules, network: Any) -> EgosRoadRules | None:
     """Return the rules of a regulated road for an ego of highway-env, which ``model`` drives; None on other roads."""
     road, way = ego.road, rules.road
     if not (isinstance(road, EgosRegulatedRoad) and isinstance(model, NetworkVehicle) and isinstance(way, NetworkRoad)):
         return None
-    lanes = road.network.lanes_dict()
-    indexes, numbers = list(lanes), {index: number for number, index in enumerate(lanes)}
+    return EgosRoadRules(model, places, way.bends, *_regulation(road, network, rules.physics_hz))
 
-    def route(lane: int) -> list[int]:
-        """Return the lanes of the ego's route; where the route leaves the lane open, the ego keeps its number."""
-        origin, end, own = indexes[lane]
-        kept = own if own < len(road.network.graph[origin][end]) else 0
-        steps = ego.route or [indexes[lane]]
-        return [numbers[a, b, kept if number is None else int(number)] for a, b, number in steps]
 
+def road_rules(road: Any, lanes: StraightRoad | Network, physics_hz: int) -> RoadRules | None:
+    """Return the rules of a regulated road of highway-env for all its vehicles; None on other roads."""
+    is_regulated = isinstance(road, RegulatedRoad) and isinstance(lanes, Network)
+    return RoadRules(*_regulation(road, lanes, physics_hz)) if is_regulated else None
+
+
+def _regulation(road: Any, network: Any, physics_hz: int) -> tuple[Network, list[int], int, int, float]:
     frequency = road.REGULATION_FREQUENCY
-    return RoadRules(
-        model,
-        places,
-        way.bends,
-        network,
-        priorities=[int(each.priority) for each in lanes.values()],
-        route=route,
-        steps=road.steps,
-        every=int(1 / (1 / rules.physics_hz) / frequency),  # as highway-env rounds it
-        lasts=road.YIELD_DURATION * frequency,
-    )
+    priorities = [int(each.priority) for each in road.network.lanes_list()]
+    every = int(1 / (1 / physics_hz) / frequency)  # as highway-env rounds it
+    return network, priorities, road.steps, every, road.YIELD_DURATION * frequency
 
 
 def obstacles_on(road: Any) -> list[Body]:

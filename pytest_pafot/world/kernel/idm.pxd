@@ -16,6 +16,7 @@ cdef class GoalVehicle(Body):
     cdef readonly double diagonal
     cdef double _push_x, _push_y, _next_x, _next_y, _next_heading, _next_speed
     cdef bint _changes_lanes, _is_led, _is_pushed
+    cdef public int waited
     cdef int _closest, _goal, _routed
 
     cpdef start(self, double x, double y, double heading, double speed, bint changes_lanes)

@@ -46,6 +46,7 @@ class GoalVehicle(Body):
         checks: true if it tests for crashes; a pair is tested if one of the two does.
         crashed: true if highway-env would flag it as crashed.
         diagonal: the diagonal of its box [m].
+        waited: the number of decisions of the road's rules for which it has yielded; -1 if it does not yield.
     """
 
     def __init__(self, constants: Mapping[str, float], lanes: Lanes, speed_limit: float) -> None:
@@ -54,6 +55,7 @@ class GoalVehicle(Body):
         self.taken_for = float("nan")
         self.crashed = False
         self.diagonal = math.hypot(self.length, self.width)
+        self.waited = -1
         self._is_led = self._is_pushed = False
         self._next_x = self._next_y = self._next_heading = self._next_speed = 0.0
         self._push_x = self._push_y = 0.0
@@ -115,9 +117,9 @@ class GoalVehicle(Body):
         self._push_x = x
         self._push_y = y
 
-    def seen(self) -> tuple[float, float, float, float, int, int]:
-        """Return its x [m], y [m], heading [rad], speed [m/s], its lane, and the lane of its goal."""
-        return self.x, self.y, self.heading, self.speed, self._closest, self._goal
+    def seen(self) -> tuple[float, float, float, float, int, int, float]:
+        """Return its x [m], y [m], heading [rad], speed [m/s], its lane, and the lane and the speed of its goal."""
+        return self.x, self.y, self.heading, self.speed, self._closest, self._goal, self._target_speed
 
     def pursue(self) -> None:
         """Set acceleration and steering for the coming tick towards the goal, whatever others do."""

@@ -13,8 +13,10 @@ cdef class StaticObstacle(Body):
 
 cdef class NetworkVehicle(GoalVehicle):
     cdef Network _network
-    cdef object _following
+    cdef object _following, _route
     cdef list _searched
+
+    cpdef list route(self)
 
     cdef int _found(self, Body vehicle) except -1
 

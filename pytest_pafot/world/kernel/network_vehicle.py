@@ -33,6 +33,7 @@ class NetworkVehicle(GoalVehicle):
         following: returns the lane that follows a lane for a vehicle at x and y [m], and the lane that the rest of its
             route demands, counted from the left, or -1.
         routed: the lane that its route demands at the start, or -1.
+        route: returns the lanes of the rest of its route, for the lane in which it is.
         searched: for each lane, the lanes in which it looks for vehicles, and where each begins along the lane [m].
     """
 
@@ -42,13 +43,19 @@ class NetworkVehicle(GoalVehicle):
         network: Network,
         following: Callable[[int, float, float], tuple[int, int]],
         routed: int,
+        route: Callable[[int], list[int]],
         searched: Sequence[Sequence[tuple[int, float]]],
     ) -> None:
         super().__init__(constants, Lanes(1, 1.0, 1.0), 0.0)
         self._network = network
         self._following = following
         self._routed = routed
+        self._route = route
         self._searched = list(searched)
+
+    def route(self) -> list[int]:
+        """Return the lanes of the rest of its route."""
+        return self._route(self._closest)
 
     def _found(self, vehicle: Body) -> int:
         return self._network.closest(vehicle.x, vehicle.y, vehicle.heading)

@@ -2,11 +2,13 @@ cimport cython
 from libc cimport math
 from pytest_pafot.world.kernel.bodies cimport Body
 from pytest_pafot.world.kernel.idm cimport GoalVehicle
+from pytest_pafot.world.kernel.road_rules cimport RoadRules
 
 cdef class OrdinaryTraffic:
     cdef public list vehicles
     cdef list _obstacles
     cdef object _record
+    cdef RoadRules _rules
     cdef double _dt
     cdef Py_ssize_t _row, _columns
 

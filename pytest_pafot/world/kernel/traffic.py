@@ -13,6 +13,7 @@ from typing import Any
 from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.kernel.idm import GoalVehicle
 from pytest_pafot.world.kernel.observation import COLUMNS
+from pytest_pafot.world.kernel.road_rules import RoadRules
 
 
 class OrdinaryTraffic:
@@ -23,6 +24,7 @@ class OrdinaryTraffic:
         obstacles: the objects on the road.
         dt: physics tick [s].
         record: a buffer for ``ticks + 1`` rows of all vehicles; None if nothing reads it.
+        rules: the rules of the road; None if there are none.
 
     Attributes:
         vehicles: the vehicles in the road's order; the road may add and remove some between two ticks if nothing is
@@ -30,11 +32,17 @@ class OrdinaryTraffic:
     """
 
     def __init__(
-        self, vehicles: list[Any], obstacles: list[Any], dt: float, record: array[float] | None = None
+        self,
+        vehicles: list[Any],
+        obstacles: list[Any],
+        dt: float,
+        record: array[float] | None = None,
+        rules: RoadRules | None = None,
     ) -> None:
         self.vehicles = vehicles
         self._obstacles = obstacles
         self._record = record
+        self._rules = rules
         self._dt = dt
         self._row = 0
         self._columns = COLUMNS
@@ -46,6 +54,8 @@ class OrdinaryTraffic:
         everything = vehicles + self._obstacles
         for vehicle in vehicles:
             vehicle.act(everything)
+        if self._rules is not None and self._rules.is_due():
+            self._rules.apply(vehicles)
         for vehicle in vehicles:
             vehicle.step(dt)
         count = len(vehicles)
