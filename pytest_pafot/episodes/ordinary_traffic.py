@@ -179,7 +179,7 @@ class CompiledSteps(Steps):
         )
         self._planner = None if record is None else start.driver(self._ego, record)
         super().__init__(start, self._act, self._step)
-        if start.eyes is None:
+        if start.kind == "policy" and start.eyes is None:
             env.observation_type.observe = observer(env)
 
     def step(self, action: Any) -> Step:
@@ -191,13 +191,15 @@ class CompiledSteps(Steps):
 
     def _act(self) -> None:
         """Let the ego decide, unless its model does; the environment has interpreted the action of a policy."""
+        if self._is_over():
+            return
         start, ego, vehicles = self._start, self._start.env.vehicle, self._start.env.road.vehicles
         if vehicles != list(self._bodies):  # the environment has added or removed some after its last step
             self._bodies = {each: self._bodies.get(each) or self._road.vehicle(each) for each in vehicles}
             self._traffic.vehicles = list(self._bodies.values())
         if self._planner is not None:
             if self.tick % self._planner.every == 0:
-                self.error = self.error or self._planner.decide(self.tick)
+                self.error = self._planner.decide(self.tick)
             self._planner.actuate()
         elif start.kind == "policy":
             if self.tick % start.every == 0:
@@ -214,12 +216,16 @@ class CompiledSteps(Steps):
             self._ego.lead(*self._road.state(ego))
 
     def _step(self, dt: float) -> None:
-        if self.error is not None or self.crashed_at is not None:
+        if self._is_over():
             return
         self._traffic.step()
         if self._ego.crashed or self._frames is not None or (self.tick + 1) % self._start.every == 0:
             self._show()
         self._ticked()
+
+    def _is_over(self) -> bool:
+        """Return whether an error or a crash has ended the episode, although the environment's step goes on."""
+        return self.error is not None or self.crashed_at is not None
 
     def _show(self) -> None:
         """Move the environment's vehicles to the places of the compiled ones."""
