@@ -29,7 +29,7 @@ from pytest_pafot.support.errors import AdsFactoryError, WorldError
 from pytest_pafot.world.driving.ads import AdsFactory, is_vehicle_class, make_ads, wants_env
 from pytest_pafot.world.driving.compiled_vehicle import CompiledRoad, obstacles_on, road_rules
 from pytest_pafot.world.driving.idm_model import idm_model
-from pytest_pafot.world.driving.observations import observer
+from pytest_pafot.world.driving.observations import observe_fast, observer
 from pytest_pafot.world.driving.perception import ads_and_sight
 from pytest_pafot.world.driving.policy import View
 from pytest_pafot.world.guard.failure import UNFIT, closing, error_of
@@ -302,6 +302,7 @@ def drive(
     """
     with vehicle_classes_kept(), HangGuard(hang_limit) as guard:
         outer = environment.with_traffic()
+        observe_fast(outer.unwrapped)
         seen, _ = outer.reset(seed=seed)
         view = None
         try:
