@@ -53,6 +53,8 @@ def why_not(start: Start) -> str:
         return f"{cls.__name__} has its own steps"
     if start.compiled_lanes is None:
         return "the road has lanes of a class of its own"
+    if start.kind == "planner" and start.compiled_lanes is not start.road:
+        return "a planner needs lanes of one speed limit, without objects and routes"
     for each in road.objects:
         if type(each) is not Obstacle:
             return f"there is a {type(each).__name__} on the road"

@@ -154,6 +154,28 @@ class HighwayOfOurOwn(HighwayEnvFast):
         return super().step(1)
 
 
+class HighwayWithLimits(HighwayEnvFast):
+    """A straight road whose lanes have different speed limits."""
+
+    def _create_road(self):
+        super()._create_road()
+        for number, lane in enumerate(self.road.network.lanes_list()):
+            lane.speed_limit = 30 - 5 * number
+
+
+def test_straight_road_with_several_speed_limits_is_compiled_but_not_for_planners():
+    gymnasium.register("limits-v0", entry_point=HighwayWithLimits)
+    try:
+        world = pafot.World("limits-v0", {"vehicles_count": 8, "duration": 6})
+        compiled, stepped = (
+            driven(world, idm_mobil.make, 0, is_recorded=True, may_compile=may_compile) for may_compile in (True, False)
+        )
+        assert (compiled.steps, difference(compiled, stepped) <= WITHIN) == ("", True)
+        assert "one speed limit" in driven(world, constant_speed.make, 0, is_planner=True).steps
+    finally:
+        del gymnasium.registry["limits-v0"]
+
+
 def test_environment_with_its_own_steps_uses_them():
     gymnasium.register("own-highway-v0", entry_point=HighwayOfOurOwn)
     try:
