@@ -27,6 +27,7 @@ from pytest_pafot.model.trace import Trace
 from pytest_pafot.searching.space import sample, space_on
 from pytest_pafot.support.errors import WorldError, checked_number
 from pytest_pafot.world import World
+from pytest_pafot.world.driving.observations import observe_fast
 from pytest_pafot.world.driving.policy import checked_action
 from pytest_pafot.world.engines.policies import begin
 from pytest_pafot.world.guard.hang_guard import HangGuard
@@ -110,6 +111,7 @@ class TrainingEnv(gymnasium.Env[Any, Any]):
         self.action_space = copy.deepcopy(world.action_space)
         self._world, self._share, self._drawn = world, share, _sampler(world, scenarios)
         self._ordinary = world.environment.make(has_traffic=True)
+        observe_fast(self._ordinary.unwrapped)
         self._guard = HangGuard(world.hang_limit)
         self._scenario: Scenario | None = None
         self._steps: Any = None

@@ -7,6 +7,7 @@ from array import array
 from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
@@ -17,10 +18,11 @@ from pytest_pafot.support.errors import WorldError
 from pytest_pafot.world.driving.ads import give_route
 from pytest_pafot.world.driving.policy import View, check_action_space, checked_action
 from pytest_pafot.world.driving.seeing import ImperfectSensor, PolicySight
-from pytest_pafot.world.driving.vehicles import straight_road
+from pytest_pafot.world.driving.vehicles import compiled_network, straight_road
 from pytest_pafot.world.engines.gym_replay import StockVehicle
 from pytest_pafot.world.guard.hang_guard import HangGuard
 from pytest_pafot.world.kernel.bodies import Body
+from pytest_pafot.world.kernel.lane_network import Network
 from pytest_pafot.world.kernel.loop import PlannerDriver
 from pytest_pafot.world.kernel.observation import COLUMNS, Observer, Sensor
 from pytest_pafot.world.roads.straight import StraightRoad
@@ -144,6 +146,15 @@ class Start:
             env.define_spaces()
         except Exception as error:
             raise self.unfit(error) from error
+
+    @cached_property
+    def compiled_lanes(self) -> StraightRoad | Network | None:
+        """The lanes for compiled code, which is fastest on a plain straight road; None if it does not know them."""
+        road, network, straight = self.env.road, self.env.road.network, self.road
+        has_more = road.objects or any(getattr(each, "route", None) for each in road.vehicles)
+        kinds = {(lane.speed_limit, bool(lane.forbidden)) for lane in network.lanes_list()}
+        is_plain = straight is not None and len(kinds) == 1 and not kinds.pop()[1] and not has_more
+        return straight if is_plain else compiled_network(network)
 
     @property
     def straight(self) -> StraightRoad:

@@ -1,8 +1,9 @@
 """Episodes of an unchanged environment: its own start, its own random traffic, and its own flag for crashes.
 
 The start of an episode is the result of ``env.reset`` with its seed. Compiled code then drives the traffic if possible;
-otherwise the environment takes its own steps. Both give the same outcome at the same tick, and positions that differ by
-less than 1e-9 m.
+otherwise the environment takes its own steps. Both give the same outcome at the same tick, and positions that differ
+only because numpy rounds some functions differently: by less than 1e-9 m, and up to 1e-7 m where vehicles crawl at an
+intersection, because highway-env's steering is unstable at such speeds.
 """
 
 from __future__ import annotations
@@ -15,33 +16,29 @@ from typing import Any
 
 import numpy as np
 from highway_env.envs.common.abstract import AbstractEnv
+from highway_env.envs.exit_env import ExitEnv
+from highway_env.envs.intersection_env import IntersectionEnv
+from highway_env.road.regulation import RegulatedRoad
 from highway_env.road.road import Road
 from highway_env.vehicle.controller import ControlledVehicle, MDPVehicle
 from highway_env.vehicle.kinematics import Vehicle
+from highway_env.vehicle.objects import Obstacle
 
 from pytest_pafot.episodes.episode import Episode, EpisodeRecording, Kind, Start, Step
 from pytest_pafot.model.trace import AdsError, Outcome
 from pytest_pafot.support.errors import AdsFactoryError, WorldError
 from pytest_pafot.world.driving.ads import AdsFactory, is_vehicle_class, make_ads, wants_env
-from pytest_pafot.world.driving.compiled_vehicle import compiled_vehicle
+from pytest_pafot.world.driving.compiled_vehicle import CompiledRoad, obstacles_on, road_rules
 from pytest_pafot.world.driving.idm_model import idm_model
-from pytest_pafot.world.driving.observations import observer
+from pytest_pafot.world.driving.observations import observe_fast, observer
 from pytest_pafot.world.driving.perception import ads_and_sight
 from pytest_pafot.world.driving.policy import View
 from pytest_pafot.world.guard.failure import UNFIT, closing, error_of
 from pytest_pafot.world.guard.hang_guard import HangGuard
 from pytest_pafot.world.gym_environment import NEUTRAL, GymEnvironment, vehicle_classes_kept
 from pytest_pafot.world.kernel.bodies import Body
-from pytest_pafot.world.kernel.loop import EgoDriver
 from pytest_pafot.world.kernel.observation import COLUMNS
-from pytest_pafot.world.kernel.traffic import OrdinaryTraffic, TrafficVehicle
-from pytest_pafot.world.roads.straight import StraightRoad
-
-# Episodes on a straight road among highway-env's IDM and MOBIL vehicles, whose motion is computed by compiled code.
-#
-# The environment still creates the start and the observations, interprets actions, and decides when the episode is
-# over. Before each of these steps, the environment's vehicles are moved to the places that the compiled code has
-# computed.
+from pytest_pafot.world.kernel.traffic import OrdinaryTraffic
 
 
 def why_not(start: Start) -> str:
@@ -51,14 +48,19 @@ def why_not(start: Start) -> str:
         inner = inner.env
     if inner is not env:
         return f"the environment is wrapped in {type(inner).__name__}"
-    if type(road) is not Road or cls.step is not AbstractEnv.step or cls._simulate is not AbstractEnv._simulate:
+    steps = AbstractEnv.step, ExitEnv.step, IntersectionEnv.step
+    is_known = cls.step in steps and cls._simulate is AbstractEnv._simulate
+    if type(road) not in (Road, RegulatedRoad) or not is_known:
         return f"{cls.__name__} has its own steps"
-    if start.road is None or len({lane.speed_limit for lane in start.road.lanes}) > 1:
-        return "the road is not straight, or its lanes differ"
-    if road.objects or any(lane.forbidden for lane in road.network.lanes_list()):
-        return "there are objects on the road, or lanes that may not be entered"
+    if start.compiled_lanes is None:
+        return "the road has lanes of a class of its own"
+    if start.kind == "planner" and start.compiled_lanes is not start.road:
+        return "a planner needs lanes of one speed limit, without objects and routes"
+    for each in road.objects:
+        if type(each) is not Obstacle:
+            return f"there is a {type(each).__name__} on the road"
     for each in road.vehicles:
-        if each is not ego and (idm_model(type(each)) is None or each.route):
+        if each is not ego and idm_model(type(each)) is None:
             return f"the traffic has a {type(each).__name__}, not only IDM and MOBIL"
         if (each.MIN_SPEED, each.MAX_SPEED) != (Vehicle.MIN_SPEED, Vehicle.MAX_SPEED):
             return f"a {type(each).__name__} has its own speed limits"
@@ -67,199 +69,14 @@ def why_not(start: Start) -> str:
     has_range = getattr(env.action_type, "speed_range", None) is not None  # actions limit the ego's speed to it
     if start.kind == "policy" and (type(ego) not in (MDPVehicle, Vehicle) or has_range):
         return f"the actions drive a {type(ego).__name__} with its own limits"
-    if road.vehicles[0] is not ego:
-        return "the ego is not the first on its road"
+    decides_itself = start.kind == "planner" or (start.kind == "vehicle" and idm_model(type(ego)) is None)
+    if decides_itself and (road.vehicles[0] is not ego or type(road) is RegulatedRoad):
+        return "the ego is not the first on its road, or the road makes it yield"
     return ""
 
 
-def compiled(start: Start, seed: int, *, is_recorded: bool) -> Episode:
-    """Drive an episode with compiled traffic; :func:`why_not` must have returned an empty text for its start."""
-    road, record = start.straight, start.record()
-    traffic, mirror = _compiled(start, record)
-    driver: EgoDriver
-    if start.kind == "planner":
-        driver = start.driver(mirror.ego, record)
-    elif start.kind == "policy":
-        driver = _PolicyDriver(start, mirror)
-    else:
-        driver = (
-            EgoDriver(mirror.ego, start.ticks) if idm_model(start.ads) is not None else _VehicleDriver(start, mirror)
-        )
-    error = _drive(start, traffic, driver, mirror)
-    mirror.show()
-    recording = None
-    if is_recorded:
-        vehicles = start.vehicles
-        states = np.array(record).reshape(-1, len(vehicles), COLUMNS)[: traffic.tick + 1, :, :4]
-        states[:, :, :2] += road.position(0.0, 0)[:2]
-        sizes = np.array([[each.LENGTH, each.WIDTH] for each in vehicles])
-        recording = EpisodeRecording(states=states, sizes=sizes, lanes=road.lanes, physics_hz=start.physics_hz)
-    return start.ended(seed, traffic.tick, error, recording=recording)
-
-
-class CompiledSteps:
-    """An episode with compiled traffic that receives its actions one by one, as ``env.step`` does.
-
-    :func:`why_not` must have returned an empty text for its start. The episode ends at the tick at which the ego is
-    flagged as crashed.
-    """
-
-    def __init__(self, start: Start) -> None:
-        self._start = start
-        self._traffic, self._mirror = _compiled(start, start.record())
-        self._driver = _PolicyDriver(start, self._mirror)
-
-    def step(self, action: Any) -> Step:
-        """Take one step with an action, and return the same values as ``env.step`` of the environment."""
-        start, env, traffic = self._start, self._start.env, self._traffic
-        env.time += 1 / env.config["policy_frequency"]
-        self._driver.apply(action)
-        for _ in range(start.every):
-            if traffic.step():
-                break
-        self._mirror.show()
-        env.steps = traffic.tick
-        seen, reward = self._driver.observe(), float(env._reward(action))
-        is_truncated = bool(env._is_truncated()) or traffic.tick + start.every > start.ticks
-        return seen, reward, bool(env._is_terminated()), is_truncated, env._info(seen, action)
-
-
-def _compiled(start: Start, record: array[float]) -> tuple[OrdinaryTraffic, _Mirror]:
-    """Return the compiled traffic of an episode and its mirror; the traffic writes all states into ``record``."""
-    bodies = [compiled_vehicle(each, start.straight) for each in start.vehicles]
-    return OrdinaryTraffic(bodies, record, 1 / start.physics_hz), _Mirror(start, bodies, start.straight)
-
-
-def _drive(start: Start, traffic: OrdinaryTraffic, driver: EgoDriver, mirror: _Mirror) -> AdsError | None:
-    """Drive until the ego is flagged as crashed, the environment ends the episode, or the ADS does not decide."""
-    env, time = start.env, 0.0
-    while traffic.tick < start.ticks:
-        tick = traffic.tick
-        if tick % start.every == 0:
-            mirror.show()
-            env.time = time
-            if tick > 0 and (env._is_terminated() or env._is_truncated()):
-                return None
-            time += 1 / env.config["policy_frequency"]
-        if tick % driver.every == 0:
-            error = driver.decide(tick)
-            if error is not None:
-                return error
-        driver.actuate()
-        if traffic.step():
-            return None
-    return None
-
-
-class _Mirror:
-    """A mirror, which copies the state of the compiled vehicles into the environment's vehicles."""
-
-    def __init__(self, start: Start, bodies: list[TrafficVehicle], road: StraightRoad) -> None:
-        self.ego = bodies[0]
-        self._start = start
-        self._pairs = list(zip(start.vehicles, bodies, strict=True))
-        self._lanes = list(start.env.road.network.lanes_dict().items())
-        self._x, self._y, _ = road.position(0.0, 0)
-
-    def show(self) -> None:
-        """Copy the state of the compiled vehicles into the environment's vehicles."""
-        for vehicle, body in self._pairs:
-            x, y, vehicle.heading, vehicle.speed, lane, goal = body.seen()
-            vehicle.position = np.array([x + self._x, y + self._y])
-            vehicle.action = {"steering": body.steering, "acceleration": body.acceleration}
-            vehicle.lane_index, vehicle.lane = self._lanes[lane]
-            vehicle.crashed = body.crashed
-            if isinstance(vehicle, ControlledVehicle):
-                vehicle.target_lane_index = self._lanes[goal][0]
-
-
-class _PolicyDriver(EgoDriver):
-    """The driver of an ego by a policy, which receives the environment's observations and returns its actions."""
-
-    def __init__(self, start: Start, mirror: _Mirror) -> None:
-        super().__init__(mirror.ego, start.every)
-        self._start = start
-        self._mirror = mirror
-        self.observe = observer(start.env) if start.eyes is None else start.env.observation_type.observe
-
-    def decide(self, tick: int) -> AdsError | None:
-        """Observe, call the policy under guard, and apply its action; return the policy's error, or None."""
-        start = self._start
-        start.env.steps = tick
-        seen = start.seen if tick == 0 else self.observe()
-        try:
-            action = start.action(seen, tick)
-        except UNFIT as error:
-            return error_of(error, tick, start.guard)
-        self.apply(action)
-        return None
-
-    def apply(self, action: Any) -> None:
-        """Let the environment interpret an action for the ego."""
-        env, body = self._start.env, self._mirror.ego
-        env.action_type.act(action)
-        ego = env.vehicle
-        if isinstance(ego, MDPVehicle):
-            body.aim(ego.target_lane_index[2], ego.target_speed)
-        else:
-            body.acceleration, body.steering = float(ego.action["acceleration"]), float(ego.action["steering"])
-
-    def actuate(self) -> None:
-        """Keep the last action; if the policy has an imperfect sight, record the places of all vehicles for it."""
-        if self._start.eyes is not None:
-            self._mirror.show()
-            self._start.eyes.note()
-
-
-class _VehicleDriver(EgoDriver):
-    """The driver of an ego whose vehicle class has its own code to act and move."""
-
-    def __init__(self, start: Start, mirror: _Mirror) -> None:
-        super().__init__(mirror.ego, 1)
-        self._start = start
-        self._mirror = mirror
-        self._ego = start.env.vehicle
-
-    def decide(self, tick: int) -> AdsError | None:
-        """Let the ego act and move under guard; return its error, or None."""
-        start, ego, body = self._start, self._ego, self._mirror.ego
-        self._mirror.show()
-        start.env.steps = tick
-        try:
-            start.guarded(ego.act)
-            if isinstance(ego, ControlledVehicle):
-                body.aim(ego.target_lane_index[2], float(ego.target_speed))
-            start.guarded(ego.step, 1 / start.physics_hz)
-        except UNFIT as error:
-            return error_of(error, tick, start.guard)
-        body.acceleration, body.steering = float(ego.action["acceleration"]), float(ego.action["steering"])
-        x, y = ego.position
-        body.lead(*start.straight.project(float(x), float(y), float(ego.heading)), float(ego.speed))
-        return None
-
-
-# An episode by the environment's own steps, which works for any environment and any ADS.
-
-
-def stepped(start: Start, seed: int, reason: str, *, is_recorded: bool) -> Episode:
-    """Drive an episode by the environment's own steps.
-
-    ``reason`` says why its traffic is not compiled, and is stored in the result.
-    """
-    steps = _Steps(start, is_recorded=is_recorded)
-    try:
-        steps.run()
-    finally:
-        for name in ("_reward", "_info"):  # the environment may be used for more episodes
-            vars(start.env).pop(name, None)
-    tick = steps.tick if steps.crashed_at is None else steps.crashed_at
-    if steps.error is not None:
-        tick = steps.error.tick
-    return start.ended(seed, tick, steps.error, steps=reason, recording=steps.recording() if is_recorded else None)
-
-
-class _Steps:
-    """The environment's own steps in an episode; the ``step`` of its road is replaced to notice each tick.
+class Steps:
+    """An episode in which the environment takes its steps, but something else than its road's functions may do a tick.
 
     Attributes:
         tick: current tick of the episode.
@@ -268,70 +85,176 @@ class _Steps:
         error: error of the ADS, if it did not decide, else None.
     """
 
-    def __init__(self, start: Start, *, is_recorded: bool) -> None:
+    def __init__(self, start: Start, act: Callable[[], None], step: Callable[[float], None]) -> None:
         self.tick = 0
         self.crashed_at: int | None = None
         self.error: AdsError | None = None
         self._start = start
-        self._frames: list[dict[Any, tuple[float, ...]]] | None = [] if is_recorded else None
-        self._note()
-        env, road = start.env, start.env.road
-        act, step, is_policy = road.act, road.step, start.kind == "policy"
+        self._frames: list[dict[Any, tuple[float, ...]]] | None = None
+        # A copy of a vehicle with its road shares plain functions. It would copy a method with its object.
+        start.env.road.act, start.env.road.step = lambda: act(), lambda dt: step(dt)  # noqa: PLW0108
 
-        def step_and_note(dt: float) -> None:
-            step(dt) if is_policy else self._guarded(step, dt)
-            self.tick += 1
-            if env.vehicle.crashed and self.crashed_at is None:
-                self.crashed_at = self.tick
-            self._note()
+    def run(self, seed: int, reason: str, *, is_recorded: bool) -> Episode:
+        """Take steps until the episode is over, and return its result.
 
-        # Plain functions, because a copy of a vehicle with its road shares them. It would copy a method with its
-        # object.
-        road.step = step_and_note
-        if start.eyes is not None:
-            note = start.eyes.note
-
-            def note_and_act() -> None:
-                note()
-                act()
-
-            road.act = note_and_act
-        if not is_policy:
-            road.act = lambda: self._guarded(act)
-            env.observation_type.observe = env._reward = lambda *_: 0.0  # nothing reads them
-            env._info = lambda *_, **__: {}
-        if start.kind == "planner":
-            env.vehicle.act = self._planner()
-
-    def run(self) -> None:
-        """Take steps until the episode is over."""
+        ``reason`` says why its traffic is not compiled, and is stored in the result.
+        """
         start, seen, is_over = self._start, self._start.seen, False
         outer, ask = (start.outer, start.action) if start.kind == "policy" else (start.env, lambda *_: None)
+        self._frames = [] if is_recorded else None
+        self._note()
         while not (is_over or self.error or self.crashed_at or self.tick >= start.ticks):
             before = self.tick
             try:
                 action = ask(seen, before)
             except UNFIT as error:
                 self.error = error_of(error, before, start.guard)
-                return
+                break
             try:
                 seen, _, is_terminated, is_truncated, _ = outer.step(action)
             except Exception as error:
                 raise start.unfit(error) from error
             is_over = bool(is_terminated or is_truncated)
-            if self.tick == before:
+            if self.tick == before and self.error is None:
                 raise WorldError(
                     "wrappers: expected their step to step the environment, received a step that did not, at "
                     f"{before / start.physics_hz:.1f} s of an episode"
                 )
+        tick = self.tick if self.crashed_at is None else self.crashed_at
+        tick = tick if self.error is None else self.error.tick
+        return start.ended(seed, tick, self.error, steps=reason, recording=self._recording())
+
+    def _ticked(self) -> None:
+        """Count a tick in which all vehicles have moved."""
+        self.tick += 1
+        if self._start.env.vehicle.crashed and self.crashed_at is None:
+            self.crashed_at = self.tick
+        self._note()
 
     def _guarded(self, call: Callable[..., None], *arguments: float) -> None:
-        """Let all vehicles act or move under guard, because the ego's class is the user's; nothing after an error."""
+        """Call the user's code under guard; nothing after an error."""
         if self.error is None:
             try:
                 self._start.guarded(call, *arguments)
             except UNFIT as error:
                 self.error = error_of(error, self.tick, self._start.guard)
+
+    def _note(self) -> None:
+        if self._frames is not None and self.crashed_at in (None, self.tick):
+            poses = {each: (*each.position, each.heading, each.speed) for each in self._start.vehicles}
+            self._frames.append(poses)
+
+    def _recording(self) -> EpisodeRecording | None:
+        """Return the recording of the ticks so far; None if there is none."""
+        if self._frames is None:
+            return None
+        frames = self._frames
+        vehicles, gone = list(dict.fromkeys(each for frame in frames for each in frame)), (math.nan,) * 4
+        return EpisodeRecording(
+            states=np.array([[frame.get(each, gone) for each in vehicles] for frame in frames], dtype=float),
+            sizes=np.array([[each.LENGTH, each.WIDTH] for each in vehicles]),
+            lanes=self._start.lanes,
+            physics_hz=self._start.physics_hz,
+        )
+
+
+class CompiledSteps(Steps):
+    """An episode among highway-env's IDM and MOBIL vehicles, all of which compiled code moves.
+
+    The environment still creates the start and the observations, interprets actions, and decides when the episode is
+    over. Before each of these, its vehicles are moved to the places that the compiled code has computed.
+    :func:`why_not` must have returned an empty text for the start.
+    """
+
+    def __init__(self, start: Start) -> None:
+        env = start.env
+        assert start.compiled_lanes is not None  # noqa: S101  (see why_not)
+        self._road = CompiledRoad(env.road, start.compiled_lanes)
+        self._bodies = {each: self._road.vehicle(each) for each in env.road.vehicles}
+        self._ego = self._bodies[env.vehicle]
+        record = start.record() if start.kind == "planner" else None
+        self._traffic = OrdinaryTraffic(
+            list(self._bodies.values()),
+            obstacles_on(env.road),
+            1 / start.physics_hz,
+            record,
+            road_rules(env.road, start.compiled_lanes, start.physics_hz),
+        )
+        self._planner = None if record is None else start.driver(self._ego, record)
+        super().__init__(start, self._act, self._step)
+        if start.kind == "policy" and start.eyes is None:
+            env.observation_type.observe = observer(env)
+
+    def step(self, action: Any) -> Step:
+        """Take one step with an action, and return the values of ``env.step``; the episode ends at a crash's tick."""
+        start = self._start
+        seen, reward, is_terminated, is_truncated, info = start.env.step(action)
+        is_truncated = bool(is_truncated) or self.tick + start.every > start.ticks
+        return seen, float(reward), bool(is_terminated), is_truncated, info
+
+    def _act(self) -> None:
+        """Let the ego decide, unless its model does; the environment has interpreted the action of a policy."""
+        if self._is_over():
+            return
+        start, ego, vehicles = self._start, self._start.env.vehicle, self._start.env.road.vehicles
+        if vehicles != list(self._bodies):  # the environment has added or removed some after its last step
+            self._bodies = {each: self._bodies.get(each) or self._road.vehicle(each) for each in vehicles}
+            self._traffic.vehicles = list(self._bodies.values())
+        if self._planner is not None:
+            if self.tick % self._planner.every == 0:
+                self.error = self._planner.decide(self.tick)
+            self._planner.actuate()
+        elif start.kind == "policy":
+            if self.tick % start.every == 0:
+                self._road.take(ego, self._ego)
+            if start.eyes is not None:  # an imperfect sight stores the places of all vehicles
+                self._show()
+                start.eyes.note()
+        elif not self._ego.drives_itself:
+            self._show()
+            self._guarded(ego.act)
+            self._road.take(ego, self._ego)
+            self._guarded(ego.step, 1 / start.physics_hz)
+            self._ego.acceleration = float(ego.action["acceleration"])  # its step may have limited it
+            self._ego.lead(*self._road.state(ego))
+
+    def _step(self, dt: float) -> None:
+        if self._is_over():
+            return
+        self._traffic.step()
+        if self._ego.crashed or self._frames is not None or (self.tick + 1) % self._start.every == 0:
+            self._show()
+        self._ticked()
+
+    def _is_over(self) -> bool:
+        """Return whether an error or a crash has ended the episode, although the environment's step goes on."""
+        return self.error is not None or self.crashed_at is not None
+
+    def _show(self) -> None:
+        """Move the environment's vehicles to the places of the compiled ones."""
+        for vehicle, body in self._bodies.items():
+            self._road.show(vehicle, body)
+
+
+class OwnSteps(Steps):
+    """An episode by the environment's own steps, which works for any environment and any ADS."""
+
+    def __init__(self, start: Start) -> None:
+        road, is_policy = start.env.road, start.kind == "policy"
+        own_act, own_step = road.act, road.step
+
+        def act() -> None:
+            if start.eyes is not None:
+                start.eyes.note()
+            own_act() if is_policy else self._guarded(own_act)
+
+        def step(dt: float) -> None:
+            own_step(dt) if is_policy else self._guarded(own_step, dt)
+            self._ticked()
+
+        super().__init__(start, act, step)
+        if start.kind == "planner":
+            start.env.vehicle.act = self._planner()
 
     def _planner(self) -> Callable[..., None]:
         """Return the ``act`` of an ego that a planner drives."""
@@ -353,22 +276,6 @@ class _Steps:
             ego.control(body.acceleration, body.steering)
 
         return act
-
-    def _note(self) -> None:
-        if self._frames is not None and self.crashed_at in (None, self.tick):
-            poses = {each: (*each.position, each.heading, each.speed) for each in self._start.vehicles}
-            self._frames.append(poses)
-
-    def recording(self) -> EpisodeRecording:
-        """Return the recording of the ticks so far."""
-        frames = self._frames or []
-        vehicles, gone = list(dict.fromkeys(each for frame in frames for each in frame)), (math.nan,) * 4
-        return EpisodeRecording(
-            states=np.array([[frame.get(each, gone) for each in vehicles] for frame in frames], dtype=float),
-            sizes=np.array([[each.LENGTH, each.WIDTH] for each in vehicles]),
-            lanes=self._start.lanes,
-            physics_hz=self._start.physics_hz,
-        )
 
 
 def drive(
@@ -398,6 +305,7 @@ def drive(
     """
     with vehicle_classes_kept(), HangGuard(hang_limit) as guard:
         outer = environment.with_traffic()
+        observe_fast(outer.unwrapped)
         seen, _ = outer.reset(seed=seed)
         view = None
         try:
@@ -417,6 +325,11 @@ def drive(
             if start.eyes is not None:
                 at_the_end.callback(start.eyes.close)
             reason = why_not(start) if may_compile else "that was requested"
-            if reason:
-                return stepped(start, seed, reason, is_recorded=is_recorded)
-            return compiled(start, seed, is_recorded=is_recorded)
+            steps = OwnSteps(start) if reason else CompiledSteps(start)
+            env = start.env
+            if not (reason and kind == "policy"):  # nothing reads them, but a wrapper may
+                env._reward, env._info = lambda *_: 0.0, lambda *_: {}
+                at_the_end.callback(lambda: [vars(env).pop(name) for name in ("_reward", "_info")])  # it is used again
+            if kind != "policy":
+                env.observation_type.observe = lambda: 0.0
+            return steps.run(seed, reason, is_recorded=is_recorded)

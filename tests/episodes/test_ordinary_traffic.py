@@ -14,7 +14,8 @@ import pytest_pafot as pafot
 from example_ads import constant_speed, idm_mobil
 from pytest_pafot.episodes.ordinary_traffic import drive
 from pytest_pafot.model.trace import Outcome
-from tests.benchmarks.traffic_against_highway_env import WITHIN, difference, swerving, undecided
+from tests.benchmarks.traffic_against_highway_env import WITHIN, difference, straying, swerving, undecided
+from tests.helpers.c_library import c_library
 from tests.helpers.stages import oracle
 
 SHORT = {"vehicles_count": 10, "duration": 15}
@@ -22,6 +23,12 @@ FAST = pafot.World("highway-fast-v0", SHORT)
 CRASHING = pafot.World("highway-v0", {**SHORT, "lanes_count": 2, "simulation_frequency": 10, "vehicles_density": 2})
 SWERVING = {"vehicles_count": 6, "duration": 5, "action": {"type": "ContinuousAction"}, "policy_frequency": 5}
 CONTINUOUS = pafot.World("highway-fast-v0", SWERVING)
+MERGE = pafot.World("merge-v0", {"simulation_frequency": 5})
+ROUNDABOUT = pafot.World("roundabout-v0")
+EXIT = pafot.World("exit-v0", {"vehicles_count": 6, "duration": 6})
+RACETRACK = pafot.World("racetrack-oval-v0", {"duration": 8, "block_lane": True})  # with obstacles
+INTERSECTION = pafot.World("intersection-v0", {"duration": 5})
+STEERED = pafot.World("intersection-v0", {"duration": 5, "action": {"type": "DiscreteAction"}})
 LINEAR = pafot.World(
     "highway-fast-v0", {**SHORT, "duration": 3, "other_vehicles_type": "highway_env.vehicle.behavior.LinearVehicle"}
 )
@@ -45,6 +52,13 @@ class Coasting(Vehicle):
 
     def act(self, action=None):
         super().act({"acceleration": -0.5, "steering": 0.001})
+
+
+class OnTheRamp(Vehicle):
+    """A vehicle that leaves the motorway of merge-v0, and drives along the ramp to the obstacle at its end."""
+
+    def act(self, action=None):
+        super().act({"acceleration": 0.0, "steering": 0.01 * (8.0 - self.position[1]) - 0.3 * self.heading})
 
 
 def looking_ahead(env):
@@ -83,6 +97,32 @@ def test_compiled_episode_matches_the_steps_of_the_environment(world, factory, o
     assert len(compiled.recording.states) == 1 + round(compiled.seconds * compiled.recording.physics_hz)
 
 
+OFF_STRAIGHT_ROADS = [
+    pytest.param(MERGE, undecided, id="merge-policy"),
+    pytest.param(MERGE, Sluggish, id="merge-vehicle-class-of-its-own"),
+    pytest.param(MERGE, OnTheRamp, id="merge-obstacle"),
+    pytest.param(ROUNDABOUT, idm_mobil.make, id="roundabout-vehicle-class"),
+    pytest.param(ROUNDABOUT, undecided, id="roundabout-policy"),
+    pytest.param(EXIT, undecided, id="exit-policy"),
+    pytest.param(RACETRACK, straying, id="racetrack-continuous-actions"),
+    pytest.param(INTERSECTION, idm_mobil.make, id="intersection-vehicle-class"),
+    pytest.param(INTERSECTION, lambda: lambda seen: 2, id="intersection-policy"),
+    pytest.param(STEERED, lambda: lambda seen: 4, id="intersection-policy-that-steers"),
+]
+
+
+@pytest.mark.parametrize(("world", "factory"), OFF_STRAIGHT_ROADS)
+def test_episode_on_other_roads_is_same_to_the_last_bit(world, factory):
+    factory = (lambda: factory) if isinstance(factory, type) else factory
+    with c_library():
+        compiled = driven(world, factory, 2, is_recorded=True)
+        stepped = driven(world, factory, 2, is_recorded=True, may_compile=False)
+    assert (compiled.steps, stepped.steps) == ("", "that was requested")
+    assert difference(compiled, stepped) == 0.0
+    if factory is OnTheRamp:
+        assert compiled.outcome is Outcome.COLLISION
+
+
 def test_crash_is_cut_where_highway_env_flags_it():
     episode = driven(FAST, constant_speed.make, 1, is_planner=True, is_recorded=True)
     assert episode.outcome is Outcome.COLLISION
@@ -91,8 +131,9 @@ def test_crash_is_cut_where_highway_env_flags_it():
 
 
 def test_other_traffic_or_roads_use_environment_steps():
-    merge = driven(pafot.World("merge-v0", {"simulation_frequency": 5}), lambda: lambda seen: 1, 0)
-    assert "the road is not straight" in merge.steps
+    assert "the ego is not the first" in driven(INTERSECTION, Sluggish, 0).steps
+    parking = driven(pafot.World("parking-v0", {"duration": 1}), lambda: lambda seen: (0.0, 0.0), 0)
+    assert "a Landmark on the road" in parking.steps
     ranged = {**SWERVING, "action": {"type": "ContinuousAction", "speed_range": [0.0, 22.0]}, "duration": 2}
     fast = type("Fast", (IDMVehicle,), {"MAX_SPEED": 50.0})
     assert "its own speed limits" in driven(CONTINUOUS, lambda: fast, 0).steps
@@ -111,6 +152,28 @@ class HighwayOfOurOwn(HighwayEnvFast):
 
     def step(self, action):
         return super().step(1)
+
+
+class HighwayWithLimits(HighwayEnvFast):
+    """A straight road whose lanes have different speed limits."""
+
+    def _create_road(self):
+        super()._create_road()
+        for number, lane in enumerate(self.road.network.lanes_list()):
+            lane.speed_limit = 30 - 5 * number
+
+
+def test_straight_road_with_several_speed_limits_is_compiled_but_not_for_planners():
+    gymnasium.register("limits-v0", entry_point=HighwayWithLimits)
+    try:
+        world = pafot.World("limits-v0", {"vehicles_count": 8, "duration": 6})
+        compiled, stepped = (
+            driven(world, idm_mobil.make, 0, is_recorded=True, may_compile=may_compile) for may_compile in (True, False)
+        )
+        assert (compiled.steps, difference(compiled, stepped) <= WITHIN) == ("", True)
+        assert "one speed limit" in driven(world, constant_speed.make, 0, is_planner=True).steps
+    finally:
+        del gymnasium.registry["limits-v0"]
 
 
 def test_environment_with_its_own_steps_uses_them():

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import numpy as np
@@ -16,12 +15,11 @@ from pytest_pafot.world.kernel.idm import GoalVehicle
 from pytest_pafot.world.kernel.lane_network import Network
 from pytest_pafot.world.kernel.network_vehicle import NetworkVehicle, StaticObstacle
 from pytest_pafot.world.kernel.places import Places
-from pytest_pafot.world.kernel.road_rules import RoadRules
-from pytest_pafot.world.kernel.traffic import TrafficVehicle
+from pytest_pafot.world.kernel.road_rules import EgosRoadRules, RoadRules
 from pytest_pafot.world.roads.network import NetworkRoad
 from pytest_pafot.world.roads.straight import StraightRoad
 from pytest_pafot.world.run_config import Rules
-from pytest_pafot.world.stock import ControlledVehicle
+from pytest_pafot.world.stock import ControlledVehicle, RegulatedRoad
 
 
 def constants_of(vehicle: Any) -> dict[str, float]:
@@ -29,53 +27,80 @@ def constants_of(vehicle: Any) -> dict[str, float]:
     return {name: getattr(vehicle, name, getattr(IDMVehicle, name)) for name in CONSTANTS}
 
 
-def compiled_vehicle(vehicle: Any, road: StraightRoad) -> TrafficVehicle:
-    """Return a compiled vehicle of ordinary traffic, in road coordinates, in the state of a highway-env vehicle."""
-    body = TrafficVehicle(
-        constants_of(vehicle),
-        road.grid,
-        road.speed_limit,
-        has_goal=isinstance(vehicle, ControlledVehicle),
-        drives_itself=idm_model(type(vehicle)) is not None,
-        # highway-env's IDM treats a vehicle without a target speed as one that wants to stand still.
-        taken_for=math.nan if hasattr(vehicle, "target_speed") else 0.0,
-    )
-    pose = road.project(float(vehicle.position[0]), float(vehicle.position[1]), float(vehicle.heading))
-    body.start(*pose, float(vehicle.speed), bool(getattr(vehicle, "enable_lane_change", True)))
-    goal = getattr(vehicle, "target_lane_index", vehicle.lane_index)[2]
-    body.begin(goal, float(getattr(vehicle, "target_speed", 0.0)), float(getattr(vehicle, "timer", 0.0)))
-    body.checks = bool(vehicle.check_collisions)
-    return body
+class CompiledRoad:
+    """A road of highway-env and its lanes in compiled code, which copies vehicles from one to the other.
 
-
-def goal_vehicle(vehicle: Any, lanes: StraightRoad | Network) -> GoalVehicle:
-    """Return a compiled vehicle with a goal, at the start of a vehicle of highway-env.
-
-    At the end of a lane of a network, it asks highway-env's network for the next lane, which shortens the vehicle's
-    route. A straight road must start at the world's origin.
+    Compiled vehicles are in road coordinates on a straight road, and otherwise in world coordinates.
     """
-    road, indexes = vehicle.road, list(vehicle.road.network.lanes_dict())
-    numbers = {index: number for number, index in enumerate(indexes)}
 
-    def routed() -> int:
-        route = getattr(vehicle, "route", None)
-        return -1 if not route or route[0][2] is None else int(route[0][2])
+    def __init__(self, road: Any, lanes: StraightRoad | Network) -> None:
+        self._road = road
+        self._lanes = lanes
+        self._named = list(road.network.lanes_dict().items())
+        self._numbers = {index: number for number, (index, _) in enumerate(self._named)}
+        self._x, self._y, _ = lanes.position(0.0, 0) if isinstance(lanes, StraightRoad) else (0.0, 0.0, 0.0)
+        self._searched = _searched(road, self._numbers)
 
-    def following(lane: int, x: float, y: float) -> tuple[int, int]:
-        here, route = np.array([x, y]), getattr(vehicle, "route", None)
-        after = road.network.next_lane(indexes[lane], route=route, position=here, np_random=road.np_random)
-        return numbers[after[0], after[1], int(after[2])], routed()
+    def vehicle(self, vehicle: Any) -> GoalVehicle:
+        """Return a compiled vehicle in the state of a vehicle of highway-env.
 
-    body: GoalVehicle
-    if isinstance(lanes, Network):
-        body = NetworkVehicle(constants_of(vehicle), lanes, following, routed(), _searched(road, numbers))
-    else:
-        body = GoalVehicle(constants_of(vehicle), lanes.grid, lanes.speed_limit)
-    x, y = map(float, vehicle.position)
-    body.start(x, y, float(vehicle.heading), float(vehicle.speed), bool(getattr(vehicle, "enable_lane_change", True)))
-    if isinstance(vehicle, ControlledVehicle):
-        body.aim(numbers[vehicle.target_lane_index], float(vehicle.target_speed))
-    return body
+        At the end of a lane of a network, it asks highway-env's network for the next lane, which shortens the vehicle's
+        route.
+        """
+        network, numbers = self._road.network, self._numbers
+
+        def routed() -> int:
+            route = getattr(vehicle, "route", None)
+            return -1 if not route or route[0][2] is None else int(route[0][2])
+
+        def following(lane: int, x: float, y: float) -> tuple[int, int]:
+            here, route, random = np.array([x, y]), getattr(vehicle, "route", None), self._road.np_random
+            after = network.next_lane(self._named[lane][0], route=route, position=here, np_random=random)
+            return numbers[after], routed()
+
+        def route(lane: int) -> list[int]:
+            """Return the lanes of the route; where the route leaves the lane open, the vehicle keeps its number."""
+            here = self._named[lane][0]
+            return [numbers[a, b, here[2] if number is None else number] for a, b, number in vehicle.route or [here]]
+
+        body: GoalVehicle
+        if isinstance(self._lanes, Network):
+            body = NetworkVehicle(constants_of(vehicle), self._lanes, following, routed(), route, self._searched)
+        else:
+            body = GoalVehicle(constants_of(vehicle), self._lanes.grid, self._lanes.speed_limit)
+        body.has_goal = isinstance(vehicle, ControlledVehicle)
+        body.drives_itself = idm_model(type(vehicle)) is not None
+        body.checks = bool(vehicle.check_collisions)
+        body.crashed = bool(vehicle.crashed)
+        body.waited = vehicle.yield_timer if getattr(vehicle, "is_yielding", False) else -1
+        if not hasattr(vehicle, "target_speed"):
+            body.taken_for = 0.0  # highway-env's IDM treats it as one that wants to stand still
+        body.start(*self.state(vehicle), bool(getattr(vehicle, "enable_lane_change", True)))
+        if hasattr(vehicle, "timer"):
+            body.wait(float(vehicle.timer))
+        self.take(vehicle, body)
+        return body
+
+    def state(self, vehicle: Any) -> tuple[float, float, float, float]:
+        """Return x [m], y [m], heading [rad] and speed [m/s] of a vehicle of highway-env for a compiled one."""
+        x, y = vehicle.position
+        return float(x) - self._x, float(y) - self._y, float(vehicle.heading), float(vehicle.speed)
+
+    def take(self, vehicle: Any, body: GoalVehicle) -> None:
+        """Copy the goal of a vehicle of highway-env to a compiled one, and its controls, which a goal may replace."""
+        if body.has_goal:
+            body.aim(self._numbers[vehicle.target_lane_index], float(vehicle.target_speed))
+        body.acceleration, body.steering = float(vehicle.action["acceleration"]), float(vehicle.action["steering"])
+
+    def show(self, vehicle: Any, body: GoalVehicle) -> None:
+        """Copy the state of a compiled vehicle to a vehicle of highway-env."""
+        x, y, vehicle.heading, vehicle.speed, lane, goal, wanted = body.seen()
+        vehicle.position = np.array([x + self._x, y + self._y])
+        vehicle.action = {"steering": body.steering, "acceleration": body.acceleration}
+        vehicle.lane_index, vehicle.lane = self._named[lane]
+        vehicle.crashed = body.crashed
+        if body.has_goal:
+            vehicle.target_lane_index, vehicle.target_speed = self._named[goal][0], wanted
 
 
 def _searched(road: Any, numbers: dict[Any, int]) -> list[list[tuple[int, float]]]:
@@ -96,33 +121,25 @@ def _searched(road: Any, numbers: dict[Any, int]) -> list[list[tuple[int, float]
     return searched
 
 
-def rules_for(ego: Any, model: GoalVehicle, places: Places, rules: Rules, network: Any) -> RoadRules | None:
+def egos_rules(ego: Any, model: GoalVehicle, places: Places, rules: Rules, network: Any) -> EgosRoadRules | None:
     """Return the rules of a regulated road for an ego of highway-env, which ``model`` drives; None on other roads."""
     road, way = ego.road, rules.road
     if not (isinstance(road, EgosRegulatedRoad) and isinstance(model, NetworkVehicle) and isinstance(way, NetworkRoad)):
         return None
-    lanes = road.network.lanes_dict()
-    indexes, numbers = list(lanes), {index: number for number, index in enumerate(lanes)}
+    return EgosRoadRules(model, places, way.bends, *_regulation(road, network, rules.physics_hz))
 
-    def route(lane: int) -> list[int]:
-        """Return the lanes of the ego's route; where the route leaves the lane open, the ego keeps its number."""
-        origin, end, own = indexes[lane]
-        kept = own if own < len(road.network.graph[origin][end]) else 0
-        steps = ego.route or [indexes[lane]]
-        return [numbers[a, b, kept if number is None else int(number)] for a, b, number in steps]
 
+def road_rules(road: Any, lanes: StraightRoad | Network, physics_hz: int) -> RoadRules | None:
+    """Return the rules of a regulated road of highway-env for all its vehicles; None on other roads."""
+    is_regulated = isinstance(road, RegulatedRoad) and isinstance(lanes, Network)
+    return RoadRules(*_regulation(road, lanes, physics_hz)) if is_regulated else None
+
+
+def _regulation(road: Any, network: Any, physics_hz: int) -> tuple[Network, list[int], int, int, float]:
     frequency = road.REGULATION_FREQUENCY
-    return RoadRules(
-        model,
-        places,
-        way.bends,
-        network,
-        priorities=[int(each.priority) for each in lanes.values()],
-        route=route,
-        steps=road.steps,
-        every=int(1 / (1 / rules.physics_hz) / frequency),  # as highway-env rounds it
-        lasts=road.YIELD_DURATION * frequency,
-    )
+    priorities = [int(each.priority) for each in road.network.lanes_list()]
+    every = int(1 / (1 / physics_hz) / frequency)  # as highway-env rounds it
+    return network, priorities, road.steps, every, road.YIELD_DURATION * frequency
 
 
 def obstacles_on(road: Any) -> list[Body]:

@@ -6,6 +6,7 @@ highway-env's own functions take milliseconds for an observation, which is longe
 from __future__ import annotations
 
 from functools import cached_property, lru_cache
+from types import MethodType
 from typing import Any
 
 import numpy as np
@@ -31,7 +32,17 @@ def observer(env: Any) -> Any:
     stock = env.observation_type
     fast = _FAST.get(type(stock))
     network = None if fast is None else compiled_network(env.road.network)
-    return fast(env, stock, network) if fast and network and fast.is_fit(stock) else stock.observe
+    return fast(env, stock, network) if fast and network and fast.is_fit(stock) else _slow(stock)
+
+
+def observe_fast(env: Any) -> None:
+    """Replace an environment's function for its observation by that of :func:`observer`, also after resets."""
+
+    def define_spaces() -> None:
+        type(env).define_spaces(env)
+        env.observation_type.observe = lambda: observer(env)()  # noqa: PLW0108  (a reset makes the road only later)
+
+    env.define_spaces = define_spaces
 
 
 class FastObservation:
@@ -43,6 +54,7 @@ class FastObservation:
     def __init__(self, env: Any, stock: Any, network: Network) -> None:
         self._env = env
         self._stock = stock
+        self._slowly = _slow(stock)
         self._network = network
         self._roads = env.road.network
         self._lanes = {lane: number for number, lane in enumerate(self._roads.lanes_list())}
@@ -62,7 +74,7 @@ class FastObservation:
                     return self._observe(ego, road)
                 except (LookupError, ZeroDivisionError):  # a lane that is not on the road, or an empty features_range
                     pass
-        return self._stock.observe()
+        return self._slowly()
 
     def _observe(self, ego: Any, road: Any) -> Any:
         raise NotImplementedError
@@ -88,7 +100,7 @@ class FastTable(FastObservation):
         elif stock.include_obstacles:
             objects = road.objects
         if not (_is_plain(road.__class__, Road) and all(_is_plain(each.__class__, RoadObject) for each in objects)):
-            return stock.observe()
+            return self._slowly()
         return self._table.observe(ego, road.vehicles, objects, self._env.PERCEPTION_DISTANCE, exit_lane)
 
     @cached_property
@@ -135,7 +147,7 @@ class FastCollisions(FastObservation):
         # With a single speed, highway-env returns the grid for two speeds.
         is_usual = _is_plain(ego.__class__, MDPVehicle) and ego.target_speeds.size > 1
         if ego is not self._env.vehicle or not is_usual:
-            return self._stock.observe()
+            return self._slowly()
         period = 1 / self._env.config["policy_frequency"]
         cells = int(self._stock.horizon / period)
         return self._collisions.observe(ego, road.vehicles, self._roads, period, cells)
@@ -151,6 +163,11 @@ _FAST: dict[Any, type[FastObservation]] = {
     observation.OccupancyGridObservation: FastGrid,
     observation.TimeToCollisionObservation: FastCollisions,
 }
+
+
+def _slow(stock: Any) -> Any:
+    """Return highway-env's own function, although another one may have replaced it."""
+    return MethodType(type(stock).observe, stock)
 
 
 @lru_cache(maxsize=1000)

@@ -13,7 +13,7 @@ from gymnasium import spaces
 from pytest_pafot.model.trace import AdsError
 from pytest_pafot.support.errors import BadAction, WorldError
 from pytest_pafot.support.text import shown
-from pytest_pafot.world.driving.compiled_vehicle import goal_vehicle
+from pytest_pafot.world.driving.compiled_vehicle import CompiledRoad
 from pytest_pafot.world.driving.object_driver import ObjectDriver
 from pytest_pafot.world.driving.observations import observer
 from pytest_pafot.world.driving.seeing import PolicySight
@@ -22,7 +22,7 @@ from pytest_pafot.world.kernel.action import hint_at
 from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.kernel.lane_network import Network
 from pytest_pafot.world.roads.straight import StraightRoad
-from pytest_pafot.world.stock import ControlledVehicle, Road, class_from_path
+from pytest_pafot.world.stock import Road, class_from_path
 
 
 class PolicyDriver(ObjectDriver):
@@ -114,51 +114,31 @@ class ModelPolicyDriver(PolicyDriver):
         sight: PolicySight | None,
         lanes: StraightRoad | Network,
     ) -> None:
-        self._model = goal_vehicle(env.vehicle, lanes)
-        self._indexes = list(env.road.network.lanes_dict())
-        self._has_goal = isinstance(env.vehicle, ControlledVehicle)
+        self._compiled = CompiledRoad(env.road, lanes)
+        self._model = self._compiled.vehicle(env.vehicle)
         super().__init__(ads, env, guard, every, view, sight, self._model)
 
     def observe(self, tick: int) -> Any:
         """Return the ADS's observation at the current tick."""
-        self._show()
+        self._compiled.show(self.vehicle, self._model)
         return super().observe(tick)
 
     def _applied(self, action: Any) -> Any:
         """Check an action, let the environment interpret it, and return the checked action."""
-        checked, model, vehicle = super()._applied(action), self._model, self.vehicle
-        if self._has_goal:
-            origin, end, number = vehicle.target_lane_index
-            model.aim(self._indexes.index((origin, end, int(number))), float(vehicle.target_speed))
-        else:
-            model.acceleration, model.steering = (
-                float(vehicle.action["acceleration"]),
-                float(vehicle.action["steering"]),
-            )
+        checked = super()._applied(action)
+        self._compiled.take(self.vehicle, self._model)
         return checked
 
     def actuate(self) -> None:
         """Set the controls of a tick."""
         if self._sight is not None:
-            self._show()
+            self._compiled.show(self.vehicle, self._model)
             self._sight.note()
-        if self._has_goal:
-            self._model.pursue()
+        self._model.act([])
 
     def step(self, dt: float) -> None:
         """Move the ego for one tick [s]."""
         self._model.step(dt)
-
-    def _show(self) -> None:
-        """Give the environment's vehicle the state of the ego."""
-        vehicle, model = self.vehicle, self._model
-        x, y, vehicle.heading, vehicle.speed, lane, goal = model.seen()
-        vehicle.position = np.array([x, y])
-        vehicle.action = {"steering": model.steering, "acceleration": model.acceleration}
-        vehicle.lane_index = self._indexes[lane]
-        vehicle.lane = vehicle.road.network.get_lane(vehicle.lane_index)
-        if self._has_goal:
-            vehicle.target_lane_index = self._indexes[goal]
 
 
 def check_action_space(space: Any) -> None:

@@ -16,7 +16,7 @@ from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.sight import Sight
 from pytest_pafot.model.trace import Trace
 from pytest_pafot.world.driving.ads import AdsFactory, is_vehicle_class, make_ads, wants_env
-from pytest_pafot.world.driving.compiled_vehicle import goal_vehicle, obstacles_on, rules_for
+from pytest_pafot.world.driving.compiled_vehicle import CompiledRoad, egos_rules, obstacles_on
 from pytest_pafot.world.driving.idm_model import idm_model
 from pytest_pafot.world.driving.object_driver import ObjectDriver
 from pytest_pafot.world.driving.perception import ads_and_sight
@@ -52,10 +52,10 @@ def rollout(environment: GymEnvironment, rules: Rules, scenario: Scenario, ads_f
             lanes = _lanes_of_idm(environment, env.road)
             if idm_model(ads) is None or lanes is None:
                 return _begun(rules, scenario, ObjectDriver(ego, env.road, guard), guard).finish()
-            model = goal_vehicle(ego, lanes)
+            model = CompiledRoad(env.road, lanes).vehicle(ego)
             vehicles = VehiclesOfRun(rules, scenario, model, env.road.network)
             others = [*vehicles.vehicles[1:], *obstacles_on(env.road)]
-            model_driver = ModelDriver(model, others, rules_for(ego, model, vehicles.places, rules, lanes))
+            model_driver = ModelDriver(model, others, egos_rules(ego, model, vehicles.places, rules, lanes))
             return SteppedRun(vehicles, model_driver, guard).finish()
         ads, sight = ads_and_sight(ads)
         driver = _policy_driver(environment, rules, scenario, ads, env, guard, view, sight)

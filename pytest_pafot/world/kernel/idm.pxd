@@ -11,7 +11,12 @@ cdef class GoalVehicle(Body):
     cdef Lanes _lanes
     cdef double _speed_limit, _acc_max, _comfort, _braking, _distance, _time, _delta, _politeness, _min_gain
     cdef double _max_imposed, _delay, _kp_heading, _kp_lateral, _kp_speed, _max_steering, _target_speed, _timer
-    cdef bint _changes_lanes
+    cdef public bint has_goal, drives_itself, checks, crashed
+    cdef public double taken_for
+    cdef readonly double diagonal
+    cdef double _push_x, _push_y, _next_x, _next_y, _next_heading, _next_speed
+    cdef bint _changes_lanes, _is_led, _is_pushed
+    cdef public int waited
     cdef int _closest, _goal, _routed
 
     cpdef start(self, double x, double y, double heading, double speed, bint changes_lanes)
@@ -19,6 +24,12 @@ cdef class GoalVehicle(Body):
     cpdef aim(self, int goal, double wanted)
 
     cpdef want(self, double speed)
+
+    cpdef void wait(self, double timer)
+
+    cpdef void lead(self, double x, double y, double heading, double speed)
+
+    cpdef void push(self, double x, double y)
 
     cpdef tuple seen(self)
 
@@ -40,6 +51,9 @@ cdef class GoalVehicle(Body):
     @cython.locals(lane=int, side=int)
     cdef void _choose_lane(self, list others) except *
 
+    @cython.locals(other=GoalVehicle)
+    cdef void _give_way(self, list others) except *
+
     @cython.locals(lateral=double, inside=bint)
     cdef bint _reaches(self, int lane) except -1
 
@@ -54,6 +68,7 @@ cdef class GoalVehicle(Body):
 
     cdef double _limit(self, Body vehicle) except? -1
 
+    @cython.locals(other=GoalVehicle)
     cdef double _liked(self, Body vehicle) except? -1
 
     @cython.locals(cos_h=double, sin_h=double, closing_x=double, closing_y=double, closing=double, ab=double)

@@ -7,12 +7,16 @@ Sources: Treiber, Hennecke, Helbing, "Congested traffic states in empirical obse
 Physical Review E 62, 2000; Kesting, Treiber, Helbing, "General lane-changing model MOBIL for car-following models",
 Transportation Research Record 1999, 2007. For NPCs, which are no IDM vehicles, the model assumes that each desires its
 current speed.
+
+In highway-env's ordinary traffic, all vehicles are of this class. A crashed vehicle stops there, and a vehicle in a
+contact is pushed aside; :mod:`pytest_pafot.world.kernel.traffic` finds the contacts.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from typing import Any
 
 from pytest_pafot.world.kernel.action import lane_steering, not_zero
 from pytest_pafot.world.kernel.bodies import Body
@@ -32,10 +36,29 @@ class GoalVehicle(Body):
         constants: the constants of the vehicle class, by name.
         lanes: the road's lanes.
         speed_limit: the speed limit of every lane [m/s].
+
+    Attributes:
+        has_goal: true if it steers for a lane and a speed, its goal; else its controls are set from outside and held.
+        drives_itself: true if it finds its goal and its acceleration by MOBIL and IDM; else the goal is set from
+            outside, for instance by meta-actions.
+        taken_for: the desired speed that others assume [m/s]. NaN stands for the speed of its goal, or without a goal
+            for its current speed.
+        checks: true if it tests for crashes; a pair is tested if one of the two does.
+        crashed: true if highway-env would flag it as crashed.
+        diagonal: the diagonal of its box [m].
+        waited: the number of decisions of the road's rules for which it has yielded; -1 if it does not yield.
     """
 
     def __init__(self, constants: Mapping[str, float], lanes: Lanes, speed_limit: float) -> None:
         super().__init__(constants["LENGTH"], constants["WIDTH"])
+        self.has_goal = self.drives_itself = self.checks = True
+        self.taken_for = float("nan")
+        self.crashed = False
+        self.diagonal = math.hypot(self.length, self.width)
+        self.waited = -1
+        self._is_led = self._is_pushed = False
+        self._next_x = self._next_y = self._next_heading = self._next_speed = 0.0
+        self._push_x = self._push_y = 0.0
         self._lanes = lanes
         self._speed_limit = speed_limit
         self._acc_max = constants["ACC_MAX"]
@@ -63,7 +86,7 @@ class GoalVehicle(Body):
         """Begin a run at x [m], y [m], heading [rad] and speed [m/s], which becomes the desired speed."""
         self.place(x, y, heading, speed)
         self._changes_lanes = changes_lanes
-        self._closest = self._goal = self._lanes.closest(x, y, heading)
+        self._closest = self._goal = self._found(self)
         self._target_speed = speed
         self._timer = ((x + y) * math.pi) % self._delay  # as in highway-env, so that not all vehicles decide at once
 
@@ -76,9 +99,27 @@ class GoalVehicle(Body):
         """Set the speed of its goal [m/s]."""
         self._target_speed = speed
 
-    def seen(self) -> tuple[float, float, float, float, int, int]:
-        """Return its x [m], y [m], heading [rad], speed [m/s], its lane, and the lane of its goal."""
-        return self.x, self.y, self.heading, self.speed, self._closest, self._goal
+    def wait(self, timer: float) -> None:
+        """Set the time since its last decision on lanes [s]."""
+        self._timer = timer
+
+    def lead(self, x: float, y: float, heading: float, speed: float) -> None:
+        """Move to the given state in the next tick, whatever the controls are [m, m, rad, m/s]."""
+        self._is_led = True
+        self._next_x = x
+        self._next_y = y
+        self._next_heading = heading
+        self._next_speed = speed
+
+    def push(self, x: float, y: float) -> None:
+        """Move by this much in addition in the next tick, and be crashed then [m]."""
+        self._is_pushed = True
+        self._push_x = x
+        self._push_y = y
+
+    def seen(self) -> tuple[float, float, float, float, int, int, float]:
+        """Return its x [m], y [m], heading [rad], speed [m/s], its lane, and the lane and the speed of its goal."""
+        return self.x, self.y, self.heading, self.speed, self._closest, self._goal, self._target_speed
 
     def pursue(self) -> None:
         """Set acceleration and steering for the coming tick towards the goal, whatever others do."""
@@ -87,7 +128,13 @@ class GoalVehicle(Body):
         self.acceleration = self._kp_speed * (self._target_speed - self.speed)
 
     def act(self, others: list[Body]) -> None:
-        """Set acceleration and steering for the coming tick by IDM and MOBIL."""
+        """Set acceleration and steering for the coming tick, by IDM and MOBIL if it drives itself."""
+        if not self.drives_itself:
+            if self.has_goal and not self._is_led:
+                self.pursue()
+            return
+        if self.crashed:
+            return
         self._follow_road()
         if self._changes_lanes:
             self._choose_lane(others)
@@ -99,9 +146,20 @@ class GoalVehicle(Body):
         self.acceleration = min(max(acceleration, -self._acc_max), self._acc_max)
 
     def step(self, dt: float) -> None:
-        """Move for one time step [s]."""
+        """Move for one time step [s]; a crashed vehicle stops, and a vehicle in a contact is pushed aside."""
+        if self.crashed:
+            self.steering = 0.0
+            self.acceleration = -self.speed
         self._timer += dt
-        Body.step(self, dt)  # C methods have no super()
+        if self._is_led:
+            self.place(self._next_x, self._next_y, self._next_heading, self._next_speed)
+        else:
+            Body.step(self, dt)  # C methods have no super()
+        if self._is_pushed:
+            self.x += self._push_x
+            self.y += self._push_y
+            self.crashed = True
+            self._is_pushed = False
         self._closest = self._found(self)
 
     # What a road of another shape replaces.
@@ -122,13 +180,29 @@ class GoalVehicle(Body):
         return 0 <= side < self._lanes.count
 
     def _choose_lane(self, others: list[Body]) -> None:
-        if self._closest != self._goal or self._timer <= self._delay:
+        if self._closest != self._goal:
+            if self._has_beside(self._closest, self._goal):
+                self._give_way(others)
+            return
+        if self._timer <= self._delay:
             return
         self._timer = 0.0
         lane = self._closest
         for side in (lane - 1, lane + 1):
             if self._has_beside(lane, side) and self._reaches(side) and self._gains(side, others):
                 self._goal = side
+
+    def _give_way(self, others: list[Any]) -> None:
+        """Stay in its lane if a vehicle ahead enters the same lane as this one."""
+        for each in others:
+            if each is self or not isinstance(each, GoalVehicle):
+                continue
+            other: GoalVehicle = each
+            if not other.has_goal or other._goal != self._goal or other._closest == self._goal:
+                continue
+            if 0.0 < self._apart(self, other) < self._desired_gap(self, other):
+                self._goal = self._closest
+                return
 
     def _reaches(self, lane: int) -> bool:
         lateral = abs(self.y - lane * self._lanes.width)
@@ -173,7 +247,12 @@ class GoalVehicle(Body):
 
     def _liked(self, vehicle: Body) -> float:
         """Return the desired speed of a vehicle, as far as this vehicle knows [m/s]."""
-        return self._target_speed if vehicle is self else vehicle.speed
+        if not isinstance(vehicle, GoalVehicle):
+            return vehicle.speed
+        other: GoalVehicle = vehicle
+        if not math.isnan(other.taken_for):
+            return other.taken_for
+        return other._target_speed if other.has_goal else other.speed
 
     def _desired_gap(self, vehicle: Body, front: Body) -> float:
         cos_h, sin_h = math.cos(vehicle.heading), math.sin(vehicle.heading)

@@ -9,7 +9,7 @@ from pytest_pafot.world.kernel.idm cimport GoalVehicle
 from pytest_pafot.world.kernel.lanes cimport Lanes
 from pytest_pafot.world.kernel.observation cimport Sensor
 from pytest_pafot.world.kernel.places cimport Places
-from pytest_pafot.world.kernel.road_rules cimport RoadRules
+from pytest_pafot.world.kernel.road_rules cimport EgosRoadRules
 
 cdef class EgoDriver:
     cdef readonly Body ego
@@ -24,7 +24,7 @@ cdef class EgoDriver:
 cdef class ModelDriver(EgoDriver):
     cdef GoalVehicle model
     cdef list others
-    cdef RoadRules rules
+    cdef EgosRoadRules rules
 
     cpdef actuate(self)
     cpdef step(self, double dt)

@@ -30,7 +30,7 @@ from pytest_pafot.world.kernel.driver import LaneTracker
 from pytest_pafot.world.kernel.idm import GoalVehicle
 from pytest_pafot.world.kernel.observation import COLUMNS, Sensor
 from pytest_pafot.world.kernel.places import Places
-from pytest_pafot.world.kernel.road_rules import RoadRules
+from pytest_pafot.world.kernel.road_rules import EgosRoadRules
 
 
 class EgoDriver:
@@ -76,7 +76,7 @@ class ModelDriver(EgoDriver):
         rules: the rules of the road that it obeys; None if there are none.
     """
 
-    def __init__(self, ego: GoalVehicle, others: list[Any], rules: RoadRules | None = None) -> None:
+    def __init__(self, ego: GoalVehicle, others: list[Any], rules: EgosRoadRules | None = None) -> None:
         super().__init__(ego, 1)
         self.model = ego
         self.others = others
@@ -89,7 +89,7 @@ class ModelDriver(EgoDriver):
     def step(self, dt: float) -> AdsError | None:
         """Apply the rules of the road, and move the ego for one tick [s]."""
         if self.rules is not None:
-            self.rules.apply()
+            self.rules.apply_to_ego()
         self.model.step(dt)
         return None
 

@@ -13,10 +13,10 @@ cdef class StaticObstacle(Body):
 
 cdef class NetworkVehicle(GoalVehicle):
     cdef Network _network
-    cdef object _following
+    cdef object _following, _route
     cdef list _searched
 
-    cpdef start(self, double x, double y, double heading, double speed, bint changes_lanes)
+    cpdef list route(self)
 
     cdef int _found(self, Body vehicle) except -1
 
@@ -36,6 +36,7 @@ cdef class NetworkVehicle(GoalVehicle):
 
     cdef double _limit(self, Body vehicle) except? -1
 
+    @cython.locals(other=GoalVehicle)
     cdef int _lane_of(self, Body vehicle) except -1
 
     @cython.locals(network=Network, goal=int, offset=double, ahead=double, angle=double)

@@ -25,7 +25,7 @@ class StaticObstacle(Body):
 
 
 class NetworkVehicle(GoalVehicle):
-    """A vehicle with a goal on any road, among others that are only seen.
+    """A vehicle with a goal on any road.
 
     Args:
         constants: the constants of the vehicle class, by name.
@@ -33,6 +33,7 @@ class NetworkVehicle(GoalVehicle):
         following: returns the lane that follows a lane for a vehicle at x and y [m], and the lane that the rest of its
             route demands, counted from the left, or -1.
         routed: the lane that its route demands at the start, or -1.
+        route: returns the lanes of the rest of its route, for the lane in which it is.
         searched: for each lane, the lanes in which it looks for vehicles, and where each begins along the lane [m].
     """
 
@@ -42,18 +43,19 @@ class NetworkVehicle(GoalVehicle):
         network: Network,
         following: Callable[[int, float, float], tuple[int, int]],
         routed: int,
+        route: Callable[[int], list[int]],
         searched: Sequence[Sequence[tuple[int, float]]],
     ) -> None:
         super().__init__(constants, Lanes(1, 1.0, 1.0), 0.0)
         self._network = network
         self._following = following
         self._routed = routed
+        self._route = route
         self._searched = list(searched)
 
-    def start(self, x: float, y: float, heading: float, speed: float, changes_lanes: bool) -> None:
-        """Begin a run at x [m], y [m], heading [rad] and speed [m/s], which becomes the desired speed."""
-        GoalVehicle.start(self, x, y, heading, speed, changes_lanes)
-        self._closest = self._goal = self._found(self)
+    def route(self) -> list[int]:
+        """Return the lanes of the rest of its route."""
+        return self._route(self._closest)
 
     def _found(self, vehicle: Body) -> int:
         return self._network.closest(vehicle.x, vehicle.y, vehicle.heading)
@@ -86,7 +88,10 @@ class NetworkVehicle(GoalVehicle):
         return self._network.speed_limit(self._lane_of(vehicle))
 
     def _lane_of(self, vehicle: Body) -> int:
-        return self._closest if vehicle is self else self._found(vehicle)
+        if isinstance(vehicle, GoalVehicle):
+            other: GoalVehicle = vehicle
+            return other._closest
+        return self._found(vehicle)
 
     def _steering(self) -> float:
         network, goal = self._network, self._goal
@@ -101,7 +106,7 @@ class NetworkVehicle(GoalVehicle):
         own = self._network.along
         for other in others:
             along = self._along(lane, other)
-            if own <= along <= nearest:  # also false for NaN
+            if own <= along <= nearest and other is not self:  # also false for NaN
                 nearest, found = along, other
         return found
 
@@ -111,7 +116,7 @@ class NetworkVehicle(GoalVehicle):
         own = self._network.along
         for other in others:
             along = self._along(lane, other)
-            if nearest < along < own:  # also false for NaN
+            if nearest < along < own and other is not self:  # also false for NaN
                 nearest, found = along, other
         return found
 

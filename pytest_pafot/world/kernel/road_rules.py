@@ -1,10 +1,10 @@
-"""highway-env's rules of a regulated road for the ego, operation by operation: whether it has to yield to an NPC."""
+"""highway-env's rules of a regulated road, operation by operation: which vehicles have to yield to others."""
 
 from __future__ import annotations
 
 import math
 from array import array
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 from pytest_pafot.world.kernel.bends import Bends
@@ -21,122 +21,169 @@ LONGER, NARROWER = 1.5, 0.9
 
 
 class RoadRules:
-    """The rules for an ego that drives by IDM; no other vehicle obeys them.
+    """The rules for vehicles with a route, of which those that drive themselves obey them.
 
-    The ego is predicted along its route at its speed, an NPC along its way or its lane.
+    Vehicles are predicted along their routes at their speeds, or with their steering if they have no goal.
 
     Args:
-        ego: the ego.
-        places: the vehicles, and their places on the ego's way.
-        bends: the ego's way.
         network: the lanes of the road.
         priorities: the priority of each lane.
-        route: returns the lanes of the ego's route from its lane on.
         steps: the number of steps that the road has done before.
         every: the number of steps between two decisions of the rules.
-        lasts: the number of decisions for which the ego yields beyond the first.
+        lasts: the number of decisions for which a vehicle yields beyond the first.
     """
 
-    def __init__(
-        self,
-        ego: NetworkVehicle,
-        places: Places,
-        bends: Bends,
-        network: Network,
-        *,
-        priorities: Sequence[int],
-        route: Callable[[int], list[int]],
-        steps: int,
-        every: int,
-        lasts: float,
-    ) -> None:
-        self._ego = ego
-        self._places = places
-        self._bends = bends
+    def __init__(self, network: Network, priorities: Sequence[int], steps: int, every: int, lasts: float) -> None:
         self._network = network
         self._priorities = array("i", priorities)
-        self._route = route
         self._steps = steps
         self._every = every
         self._lasts = lasts
-        self._waited = -1  # the number of decisions for which it has yielded; -1 if it does not
-        self._predicted = array("d", [0.0]) * (3 * MOMENTS)  # x, y and heading of the ego at each moment
-        self._x = self._y = self._heading = 0.0  # of an NPC at a moment
+        self._predicted = array("d")  # x, y and heading at each moment, of one vehicle after the other
 
-    def apply(self) -> None:
-        """Count a step of the road, and decide if it is time."""
+    def is_due(self) -> bool:
+        """Count a step of the road, and return whether it is time for a decision."""
         self._steps += 1
-        if self._steps % self._every != 0:
-            return
-        ego, network = self._ego, self._network
-        lane = network.closest(ego.x, ego.y, ego.heading)
-        if self._waited >= self._lasts:
-            ego.want(network.speed_limit(lane))
-            self._waited = -1
-        elif self._waited >= 0:
-            self._waited += 1
-        self._predict(lane)
-        for number in range(1, len(self._places.vehicles)):
-            npc = self._places.vehicles[number]
-            if self._conflicts(npc, self._places.bodies[number]) and self._comes_second(lane, npc):
-                ego.want(0.0)
-                self._waited = 0
+        return self._steps % self._every == 0
 
-    def _predict(self, lane: int) -> None:
-        """Predict the ego at each moment."""
-        ego, network, route = self._ego, self._network, self._route(lane)
-        network.locate(lane, ego.x, ego.y)
+    def apply(self, vehicles: list[Any]) -> None:
+        """Make vehicles yield that conflict with others."""
+        count = len(vehicles)
+        self._reserve(count)
+        for number in range(count):
+            vehicle: NetworkVehicle = vehicles[number]
+            self._release(vehicle)
+            self._predict(number, vehicle)
+        for first in range(count - 1):
+            one: NetworkVehicle = vehicles[first]
+            for second in range(first + 1, count):
+                other: NetworkVehicle = vehicles[second]
+                if self._conflict(first, one, second, other):
+                    _yield(one if self._comes_second(one, other) else other)
+
+    def _reserve(self, count: int) -> None:
+        """Make room for the predictions of this many vehicles."""
+        if len(self._predicted) < 3 * MOMENTS * count:
+            self._predicted = array("d", [0.0]) * (3 * MOMENTS * count)
+
+    def _release(self, vehicle: NetworkVehicle) -> None:
+        """Let a vehicle drive on that has yielded for long enough."""
+        if vehicle.waited >= self._lasts:
+            vehicle.want(self._network.speed_limit(vehicle._closest))
+            vehicle.waited = -1
+        elif vehicle.waited >= 0:
+            vehicle.waited += 1
+
+    def _predict(self, number: int, vehicle: NetworkVehicle) -> None:
+        """Predict a vehicle at each moment."""
+        network, row = self._network, 3 * MOMENTS * number
+        if not vehicle.has_goal:
+            body = Body(vehicle.length, vehicle.width)
+            body.place(vehicle.x, vehicle.y, vehicle.heading, vehicle.speed)
+            body.steering = vehicle.steering
+            for moment in range(MOMENTS):
+                body.acceleration = 0.0
+                body.step(APART)
+                self._foresee(row + 3 * moment, body.x, body.y, body.heading)
+            return
+        route = vehicle.route()
+        network.locate(vehicle._closest, vehicle.x, vehicle.y)
         here = network.along
         for moment in range(MOMENTS):
-            along, place = here + ego.speed * (APART * (moment + 1)), 0
+            along, place = here + vehicle.speed * (APART * (moment + 1)), 0
             at: int = route[0]
             while place < len(route) - 1 and along > network.length(at):
                 along -= network.length(at)
                 place += 1
                 at = route[place]
             network.position(at, along, 0.0)
-            self._predicted[3 * moment] = network.x
-            self._predicted[3 * moment + 1] = network.y
-            self._predicted[3 * moment + 2] = network.heading_at(at, along)
+            self._foresee(row + 3 * moment, network.x, network.y, network.heading_at(at, along))
 
-    def _conflicts(self, npc: Body, body: Body) -> bool:
-        """Return whether an NPC and the ego touch at a moment, as highway-env predicts them."""
-        ego = self._ego
-        for moment in range(MOMENTS):
-            self._foresee(body, APART * (moment + 1))
-            x, y = self._predicted[3 * moment], self._predicted[3 * moment + 1]
-            heading, dx, dy = self._predicted[3 * moment + 2], self._x - x, self._y - y
-            if math.sqrt(dx * dx + dy * dy) > ego.length:
+    def _foresee(self, row: int, x: float, y: float, heading: float) -> None:
+        self._predicted[row] = x
+        self._predicted[row + 1] = y
+        self._predicted[row + 2] = heading
+
+    def _conflict(self, first: int, one: Body, second: int, other: Body) -> bool:
+        """Return whether two vehicles touch at a moment, as highway-env predicts them."""
+        row, its_row = 3 * MOMENTS * first, 3 * MOMENTS * second
+        for _ in range(MOMENTS):
+            x, y, heading = self._predicted[row], self._predicted[row + 1], self._predicted[row + 2]
+            its_x, its_y = self._predicted[its_row], self._predicted[its_row + 1]
+            its_heading, dx, dy = self._predicted[its_row + 2], its_x - x, its_y - y
+            row += 3
+            its_row += 3
+            if math.sqrt(dx * dx + dy * dy) > one.length:
                 continue
             if _has_corner_inside(
-                x, y, heading, ego.length, ego.width, self._x, self._y, self._heading, npc.length, npc.width
+                x, y, heading, one.length, one.width, its_x, its_y, its_heading, other.length, other.width
             ) or _has_corner_inside(
-                self._x, self._y, self._heading, npc.length, npc.width, x, y, heading, ego.length, ego.width
+                its_x, its_y, its_heading, other.length, other.width, x, y, heading, one.length, one.width
             ):
                 return True
         return False
 
-    def _foresee(self, body: Body, time: float) -> None:
+    def _comes_second(self, one: NetworkVehicle, other: Body) -> bool:
+        """Return whether a vehicle has to let another one pass: by the priorities of lanes, or if it is behind."""
+        mine, theirs = self._priorities[one._closest], self._priorities[one._lane_of(other)]
+        if mine != theirs:
+            return mine < theirs
+        dx, dy = other.x - one.x, other.y - one.y
+        ahead = math.cos(one.heading) * dx + math.sin(one.heading) * dy
+        return ahead > -(math.cos(other.heading) * dx + math.sin(other.heading) * dy)
+
+
+class EgosRoadRules(RoadRules):
+    """The rules for an ego that drives by IDM; no other vehicle obeys them.
+
+    An NPC is predicted along its way or its lane.
+
+    Args:
+        ego: the ego.
+        places: the vehicles, and their places on the ego's way.
+        bends: the ego's way.
+        common: as for :class:`RoadRules`.
+    """
+
+    def __init__(self, ego: NetworkVehicle, places: Places, bends: Bends, *common: Any) -> None:
+        super().__init__(*common)
+        self._ego = ego
+        self._places = places
+        self._bends = bends
+        self._reserve(2)
+
+    def apply_to_ego(self) -> None:
+        """Count a step of the road, and make the ego yield if it is time and it has to."""
+        if not self.is_due():
+            return
+        ego = self._ego
+        self._release(ego)
+        self._predict(0, ego)
+        for number in range(1, len(self._places.vehicles)):
+            npc = self._places.vehicles[number]
+            for moment in range(MOMENTS):
+                self._foresee_npc(3 * (MOMENTS + moment), self._places.bodies[number], APART * (moment + 1))
+            if self._conflict(0, ego, 1, npc) and self._comes_second(ego, npc):
+                _yield(ego)
+
+    def _foresee_npc(self, row: int, body: Body, time: float) -> None:
         """Predict an NPC after a time [s]."""
         along, bends = body.x + body.speed * time, self._bends
         if isinstance(body, CrossingNpc):
             npc: Any = body
-            self._x, self._y, self._heading = npc.track.pose(along)
+            x, y, heading = npc.track.pose(along)
+            self._foresee(row, x, y, heading)
             return
         heading, across = bends.heading_at(along), bends.across_at(body.lane, along)
-        self._x = bends.x_at(along) - math.sin(heading) * across
-        self._y = bends.y_at(along) + math.cos(heading) * across
-        self._heading = bends.direction_at(body.lane, along) + bends.lean_at(body.lane, along)
+        x = bends.x_at(along) - math.sin(heading) * across
+        y = bends.y_at(along) + math.cos(heading) * across
+        self._foresee(row, x, y, bends.direction_at(body.lane, along) + bends.lean_at(body.lane, along))
 
-    def _comes_second(self, lane: int, npc: Body) -> bool:
-        """Return whether the ego has to let an NPC pass: by the priorities of their lanes, or if it is behind."""
-        ego, network = self._ego, self._network
-        mine, theirs = self._priorities[lane], self._priorities[network.closest(npc.x, npc.y, npc.heading)]
-        if mine != theirs:
-            return mine < theirs
-        dx, dy = npc.x - ego.x, npc.y - ego.y
-        ahead = math.cos(ego.heading) * dx + math.sin(ego.heading) * dy
-        return ahead > -(math.cos(npc.heading) * dx + math.sin(npc.heading) * dy)
+
+def _yield(vehicle: NetworkVehicle) -> None:
+    if vehicle.drives_itself:
+        vehicle.want(0.0)
+        vehicle.waited = 0
 
 
 def _has_corner_inside(
