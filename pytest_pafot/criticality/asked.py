@@ -1,30 +1,42 @@
-"""Whether a run with manoeuvres came up as it was asked for, measured in its trace.
+"""Whether a run with manoeuvres or crossing NPCs came up as it was asked for, measured in its trace.
 
 A trigger by distance does not make a situation alone: an ego that has sped up meets the same gap at another closing
-speed. So each step tells what was asked, and what it was when the step began, and when it was done.
+speed. So each step tells what was asked, and what it was when the step began, and when it was done. An NPC that crosses
+has a slot relative to the ego, which counts when the NPC no longer adapts to the ego.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from pytest_pafot.model.scenario import Manoeuvre, Step
-from pytest_pafot.model.trace import ACCELERATION, LANE, SPEED, Trace, X, Y
+from pytest_pafot.criticality.zones import passages, times_expected
+from pytest_pafot.model.scenario import CrossingInstruction, Manoeuvre, Step
+from pytest_pafot.model.trace import ACCELERATION, LANE, SPEED, FloatArray, Trace, X, Y
 
-GAP, HEADWAY, SPEED_OFF, EGO_SPEED_OFF = 1.0, 0.1, 1.0, 1.0
-"""The tolerances of a gap [m], a headway [s], an NPC's speed and the ego's speed [m/s]."""
+GAP, HEADWAY, SPEED_OFF, EGO_SPEED_OFF, SLOT = 1.0, 0.1, 1.0, 1.0, 0.3
+"""The tolerances of a gap [m], a headway [s], an NPC's speed and the ego's speed [m/s], and a slot [s]."""
 SHARE = 0.05
 """The tolerance of gaps and headways beside that, as a share of what is asked."""
 LATERAL, LATERAL_SHARE, BRAKING_SHARE = 0.2, 0.1, 0.2
 """The tolerance of the highest lateral speed of a lane change [m/s] and its share, and that of the acceleration."""
-NOT_DONE = {"step": "did not come up", "end": "was not done", "lane": "was for a lane that the road does not have"}
-"""The words on steps that did not become what was asked."""
+NOT_DONE = {
+    "step": "step {} did not come up",
+    "end": "step {} was not done",
+    "lane": "step {} was for a lane that the road does not have",
+    "zone": "the NPC did not come to its zone",
+}
+"""The words on what did not come up."""
 LEAST_CHANGE = 3.0
 """The change of speed [m/s] from which the acceleration is judged; a smaller one ends before it builds up."""
+ADAPTING_UNTIL, WAITING = 3.0, 0.5
+"""The time before its entry into the zone until which an NPC adapts to the ego's arrival [s], and the smallest share of
+its speed to which it slows down for that; both are those of ``world/kernel/crossing.py``."""
+LATELY, RISE = 0.2, 0.05
+"""A time [s], and the rise of a lateral speed [m/s] or acceleration [m/s^2] within it below which it has built up."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,11 +45,12 @@ class Asked:
 
     Attributes:
         npc: index of the NPC.
-        step: index of the step.
+        step: index of the step; 0 for an NPC that crosses.
         what: ``gap``, ``headway``, ``speed``, ``ego speed``, ``lateral speed``, ``acceleration``; ``step`` for a step
             that did not begin; ``end`` for one that began and was not done; ``lane`` for one to a lane that is none.
-        asked: what was asked [m, s, m/s or m/s^2]; NaN for a step.
-        was: what it was; NaN for a step.
+            ``slot`` for an NPC that crosses, and ``zone`` if it did not come to its zone.
+        asked: what was asked [m, s, m/s or m/s^2]; NaN for what did not come up.
+        was: what it was; NaN for what did not come up.
         tolerance: the largest difference that counts as asked.
         unit: the unit of the numbers.
         words: in words: ``gap asked 20 m, was 20.4 m``.
@@ -60,7 +73,7 @@ class Asked:
     def words(self) -> str:
         """The words for it: ``gap asked 20 m, was 20.4 m``."""
         if self.what in NOT_DONE:
-            return f"step {self.step} {NOT_DONE[self.what]}"
+            return NOT_DONE[self.what].format(self.step)
         return f"{self.what} asked {self.asked:g} {self.unit}, was {self.was:.1f} {self.unit}"
 
 
@@ -75,10 +88,12 @@ def gap_at(trace: Trace, npc: int, tick: int) -> float:
 
 
 def asked(trace: Trace) -> tuple[Asked, ...]:
-    """Return what the manoeuvres of a run asked for, by NPC and step; empty without manoeuvres.
+    """Return what the manoeuvres and crossing NPCs of a run asked for, by NPC and step; empty without them.
 
-    A step that had no time before a collision is not judged by what it would have become; but if none had begun, the
-    situation did not come up. A lane change and a change of speed are judged if they were done before another began.
+    A collision, or a departure from the road that ends the run, leaves later steps no time, so they are not judged; but
+    if none had begun, the situation did not come up. A step that it breaks off is judged once its lateral speed or its
+    acceleration has built up, so that the answer is that of a run in which the ego survives. A lane change and a change
+    of speed are judged if they were done before another began.
     """
     found: list[Asked] = []
     by_distance = [
@@ -95,12 +110,45 @@ def asked(trace: Trace) -> tuple[Asked, ...]:
     for npc, chain in enumerate(trace.scenario.npcs):
         if isinstance(chain[0], Manoeuvre):
             found += _of_npc(trace, npc, chain[0])
+        elif isinstance(chain[0], CrossingInstruction) and chain[0].act == "pass":
+            found += _of_crossing(trace, npc, chain[0].slot)
     return tuple(found)
+
+
+def _is_broken_off(trace: Trace) -> bool:
+    """Return whether the ego ended the run with a collision or off the road."""
+    return trace.collision is not None or trace.off_road_tick == trace.ticks
+
+
+def _of_crossing(trace: Trace, npc: int, slot: float) -> Iterator[Asked]:
+    """Yield the slot of an NPC, at the ego's speed when the NPC no longer adapted to the ego.
+
+    An ego may answer in two ways that leave no slot to judge. It may wait for the NPC, which does not become slow
+    enough to come after it. Or it may slow down in the zone, so that the NPC waits for it.
+    """
+    passage = passages(trace)[npc]
+    if passage is None:
+        return
+    has_come = passage.npc_enters < math.inf
+    until = max(round((passage.npc_enters - ADAPTING_UNTIL) * trace.physics_hz), 0) if has_come else trace.ticks
+    if min(trace.ego[: until + 1, SPEED]) < WAITING * trace.ego[0, SPEED]:
+        return
+    if not has_come:
+        if not _is_broken_off(trace):
+            yield Asked(npc, 0, "zone", math.nan, math.nan, 0.0, "")
+        return
+    (ego_enters, ego_leaves), (enters, leaves) = times_expected(trace, npc, until)
+    was = enters - ego_leaves if slot > 0 else leaves - ego_enters
+    if slot == 0:
+        was = (enters + leaves - ego_enters - ego_leaves) / 2
+    if was - slot <= SLOT or passage.ego_leaves <= ego_leaves + SLOT:
+        yield Asked(npc, 0, "slot", slot, was, SLOT, "s")
 
 
 def _of_npc(trace: Trace, npc: int, manoeuvre: Manoeuvre) -> list[Asked]:
     begun = trace.steps_begun(npc)
     done = trace.arrivals[npc][0] if npc < len(trace.arrivals) and trace.arrivals[npc] else None
+    is_broken_off = _is_broken_off(trace)
     found: list[Asked] = []
     speed = manoeuvre.speed
     for number, (step, begin) in enumerate(zip(manoeuvre.steps, begun, strict=False)):
@@ -118,11 +166,13 @@ def _of_npc(trace: Trace, npc: int, manoeuvre: Manoeuvre) -> list[Asked]:
         # It was done when a timed step after it began, or with the manoeuvre; those between go on beside it.
         later = list(zip(manoeuvre.steps, begun, strict=False))[number + 1 :]
         timed = next((place for place, (each, _) in enumerate(later) if not each.is_by_distance), len(later))
-        has_waited = trace.collision is None and len(begun) < len(manoeuvre.steps)  # until the end of the run
+        has_waited = not is_broken_off and len(begun) < len(manoeuvre.steps)  # until the end of the run
         end = later[timed][1] if timed < len(later) else trace.ticks if has_waited else done
-        if end is not None:
-            found += _dynamics(trace, npc, number, [step, *(each for each, _ in later[:timed])], (begin, end))
-    has_time = trace.collision is None or not begun  # a collision leaves later steps no time
+        if end is not None or is_broken_off:
+            span = begin, trace.ticks if end is None else end
+            acts = _dynamics(trace, npc, number, [step, *(each for each, _ in later[:timed])], span)
+            found += [act for act, values in acts if end is not None or act.is_met or _has_built_up(trace, values)]
+    has_time = not is_broken_off or not begun  # else the ego left the steps no time
     if manoeuvre.steps and done is None and has_time:
         what, number = ("step", len(begun)) if len(begun) < len(manoeuvre.steps) else ("end", len(begun) - 1)
         missed = _without_lane(trace, npc, manoeuvre.steps[: len(begun)])
@@ -145,19 +195,28 @@ def _move_aside(step: Step, others: Sequence[Step]) -> bool:
     return any(each.lane != "keep" or each.offset != step.offset for each in others)
 
 
-def _dynamics(trace: Trace, npc: int, number: int, steps: Sequence[Step], span: tuple[int, int]) -> list[Asked]:
-    """Return the lateral speed and the acceleration of the first step, unless those beside it change the same."""
+def _has_built_up(trace: Trace, values: FloatArray) -> bool:
+    """Return whether a value that rises at the beginning of a step has done so, and no longer rises."""
+    lately = round(LATELY * trace.physics_hz)
+    return len(values) > lately and max(values) > RISE and values[-1] - values[-1 - lately] < RISE
+
+
+def _dynamics(
+    trace: Trace, npc: int, number: int, steps: Sequence[Step], span: tuple[int, int]
+) -> Iterator[tuple[Asked, FloatArray]]:
+    """Yield the lateral speed and the acceleration of the first step, with their values tick by tick.
+
+    What the other steps, which begin while it goes on, change as well is left out.
+    """
     begin, end = span
     step, *others = steps
     rows = trace.states[begin : end + 1, npc + 1]
     change = 0.0 if step.speed is None else step.speed - float(rows[0, SPEED])
-    found = []
     if step.lane != "keep" and trace.track is None and not _move_aside(step, others):
-        fastest = float(np.max(np.abs(np.diff(rows[:, Y])), initial=0.0)) * trace.physics_hz
-        tolerance = LATERAL + LATERAL_SHARE * step.lateral_speed
-        found.append(Asked(npc, number, "lateral speed", step.lateral_speed, fastest, tolerance, "m/s"))
+        values = np.abs(np.diff(rows[:, Y])) * trace.physics_hz
+        fastest, tolerance = float(np.max(values, initial=0.0)), LATERAL + LATERAL_SHARE * step.lateral_speed
+        yield Asked(npc, number, "lateral speed", step.lateral_speed, fastest, tolerance, "m/s"), values
     if abs(change) >= LEAST_CHANGE and all(each.speed is None for each in others):
-        hardest = float(np.max(rows[1:, ACCELERATION] * np.sign(change), initial=0.0))
-        tolerance = BRAKING_SHARE * step.acceleration
-        found.append(Asked(npc, number, "acceleration", step.acceleration, hardest, tolerance, "m/s^2"))
-    return found
+        values = rows[1:, ACCELERATION] * np.sign(change)
+        hardest, tolerance = float(np.max(values, initial=0.0)), BRAKING_SHARE * step.acceleration
+        yield Asked(npc, number, "acceleration", step.acceleration, hardest, tolerance, "m/s^2"), values

@@ -86,6 +86,21 @@ def time_advantage(trace: Trace) -> FloatArray:
     return advantage
 
 
+def times_expected(trace: Trace, npc: int, tick: int) -> tuple[Stretch, Stretch]:
+    """Return when the ego would have been in the zone of an NPC at its speed of a tick, and when the NPC was [s].
+
+    Both are the times of entering and leaving. What the NPC had not reached at the end of the run is at its speed then.
+    """
+    zone: Any = trace.zones[npc]
+    hz = trace.physics_hz
+    ego_enters, ego_leaves, enters, leaves = (
+        at / hz + float(_seconds_to(place, along, trace.states[:, vehicle, SPEED], hz)[at])
+        for at, (vehicle, along, stretch) in zip((tick, trace.ticks), _ways(trace, npc, zone), strict=True)
+        for place in stretch
+    )
+    return (ego_enters, ego_leaves), (enters, leaves)
+
+
 def still_to_pass(trace: Trace) -> npt.NDArray[np.bool_]:
     """Return whether neither ego nor NPC has left the zone of their ways yet, shape [ticks + 1, NPCs].
 

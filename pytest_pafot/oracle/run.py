@@ -459,12 +459,12 @@ class Run(Shown):
 
     @cached_property
     def asked(self) -> tuple[Asked, ...]:
-        """All that the scenario's manoeuvres asked for, with what it was in this run; empty without manoeuvres."""
+        """All that manoeuvres and crossing NPCs asked for, with what it was in this run; empty without them."""
         return asked(self.trace)
 
     @property
     def as_asked(self) -> bool:
-        """True if everything that the scenario's manoeuvres asked for came up; also without manoeuvres."""
+        """True if everything that manoeuvres and crossing NPCs asked for came up; also without them."""
         return all(each.is_met for each in self.asked)
 
     @property

@@ -4,8 +4,8 @@ The figures of ``r157/`` are those of ASAM's OSC-ALKS scenarios (2024), which fo
 ``euro-ncap/`` are from its published rating tool (vehicle assistance, 2026), and for the braking leader from AEB
 car-to-car scenarios that others published after its protocol of 2023; the protocols themselves were not read. A policy
 that avoids a collision here has passed none of them: there are only cars of one size on one straight road. Left out is
-what they have beyond that: pedestrians, motorcycles and lorries, curves, partial overlap, a stationary vehicle beside
-the centre of the lane, and the range of sensors.
+what they have beyond that: pedestrians, motorcycles and lorries, curves, partial overlap, a leader beside the centre of
+the lane, a second stationary vehicle, an offset along the road of a vehicle beside the ego, and the range of sensors.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ import difflib
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from operator import itemgetter
 from types import MappingProxyType
 from typing import Any
 
@@ -252,8 +253,12 @@ def _at_zone(kind: str) -> Make:
             fix = 'drive it in a world that has one, such as pafot.World("intersection-v0", planner_hz=5)'
             expected = f"a road on which another way is {kind} with the ego's"
             raise NoPlaceError(field="world", expected=expected, received="one without", fix=fix)
+        fastest, zone = max(((known.ways[zone.way].speed_at(zone.npc[0]), zone) for zone in zones), key=itemgetter(0))
+        if v["speed"] > fastest:  # it would slow down for its bend, and be the same situation as a slower one
+            expected = f"at most {fastest:.1f} m/s, which the bends of {zone.way} allow at the zone"
+            raise ScenarioError(field="speed", expected=expected, received=f"{v['speed']:g}")
         lane, speed = getattr(world, "start", None) or (EGO_LANE, v["speed"])
-        told = CrossingInstruction(zones[0].way, _tenths(v["slot"]), _tenths(v["speed"]))
+        told = CrossingInstruction(zone.way, _tenths(v["slot"]), _tenths(v["speed"]))
         return Scenario(npcs=((told,),), ego_lane=lane, ego_speed=float(speed))
 
     return make
@@ -268,7 +273,7 @@ _HEADWAY = (2.0, 1.0, 2.0, "s", "the leader's distance in time")
 _LATERAL = (2.0, 0.5, 3.0, "m/s", "the speed across the road")
 _ZONE = {
     "slot": (0.0, -5.0, 5.0, "s", "the time between the ego and the other vehicle in the zone"),
-    "speed": (8.0, 1.0, 15.0, "m/s", "the other vehicle's speed"),
+    "speed": (6.0, 1.0, 15.0, "m/s", "the other vehicle's speed"),  # which bends of intersections allow
 }
 
 ENTRIES = (

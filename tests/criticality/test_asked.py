@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 import random
+from dataclasses import replace
+from itertools import product
 
 import numpy as np
 import pytest
@@ -175,11 +177,38 @@ def test_what_was_not_as_asked_is_named(steps, fields, words):
 
 
 def test_step_without_time_before_a_collision_is_not_evaluated():
-    trace = drive(Step(gap=20.0, lane="left", speed=0.0, acceleration=8.0))
+    trace = drive(Step(gap=2.0, speed=0.0, acceleration=8.0), beside=0, ahead=10.0, speed=16.0)
     assert trace.outcome is Outcome.COLLISION
+    assert trace.duration - trace.begun[0][0] * trace.dt < 0.5
     assert trace.arrivals == ((None,),)
     assert [each.what for each in asked(trace)] == ["ego speed", "gap", "speed"]
     assert Run(trace).as_asked
+
+
+def test_collision_does_not_change_what_came_up_as_asked():
+    """The NPC does the same, whether the ego hits it in the middle of its step or lets it finish."""
+
+    def braking():
+        return lambda seen: (-8.0 if seen.others[0].x - seen.ego.x < 29.0 else 0.0, 0.0)
+
+    answers, crashes, fields = set(), 0, {"ahead": 40.0, "ego_speed": 14.0, "world": Highway(duration=30.0)}
+    for speed, lateral_speed, slower in product([3.0, 6.0, 10.0], [1.0, 2.0, 3.0], [None, 2.0]):
+        step = Step(gap=25.0, lane="left", lateral_speed=lateral_speed, speed=slower, acceleration=10.5)
+        hit, safe = (drive(step, speed=speed, ads=ads, **fields) for ads in (constant_speed, braking))
+        assert safe.outcome is Outcome.SAFE
+        if hit.arrivals == ((None,),):
+            crashes += hit.outcome is Outcome.COLLISION
+            assert missed(hit) == missed(safe)
+            answers.add(tuple(each.what for each in asked(hit) if not each.is_met))
+    assert crashes > 10
+    assert answers == {(), ("lateral speed",), ("acceleration",), ("lateral speed", "acceleration")}
+
+
+def test_ego_off_the_road_leaves_a_step_no_time():
+    trace = in_a_bend(Step(gap=14.0), Step(after=5.0, speed=2.0))
+    assert "step" in {each.what for each in asked(trace)}
+    left = replace(trace, outcome=Outcome.OFF_ROAD, off_road_tick=trace.ticks)
+    assert "step" not in {each.what for each in asked(left)}
 
 
 def test_steps_that_overlap_are_judged_by_what_they_did():

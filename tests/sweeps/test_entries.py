@@ -7,6 +7,7 @@ import pytest
 
 import pytest_pafot as pafot
 from pytest_pafot.model.scenario import ScenarioError
+from pytest_pafot.model.trace import SPEED
 from pytest_pafot.support.errors import RequestError
 from pytest_pafot.sweeps.entries import ENTRIES, NAMES, NoPlaceError, chosen, entry_of, fits
 from pytest_pafot.sweeps.maps import driven
@@ -88,6 +89,18 @@ def test_junction_names_a_world_that_has_it(entry):
     named = re.search(r'pafot\.World\("([\w-]+)", planner_hz=5\)', str(caught.value))
     world = entry.world(pafot.World(named[1], planner_hz=5))
     assert fits(entry.scenario(world), world) == ""
+
+
+def test_junction_takes_the_way_with_the_widest_bends_and_no_speed_above_it():
+    """Else all speeds above that of the bend would be one situation."""
+    entry = entry_of("junction/crossing")
+    world = entry.world(pafot.World("intersection-v0", planner_hz=5))
+    straight = entry.scenario(world, speed=10.0)
+    assert straight.npcs[0][0].zone == "o1>o3"
+    run = driven(world, straight, keeps_speed)
+    assert run.trace.states[run.trace.arrivals[0][0], 1, SPEED] == pytest.approx(10.0, abs=0.3)
+    with pytest.raises(ScenarioError, match=r"at most 11.0 m/s, which the bends of o1>o3 allow at the zone, .* 12"):
+        entry.scenario(world, speed=12.0)
 
 
 def test_world_lasts_as_long_as_the_scenario_takes():
