@@ -210,7 +210,7 @@ def test_other(): pass
     result.stdout.fnmatch_lines_random(
         [
             "catalogue: expected one of r157/cut-in, *, received 'r157/cut-inn'; did you mean 'r157/cut-in'?",
-            "@pafot.catalogue: expected ads, world or one of ego_speed, *, received 'ego_sped'; did you mean 'ego_speed'?",
+            "@pafot.catalogue: expected ads, world or one of ego_speed, *'ego_sped'; did you mean 'ego_speed'?",
             "r157/cut-in: ego_speed: expected a number, received 'fast'",
             "ads: expected a factory, *, received 3*",
             "expected a parameter 'run' that is free for the simulated run; write `def test_without_run(run)`*",
