@@ -66,6 +66,11 @@ class Parameter:
     unit: str
     about: str
 
+    @property
+    def span(self) -> str:
+        """The range in words; a number without a unit is a side, which has nothing between its two values."""
+        return f"{self.low:.4g} {'to' if self.unit else 'or'} {self.high:.4g}" if self.low < self.high else "fixed"
+
 
 class NoPlaceError(ScenarioError):
     """Error for an entry whose kind of road a world does not have."""
@@ -130,8 +135,7 @@ class Entry:
             ends = () if each is None else dict.fromkeys((min(given), max(given)))
             out = [f"{end:.4g}" for end in ends if each and not each.low - NEAR <= end <= each.high + NEAR]
             if each is not None and out:
-                span = f"{each.low:.4g} to {each.high:.4g} {each.unit}"
-                found.append(f"{name} {' and '.join(out)} {each.unit}: outside of its range ({span})")
+                found.append(f"{name} {' and '.join(out)} {each.unit}: outside of its range ({each.span})")
         return tuple(found)
 
     def world(self, world: Any = None) -> Any:

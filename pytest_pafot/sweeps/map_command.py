@@ -17,8 +17,8 @@ from pytest_pafot.support.errors import RequestError
 from pytest_pafot.support.files import check_writable, way_out, write_if_free, write_whole
 from pytest_pafot.support.text import plural, visible, wrapped_to
 from pytest_pafot.sweeps.drawing import page, png
-from pytest_pafot.sweeps.entries import ENTRIES, Entry, chosen
-from pytest_pafot.sweeps.maps import POINTS, WIDTH, Sweep, short, swept
+from pytest_pafot.sweeps.entries import ENTRIES, Entry, chosen, entry_of
+from pytest_pafot.sweeps.maps import POINTS, WIDTH, Sweep, short, sweep
 from pytest_pafot.sweeps.numbers import over_of
 from pytest_pafot.world import World
 
@@ -80,11 +80,15 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
     for path in outputs:
         _written(path, check_writable)  # before anything is driven
     is_watched = sys.stderr is not None and sys.stderr.isatty()
-    made = swept(
+    values = _set(arguments.set)
+    if values and arguments.what.endswith(SUFFIX):
+        raise RequestError("--set: expected a scenario of the catalogue, received a file; --over changes its numbers")
+    if values:  # before a name can be that of an argument
+        entry_of(arguments.what).check(values)
+    made = sweep(
         arguments.what,
         ads_factory(arguments.ads),
-        over_of(arguments.over),
-        _set(arguments.set),
+        over=over_of(arguments.over),
         world=None
         if arguments.world is None
         else World(arguments.world, config_of(arguments.config), planner_hz=5 if arguments.config is None else None),
@@ -93,6 +97,7 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
         against=arguments.against,
         on_point=_tell if is_watched else None,
         on_stop=lambda so_far: _kept(arguments.csv, so_far),
+        **values,
     )
     if is_watched:
         sys.stderr.write("\r\033[K")
@@ -159,8 +164,7 @@ def catalogue_text(entries: Sequence[Entry]) -> str:
     for entry in entries:
         lines += [entry.name, f"  {entry.about}", *wrapped_to(f"  after {entry.source}", WIDTH)]
         for name, each in entry.parameters.items():
-            span = f"{short(each.low)} to {short(each.high)}" if each.low < each.high else "fixed"
             number = f"{short(each.default)} {each.unit}".rstrip()
-            lines.append(f"    {name:<15} {number:<12} {span:<18} {each.about}")
+            lines.append(f"    {name:<15} {number:<12} {each.span:<18} {each.about}")
         lines.append("")
     return "\n".join(lines)

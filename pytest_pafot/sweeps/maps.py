@@ -377,6 +377,7 @@ def sweep(
     points: int = POINTS,
     against: str | Path | Sweep | None = None,
     on_point: Callable[[int], None] | None = None,
+    on_stop: Callable[[Sweep], str] | None = None,
     **values: float,
 ) -> Sweep:
     """Drive a scenario for all values of one or two of its numbers, and return the map.
@@ -394,34 +395,15 @@ def sweep(
             is driven, and between them where the answer changes.
         against: an earlier map, or the file that :meth:`Sweep.save` wrote. The points that it has driven are driven.
         on_point: is called with the number of points driven so far.
+        on_stop: is called with the points driven so far if Ctrl-C ends the map; what it returns is added to the error.
         values: other parameters of the entry.
 
     Raises:
         RequestError: if an argument is wrong, or the world has no reference drivers.
     """
-    return swept(what, ads, over, values, world=world, holds=holds, points=points, against=against, on_point=on_point)
-
-
-def swept(
-    what: str | Path | Finding | Scenario,
-    ads: AdsFactory | str,
-    over: Mapping[str, object],
-    values: Mapping[str, float],
-    *,
-    world: Any,
-    holds: Test | None,
-    points: int,
-    against: str | Path | Sweep | None,
-    on_point: Callable[[int], None] | None,
-    on_stop: Callable[[Sweep], str] | None = None,
-) -> Sweep:
-    """Return the map of :func:`sweep`, whose other parameters of an entry are one argument here.
-
-    If it is interrupted, ``on_stop`` receives the points so far, and returns a note for the interrupt.
-    """
     if world is not None and not hasattr(world, "rollout"):
         raise RequestError(f"world: expected pafot.Highway(...) or pafot.World(...), received {world!r:.80}")
-    name, place, make = _source(what, world, values)
+    name, make = _source(what, world, values)
     if not isinstance(over, Mapping) or not 1 <= len(over) <= 2 or not all(isinstance(each, str) for each in over):
         raise RequestError(f"over: expected one or two axes, such as {{'gap': '0:60:7'}}, received {over!r:.80}")
     if plain_whole(points) is None or points < 1:
@@ -437,7 +419,11 @@ def swept(
     name += "" if holds is None else f", {getattr(holds, '__name__', type(holds).__name__)}"
     before = {} if against is None else _before(name, axes, against)  # before anything is driven
     factory = named_factory(ads)
-    driver = _Driver(make, axes, factory, place, holds or stays_safe, on_point)
+    if reference_world(make.world) is None:
+        raise RequestError(
+            "sweep: expected a world with reference drivers, which tell what can be avoided, received one without"
+        )
+    driver = _Driver(make, axes, factory, holds or stays_safe, on_point)
     remarks = make.check(axes)
     indices = list(product(*(range(len(axis.values)) for axis in axes)))
     between: dict[Index, Point] = {}  # by index the corner of a rectangle whose corners have the same answer
@@ -538,8 +524,8 @@ class _Made:
         return scenario
 
 
-def _source(what: Any, world: Any, values: Mapping[str, float]) -> tuple[str, Any, _Made]:
-    """Return the name of what is swept, its world, and the maker of its scenarios."""
+def _source(what: Any, world: Any, values: Mapping[str, float]) -> tuple[str, _Made]:
+    """Return the name of what is swept, and the maker of its scenarios."""
     if isinstance(what, Path) or (isinstance(what, str) and what.endswith(SUFFIX)):
         what = load(named_file(str(what)))
     if values and not isinstance(what, str):
@@ -549,15 +535,14 @@ def _source(what: Any, world: Any, values: Mapping[str, float]) -> tuple[str, An
     if isinstance(what, Finding):
         place = from_dict(dict(what.world)) if world is None else world
         sight = "" if what.perception is None else ", with perfect sight"
-        return f"{what.id}{sight}", place, _Made(what.scenario, {}, place)
+        return f"{what.id}{sight}", _Made(what.scenario, {}, place)
     if isinstance(what, Scenario):
         place = entry_of("r157/cut-in").world(None) if world is None else world
-        return what.id, place, _Made(what, {}, place)
+        return what.id, _Made(what, {}, place)
     entry = entry_of(what)
-    place = entry.world(world)
     entry.check(values)
     told = [entry.name, *(f"{name}={short(value)}" for name, value in values.items())]
-    return " ".join(told), place, _Made(entry, values, place)
+    return " ".join(told), _Made(entry, values, entry.world(world))
 
 
 def _in_words(world: Any) -> str:
@@ -568,58 +553,48 @@ def _in_words(world: Any) -> str:
     return " ".join([type(world).__name__, *(f"{name}={data[name]}" for name in data if data[name] != default[name])])
 
 
+@dataclass(slots=True)
 class _Driver:
     """The points of a sweep, each driven when it is first asked for."""
 
-    def __init__(
-        self,
-        make: _Made,
-        axes: tuple[Axis, ...],
-        ads: Callable[..., Any],
-        world: Any,
-        holds: Test,
-        on_point: Callable[[int], None] | None,
-    ) -> None:
-        self.points: dict[Index, Point] = {}
-        self._make, self._axes, self._ads, self._world, self._holds = make, axes, ads, world, holds
-        self._file = source_file(holds)
-        self._on_point = on_point
-        if reference_world(world) is None:
-            raise RequestError(
-                "sweep: expected a world with reference drivers, which tell what can be avoided, received one without"
-            )
+    make: _Made
+    axes: tuple[Axis, ...]
+    ads: Callable[..., Any]
+    holds: Test
+    on_point: Callable[[int], None] | None
+    points: dict[Index, Point] = field(default_factory=dict)
 
     def at(self, index: Index) -> tuple[float, ...]:
         """Return the values of the axes at an index."""
-        return tuple(axis.values[each] for axis, each in zip(self._axes, index, strict=True))
+        return tuple(axis.values[each] for axis, each in zip(self.axes, index, strict=True))
 
     def __call__(self, index: Index) -> Point:
         if index not in self.points:
             self.points[index] = self._driven(self.at(index))
-            if self._on_point is not None:
-                self._on_point(len(self.points))
+            if self.on_point is not None:
+                self.on_point(len(self.points))
         return self.points[index]
 
     def _driven(self, at: tuple[float, ...]) -> Point:
         try:
-            scenario = self._make([axis.name for axis in self._axes], at)
+            scenario = self.make([axis.name for axis in self.axes], at)
         except ScenarioError as error:
             return Point(at=at, kind="not as asked", words=f"{UNDRIVABLE}{error}")
-        why = fits(scenario, self._world)
+        why = fits(scenario, self.make.world)
         if why:
             return Point(at=at, kind="not as asked", words=f"{UNDRIVABLE}{why}")
         try:
             with refusals():
-                run = driven(self._world, scenario, self._ads)
+                run = driven(self.make.world, scenario, self.ads)
         except RequestError:
             raise
         except Exception as error:  # what a policy raises as it drives is part of its run
             received = f"one that raises {described(error)}"
             raise RequestError(f"ads: expected a factory of a policy, received {received}; correct it") from error
-        found = judged(run, self._holds, self._file)
+        found = judged(run, self.holds, source_file(self.holds))
         raised = found.error
         if raised is not None:
-            where = ", ".join(f"{axis.name}={short(value)}" for axis, value in zip(self._axes, at, strict=True))
+            where = ", ".join(f"{axis.name}={short(value)}" for axis, value in zip(self.axes, at, strict=True))
             raise RequestError(
                 f"holds: expected a function that asserts, received {type(raised).__name__}: {visible(str(raised))} at "
                 f"{where}; correct the function"

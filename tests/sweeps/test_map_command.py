@@ -238,6 +238,7 @@ def test_large_grid_is_refined(told):
         ([*CUT_IN, *OVER, "--against", "none.csv"], "against: none.csv: expected the file of a saved map"),
         (["r157/cut-in", "--ads", "policies:keep_speed", *OVER], "did you mean 'policies:keeps_speed'"),
         (["r157/cut-in", "--ads", "policies:number", *OVER], "policies:number"),
+        (["a.pafot.yaml", *CUT_IN[1:], *OVER, "--set", "world=1"], "--set: expected a scenario of the catalogue"),
         (["none.pafot.yaml", *CUT_IN[1:], *OVER], "none.pafot.yaml: expected the file .* corpus list`"),
         (["junction/crossing", *CUT_IN[1:], "--over", "slot=0:1:2"], "command map takes --world inters"),
         ([*CUT_IN, *OVER, "--color", "red"], "unrecognized arguments: --color red"),

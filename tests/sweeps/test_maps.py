@@ -164,9 +164,9 @@ def test_values_outside_of_the_range_of_an_entry_are_driven_and_told():
     over = {"deceleration": [4, 8.04, 10], "ego_speed": [0.5, 25]}
     made = pafot.sweep("r157/braking-leader", keeps_speed, over=over, headway=2.5)
     assert made.remarks == (
-        "headway 2.5 s: outside of its range (1 to 2 s)",
-        "deceleration 10 m/s^2: outside of its range (1 to 8 m/s^2)",
-        "ego_speed 0.5 and 25 m/s: outside of its range (1.389 to 16.67 m/s)",
+        "headway 2.5 s: outside of its range (1 to 2)",
+        "deceleration 10 m/s^2: outside of its range (1 to 8)",
+        "ego_speed 0.5 and 25 m/s: outside of its range (1.389 to 16.67)",
     )
     assert {*made.remarks} <= {*made.notes}
 
