@@ -444,7 +444,8 @@ def sweep(
     )
     both = [point for point in found if point.driven and _was_driven(before, point.at)]
     if before and len(both) < len(found):
-        remarks += (f"not compared: {plural(len(found) - len(both), 'point')} not driven in both maps",)
+        left = plural(len(found) - len(both), "point")
+        remarks += (f"not compared: {left}, which at least one of the two maps has not driven",)
     pairs = [(point, before[_key(point.at)][0]) for point in both]
     changes = tuple(Change(at=point.at, before=kind, now=point.kind) for point, kind in pairs if point.kind != kind)
     return Sweep(name=name, axes=axes, points=found, changes=changes, remarks=remarks)
