@@ -284,8 +284,7 @@ def _catalogue_table() -> str:
     for entry in ENTRIES:
         told = []
         for name, each in entry.parameters.items():
-            span = f" ({each.low:.4g} to {each.high:.4g})" if each.low < each.high else ""
-            told.append(f"`{name}` {f'{each.default:.4g} {each.unit}'.rstrip()}{span}")
+            told.append(f"`{name}` {f'{each.default:.4g} {each.unit}'.rstrip()} ({each.span})")
         rows.append([_code(entry.name), entry.about, ", ".join(told), entry.source])
     return _table(["Name", "What happens", "Numbers, defaults and ranges", "After"], rows)
 

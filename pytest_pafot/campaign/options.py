@@ -7,7 +7,6 @@ reference documentation are all generated from the fields of :class:`Settings`.
 
 from __future__ import annotations
 
-import difflib
 import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
@@ -16,6 +15,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 from pytest_pafot.corpus.layout import CORPUS
 from pytest_pafot.support.errors import RequestError, flag, page
+from pytest_pafot.support.text import meant
 
 if TYPE_CHECKING:
     from pytest_pafot.searching.ask_tell import Algorithm
@@ -107,9 +107,8 @@ class Option(NamedTuple):
         typed = _READERS[self.kind](self, value)
         if self.choices and typed not in self.choices:
             *others, last = self.choices
-            near = difflib.get_close_matches(str(value), self.choices, n=1)
             hint = "; or give your own class, as module:Class outside Python code" if self.or_class else ""
-            hint = f"; did you mean {near[0]!r}?" if near else hint
+            hint = meant(value, self.choices) or hint
             raise RequestError(f"expected {', '.join(others)} or {last}, received {value!r}{hint}")
         return typed
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import importlib.util
 import json
 import pkgutil
@@ -13,6 +12,7 @@ from typing import Any
 from pytest_pafot.support.errors import RequestError
 from pytest_pafot.support.references import factory_named
 from pytest_pafot.support.source_files import source_digests
+from pytest_pafot.support.text import meant
 from pytest_pafot.world.driving.ads import weights_digest
 
 BAD_USE = 2
@@ -48,8 +48,7 @@ def ads_factory(reference: str, option: str = "--ads", what: str = "a factory") 
         others = ("conftest", "defects")  # the factory of the second needs an argument
         policies = [name for name in names if name not in others and not name.startswith("test_")]
         if reference not in names:
-            near = difflib.get_close_matches(reference, policies, n=1)
-            hint = f"; did you mean {near[0]!r}?" if near else ""
+            hint = meant(reference, policies)
             raise RequestError(
                 f"{option}: expected one of {', '.join(policies)}, or module:factory for your own policy, "
                 f"received {reference!r}{hint}"

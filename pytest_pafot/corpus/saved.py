@@ -81,7 +81,8 @@ def named_file(given: str) -> Path:
     if found:
         fix = f"give one of the files: {', '.join(map(str, found))}"
         raise CorpusError(path, expected, f"an id that {len(found)} files have", fix)
-    near = [each for each in files.values() if name in each] or difflib.get_close_matches(name, files.values())
+    names = list(dict.fromkeys(files.values()))
+    near = [each for each in names if name in each] or difflib.get_close_matches(name, names)
     fix = (
         f"did you mean {' or '.join(near[:3])}?"
         if near

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import pytest
 
@@ -11,7 +11,7 @@ from pytest_pafot.plugin.collection import is_parametrised
 from pytest_pafot.plugin.marks import CATALOGUE_MARK, DEFAULT_ADS, DEFAULT_ARG, WORLD_FIXTURE, arguments_of
 from pytest_pafot.plugin.session import SHARED
 from pytest_pafot.support.errors import RequestError
-from pytest_pafot.support.text import ascii_text, fitted_lines, visible
+from pytest_pafot.support.text import ascii_text, fitted_lines, meant, visible
 
 if TYPE_CHECKING:
     from pytest_pafot.sweeps.entries import Entry
@@ -72,8 +72,14 @@ def _check_values(entries: tuple[Entry, ...], given: Mapping[str, Any]) -> None:
     """
     for name in given:
         if name not in OF_MARK and not any(name in entry.parameters for entry in entries):
-            known = ", ".join(dict.fromkeys(each for entry in entries for each in entry.parameters))
-            raise RequestError(f"@pafot.catalogue: expected ads, world or one of {known}, received {name!r}")
+            known = dict.fromkeys(each for entry in entries for each in entry.parameters)
+            expected, hint = f"ads, world or one of {', '.join(known)}", meant(name, (*OF_MARK, *known))
+            raise RequestError(f"@pafot.catalogue: expected {expected}, received {name!r}{hint}")
+
+
+def _skip(reason: str) -> NoReturn:
+    """Skip the item, which `-rs` then names by the place of the test and not of this file."""
+    raise pytest.skip.Exception(reason, _use_item_location=True)
 
 
 def _drive(item: pytest.Function, entry: Entry, given: Mapping[str, Any]) -> None:
@@ -106,7 +112,7 @@ def _drive(item: pytest.Function, entry: Entry, given: Mapping[str, Any]) -> Non
     except ScenarioError as error:  # for a value that is no such scenario
         raise RequestError(f"{entry.name}: {error}") from None
     if why:
-        pytest.skip(f"{entry.name}: this world cannot drive it: {visible(why)}")
+        _skip(f"{entry.name}: this world cannot drive it: {visible(why)}")
     with refusals():
         run = driven(world, scenario, ads)
     found = judged(run, test, file)
@@ -116,7 +122,7 @@ def _drive(item: pytest.Function, entry: Entry, given: Mapping[str, Any]) -> Non
     if found.error is not None:
         raise shown(found.error)
     if exception is None or not (found.avoided_by or found.verdict.is_ads):
-        pytest.skip(visible(f"{entry.name}: {found.kind}: {found.words}"))
+        _skip(visible(f"{entry.name}: {found.kind}: {found.words}"))
     told = [f"{entry.name}: {entry.about}", f"source     {entry.source}", f"result     {found.words}"]
     explanation = run.explain().splitlines()
     told += [] if explanation[0] in str(exception) else explanation

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import inspect
 import sys
 from collections.abc import Generator, Sequence
@@ -29,7 +28,7 @@ from pytest_pafot.plugin.option_sources import request_of_mark
 from pytest_pafot.plugin.session import SHARED, records_folder
 from pytest_pafot.plugin.tracing import read
 from pytest_pafot.support.errors import RequestError, flag
-from pytest_pafot.support.text import wrapped_to
+from pytest_pafot.support.text import meant, wrapped_to
 
 REQUEST: pytest.StashKey[Request] = pytest.StashKey()
 
@@ -142,8 +141,7 @@ def _check_parameters(item: pytest.Item, request: Request) -> None:
 
 def _missing_ads(name: str, available: Sequence[str], width: int) -> str:
     """Return what to do about a missing ADS fixture, wrapped to a width except for lines of code."""
-    near = difflib.get_close_matches(name, available, n=1)
-    hint = f"; did you mean {near[0]!r}?" if near else "."
+    hint = meant(name, available) or "."
     text = (
         f"the fixture {name!r} that gives the ADS factory was not found{hint}\n"
         "Define it in the test file or in conftest.py:\n\n"

@@ -11,7 +11,6 @@ NaN, so such a run never becomes the best of a search.
 
 from __future__ import annotations
 
-import difflib
 import inspect
 import math
 from collections.abc import Callable, Mapping
@@ -28,6 +27,7 @@ from pytest_pafot.criticality.signals import MEASURES
 from pytest_pafot.model.trace import HEADING, SPEED, FloatArray, Outcome, Trace
 from pytest_pafot.support.errors import plain_number
 from pytest_pafot.support.references import referred_to
+from pytest_pafot.support.text import meant
 
 Fitness = Callable[[Trace], float]  # from a trace to a number; higher is worse for the ego
 Responsible = Callable[[Trace], bool]  # returns whether the ego is responsible for a run's collision
@@ -282,8 +282,7 @@ def _function(fitness: object) -> Fitness:
         except ValueError as error:
             raise FitnessError(f"fitness: {error}") from error
     if isinstance(fitness, str):
-        near = difflib.get_close_matches(fitness, FITNESSES, n=1)
-        hint = f"; did you mean {near[0]!r}?" if near else ""
+        hint = meant(fitness, FITNESSES)
         raise FitnessError(f"fitness: expected {names} or a function of a Trace, received {fitness!r}{hint}")
     if not callable(fitness):
         raise FitnessError(f"fitness: expected {names}, Weights(...) or a function of a Trace, received {fitness!r}")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import difflib
 import io
 import re
 import textwrap
@@ -71,6 +72,12 @@ def capitalised(text: str) -> str:
 def plural(count: int, noun: str) -> str:
     """Return a number with its noun: ``1 run``, ``2 runs``."""
     return f"{count} {noun}{'' if count == 1 else 's'}"
+
+
+def meant(name: object, known: Iterable[str]) -> str:
+    """Return a hint at the name that is most similar, ``; did you mean 'gap'?``; empty if none is."""
+    near = difflib.get_close_matches(str(name), list(known), n=1)
+    return f"; did you mean {near[0]!r}?" if near else ""
 
 
 def csv_text(columns: Sequence[str], rows: Iterable[Iterable[object]]) -> str:

@@ -13,6 +13,7 @@ import numpy as np
 from pytest_pafot.model.trace import HEADING, SPEED, Trace, X, Y
 from pytest_pafot.report.page import content_hash, json_in_script
 from pytest_pafot.support.errors import RequestError, install
+from pytest_pafot.support.text import wrapped_to
 from pytest_pafot.sweeps.maps import KINDS, MARKS, MEANINGS, Kind, Sweep, short
 
 COLOURS: dict[Kind, str] = {
@@ -24,6 +25,8 @@ COLOURS: dict[Kind, str] = {
 }
 """The colours of a picture, which differ in lightness, too."""
 
+PALE = 0.4
+"""The opacity of points of a picture that were not driven."""
 FRAMES_PER_SECOND = 10
 """The largest number of frames of a run on a page [1/s]."""
 MOST_PLAYED = 400
@@ -45,17 +48,22 @@ def png(sweep: Sweep) -> bytes:
     rows = sweep.axes[0] if len(sweep.axes) == 2 else None
     columns = sweep.axes[-1]
     grid = np.array([KINDS.index(point.kind) for point in sweep.points]).reshape(-1, len(columns.values))
-    figure = Figure(figsize=(7.5, 2.2 + min(0.32 * len(grid), 12)), layout="constrained", dpi=120)
+    opacity = np.array([1 if point.driven else PALE for point in sweep.points]).reshape(grid.shape)
+    title = [part for line in (sweep.name, sweep.headline, *sweep.on_grid()) for part in wrapped_to(line, 100)]
+    height = 1.9 + 0.15 * len(title) + min(0.32 * len(grid), 12)
+    figure = Figure(figsize=(7.5, height), layout="constrained", dpi=120)
     axes = figure.add_subplot()
     colours = ListedColormap([COLOURS[kind] for kind in KINDS])
-    axes.pcolormesh(grid, cmap=colours, vmin=-0.5, vmax=len(KINDS) - 0.5, edgecolors="#d8dbdd", linewidth=0.6)
+    mesh = axes.pcolormesh(grid, cmap=colours, vmin=-0.5, vmax=len(KINDS) - 0.5, edgecolors="#d8dbdd", linewidth=0.6)
+    mesh.set_alpha(opacity)  # type: ignore[arg-type]  # an array of the same shape
     axes.set_xticks(*_ticks(columns.values), rotation=45)
     axes.set_xlabel(columns.title)
     axes.set_yticks(*(_ticks(rows.values) if rows else ([], [])))
     axes.set_ylabel(rows.title if rows else "")
-    axes.set_title(f"{sweep.name}\n{sweep.headline}", fontsize="small", parse_math=False)
-    used = {point.kind for point in sweep.points}
-    patches = [Patch(fc=COLOURS[kind], ec="#5d6770", label=MEANINGS[kind]) for kind in KINDS if kind in used]
+    axes.set_title("\n".join(title), fontsize="small", parse_math=False)
+    patches = [Patch(fc=COLOURS[kind], ec="#5d6770", label=MEANINGS[kind]) for kind in sweep.legend]
+    if opacity.min() < 1:
+        patches.append(Patch(fc="#5d6770", ec="#5d6770", alpha=PALE, label="pale: not driven"))
     figure.legend(handles=patches, loc="outside lower center", ncols=2, fontsize="small")
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", metadata={"Software": None})
@@ -74,11 +82,9 @@ def page(sweep: Sweep) -> str:
     script = _asset("map.js")
     policy = f"default-src 'none'; style-src {content_hash(style)}; script-src {content_hash(script)}"
     notes = "".join(f"<li>{escape(note)}</li>" for note in sweep.notes)
-    used = {point.kind for point in sweep.points}
     legend = "".join(
-        f'<li><span class="swatch {_name(kind)}">{MARKS[kind]}</span>{MEANINGS[kind]}</li>'
-        for kind in KINDS
-        if kind in used
+        f'<li><span class="swatch {_name(kind)}">{MARKS[kind]}</span>{meaning}</li>'
+        for kind, meaning in sweep.legend.items()
     )
     return (
         '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'

@@ -10,9 +10,8 @@ the lane, a second stationary vehicle, an offset along the road of a vehicle bes
 
 from __future__ import annotations
 
-import difflib
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from operator import itemgetter
 from types import MappingProxyType
@@ -31,6 +30,7 @@ from pytest_pafot.model.scenario import (
     Step,
 )
 from pytest_pafot.support.errors import RequestError, plain_number
+from pytest_pafot.support.text import meant
 from pytest_pafot.world import Highway
 from pytest_pafot.world.kernel.bodies import NPC_LENGTH
 from pytest_pafot.world.protocol import check_fits, crossings, has_manoeuvres, lasting
@@ -43,6 +43,8 @@ LEAD, LATER = 1.0, 4.0
 """The time before a gap is reached, in which a policy can begin to drive; for a second vehicle, longer [s]."""
 LANE = 4.0
 """The width of the lane that a vehicle crosses when it changes lanes [m]."""
+NEAR = 0.05
+"""The difference up to which a value is that of a range, since scenarios have numbers in steps of 0.1."""
 ALKS = "UN R157, after ASAM OSC-ALKS"
 NCAP = "Euro NCAP, vehicle assistance"
 SIDE = "the side from which it comes: 1 the right, -1 the left"
@@ -64,6 +66,11 @@ class Parameter:
     high: float
     unit: str
     about: str
+
+    @property
+    def span(self) -> str:
+        """The range in words; a number without a unit is a side, which has nothing between its two values."""
+        return f"{self.low:.4g} {'to' if self.unit else 'or'} {self.high:.4g}" if self.low < self.high else "fixed"
 
 
 class NoPlaceError(ScenarioError):
@@ -112,14 +119,25 @@ class Entry:
         """
         for name, value in values.items():
             if name not in self.parameters:
-                near = difflib.get_close_matches(name, self.parameters, n=1)
-                hint = f"; did you mean {near[0]!r}?" if near else ""
-                raise RequestError(
-                    f"{self.name}: expected one of the parameters {', '.join(self.parameters)}, received {name!r}{hint}"
-                )
+                known = f"one of the parameters {', '.join(self.parameters)}"
+                hint = meant(name, self.parameters)
+                raise RequestError(f"{self.name}: expected {known}, received {name!r}{hint}")
             if plain_number(value) is None:
                 many = "; pafot.sweep drives several values" if isinstance(value, list | tuple) else ""
                 raise RequestError(f"{self.name}: {name}: expected a number, received {value!r:.60}{many}")
+            if name == "side" and value not in (-1, 1):
+                raise RequestError(f"{self.name}: side: expected 1 (right) or -1 (left), received {value!r:.60}")
+
+    def beyond(self, values: Mapping[str, Sequence[float]]) -> tuple[str, ...]:
+        """Return a sentence for each parameter that has values outside of its range."""
+        found = []
+        for name, given in values.items():
+            each = self.parameters.get(name)
+            ends = () if each is None else dict.fromkeys((min(given), max(given)))
+            out = [f"{end:.4g}" for end in ends if each and not each.low - NEAR <= end <= each.high + NEAR]
+            if each is not None and out:
+                found.append(f"{name} {' and '.join(out)} {each.unit}: outside of its range ({each.span})")
+        return tuple(found)
 
     def world(self, world: Any = None) -> Any:
         """Return a world, by default a highway, with runs that last as long as this scenario takes."""
@@ -251,6 +269,7 @@ def _at_zone(kind: str) -> Make:
         zones = () if known is None else tuple(zone for zone in known.zones if zone.kind == kind)
         if known is None or not zones:
             fix = 'drive it in a world that has one, such as pafot.World("intersection-v0", planner_hz=5)'
+            fix += "; the command map takes --world intersection-v0"
             expected = f"a road on which another way is {kind} with the ego's"
             raise NoPlaceError(field="world", expected=expected, received="one without", fix=fix)
         fastest, zone = max(((known.ways[zone.way].speed_at(zone.npc[0]), zone) for zone in zones), key=itemgetter(0))
@@ -523,9 +542,7 @@ def entry_of(name: object) -> Entry:
     for entry in ENTRIES:
         if entry.name == name:
             return entry
-    near = difflib.get_close_matches(str(name), NAMES, n=1)
-    hint = f"; did you mean {near[0]!r}?" if near else ""
-    raise RequestError(f"catalogue: expected one of {', '.join(NAMES)}, received {name!r:.60}{hint}")
+    raise RequestError(f"catalogue: expected one of {', '.join(NAMES)}, received {name!r:.60}{meant(name, NAMES)}")
 
 
 def chosen(names: tuple[str, ...]) -> tuple[Entry, ...]:

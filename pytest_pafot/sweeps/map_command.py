@@ -6,18 +6,19 @@ import argparse
 import math
 import shutil
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from functools import partial
 from pathlib import Path
-from typing import Any
 
 from pytest_pafot.commands.policy_reference import ABOUT_POLICIES, ads_factory, check_function, config_of
 from pytest_pafot.corpus.layout import SUFFIX
 from pytest_pafot.support.errors import RequestError
-from pytest_pafot.support.files import way_out, write_whole
-from pytest_pafot.support.text import visible, wrapped_to
+from pytest_pafot.support.files import check_writable, way_out, write_if_free, write_whole
+from pytest_pafot.support.text import plural, visible, wrapped_to
 from pytest_pafot.sweeps.drawing import page, png
-from pytest_pafot.sweeps.entries import ENTRIES, Entry, chosen
-from pytest_pafot.sweeps.maps import POINTS, WIDTH, Sweep, short, swept
+from pytest_pafot.sweeps.entries import ENTRIES, Entry, chosen, entry_of
+from pytest_pafot.sweeps.maps import POINTS, WIDTH, Sweep, short, sweep
 from pytest_pafot.sweeps.numbers import over_of
 from pytest_pafot.world import World
 
@@ -74,12 +75,20 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
         raise RequestError("--fail-on worse: expected --against with a saved map, received none; save one with --csv")
     if arguments.config is not None and arguments.world is None:
         raise RequestError("--config: expected an environment, received none; give --world")
+    kinds = ((arguments.csv, Sweep.csv), (arguments.html, page), (arguments.png, png))
+    outputs = {path: content for path, content in kinds if path is not None}
+    for path in outputs:
+        _written(path, check_writable)  # before anything is driven
     is_watched = sys.stderr is not None and sys.stderr.isatty()
-    made = swept(
+    values = _set(arguments.set)
+    if values and arguments.what.endswith(SUFFIX):
+        raise RequestError("--set: expected a scenario of the catalogue, received a file; --over changes its numbers")
+    if values:  # before a name can be that of an argument
+        entry_of(arguments.what).check(values)
+    made = sweep(
         arguments.what,
         ads_factory(arguments.ads),
-        over_of(arguments.over),
-        _set(arguments.set),
+        over=over_of(arguments.over),
         world=None
         if arguments.world is None
         else World(arguments.world, config_of(arguments.config), planner_hz=5 if arguments.config is None else None),
@@ -87,15 +96,18 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
         points=arguments.points,
         against=arguments.against,
         on_point=_tell if is_watched else None,
+        on_stop=lambda so_far: _kept(arguments.csv, so_far),
+        **values,
     )
     if is_watched:
         sys.stderr.write("\r\033[K")
     width = min(shutil.get_terminal_size().columns, WIDTH) if sys.stdout.isatty() else WIDTH
     try:
-        written = _write(arguments, made)  # before a closed output can end the command
+        for path, content in outputs.items():  # before a closed output can end the command
+            _written(path, partial(write_whole, content=content(made)))
     finally:
         sys.stdout.write(f"{made.explain(width)}\n")
-    sys.stdout.write("".join(f"wrote {visible(path)}\n" for path in written))
+    sys.stdout.write("".join(f"wrote {visible(path)}\n" for path in outputs))
     is_empty = made.not_as_asked == len(made.points)  # which says nothing, and so must not pass
     failed = {"preventable": made.preventable + made.errors or is_empty, "worse": made.worse}.get(arguments.fail_on)
     return FAILED if failed else 0
@@ -120,28 +132,30 @@ def _set(texts: Sequence[str]) -> dict[str, float]:
     return values
 
 
-def _write(arguments: argparse.Namespace, made: Sweep) -> list[str]:
-    """Write the files that are asked for, and return their paths."""
-    written = []
-    kinds: tuple[tuple[str | None, Any], ...] = (
-        (arguments.csv, Sweep.csv),
-        (arguments.html, page),
-        (arguments.png, png),
-    )
-    for path, content in kinds:
-        if path is None:
-            continue
-        if not path:
-            raise RequestError("expected the name of a file, received an empty one")
-        try:
-            write_whole(Path(path), content(made))
-        except OSError as error:
-            fix = way_out(error, "or choose another file")
-            raise RequestError(
-                f"{visible(path)}: expected a file that can be written, received {error.strerror or error}; {fix}"
-            ) from None
-        written.append(path)
-    return written
+def _written(path: str, write: Callable[[Path], object]) -> None:
+    """Write a file of the user, or check that it can be written.
+
+    Raises:
+        RequestError: if it cannot.
+    """
+    if not path:
+        raise RequestError("expected the name of a file, received an empty one")
+    try:
+        write(Path(path))
+    except OSError as error:
+        fix = way_out(error, "or choose another file")
+        raise RequestError(
+            f"{visible(path)}: expected a file that can be written, received {error.strerror or error}; {fix}"
+        ) from None
+
+
+def _kept(path: str | None, so_far: Sweep) -> str:
+    """Save the points of an interrupted map, unless there is a file of an earlier one. Return what was done."""
+    count = plural(len(so_far.points), "point")
+    with suppress(OSError):
+        if path is not None and write_if_free(Path(path), so_far.csv().encode()):
+            return f"wrote {count} to {visible(path)}"
+    return f"{count} driven, nothing was written"
 
 
 def catalogue_text(entries: Sequence[Entry]) -> str:
@@ -150,8 +164,7 @@ def catalogue_text(entries: Sequence[Entry]) -> str:
     for entry in entries:
         lines += [entry.name, f"  {entry.about}", *wrapped_to(f"  after {entry.source}", WIDTH)]
         for name, each in entry.parameters.items():
-            span = f"{short(each.low)} to {short(each.high)}" if each.low < each.high else "fixed"
             number = f"{short(each.default)} {each.unit}".rstrip()
-            lines.append(f"    {name:<15} {number:<12} {span:<18} {each.about}")
+            lines.append(f"    {name:<15} {number:<12} {each.span:<18} {each.about}")
         lines.append("")
     return "\n".join(lines)

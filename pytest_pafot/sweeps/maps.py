@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import io
-import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -18,6 +17,7 @@ from pytest_pafot.campaign.saved_scenario import SavedScenario
 from pytest_pafot.campaign.verdict import Test, Verdict, assertions, headline, judge, reference_outcomes
 from pytest_pafot.corpus.layout import SUFFIX
 from pytest_pafot.corpus.reader import load
+from pytest_pafot.corpus.saved import named_file
 from pytest_pafot.criticality.asked import asked
 from pytest_pafot.findings.finding import Finding
 from pytest_pafot.model.scenario import Scenario, ScenarioError
@@ -25,8 +25,8 @@ from pytest_pafot.model.trace import Outcome, Trace
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.support.errors import RequestError, plain_whole
 from pytest_pafot.support.files import open_regular, write_whole
-from pytest_pafot.support.references import factory_named
-from pytest_pafot.support.text import ascii_text, csv_text, plural, visible, wrapped_to
+from pytest_pafot.support.references import described, factory_named
+from pytest_pafot.support.text import ascii_text, csv_text, plural, spreadsheet_cell, visible, wrapped_to
 from pytest_pafot.sweeps.entries import Entry, entry_of, fits
 from pytest_pafot.sweeps.numbers import Axis, unit_of, values_of, with_number
 from pytest_pafot.world import Highway, from_dict
@@ -50,6 +50,8 @@ MEANINGS: dict[Kind, str] = {
     "ADS error": "ended by an error of the ADS",
     "not as asked": "not as asked",
 }
+UNDRIVABLE = "cannot be driven: "
+"""The beginning of the words on a point for which the world has no such scenario."""
 WIDTH = 100
 """The width of a map in a terminal, unless it is narrower [columns]."""
 TOLD: tuple[Kind, ...] = ("avoided", "preventable", "ADS error")
@@ -130,13 +132,16 @@ class Sweep:
         name: the catalogue entry or the finding that was swept.
         axes: one or two axes.
         points: all points; the last axis changes fastest.
-        changes: the points whose answer differs from that of the map given as ``against``.
+        changes: the points whose answer differs from that of the map given as ``against``; only points that were driven
+            in both are compared.
+        remarks: values outside of the ranges of an entry, and how many points were not compared, in sentences.
     """
 
     name: str
     axes: tuple[Axis, ...]
     points: tuple[Point, ...]
     changes: tuple[Change, ...] = ()
+    remarks: tuple[str, ...] = ()
 
     def count(self, kind: Kind) -> int:
         """Return the number of points of a kind."""
@@ -245,58 +250,82 @@ class Sweep:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """All else there is to say: errors, why points were not as asked, islands, changes, points not driven."""
-        notes = []
-        for kind in ("ADS error", "not as asked"):
-            some = [point for point in self.points if point.kind == kind and point.driven]
+        """All else there is to say: on single points, on the grid, and on what has changed."""
+        return (*self._on_points(), *self.on_grid(), *self.remarks, *self._on_changes())
+
+    def _on_points(self) -> Iterator[str]:
+        odd = [point for point in self.points if point.kind == "not as asked" and point.driven]
+        undriven = [point for point in odd if point.trace is None]
+        for kind, some in (
+            ("ADS error", [point for point in self.points if point.kind == "ADS error" and point.driven]),
+            ("not as asked", [point for point in odd if point.trace is not None]),
+            (f"{len(undriven)} of the points not as asked cannot be driven", undriven),
+        ):
             if some:
-                notes.append(f"{kind}, such as {self.where(some[0].at)}: {some[0].words}")
+                yield f"{kind}, such as {self.where(some[0].at)}: {some[0].words.removeprefix(UNDRIVABLE)}"
         if self.not_as_asked == len(self.points):
-            notes.append("no point came up as asked, so this map says nothing about the policy")
-        off = max((abs(point.ego_off) for point in self.points if point.kind != "not as asked"), default=0.0)
-        if off > EGO_OFF:
-            notes.append(
-                f"the ego was up to {off:.1f} m/s off the speed asked for when a manoeuvre began; give the policy this "
-                "speed as the one that it keeps"
+            yield "no point came up as asked, so this map says nothing about the policy"
+        off = [each for each in (abs(point.ego_off) for point in self.points) if each > EGO_OFF]
+        if off:
+            yield (
+                f"at {len(off)} of {plural(self.driven, 'driven point')} the ego was up to {max(off):.1f} m/s off the "
+                "speed asked for when a manoeuvre began; give the policy this speed as the one that it keeps"
             )
+        failed = [point for point in odd if point.avoided_by]
+        if failed:
+            yield (
+                f"{len(failed)} of the points not as asked ended in a failure that a reference driver avoids, such as "
+                f"{self.where(failed[0].at)}"
+            )
+
+    def on_grid(self) -> Iterator[str]:
+        """Yield how much was driven, and the islands, in sentences."""
         if self.driven < len(self.points):
-            notes.append(
+            either = " in either direction" if len(self.axes) == 2 else ""
+            yield (
                 f"{self.driven} points were driven, the others lie between points with the same answer; islands "
-                f"smaller than {STRIDE} by {STRIDE} points may be missing"
+                f"narrower than {STRIDE} points{either} may be missing"
             )
         islands = self.islands
-        notes += [f"island: {sentence}" for sentence in islands[:MOST_NAMED]]
+        yield from (f"island: {sentence}" for sentence in islands[:MOST_NAMED])
         if len(islands) > MOST_NAMED:
-            notes.append(f"island: and {len(islands) - MOST_NAMED} more")
-        otherwise = sum(point.kind == "not as asked" and point.avoided_by != "" for point in self.points)
-        if otherwise:
-            notes.append(
-                f"{plural(otherwise, 'point')} failed in another situation than was asked for, though a reference "
-                "driver avoids it"
-            )
-        for change in self.changes[:MOST_NAMED]:
-            notes.append(f"changed: {self.where(change.at)} was {change.before}, is {change.now}")
-        if len(self.changes) > MOST_NAMED:
-            notes.append(f"changed: and {len(self.changes) - MOST_NAMED} more")
-        return tuple(notes)
+            yield f"island: and {len(islands) - MOST_NAMED} more"
+
+    def _on_changes(self) -> Iterator[str]:
+        if self.changes:
+            yield f"changed: {plural(len(self.changes), 'point')}, {len(self.worse)} for the worse"
+        better = [change for change in self.changes if not change.is_worse]
+        for change in [*self.worse, *better][:MOST_NAMED]:
+            kinds = f"from {MEANINGS[change.before]} to {MEANINGS[change.now]}"
+            yield f"{'worse' if change.is_worse else 'changed'}: {self.where(change.at)}, {kinds}"
+
+    @property
+    def legend(self) -> dict[Kind, str]:
+        """The meanings of the kinds that occur, with the mark of their points that were not driven."""
+        used = {point.kind for point in self.points}
+        others = {
+            point.kind: f" ({point.mark} not driven)" for point in self.points if point.mark not in MARKS.values()
+        }
+        return {kind: f"{MEANINGS[kind]}{others.get(kind, '')}" for kind in KINDS if kind in used}
 
     def explain(self, width: int = WIDTH) -> str:
         """Return the map as lines of ASCII: a column for each value of the last axis, a row for each of the first."""
         *rows, columns = self.axes
         labels = [short(value) for value in columns.values]
         heads = [short(value) for value in rows[0].values] if rows else [""]
-        head, cell = max(map(len, heads)), max(map(len, labels)) + 1
         axes = f"{rows[0].title} up, {columns.title} across" if rows else columns.title
-        scale = " " * (head + 1) + "".join(label.rjust(cell) for label in labels)
-        if len(scale) > width:
-            cell = 2 if head + 1 + 2 * len(labels) <= width else 1
-            scale = " " * (head + 2) + f"{labels[0]} to {labels[-1]}"
+        longest = max(map(len, labels)) + 1
+        head = max(map(len, heads))
+        cell = next((each for each in (longest, 2) if head + 1 + each * len(labels) <= width), 1)
+        head, every = max(head, len(labels[0]) - cell - 1), -(-longest // cell)
+        scale = ""
+        for column in [*range(0, len(labels) - every, every), len(labels) - 1]:  # each ends above its column
+            scale += labels[column].rjust(head + 1 + cell * (column + 1) - len(scale))
         lines = [*wrapped_to(self.name, width), *wrapped_to(self.headline, width), "", *wrapped_to(axes, width), scale]
         for row, name in reversed([*enumerate(heads)]):  # as in a picture, larger values are above
             points = [self.point(row, column) if rows else self.point(column) for column in range(len(labels))]
             lines.append(f"{name.rjust(head)} {''.join(point.mark.rjust(cell) for point in points)}")
-        used = {point.kind for point in self.points}
-        legend = "  ".join(f"{MARKS[kind]} {MEANINGS[kind]}" for kind in KINDS if kind in used)
+        legend = "  ".join(f"{MARKS[kind]} {meaning}" for kind, meaning in self.legend.items())
         told = [part for note in (legend, *self.notes) for part in wrapped_to(note, width)]
         return "\n".join(ascii_text(line).rstrip() for line in [*lines, "", *told])
 
@@ -316,10 +345,10 @@ class Sweep:
         rows = [
             [
                 *(short(value) for value in point.at),
-                plain_cell(self.name),
+                spreadsheet_cell(self.name),
                 point.kind,
                 int(point.driven),
-                plain_cell(point.words),
+                spreadsheet_cell(point.words),
             ]
             for point in self.points
         ]
@@ -348,6 +377,7 @@ def sweep(
     points: int = POINTS,
     against: str | Path | Sweep | None = None,
     on_point: Callable[[int], None] | None = None,
+    on_stop: Callable[[Sweep], str] | None = None,
     **values: float,
 ) -> Sweep:
     """Drive a scenario for all values of one or two of its numbers, and return the map.
@@ -363,32 +393,17 @@ def sweep(
             on the road.
         points: the largest number of points that are all driven. Of a larger grid, every fourth point in each direction
             is driven, and between them where the answer changes.
-        against: an earlier map, or the file that :meth:`Sweep.save` wrote.
+        against: an earlier map, or the file that :meth:`Sweep.save` wrote. The points that it has driven are driven.
         on_point: is called with the number of points driven so far.
+        on_stop: is called with the points driven so far if Ctrl-C ends the map; what it returns is added to the error.
         values: other parameters of the entry.
 
     Raises:
         RequestError: if an argument is wrong, or the world has no reference drivers.
     """
-    return swept(what, ads, over, values, world=world, holds=holds, points=points, against=against, on_point=on_point)
-
-
-def swept(
-    what: str | Path | Finding | Scenario,
-    ads: AdsFactory | str,
-    over: Mapping[str, object],
-    values: Mapping[str, float],
-    *,
-    world: Any,
-    holds: Test | None,
-    points: int,
-    against: str | Path | Sweep | None,
-    on_point: Callable[[int], None] | None,
-) -> Sweep:
-    """Return the map of :func:`sweep`, whose other parameters of an entry are one argument here."""
     if world is not None and not hasattr(world, "rollout"):
         raise RequestError(f"world: expected pafot.Highway(...) or pafot.World(...), received {world!r:.80}")
-    name, place, make = _source(what, world, values)
+    name, make = _source(what, world, values)
     if not isinstance(over, Mapping) or not 1 <= len(over) <= 2 or not all(isinstance(each, str) for each in over):
         raise RequestError(f"over: expected one or two axes, such as {{'gap': '0:60:7'}}, received {over!r:.80}")
     if plain_whole(points) is None or points < 1:
@@ -402,13 +417,38 @@ def swept(
     # A map names what is not the default, so that only maps of the same are compared.
     name += "" if world is None else f" in {_in_words(world)}"
     name += "" if holds is None else f", {getattr(holds, '__name__', type(holds).__name__)}"
-    before = None if against is None else _before(name, axes, against)  # before anything is driven
+    before = {} if against is None else _before(name, axes, against)  # before anything is driven
     factory = named_factory(ads)
-    driver = _Driver(make, axes, factory, place, holds or stays_safe, on_point)
-    driver.make_first()
-    found = _all_of(driver, axes) if math.prod(len(axis.values) for axis in axes) <= points else _refined(driver, axes)
-    made = Sweep(name=name, axes=axes, points=found)
-    return made if before is None else replace(made, changes=_changes(made, before))
+    if reference_world(make.world) is None:
+        raise RequestError(
+            "sweep: expected a world with reference drivers, which tell what can be avoided, received one without"
+        )
+    driver = _Driver(make, axes, factory, holds or stays_safe, on_point)
+    remarks = make.check(axes)
+    indices = list(product(*(range(len(axis.values)) for axis in axes)))
+    between: dict[Index, Point] = {}  # by index the corner of a rectangle whose corners have the same answer
+    try:
+        for index in indices:
+            if len(indices) <= points or _was_driven(before, driver.at(index)):
+                driver(index)
+        if len(indices) > points:
+            _refine_all(driver, axes, between)
+    except KeyboardInterrupt as interrupt:
+        if on_stop is not None:
+            interrupt.add_note(on_stop(Sweep(name=name, axes=axes, points=tuple(driver.points.values()))))
+        raise
+    found = tuple(
+        driver.points.get(index)
+        or replace(between[index], at=driver.at(index), driven=False, trace=None, words="not driven")
+        for index in indices
+    )
+    both = [point for point in found if point.driven and _was_driven(before, point.at)]
+    if before and len(both) < len(found):
+        left = plural(len(found) - len(both), "point")
+        remarks += (f"not compared: {left}, which at least one of the two maps has not driven",)
+    pairs = [(point, before[_key(point.at)][0]) for point in both]
+    changes = tuple(Change(at=point.at, before=kind, now=point.kind) for point, kind in pairs if point.kind != kind)
+    return Sweep(name=name, axes=axes, points=found, changes=changes, remarks=remarks)
 
 
 def named_factory(ads: AdsFactory | str) -> Any:
@@ -432,12 +472,6 @@ def stays_safe(run: Run) -> None:
     assert run.outcome not in (Outcome.COLLISION, Outcome.OFF_ROAD), run.explain()  # noqa: S101  (it is an oracle)
 
 
-def plain_cell(text: str) -> str:
-    """Return a text on one line that no spreadsheet takes for a formula."""
-    text = visible(text)
-    return f"'{text}" if text.startswith(("=", "+", "-", "@")) else text
-
-
 def short(value: float) -> str:
     """Return a number with at most four digits behind the point."""
     return f"{round(value, 4) + 0.0:g}"
@@ -459,6 +493,28 @@ class _Made:
             return self.source.parameters[name].unit
         return unit_of(name)
 
+    def check(self, axes: tuple[Axis, ...]) -> tuple[str, ...]:
+        """Return a sentence for each value outside of its range.
+
+        Raises:
+            RequestError: if there is no number of a name, or no scenario at any point: not a map without an answer.
+        """
+        remarks: tuple[str, ...] = ()
+        if isinstance(self.source, Entry):
+            spans = {axis.name: axis.values for axis in axes if "." not in axis.name}
+            for name, value in ((name, value) for name, span in spans.items() for value in span):
+                self.source.check({name: value})
+            remarks = self.source.beyond({**{name: (value,) for name, value in self.values.items()}, **spans})
+        errors = []
+        for at in product(*(axis.values for axis in axes)):
+            try:
+                self([axis.name for axis in axes], at)
+            except ScenarioError as error:
+                errors.append(error)
+            else:
+                return remarks
+        raise RequestError(f"sweep: expected a point that can be driven, received none: {errors[0]}")
+
     def __call__(self, names: Sequence[str], at: Sequence[float]) -> Scenario:
         given, scenario = dict(zip(names, at, strict=True)), self.source
         if isinstance(scenario, Entry):
@@ -469,10 +525,10 @@ class _Made:
         return scenario
 
 
-def _source(what: Any, world: Any, values: Mapping[str, float]) -> tuple[str, Any, _Made]:
-    """Return the name of what is swept, its world, and the maker of its scenarios."""
+def _source(what: Any, world: Any, values: Mapping[str, float]) -> tuple[str, _Made]:
+    """Return the name of what is swept, and the maker of its scenarios."""
     if isinstance(what, Path) or (isinstance(what, str) and what.endswith(SUFFIX)):
-        what = load(what)
+        what = load(named_file(str(what)))
     if values and not isinstance(what, str):
         raise RequestError(f"sweep: expected no parameters for a scenario, received {', '.join(values)}")
     if isinstance(what, SavedScenario):
@@ -480,15 +536,14 @@ def _source(what: Any, world: Any, values: Mapping[str, float]) -> tuple[str, An
     if isinstance(what, Finding):
         place = from_dict(dict(what.world)) if world is None else world
         sight = "" if what.perception is None else ", with perfect sight"
-        return f"{what.id}{sight}", place, _Made(what.scenario, {}, place)
+        return f"{what.id}{sight}", _Made(what.scenario, {}, place)
     if isinstance(what, Scenario):
         place = entry_of("r157/cut-in").world(None) if world is None else world
-        return what.id, place, _Made(what, {}, place)
+        return what.id, _Made(what, {}, place)
     entry = entry_of(what)
-    place = entry.world(world)
     entry.check(values)
     told = [entry.name, *(f"{name}={short(value)}" for name, value in values.items())]
-    return " ".join(told), place, _Made(entry, values, place)
+    return " ".join(told), _Made(entry, values, entry.world(world))
 
 
 def _in_words(world: Any) -> str:
@@ -499,68 +554,48 @@ def _in_words(world: Any) -> str:
     return " ".join([type(world).__name__, *(f"{name}={data[name]}" for name in data if data[name] != default[name])])
 
 
+@dataclass(slots=True)
 class _Driver:
     """The points of a sweep, each driven when it is first asked for."""
 
-    def __init__(
-        self,
-        make: _Made,
-        axes: tuple[Axis, ...],
-        ads: Callable[..., Any],
-        world: Any,
-        holds: Test,
-        on_point: Callable[[int], None] | None,
-    ) -> None:
-        self.points: dict[Index, Point] = {}
-        self._make, self._axes, self._ads, self._world, self._holds = make, axes, ads, world, holds
-        self._file = source_file(holds)
-        self._on_point = on_point
-        if reference_world(world) is None:
-            raise RequestError(
-                "sweep: expected a world with reference drivers, which tell what can be avoided, received one without"
-            )
-
-    def make_first(self) -> None:
-        """Make some scenario, so that a wrong name of a number is an error and not a map without an answer.
-
-        Raises:
-            RequestError: if there is no such number.
-        """
-        errors = []
-        for index in product(*(range(len(axis.values)) for axis in self._axes)):
-            try:
-                self._make([axis.name for axis in self._axes], self.at(index))
-            except ScenarioError as error:
-                errors.append(error)
-            else:
-                return
-        raise RequestError(f"sweep: expected a point that can be driven, received none: {errors[0]}")
+    make: _Made
+    axes: tuple[Axis, ...]
+    ads: Callable[..., Any]
+    holds: Test
+    on_point: Callable[[int], None] | None
+    points: dict[Index, Point] = field(default_factory=dict)
 
     def at(self, index: Index) -> tuple[float, ...]:
         """Return the values of the axes at an index."""
-        return tuple(axis.values[each] for axis, each in zip(self._axes, index, strict=True))
+        return tuple(axis.values[each] for axis, each in zip(self.axes, index, strict=True))
 
     def __call__(self, index: Index) -> Point:
         if index not in self.points:
             self.points[index] = self._driven(self.at(index))
-            if self._on_point is not None:
-                self._on_point(len(self.points))
+            if self.on_point is not None:
+                self.on_point(len(self.points))
         return self.points[index]
 
     def _driven(self, at: tuple[float, ...]) -> Point:
         try:
-            scenario = self._make([axis.name for axis in self._axes], at)
+            scenario = self.make([axis.name for axis in self.axes], at)
         except ScenarioError as error:
-            return Point(at=at, kind="not as asked", words=f"cannot be driven: {error}")
-        why = fits(scenario, self._world)
+            return Point(at=at, kind="not as asked", words=f"{UNDRIVABLE}{error}")
+        why = fits(scenario, self.make.world)
         if why:
-            return Point(at=at, kind="not as asked", words=f"cannot be driven: {why}")
-        with refusals():
-            run = driven(self._world, scenario, self._ads)
-        found = judged(run, self._holds, self._file)
+            return Point(at=at, kind="not as asked", words=f"{UNDRIVABLE}{why}")
+        try:
+            with refusals():
+                run = driven(self.make.world, scenario, self.ads)
+        except RequestError:
+            raise
+        except Exception as error:  # what a policy raises as it drives is part of its run
+            received = f"one that raises {described(error)}"
+            raise RequestError(f"ads: expected a factory of a policy, received {received}; correct it") from error
+        found = judged(run, self.holds, source_file(self.holds))
         raised = found.error
         if raised is not None:
-            where = ", ".join(f"{axis.name}={short(value)}" for axis, value in zip(self._axes, at, strict=True))
+            where = ", ".join(f"{axis.name}={short(value)}" for axis, value in zip(self.axes, at, strict=True))
             raise RequestError(
                 f"holds: expected a function that asserts, received {type(raised).__name__}: {visible(str(raised))} at "
                 f"{where}; correct the function"
@@ -613,26 +648,14 @@ def judged(run: Run, holds: Test, test_file: str) -> Judged:
     return Judged(verdict, "preventable" if avoiding else "unavoidable", what, avoiding)
 
 
-# The grid, whole or refined where the answer changes.
+# The grid, refined where the answer changes.
 
 
-def _all_of(drive: Callable[[Index], Point], axes: tuple[Axis, ...]) -> tuple[Point, ...]:
-    return tuple(drive(index) for index in product(*(range(len(axis.values)) for axis in axes)))
-
-
-def _refined(drive: _Driver, axes: tuple[Axis, ...]) -> tuple[Point, ...]:
+def _refine_all(drive: Callable[[Index], Point], axes: tuple[Axis, ...], between: dict[Index, Point]) -> None:
     """Drive every fourth point, and halve the rectangles between them whose corners differ."""
     marks = [sorted({*range(0, len(axis.values), STRIDE), len(axis.values) - 1}) for axis in axes]
-    between: dict[Index, Point] = {}  # by index the corner of a rectangle whose corners have the same answer
     for rectangle in product(*(list(pairwise(each)) for each in marks)):
         _refine(drive, rectangle, between)
-    found = []
-    for index in product(*(range(len(axis.values)) for axis in axes)):
-        point = drive.points.get(index)
-        if point is None:
-            point = replace(between[index], at=drive.at(index), driven=False, trace=None, words="not driven")
-        found.append(point)
-    return tuple(found)
 
 
 def _refine(drive: Callable[[Index], Point], rectangle: Sequence[tuple[int, int]], between: dict[Index, Point]) -> None:
@@ -670,8 +693,8 @@ def _groups(odd: Iterable[Index], kind: Callable[[Index], bool]) -> Iterator[lis
 # An earlier map.
 
 
-Before = Mapping[tuple[str, ...], Kind]
-"""The answers of an earlier map, by the values of the axes as text."""
+Before = Mapping[tuple[str, ...], tuple[Kind, bool]]
+"""The answers of an earlier map and whether they were driven, by the values of the axes as text."""
 
 
 def _before(name: str, axes: tuple[Axis, ...], against: str | Path | Sweep) -> Before:
@@ -685,7 +708,7 @@ def _before(name: str, axes: tuple[Axis, ...], against: str | Path | Sweep) -> B
         if against.name != name or [axis.name for axis in against.axes] != names:
             told = f"{against.name} over {' and '.join(axis.name for axis in against.axes)}"
             raise RequestError(f"against: expected a map of {name} over {' and '.join(names)}, received one of {told}")
-        found = {_key(point.at): point.kind for point in against.points}
+        found: Before = {_key(point.at): (point.kind, point.driven) for point in against.points}
     else:
         found = _read(name, names, against)
     points = {_key(at) for at in product(*(axis.values for axis in axes))}
@@ -698,16 +721,15 @@ def _before(name: str, axes: tuple[Axis, ...], against: str | Path | Sweep) -> B
     return found
 
 
-def _changes(now: Sweep, before: Before) -> tuple[Change, ...]:
-    pairs = [(point, before[_key(point.at)]) for point in now.points]
-    return tuple(Change(at=point.at, before=kind, now=point.kind) for point, kind in pairs if point.kind != kind)
+def _was_driven(before: Before, at: Sequence[float]) -> bool:
+    return bool(before) and before[_key(at)][1]
 
 
 def _key(at: Sequence[float]) -> tuple[str, ...]:
     return tuple(map(short, at))
 
 
-def _read(scenario: str, names: Sequence[str], path: str | Path) -> dict[tuple[str, ...], Kind]:
+def _read(scenario: str, names: Sequence[str], path: str | Path) -> Before:
     """Return the answers in the file of a saved map.
 
     Raises:
@@ -732,17 +754,17 @@ def _read(scenario: str, names: Sequence[str], path: str | Path) -> dict[tuple[s
         raise wrong("CSV in UTF-8", error) from None
     columns = list(rows[0]) if rows else []
     if columns != [*names, *FIXED]:
-        expected = f"the columns {', '.join([*names, *FIXED])}"
-        same = "; give the axes in the same order" if {*columns} == {*names, *FIXED} else ""
-        raise wrong(expected, f"{', '.join(map(str, columns)) or 'no rows'}{same}")
-    found: dict[tuple[str, ...], Kind] = {}
+        expected = f"the columns {', '.join([*names, *FIXED])}, with the axes in the same order"
+        raise wrong(expected, ", ".join(map(str, columns)) or "no rows")
+    found: dict[tuple[str, ...], tuple[Kind, bool]] = {}
     for row in rows:
-        if row["scenario"] != plain_cell(scenario):
+        if row["scenario"] != spreadsheet_cell(scenario):
             raise wrong(f"a map of {scenario}", row["scenario"])
         if row["result"] not in KINDS:
             raise wrong(f"one of {', '.join(KINDS)} as the result", row["result"])
         try:
-            found[_key([float(row[name]) for name in names])] = row["result"]
+            found[_key([float(row[name]) for name in names])] = row["result"], bool(int(row["driven"]))
         except (TypeError, ValueError):
-            raise wrong("numbers in the columns of the axes", [row[name] for name in names]) from None
+            numbers = [row[name] for name in (*names, "driven")]
+            raise wrong("numbers in the columns of the axes and in driven", numbers) from None
     return found

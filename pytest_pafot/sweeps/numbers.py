@@ -13,6 +13,7 @@ import numpy as np
 
 from pytest_pafot.model.scenario import ALONE, Manoeuvre, Scenario
 from pytest_pafot.support.errors import RequestError, plain_number
+from pytest_pafot.support.text import meant
 
 UNITS = {
     "speed": "m/s", "ego_speed": "m/s", "lateral_speed": "m/s", "acceleration": "m/s^2", "gap": "m", "ahead": "m",
@@ -55,7 +56,7 @@ def values_of(name: str, given: object) -> tuple[float, ...]:
     Raises:
         RequestError: for anything else, or too many values.
     """
-    expected = f"over: {name}: expected first:last:count, such as 0:60:7, or at most {LEVELS} different numbers"
+    expected = f"over: {name}: expected first:last:count, such as 0:60:7, or different numbers, 2 to {LEVELS} of them"
     if isinstance(given, str):
         try:
             first, last, count = (float(part) for part in given.split(":"))
@@ -118,7 +119,8 @@ def with_number(scenario: Scenario, name: str, value: float) -> Scenario:
     """
     value = round(value, 1) + 0.0
     if name not in names_in(scenario):
-        raise RequestError(f"over: expected one of {', '.join(names_in(scenario))}, received {name!r:.60}")
+        known = names_in(scenario)
+        raise RequestError(f"over: expected one of {', '.join(known)}, received {name!r:.60}{meant(name, known)}")
     if not name.startswith("npcs."):
         return replace(scenario, ego_speed=value) if name == "ego.speed" else replace(scenario, gene_seconds=value)
     _, npc, *path = name.split(".")

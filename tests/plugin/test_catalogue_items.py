@@ -96,6 +96,7 @@ def test_declines(run):
     }
     result.stdout.fnmatch_lines_random(
         [
+            "SKIPPED *test_it.py:*: r157/cut-in: unavoidable*",
             "SKIPPED *this world cannot drive it: world: expected a road on which another way is merging *",
             "SKIPPED *unavoidable: collision after 2.* s at *no reference driver avoids it",
             "SKIPPED *not as asked: ego speed asked 16.7 m/s, was *",
@@ -209,7 +210,7 @@ def test_other(): pass
     result.stdout.fnmatch_lines_random(
         [
             "catalogue: expected one of r157/cut-in, *, received 'r157/cut-inn'; did you mean 'r157/cut-in'?",
-            "@pafot.catalogue: expected ads, world or one of ego_speed, *, received 'ego_sped'",
+            "@pafot.catalogue: expected ads, world or one of ego_speed, *'ego_sped'; did you mean 'ego_speed'?",
             "r157/cut-in: ego_speed: expected a number, received 'fast'",
             "ads: expected a factory, *, received 3*",
             "expected a parameter 'run' that is free for the simulated run; write `def test_without_run(run)`*",

@@ -143,6 +143,9 @@ class WithoutReferences(Toy):
         ("r157/cut-in", {"over": {"gpa": "0:1:2"}}, "received 'gpa'; did you mean 'gap'?"),
         ("r157/cut-in", {"over": {"npcs.1.speed": "0:1:2"}}, "over: expected one of ego.speed, .*'npcs.1.speed'"),
         ("r157/cut-in", {"gpa": 3}, "received 'gpa'; did you mean 'gap'?"),
+        ("r157/cut-in", {"side": 0}, r"r157/cut-in: side: expected 1 \(right\) or -1 \(left\), received 0"),
+        ("r157/cut-in", {"over": {"side": "-1:1:5"}}, "side: expected 1 .*, received -0.5"),
+        (two_numbers(), {"over": {"npcs.0.speed": "0:1:2"}}, "received 'npcs.0.speed'; did you mean 'npcs.0.0.speed'?"),
         ("r157/cut-in", {"ego_speed": "fast"}, "ego_speed: expected a number, received 'fast'"),
         ("r157/cut-in", {"ego_speed": -9}, "expected a point that can be driven, received none: speed: expected m/s"),
         ("r157/cut-in", {"world": WithoutReferences()}, "expected a world with reference drivers"),
@@ -157,7 +160,23 @@ def test_wrong_argument_is_refused_before_any_run(what, options, text):
         pafot.sweep(what, never, **{"over": {"gap": "0:60:7"}, **options})
 
 
+def test_values_outside_of_the_range_of_an_entry_are_driven_and_told():
+    over = {"deceleration": [4, 8.04, 10], "ego_speed": [0.5, 25]}
+    made = pafot.sweep("r157/braking-leader", keeps_speed, over=over, headway=2.5)
+    assert made.remarks == (
+        "headway 2.5 s: outside of its range (1 to 2)",
+        "deceleration 10 m/s^2: outside of its range (1 to 8)",
+        "ego_speed 0.5 and 25 m/s: outside of its range (1.389 to 16.67)",
+    )
+    assert {*made.remarks} <= {*made.notes}
+
+
 def test_policy_that_cannot_drive_is_the_users_error():
+    def raises():
+        raise ValueError("no weights")
+
+    with pytest.raises(RequestError, match=r"ads: expected a factory of a policy, .* raises ValueError: no weights \("):
+        pafot.sweep("r157/cut-in", raises, over={"gap": [0, 9]})
     with pytest.raises(RequestError, match=r"ads: expected a factory, .*, received 3"):
         pafot.sweep("r157/cut-in", 3, over={"gap": [0, 9]})
 
@@ -186,8 +205,14 @@ def test_narrow_terminal_moves_columns_together_and_wraps_notes():
     picture = ("." * 30, "X" * 30)
     wide, narrow, least = (mapped(*picture).explain(width).splitlines() for width in (100, 70, 40))
     assert "1 " + "  ." * 30 in wide
-    assert narrow[narrow.index("1 " + " ." * 30) - 1] == "   0 to 29"
-    assert "1 " + "." * 30 in least
+    for lines, row, step in ((wide, "  .", 1), (narrow, " .", 2), (least, ".", 3)):
+        above = lines[lines.index("1 " + row * 30) - 1]  # each label ends above its column
+        shown = [int(label) for label in above.split()]
+        assert shown == [*range(0, 30 - step, step), 29]
+        assert [above[: 2 + len(row) * (column + 1)].split()[-1] for column in shown] == [*map(str, shown)]
+    long = pafot.sweep("r157/cut-in", keeps_speed, over={"gap": [round(0.1 + each * 0.3, 1) for each in range(50)]})
+    above, marks = long.explain(60).splitlines()[-4:-2]
+    assert (above[:5].split(), above.split()[-1], len(above)) == (["0.1"], "14.8", len(marks)), above
     assert max(map(len, least)) <= 40
     assert " ".join(" ".join(least[-2:]).split()) == ". avoided X failed though a reference driver avoids it"
 
@@ -253,17 +278,19 @@ def test_refined_grid_drives_points_as_the_full_one_and_fewer(limit):
 
 
 def test_refined_grid_says_what_it_may_miss():
-    inside = "." * 9, "." * 9, ".XX......", *["." * 9] * 6  # between the points that are driven
-    assert picture_of(mapped(*inside)) == inside
-    refined = mapped(*inside, points=80)
+    assert picture_of(mapped(*ISLAND)) == ISLAND
+    refined = mapped(*ISLAND, points=80)
     assert (refined.driven, refined.preventable) == (9, 0)
     assert refined.notes == (
-        "9 points were driven, the others lie between points with the same answer; islands smaller than 4 by 4 points "
-        "may be missing",
+        "9 points were driven, the others lie between points with the same answer; islands narrower than 4 points in "
+        "either direction may be missing",
     )
+    assert "\n. avoided (, not driven)\n" in refined.explain()
+    line = pafot.sweep("r157/side-vehicle", keeps_speed, over={"ego_speed": "5:15:9"}, points=8)
+    assert line.notes[0].endswith("islands narrower than 4 points may be missing")
     assert {point.mark for point in refined.points} == {".", ","}
     assert {(point.words, point.trace) for point in refined.points if not point.driven} == {("not driven", None)}
-    assert mapped(*inside, points=81).notes[0].startswith("island: ")
+    assert mapped(*ISLAND, points=81).notes[0].startswith("island: ")
 
 
 def test_grids_of_more_points_than_the_default_are_refined():
@@ -296,12 +323,40 @@ def test_changes_since_an_earlier_map_are_worse_or_better():
         Change(at=(1, 0), before="avoided", now="preventable"),
     )
     assert now.worse == now.changes[-1:]
-    assert "changed: ego.speed 1 m/s, npcs.0.0.speed 0 m/s was avoided, is preventable" in now.explain()
+    assert now.notes[-4:] == (
+        "changed: 3 points, 1 for the worse",
+        "worse: ego.speed 1 m/s, npcs.0.0.speed 0 m/s, from avoided to failed though a reference driver avoids it",
+        "changed: ego.speed 0 m/s, npcs.0.0.speed 0 m/s, from failed though a reference driver avoids it to avoided",
+        "changed: ego.speed 0 m/s, npcs.0.0.speed 1 m/s, from unavoidable to not as asked",
+    )
     assert (before.changes, mapped("..", "X#", against=before).changes) == ((), ())
     good = mapped("..", "..")
     assert [len(mapped(*each, against=good).worse) for each in (("..", ".."), ("#?", "X."))] == [0, 3]
     many = mapped("X" * 9, "." * 9, against=mapped("." * 9, "." * 9))
-    assert [len(many.worse), len(many.notes), many.notes[-1]] == [9, 7, "changed: and 3 more"]
+    assert [len(many.worse), len(many.notes), many.notes[0]] == [9, 7, "changed: 9 points, 9 for the worse"]
+
+
+ISLAND = "." * 9, "." * 9, ".XX......", *["." * 9] * 6  # between the points that a refined map drives
+
+
+@table("is_saved", [True, False])
+def test_only_points_that_both_maps_drove_are_compared(tmp_path, is_saved):
+    def earlier(*picture, **options):
+        made = mapped(*picture, **options)
+        made.save(tmp_path / "map.csv")
+        return tmp_path / "map.csv" if is_saved else made
+
+    clear = ["." * 9] * 9
+    again = mapped(*ISLAND, points=80, against=earlier(*ISLAND))  # drives what the saved map drove
+    assert (again.driven, again.changes, again.remarks) == (81, (), ())
+    assert [change.at for change in mapped(*ISLAND, points=80, against=earlier(*clear)).worse] == [(6, 1), (6, 2)]
+    assert [change.at for change in mapped(*clear, points=80, against=earlier(*ISLAND)).changes] == [(6, 1), (6, 2)]
+    for points in (80, 81):  # the saved map has seen no island that the new one could be worse than
+        made = mapped(*ISLAND, points=points, against=earlier(*clear, points=80))
+        assert (made.changes, made.remarks) == (
+            (),
+            ("not compared: 72 points, which at least one of the two maps has not driven",),
+        )
 
 
 PICTURES = st.lists(st.text(st.sampled_from(".X#?"), min_size=3, max_size=3), min_size=2, max_size=2).filter(
@@ -347,7 +402,10 @@ NAME = f"{two_numbers().id} in Planted"
         (f"{HEADER}0,0,{NAME},fine,1,\n", f"expected one of {', '.join(KINDS)} as the result, received fine"),
         (f"{HEADER}0,0,{NAME}\n", "expected one of avoided, .* as the result, received None"),
         (f"{HEADER}0\n", "expected a map of .*, received None"),
-        (f"{HEADER}0,a,{NAME},avoided,1,\n", "expected numbers in the columns of the axes, received "),
+        (f"{HEADER}0,a,{NAME},avoided,1,\n", "expected numbers in the columns of the axes and in driven, received "),
+        (f"{HEADER}0,0,{NAME},avoided,,\n", "expected numbers in the columns of the axes and in driven, received "),
+        (f"{COLUMNS},{ROWS},{HEADER.partition(',')[2].partition(',')[2]}1,0,,,,\n",
+         "expected the columns ego.speed, npcs.0.0.speed, .*, with the axes in the same order, received npcs"),
         (f"{HEADER}0,0,other,avoided,1,\n", f"expected a map of {NAME}, received other"),
         (f"{HEADER}0,0,\x1b[31m,avoided,1,\n", r"expected a map of .*, received \\x1b\[31m"),
         (f'{HEADER}0,0,"{"x" * 200_000}",avoided,1,\n', "expected CSV in UTF-8, received field larger than"),
