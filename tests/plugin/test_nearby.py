@@ -108,6 +108,7 @@ def test_a_neighbour_that_fails_by_the_same_mistake_fails_the_replay(project):
     assert record["status"] == "fixed"
 
 
+@pytest.mark.processes
 def test_the_replay_is_the_same_in_a_worker(project):
     fixed(project, "braking")
     assert replay(project)[1] == replay(project, "-n1")[1]

@@ -50,6 +50,7 @@ def test_how_broad_a_finding_is_stands_in_the_report_in_json_and_in_its_file(col
     assert same == labelled(contents, record)
 
 
+@pytest.mark.processes
 def test_it_is_the_same_with_workers_and_on_each_run(collides):
     told = [run(collides, "--pafot-neighbours=8", *more)[1:] for more in ((), (), ("--pafot-workers=2",))]
     assert told[0] == told[1] == told[2]
@@ -118,6 +119,7 @@ def test_lines_that_tell_failing_neighbours_from_passing_ones_are_told(project, 
     assert contents == labelled(same, record)
 
 
+@pytest.mark.processes
 def test_a_second_place_is_told_and_saved_only_if_asked_for(project):
     project.write(TWO)
     result, record, contents = run(project, "--pafot-neighbours=40", seed=3)
