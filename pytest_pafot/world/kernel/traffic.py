@@ -125,7 +125,7 @@ class OrdinaryTraffic:
 
     Args:
         vehicles: the vehicles at their starts, the ego first.
-        record: a buffer for ``ticks + 1`` rows of all vehicles.
+        record: a buffer for ``ticks + 1`` rows of all vehicles; their lanes are not written.
         dt: physics tick [s].
 
     Attributes:
@@ -170,7 +170,6 @@ class OrdinaryTraffic:
             record[row + 3] = vehicle.speed
             record[row + 4] = vehicle.acceleration
             record[row + 5] = vehicle.steering
-            record[row + 6] = vehicle._closest
             row += columns
         self._row = row
 
