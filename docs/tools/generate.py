@@ -414,7 +414,7 @@ def _outcomes_table() -> str:
     assert isinstance(body, ast.ClassDef)  # noqa: S101
     after = (node.value for node in body.body[1:] if isinstance(node, ast.Expr))
     texts = [value.value for value in after if isinstance(value, ast.Constant)]
-    rows = [[f"`{outcome}`", str(text)] for outcome, text in zip(Outcome, texts, strict=True)]
+    rows = [[f"`{outcome}`", " ".join(str(text).split())] for outcome, text in zip(Outcome, texts, strict=True)]
     return _table(["Outcome", "Meaning"], rows)
 
 

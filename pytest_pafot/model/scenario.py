@@ -445,9 +445,10 @@ class Scenario(_Hashed):
     """The input of a simulated run: one chain of instructions per NPC, the start, and the seed of the repair.
 
     Attributes:
-        npcs: chains of one to eight NPCs, one non-empty chain per NPC; lengths may differ. After its last gene an NPC
-            keeps its lane and speed (paper, section 2). Each NPC has Position-Instructions, Lane-Instructions, one
-            Crossing-Instruction or one Manoeuvre.
+        npcs: chains of one to eight NPCs, one non-empty chain per NPC; lengths may differ. An NPC with a shorter
+            chain than the longest keeps its lane and speed after its last gene (paper, section 2). In a run that goes
+            on after the longest chain, an NPC with that chain goes on with its last gene. Each NPC has
+            Position-Instructions, Lane-Instructions, one Crossing-Instruction or one Manoeuvre.
         seed: seed of all random choices in the run, 0 to 2**63 - 1.
         ego_lane: the ego's first lane, counted from 0 at the left.
         ego_speed: first speed of the ego, and of all NPCs that neither cross nor have a Manoeuvre, unless a bend makes

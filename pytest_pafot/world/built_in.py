@@ -176,8 +176,8 @@ class BuiltInWorld(ABC):
         """Return this world with runs of ``seconds``, longer than its scenarios and its own duration allow.
 
         The road, the environment and its configuration stay the same, so a run begins as in this world, to the last
-        bit. After their last instruction, NPCs go on with it. On a straight road, runs end before an ego at top speed
-        could reach the end of the road.
+        bit. NPCs with the longest chain go on with its last instruction; the others still keep their lane and speed.
+        On a straight road, runs end before an ego at top speed could reach the end of the road.
 
         Raises:
             WorldError: if ``seconds`` is not a number from 0.01 to 86400.

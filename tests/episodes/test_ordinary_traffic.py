@@ -14,8 +14,13 @@ import pytest_pafot as pafot
 from example_ads import constant_speed, idm_mobil
 from pytest_pafot.episodes.ordinary_traffic import drive
 from pytest_pafot.model.trace import Outcome
+from pytest_pafot.world.driving.compiled_vehicle import constants_of
+from pytest_pafot.world.kernel.idm import GoalVehicle
+from pytest_pafot.world.kernel.traffic import OrdinaryTraffic
+from pytest_pafot.world.roads.straight import StraightRoad
 from tests.benchmarks.traffic_against_highway_env import WITHIN, difference, straying, swerving, undecided
 from tests.helpers.c_library import c_library
+from tests.helpers.polygons import corners, polygons_meet
 from tests.helpers.stages import oracle
 
 SHORT = {"vehicles_count": 10, "duration": 15}
@@ -121,6 +126,40 @@ def test_episode_on_other_roads_is_same_to_the_last_bit(world, factory):
     assert difference(compiled, stepped) == 0.0
     if factory is OnTheRamp:
         assert compiled.outcome is Outcome.COLLISION
+
+
+@pytest.mark.parametrize("may_compile", [True, False])
+def test_planner_sees_the_traffic_that_is_recorded(may_compile):
+    """Its lanes are 4 m wide, with the centre of the first one at y = 0; it sees its own last controls."""
+    seen = []
+    world = pafot.World("highway-fast-v0", {**SHORT, "duration": 3})
+
+    def planner():
+        return lambda now: seen.append(now) or (0.5, 0.002)
+
+    episode = driven(world, planner, 0, is_planner=True, is_recorded=True, may_compile=may_compile)
+    assert len(seen) == 15
+    for now, states in zip(seen, episode.recording.states, strict=False):
+        assert now.array[:, :4] == pytest.approx(states, abs=1e-9)
+        assert now.array[:, 4].tolist() == np.round(states[:, 1] / 4.0).tolist()
+    assert {(now.acceleration, now.steering) for now in seen[1:]} == {(0.5, 0.002)}
+
+
+def test_standing_vehicles_crash_exactly_if_their_boxes_overlap():
+    rng, lanes, found = np.random.default_rng(0), StraightRoad.uniform(4, 500.0, 4.0, 30.0).grid, []
+    constants = constants_of(Vehicle)
+    for _ in range(300):
+        poses = np.column_stack([rng.uniform(0, 6, (2, 2)), rng.uniform(-np.pi, np.pi, 2), np.zeros(2)])
+        pair = []
+        for pose in poses:
+            pair.append(GoalVehicle(constants, lanes, 30.0))
+            pair[-1].has_goal = pair[-1].drives_itself = False
+            pair[-1].start(*pose.tolist(), False)
+        boxes = [corners(pose, 5.0, 2.0) for pose in poses.tolist()]
+        OrdinaryTraffic(pair, [], 0.1).step()
+        found.append(pair[0].crashed)
+        assert found[-1] == polygons_meet(*boxes), poses
+    assert 100 < sum(found) < 250
 
 
 def test_crash_is_cut_where_highway_env_flags_it():

@@ -89,6 +89,15 @@ def test_npc_without_target_lane_stays_in_its_own():
     assert trace.npcs[149, 0, SPEED] == pytest.approx(12.0, abs=0.2)
 
 
+def test_npc_waits_until_the_one_beside_it_has_left_the_lane():
+    """Side by side, both have the instruction to change to the right; the line on the right of lane 1 is at 6 m."""
+    trace = drive(scenario(*[chain("keep@20", "right@20")] * 2, ego_speed=10.0, gene_seconds=3.0))
+    moves = int(np.argmax(trace.npcs[:, 0, Y] > 1e-6))
+    assert np.ptp(trace.npcs[moves, :, X]) < 0.5
+    assert trace.npcs[moves - 1, 1, Y] - 1.0 > 6.0
+    assert trace.npcs[-1, :, LANE].tolist() == [1, 2]
+
+
 def test_npc_does_not_steer_into_another_npc():
     """NPC 0, to the left of NPC 1 and equally fast, has the instruction to move over; NPC 1 stays where it is."""
     trace = drive(scenario(chain("right@22", "keep@22"), chain("keep@22", "keep@22")), duration=10.0)

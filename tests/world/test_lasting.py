@@ -11,7 +11,7 @@ from highway_env.vehicle.behavior import IDMVehicle, LinearVehicle
 
 from example_ads.junctions import CarefulDriver
 from pytest_pafot.model.scenario import CrossingInstruction, PositionInstruction, Scenario
-from pytest_pafot.model.trace import LANE, Outcome, X
+from pytest_pafot.model.trace import LANE, SPEED, Outcome, X
 from pytest_pafot.support.errors import WorldError
 from pytest_pafot.world import Highway, World, from_dict
 from pytest_pafot.world.protocol import lasting
@@ -85,6 +85,27 @@ def test_npc_goes_on_with_its_last_instruction():
     usual, longer = (world.rollout(scenario, constant_speed) for world in (Highway(), Highway().lasting(13.0)))
     (arrived,) = longer.arrivals[0]
     assert (usual.arrivals, usual.ticks < arrived) == (((None,),), True)
+
+
+def test_npc_with_shorter_chain_keeps_lane_and_speed_for_good():
+    """Both fall back from 40 m ahead. At 2 s one of them has no instruction left; the other drives on to its cell."""
+    chains = [PositionInstruction(1, 20.0)], [PositionInstruction(3, 20.0)] * 2
+    trace = Highway().lasting(15.0).rollout(Scenario(npcs=chains, ego_speed=20.0, gene_seconds=2.0), constant_speed)
+    (short,), (_, arrived) = trace.arrivals
+    assert short is None
+    assert set(trace.npcs[:, 0, LANE]) == {0}
+    assert trace.npcs[30:, 0, SPEED] == pytest.approx(trace.npcs[30, 0, SPEED], abs=0.2)
+    assert arrived > 60, "after the end of its chain, too"
+    assert trace.npcs[-1, 1, SPEED] == pytest.approx(20.0, abs=0.1)
+
+
+def test_npc_that_has_arrived_takes_the_speed_of_its_last_gene():
+    """It starts in its cell, and cannot brake from 20 to 10 m/s within its only gene of a second."""
+    chains = [PositionInstruction(8, 10.0)], [PositionInstruction(2, 20.0)] * 4
+    trace = Highway().rollout(Scenario(npcs=chains, ego_speed=20.0, gene_seconds=1.0), constant_speed)
+    assert trace.arrivals[0] == (0,)
+    assert trace.npcs[15, 0, SPEED] > 12.0
+    assert trace.npcs[-1, 0, SPEED] == pytest.approx(10.0, abs=0.2)
 
 
 def test_all_runs_of_a_batch_last_longer():

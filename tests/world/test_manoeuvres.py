@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import random
 from itertools import pairwise
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -23,6 +24,7 @@ from pytest_pafot.model.scenario import (
     Step,
 )
 from pytest_pafot.model.trace import ACCELERATION, ACROSS, ALONG, LANE, SPEED, STRETCH, Outcome, X, Y
+from pytest_pafot.world.protocol import has_manoeuvres
 from tests.helpers import road_cases
 from tests.helpers.c_library import c_library
 from tests.helpers.run_cases import differences
@@ -471,3 +473,8 @@ def test_steps_begin_in_their_order():
         for begun, npc in zip(HIGHWAY.rollout(each, constant_speed).begun, each.npcs, strict=True):
             assert all(one <= other for one, other in pairwise(begun))
             assert len(begun) <= len(npc[0].steps)
+
+
+def test_world_that_does_not_mention_manoeuvres_has_none():
+    assert not has_manoeuvres(SimpleNamespace(has_lane_instructions=True))
+    assert has_manoeuvres(Highway())

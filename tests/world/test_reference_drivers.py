@@ -112,6 +112,12 @@ class TestCarefulHuman:
         rows = drive(CarefulHuman(), cut_in(5.0, 8.0, begins=1.0, seconds=0.5))
         assert min(gap for _, gap, *_ in rows) < 0
 
+    def test_leader_is_critical_if_near_and_braking_harder_than_5(self):
+        """At 20 m/s it is near below two seconds and three metres, which are 43 m."""
+        cases = {(42.9, 5.01): True, (43.1, 5.01): False, (42.9, 5.0): False}
+        for (gap, braking), expected in cases.items():
+            assert Leader(gap=gap, speed=20.0, closing=0.0, braking=braking).is_critical == expected
+
     def test_careful_human_ignores_vehicle_in_next_lane(self):
         rows = drive(CarefulHuman(), lambda time: car(10.0 + 8 * time, 0.3, 8.0))
         assert all(a == 0.0 for *_, a in rows)
@@ -253,13 +259,17 @@ def crossing(time, ego, *, kind="crossing", priority="npc", distance, speed, ego
     )
 
 
-def drive_up(driver, *, seconds=20.0, hz=HZ, **other):
-    """Return (time, distance to the zone [m], speed [m/s], acceleration [m/s^2]) of a driver with a zone 40 m ahead."""
+def drive_up(driver, *, seconds=20.0, hz=HZ, second=None, **other):
+    """Return (time, distance to the zone [m], speed [m/s], acceleration [m/s^2]) of a driver with a zone 40 m ahead.
+
+    ``second`` describes a second vehicle before a zone, if there is one.
+    """
     rows, x, speed = [], 0.0, 10.0
     for tick in range(round(seconds * hz)):
         time = tick / hz
         met = crossing(time, x, **other)
-        seen = Observation(time, car(x, speed=speed), (), 1, 4.0, 10.0, crossing=(met,))
+        both = (met,) if second is None else (met, crossing(time, x, **second)._replace(id=1))
+        seen = Observation(time, car(x, speed=speed), (), 1, 4.0, 10.0, crossing=both)
         acceleration, _ = driver(seen)
         rows.append((time, met.ego_distance, speed, acceleration))
         x += speed / hz
@@ -279,6 +289,16 @@ class TestAtAZone:
         rows = drive_up(REFERENCES[name](), distance=-5.0, speed=0.0)
         assert rows[-1][2] == pytest.approx(0.0, abs=0.05)
         assert 0.2 < rows[-1][1] < 2.0
+
+    def test_driver_waits_until_the_zone_is_left_completely(self, name):
+        rows = drive_up(REFERENCES[name](), distance=-9.5, speed=0.0)
+        assert 0.2 < rows[-1][1] < 2.0, "half a metre of the way through the zone is left"
+
+    def test_driver_stops_for_one_vehicle_although_none_is_needed_for_another(self, name):
+        """The second one is a kilometre away from its zone, in which the first one stands."""
+        stands, far = {"distance": -5.0, "speed": 0.0}, {"distance": 1000.0, "speed": 1.0}
+        assert drive_up(REFERENCES[name](), **stands, second=far) == drive_up(REFERENCES[name](), **stands)
+        assert drive_up(REFERENCES[name](), **far, second=stands) == drive_up(REFERENCES[name](), **stands)
 
     def test_driver_does_not_wait_for_a_late_vehicle(self, name):
         for kind, seconds in CRITICAL.items():

@@ -171,10 +171,9 @@ def replay_environment(
     """
     outer, route = environment.make(), environment.route
     env = _reset(outer, scenario)
-    is_policy, view = not (is_planner or is_vehicle_class(ads_factory)), None
-    start, vehicle_class = rules.ego_position(scenario), env.action_type.vehicle_class if is_policy else StockVehicle
-    put_ego(env, vehicle_of(vehicle_class, env.road, start, scenario.ego_speed, route))
-    if is_policy and wants_env(ads_factory):
+    start, view = rules.ego_position(scenario), None
+    put_ego(env, vehicle_of(env.action_type.vehicle_class, env.road, start, scenario.ego_speed, route))
+    if not is_vehicle_class(ads_factory) and wants_env(ads_factory):
         if environment.wrappers is not None:
             raise WorldError(
                 f"wrappers: expected no wrappers= for a factory with a parameter `env`, received "

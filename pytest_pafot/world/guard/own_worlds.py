@@ -141,6 +141,7 @@ class _Watch:
             Hang: if it was interrupted, now or in an earlier call of this run, or if the time of the search is over.
             Exception: any exception of the ADS.
         """
+        __tracebackhide__ = True
         if self.hang is not None or self.is_cut:
             raise Hang("the time limit of the search is over" if self.hang is None else self.hang.message)
         guard = self._guard()

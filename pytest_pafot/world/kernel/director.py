@@ -270,7 +270,7 @@ class Director(BaseDirector):
             self._left = self._gene_ticks
             if self._gene < self._genes:
                 self._begin_gene(ego)
-                for npc in self.npcs:  # after its last gene it keeps lane and speed (paper, section 2)
+                for npc in self.npcs:  # after a chain shorter than the longest: lane and speed stay (paper, section 2)
                     if self._gene == len(npc.chain) and npc.kept_lane == NO_LANE:
                         npc.kept_lane = npc.lane
                         npc.kept_speed = npc.speed

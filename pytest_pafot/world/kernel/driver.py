@@ -153,7 +153,7 @@ class NpcDriver:
         speed. So a limit that holds at one tick also holds at the next.
         """
         acceleration = SPEED_GAIN * (wanted_speed - speed)
-        before = 0.0 if speed <= 0.0 and previous < 0.0 else previous
+        before = 0.0 if speed <= 0.0 else previous
         lowest, highest = before - self._jerk_step, before + self._jerk_step
         lowest = lowest if lowest > -self._braking else -self._braking  # max() is slow interpreted
         acceleration = lowest if acceleration < lowest else acceleration

@@ -81,7 +81,6 @@ class OrdinaryTraffic:
             record[row + 3] = vehicle.speed
             record[row + 4] = vehicle.acceleration
             record[row + 5] = vehicle.steering
-            record[row + 6] = vehicle._closest
             row += columns
         self._row = row
 

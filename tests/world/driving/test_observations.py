@@ -185,6 +185,21 @@ def test_times_to_collision_equal_those_of_highway_env(env_id, observers, config
     assert_the_same_is_observed(env, config, observers)
 
 
+@pytest.mark.parametrize("feature", ["cos_d", "sin_d"])
+def test_destination_is_seen_up_to_the_end_of_the_route(observers, feature):
+    """Half a metre before it and 0.3 m to the side of it, its direction is still known."""
+    env = environment("intersection-v1")
+    index = ("o0", "ir0", 0)
+    lane = env.road.network.get_lane(index)
+    ego = MDPVehicle(env.road, lane.position(lane.length - 0.4, 0.3), lane.heading_at(0.0), 8.0)
+    ego.route = [index]
+    env.road.vehicles = env.controlled_vehicles = [ego]
+    assert_the_same_is_observed(env, {"type": "Kinematics", "features": [feature], "absolute": True}, observers)
+    x, y = (lane.position(lane.length, 0.0) - ego.position) / 0.5
+    env.observation_type = observation_factory(env, {"type": "Kinematics", "features": [feature]})
+    assert observer(env)()[0, 0] == pytest.approx(x if feature == "cos_d" else y, abs=1e-6)
+
+
 @pytest.fixture
 def env():
     return environment("highway-v0")

@@ -15,6 +15,7 @@ from pytest_pafot.oracle.run import Run
 from pytest_pafot.testing.traces import end
 from pytest_pafot.world import Highway, World
 from pytest_pafot.world.engines.gym_replay import StockVehicle
+from pytest_pafot.world.protocol import gym_replaying
 from tests.helpers.c_library import c_library
 from tests.helpers.run_cases import differences
 from tests.helpers.stages import mostly_oracle, oracle
@@ -207,3 +208,15 @@ def test_two_runs_that_differ_are_told_apart():
     assert "positions differ by more than 0.5 m from" in disagreement(Run(safe), Run(slower))
     later = world.rollout(Scenario(npcs=((PositionInstruction(1, 15.0), PositionInstruction(2, 0.0)),)), constant_speed)
     assert "then <Collision" in disagreement(Run(hit), Run(later))
+
+
+def test_only_the_class_itself_repeats_runs_in_an_environment():
+    """A derived class may drive otherwise, and the environment of its base would then repeat another run."""
+
+    class Derived(Highway):
+        pass
+
+    class Repeats(Derived):
+        rollout_in_gym = Highway.rollout_in_gym
+
+    assert [gym_replaying(world) is world for world in (Highway(), Derived(), Repeats())] == [True, False, True]

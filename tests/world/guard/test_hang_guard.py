@@ -198,6 +198,25 @@ def test_debugger_may_pause_a_decision_beyond_its_limit(watchdog):
     assert hang(0.02)
 
 
+def test_interruption_that_arrives_late_is_waited_for():
+    """It was sent, and arrives ten lines later: still in the call that waits for it, and not in the code behind it."""
+    watched, tracer, lines = HangGuard(30.0), sys.gettrace(), []
+    watched._sent = True
+
+    def arrive(frame, event, argument):
+        lines.append(event)
+        if lines.count("line") == 10:
+            raise AdsHang
+        return arrive
+
+    sys.settrace(arrive)
+    try:
+        watched.settle()
+    finally:
+        sys.settrace(tracer)
+    assert lines.count("line") == 10
+
+
 @pytest.mark.processes
 def test_a_forked_process_watches_its_own_decisions():
     code = """

@@ -3,6 +3,7 @@
 import threading
 import time
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
@@ -176,6 +177,23 @@ def test_errors_of_an_ads_stay_what_they_are():
 
     trace = simulate(Calls(), AHEAD, breaks)
     assert (trace.outcome, trace.error.kind) == (Outcome.ADS_ERROR, "KeyError")
+
+
+@table("decides", [lambda ads: ads(0), lambda ads: ads.batch([0])])
+def test_traceback_shows_the_ads_and_its_world_only(decides):
+    class Ads:
+        def __call__(self, seen):
+            return {}["no"]
+
+        batch = __call__
+
+    class Asks(Calls):
+        def rollout(self, scenario, ads_factory):
+            decides(ads_factory())
+
+    with pytest.raises(KeyError) as raised:
+        simulate(Asks(), AHEAD, Ads)
+    assert {entry.path.name for entry in raised.traceback.filter(raised)} == {Path(__file__).name}
 
 
 class Batch:

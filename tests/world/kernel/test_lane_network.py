@@ -4,11 +4,18 @@ from __future__ import annotations
 
 import pickle
 
+import gymnasium
 import numpy as np
 import pytest
+from highway_env.envs.common.abstract import AbstractEnv
+from highway_env.road.lane import StraightLane
+from highway_env.road.regulation import RegulatedRoad
+from highway_env.road.road import RoadNetwork
 from highway_env.vehicle.behavior import IDMVehicle
 from highway_env.vehicle.controller import MDPVehicle
 
+from pytest_pafot.model.scenario import CrossingInstruction, Scenario
+from pytest_pafot.model.trace import SPEED, X
 from pytest_pafot.searching import sample
 from pytest_pafot.world import World
 from pytest_pafot.world.driving.vehicles import compiled_network
@@ -101,3 +108,50 @@ def test_the_kernel_moves_the_egos_that_it_knows(env_id, monkeypatch):
     for ads in (IDMVehicle, Own, MDPVehicle):
         world.rollout(scenario, ads)
     assert [isinstance(driver, ModelDriver) for driver in drivers] == [True, False, False]
+
+
+class Yielding(AbstractEnv):
+    """A slow road that leads across one with priority, and on as a faster road."""
+
+    @classmethod
+    def default_config(cls):
+        return {**super().default_config(), "duration": 20}
+
+    def _reset(self):
+        network = RoadNetwork()
+        network.add_lane("w", "m", StraightLane([-150, 0], [30, 0], speed_limit=10))
+        network.add_lane("m", "e", StraightLane([30, 0], [400, 0], speed_limit=20))
+        network.add_lane("n", "s", StraightLane([0, -150], [0, 150], speed_limit=10, priority=1))
+        self.road = RegulatedRoad(network, np_random=self.np_random)
+        self.vehicle = self.action_type.vehicle_class(self.road, [-60.0, 0.0], 0.0, 10.0)
+        self.road.vehicles = [self.vehicle]
+
+    def _reward(self, action):
+        return 0.0
+
+    def _is_terminated(self):
+        return False
+
+    def _is_truncated(self):
+        return self.time >= self.config["duration"]
+
+
+@pytest.fixture
+def yielding():
+    gymnasium.register("Yielding-v0", Yielding)
+    yield World("Yielding-v0")
+    del gymnasium.registry["Yielding-v0"]
+
+
+def test_ego_that_has_yielded_keeps_the_speed_limit_of_that_place(yielding):
+    """highway-env sets the speed that the ego wants to the limit once, when the ego has yielded, and then never again.
+
+    So the ego goes on with 10 m/s where 20 are allowed.
+    """
+    npc = CrossingInstruction("n>s", 0.1, 8.0, "hold")
+    scenario = Scenario(npcs=[[npc]], ego_lane=0, ego_speed=10.0)
+    with c_library():
+        ours, stocks = yielding.rollout(scenario, IDMVehicle), yielding.rollout(scenario, Own)
+    assert ours.states.tobytes() == stocks.states.tobytes()
+    assert ours.ego[:, SPEED].min() < 8.0, "it has yielded"
+    assert (ours.ego[-1, X] > 60.0, ours.ego[-1, SPEED]) == (True, pytest.approx(10.0, abs=0.1))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import itertools
 import math
+from dataclasses import replace
 
 import gymnasium
 import numpy as np
@@ -23,6 +24,7 @@ from pytest_pafot.model.trace import ACCELERATION, ACROSS, ALONG, HEADING, LANE,
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.searching import sample
 from pytest_pafot.world import NpcLimits, World, WorldError
+from pytest_pafot.world.roads.straight import StraightRoad
 from tests.helpers.road_cases import ROADS, space_of, violations, world_of
 from tests.helpers.stages import mostly_oracle, oracle
 
@@ -247,6 +249,24 @@ def test_way_behind_the_ego_leads_to_its_start():
 def test_speed_limit_is_from_lane_or_ego_start():
     assert world_of("merge-v1").speed_limit == 30.0  # the lanes' is 20
     assert world_of("racetrack-v1").speed_limit == 10.0
+
+
+def test_speed_limit_of_straight_road_is_that_of_its_fastest_lane():
+    lane = StraightRoad.uniform(1, 500.0, 4.0, 20.0).lanes[0]
+    lanes = [replace(lane, y=4.0 * number, speed_limit=limit) for number, limit in enumerate((20.0, 30.0, 10.0))]
+    assert StraightRoad(tuple(lanes)).speed_limit == 30.0
+
+
+@pytest.mark.usefixtures("registered")
+def test_roads_beside_the_way_keep_their_own_speed_limit():
+    """The ego drives at 10 m/s; where a lane has a lower limit or none, its own speed is the limit."""
+    assert [lane.speed_limit for lane in World("OwnMeeting-v0").road.lanes] == [20.0, 20.0]
+
+
+@pytest.mark.usefixtures("registered")
+@pytest.mark.parametrize(("length", "lanes"), [(8.0, 1), (13.0, 2)])
+def test_lane_shorter_than_ten_metres_is_no_lane_of_the_grid(length, lanes):
+    assert World("OwnTaper-v0", config={"taper": length}).lanes == lanes
 
 
 @pytest.mark.oracle
@@ -538,6 +558,7 @@ def test_a_world_knows_the_roads_that_nobody_uses():
         (("n", "s"), ([200, -80], [200, -10]), set()),  # ends before it
         (("n", "s"), ([0, 12], [600, 12]), set()),  # runs next to it
         (("b", "a"), ([300, -4], [0, -4]), {"oncoming"}),
+        (("b", "a"), ([200, -4], [199.2, -4]), {"oncoming"}),  # however short
     ],
 )
 def test_crossing_roads_are_found_where_ways_meet(other, points, unused):

@@ -13,7 +13,7 @@ from highway_env.road.lane import CircularLane, StraightLane
 from highway_env.road.road import Road, RoadNetwork
 
 from pytest_pafot import World
-from pytest_pafot.world.roads.junction import WIDER
+from pytest_pafot.world.roads.junction import WIDER, Course, meetings_of, near_pairs
 from tests.helpers.polygons import corners, polygons_meet
 from tests.helpers.road_cases import ROADS, world_of, wrapped
 from tests.helpers.stages import oracle
@@ -171,6 +171,34 @@ def test_zones_are_stretches_where_boxes_along_ways_touch(world):
             else:
                 assert leaves - 1.5 <= last <= leaves, zone
         assert touching(ego[own], npc[near], 0.0).any(), zone
+
+
+@table("destination", ["o1", "o2", "o3"])
+def test_middle_of_a_way_is_in_its_zone_and_in_the_egos_lane(destination):
+    world = intersection(destination)
+    _, ego = poses_of_ego(world)
+    for way in world.rules.junction.ways.values():
+        enters, leaves = way.way.zone.npc
+        assert enters < way.middle < leaves
+        (x, y, _), *_ = posed(way.line, np.array(way.column.lean), [way.middle])
+        assert np.hypot(ego[:, 0] - x, ego[:, 1] - y).min() < 0.6, way.way.zone
+
+
+@pytest.mark.parametrize(("angle", "merges"), [(0.09, True), (0.11, False)])
+def test_ways_merge_if_they_differ_by_less_than_a_tenth_of_a_radian(angle, merges):
+    """One crosses the other at a small angle, halfway along both."""
+    places = np.arange(-50.0, 50.0, STEP)
+    courses = (
+        Course(
+            places * math.cos(turned),
+            places * math.sin(turned),
+            *(np.full(places.shape, value) for value in (turned, math.cos(turned), math.sin(turned))),
+        )
+        for turned in (0.0, angle)
+    )
+    one, other = courses
+    (meeting,) = meetings_of(one, other, near_pairs(one, other))
+    assert meeting.merges == merges
 
 
 @pytest.mark.parametrize("destination", ["o1", oracle("o2"), oracle("o3")])

@@ -1,13 +1,17 @@
-"""The speeds that bends allow, and how vehicles lean in them, computed by hand."""
+"""Lines of roads, the speeds that their bends allow, and how vehicles lean in them, computed by hand."""
 
 import math
 
 import numpy as np
 import pytest
+from highway_env.road.lane import StraightLane
 
 from pytest_pafot.world import NpcLimits
+from pytest_pafot.world.kernel.bends import even_rounded
 from pytest_pafot.world.roads.network import BEND_SHARE, SLOWING, SPEED_LAG, allowed_speeds, leans, sharpest_ahead
+from pytest_pafot.world.roads.route import Piece, line_of
 from pytest_pafot.world.roads.survey import _curvature
+from tests.helpers.tables import table
 
 LENGTHS = np.arange(0.0, 200.0)
 RADIUS = 20.0
@@ -41,3 +45,17 @@ def test_curvature_of_a_circle_follows_its_radius(side):
     direction = side * LENGTHS / RADIUS
     assert _curvature(direction, LENGTHS) == pytest.approx(np.full(200, side / RADIUS))
     assert leans(direction, LENGTHS, 5.0)[-1] == pytest.approx(-side * math.asin(2.5 / RADIUS))
+
+
+@table("exact", np.arange(-8, 80) / 8)
+def test_points_are_rounded_as_python_rounds(exact):
+    assert even_rounded(exact) == round(exact)
+
+
+def test_joint_near_the_start_of_a_line_leaves_its_start_in_place():
+    """Eight metres before the joint, the rounding is over but for a few millimetres; the line goes straight there."""
+    lanes = StraightLane([0, 0], [8, 0]), StraightLane([8, 0], [48, 8])
+    line = line_of([Piece(("a", "b", 0), lane, 0.0, float(lane.length)) for lane in lanes])
+    assert (line.x[0], line.y[0]) == pytest.approx((0.0, 0.0), abs=0.01)
+    assert line.heading[:4] == pytest.approx(0.0, abs=0.02)
+    assert np.hypot(np.diff(line.x), np.diff(line.y))[:-1] == pytest.approx(0.5, abs=0.01)
