@@ -417,7 +417,8 @@ class Search:
         """Return a function that says when the campaign, which begins now, has to end [s], given its findings so far.
 
         That leaves the time to simplify its findings, or without any, to confirm one in its last run, as far as can be
-        told from the runs so far. ``search_until`` is the earliest end [s].
+        told from the runs so far. Runs of a policy that decides for many at once do not tell how long one alone takes.
+        ``search_until`` is the earliest end [s].
         """
         loop, clock, began, runs_before = self.loop, self.sessions.clock, self.sessions.clock(), self.loop.runs
         settings = self.harness.request.settings
@@ -425,8 +426,10 @@ class Search:
 
         def ends() -> float:
             run_seconds = (clock() - began) * settings.workers / max(loop.runs - runs_before, 1)
-            needed = loop.recorder.firm * to_simplify or RUNS_TO_CONFIRM
-            return max(search_until, self.limit.until - needed * run_seconds)
+            firm = loop.recorder.firm
+            if firm and self.sessions.decides_for_many:
+                return search_until
+            return max(search_until, self.limit.until - (firm * to_simplify or RUNS_TO_CONFIRM) * run_seconds)
 
         return ends
 

@@ -90,12 +90,14 @@ def gap_at(trace: Trace, npc: int, tick: int) -> float:
 def asked(trace: Trace) -> tuple[Asked, ...]:
     """Return what the manoeuvres and crossing NPCs of a run asked for, by NPC and step; empty without them.
 
-    A collision, or a departure from the road that ends the run, leaves later steps no time, so they are not judged; but
-    if none had begun, the situation did not come up. A step that it breaks off is judged once its lateral speed or its
-    acceleration has built up, so that the answer is that of a run in which the ego survives. A lane change and a change
-    of speed are judged if they were done before another began.
+    A collision, an error of the ADS, or a departure from the road that ends the run leaves later steps no time, so they
+    are not judged; but if none of any NPC had begun, the situation did not come up. A step that it breaks off is judged
+    once its lateral speed or its acceleration has built up, so that the answer is mostly that of a run in which the ego
+    survives. A lane change and a change of speed are judged if they were done before another began.
     """
     found: list[Asked] = []
+    manoeuvres = [npc for npc, chain in enumerate(trace.scenario.npcs) if isinstance(chain[0], Manoeuvre)]
+    has_time = not (_is_broken_off(trace) and any(trace.steps_begun(npc) for npc in manoeuvres))
     by_distance = [
         (begin, npc, number)
         for npc, chain in enumerate(trace.scenario.npcs)
@@ -109,15 +111,15 @@ def asked(trace: Trace) -> tuple[Asked, ...]:
         found.append(Asked(npc, number, "ego speed", trace.scenario.ego_speed, ego, EGO_SPEED_OFF, "m/s"))
     for npc, chain in enumerate(trace.scenario.npcs):
         if isinstance(chain[0], Manoeuvre):
-            found += _of_npc(trace, npc, chain[0])
+            found += _of_npc(trace, npc, chain[0], has_time=has_time)
         elif isinstance(chain[0], CrossingInstruction) and chain[0].act == "pass":
             found += _of_crossing(trace, npc, chain[0].slot)
     return tuple(found)
 
 
 def _is_broken_off(trace: Trace) -> bool:
-    """Return whether the ego ended the run with a collision or off the road."""
-    return trace.collision is not None or trace.off_road_tick == trace.ticks
+    """Return whether the ego ended the run with a collision or off the road, or its ADS did not decide."""
+    return trace.collision is not None or trace.error is not None or trace.off_road_tick == trace.ticks
 
 
 def _of_crossing(trace: Trace, npc: int, slot: float) -> Iterator[Asked]:
@@ -130,22 +132,24 @@ def _of_crossing(trace: Trace, npc: int, slot: float) -> Iterator[Asked]:
     if passage is None:
         return
     has_come = passage.npc_enters < math.inf
-    until = max(round((passage.npc_enters - ADAPTING_UNTIL) * trace.physics_hz), 0) if has_come else trace.ticks
-    if min(trace.ego[: until + 1, SPEED]) < WAITING * trace.ego[0, SPEED]:
-        return
     if not has_come:
         if not _is_broken_off(trace):
             yield Asked(npc, 0, "zone", math.nan, math.nan, 0.0, "")
+        return
+    until = max(round((passage.npc_enters - ADAPTING_UNTIL) * trace.physics_hz), 0)
+    if min(trace.ego[: until + 1, SPEED]) < WAITING * trace.ego[0, SPEED]:
         return
     (ego_enters, ego_leaves), (enters, leaves) = times_expected(trace, npc, until)
     was = enters - ego_leaves if slot > 0 else leaves - ego_enters
     if slot == 0:
         was = (enters + leaves - ego_enters - ego_leaves) / 2
-    if was - slot <= SLOT or passage.ego_leaves <= ego_leaves + SLOT:
+    has_left = passage.ego_leaves < math.inf  # else, as after a collision, it would have left at its last speed
+    left = passage.ego_leaves if has_left else times_expected(trace, npc, trace.ticks)[0][1]
+    if was - slot <= SLOT or left <= ego_leaves + SLOT:
         yield Asked(npc, 0, "slot", slot, was, SLOT, "s")
 
 
-def _of_npc(trace: Trace, npc: int, manoeuvre: Manoeuvre) -> list[Asked]:
+def _of_npc(trace: Trace, npc: int, manoeuvre: Manoeuvre, *, has_time: bool) -> list[Asked]:
     begun = trace.steps_begun(npc)
     done = trace.arrivals[npc][0] if npc < len(trace.arrivals) and trace.arrivals[npc] else None
     is_broken_off = _is_broken_off(trace)
@@ -171,8 +175,7 @@ def _of_npc(trace: Trace, npc: int, manoeuvre: Manoeuvre) -> list[Asked]:
         if end is not None or is_broken_off:
             span = begin, trace.ticks if end is None else end
             acts = _dynamics(trace, npc, number, [step, *(each for each, _ in later[:timed])], span)
-            found += [act for act, values in acts if end is not None or act.is_met or _has_built_up(trace, values)]
-    has_time = not is_broken_off or not begun  # else the ego left the steps no time
+            found += [act for act, has_built_up in acts if end is not None or act.is_met or has_built_up]
     if manoeuvre.steps and done is None and has_time:
         what, number = ("step", len(begun)) if len(begun) < len(manoeuvre.steps) else ("end", len(begun) - 1)
         missed = _without_lane(trace, npc, manoeuvre.steps[: len(begun)])
@@ -195,28 +198,34 @@ def _move_aside(step: Step, others: Sequence[Step]) -> bool:
     return any(each.lane != "keep" or each.offset != step.offset for each in others)
 
 
-def _has_built_up(trace: Trace, values: FloatArray) -> bool:
-    """Return whether a value that rises at the beginning of a step has done so, and no longer rises."""
-    lately = round(LATELY * trace.physics_hz)
-    return len(values) > lately and max(values) > RISE and values[-1] - values[-1 - lately] < RISE
-
-
 def _dynamics(
     trace: Trace, npc: int, number: int, steps: Sequence[Step], span: tuple[int, int]
-) -> Iterator[tuple[Asked, FloatArray]]:
-    """Yield the lateral speed and the acceleration of the first step, with their values tick by tick.
+) -> Iterator[tuple[Asked, bool]]:
+    """Yield the lateral speed and the acceleration of the first step, and whether each has built up.
 
-    What the other steps, which begin while it goes on, change as well is left out.
+    It has if it has risen and no longer does; a lateral speed also rises with the speed of the vehicle. What the other
+    steps, which begin while it goes on, change as well is left out.
     """
     begin, end = span
     step, *others = steps
+    lately = round(LATELY * trace.physics_hz)
+
+    def is_steady(values: FloatArray) -> bool:
+        return len(values) > lately and abs(values[-1] - values[-1 - lately]) < RISE
+
     rows = trace.states[begin : end + 1, npc + 1]
     change = 0.0 if step.speed is None else step.speed - float(rows[0, SPEED])
     if step.lane != "keep" and trace.track is None and not _move_aside(step, others):
         values = np.abs(np.diff(rows[:, Y])) * trace.physics_hz
         fastest, tolerance = float(np.max(values, initial=0.0)), LATERAL + LATERAL_SHARE * step.lateral_speed
-        yield Asked(npc, number, "lateral speed", step.lateral_speed, fastest, tolerance, "m/s"), values
+        yield (
+            Asked(npc, number, "lateral speed", step.lateral_speed, fastest, tolerance, "m/s"),
+            (fastest > RISE and is_steady(values) and is_steady(rows[:, SPEED])),
+        )
     if abs(change) >= LEAST_CHANGE and all(each.speed is None for each in others):
         values = rows[1:, ACCELERATION] * np.sign(change)
         hardest, tolerance = float(np.max(values, initial=0.0)), BRAKING_SHARE * step.acceleration
-        yield Asked(npc, number, "acceleration", step.acceleration, hardest, tolerance, "m/s^2"), values
+        yield (
+            Asked(npc, number, "acceleration", step.acceleration, hardest, tolerance, "m/s^2"),
+            (hardest > RISE and is_steady(values)),
+        )

@@ -15,7 +15,7 @@ from pytest_pafot.commands.policy_reference import ABOUT_POLICIES, ads_factory, 
 from pytest_pafot.corpus.layout import SUFFIX
 from pytest_pafot.support.errors import RequestError
 from pytest_pafot.support.files import check_writable, way_out, write_if_free, write_whole
-from pytest_pafot.support.text import plural, visible, wrapped_to
+from pytest_pafot.support.text import visible, wrapped_to
 from pytest_pafot.sweeps.drawing import page, png
 from pytest_pafot.sweeps.entries import ENTRIES, Entry, chosen, entry_of
 from pytest_pafot.sweeps.maps import POINTS, WIDTH, Sweep, short, sweep
@@ -77,6 +77,8 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
         raise RequestError("--config: expected an environment, received none; give --world")
     kinds = ((arguments.csv, Sweep.csv), (arguments.html, page), (arguments.png, png))
     outputs = {path: content for path, content in kinds if path is not None}
+    if len(outputs) < sum(path is not None for path, _ in kinds):
+        raise RequestError("expected a file of its own for each of --csv, --html and --png, received one twice")
     for path in outputs:
         _written(path, check_writable)  # before anything is driven
     is_watched = sys.stderr is not None and sys.stderr.isatty()
@@ -96,7 +98,7 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
         points=arguments.points,
         against=arguments.against,
         on_point=_tell if is_watched else None,
-        on_stop=lambda so_far: _kept(arguments.csv, so_far),
+        on_stop=lambda saved: _kept(arguments.csv, saved),
         **values,
     )
     if is_watched:
@@ -149,13 +151,12 @@ def _written(path: str, write: Callable[[Path], object]) -> None:
         ) from None
 
 
-def _kept(path: str | None, so_far: Sweep) -> str:
+def _kept(path: str | None, saved: str) -> str:
     """Save the points of an interrupted map, unless there is a file of an earlier one. Return what was done."""
-    count = plural(len(so_far.points), "point")
     with suppress(OSError):
-        if path is not None and write_if_free(Path(path), so_far.csv().encode()):
-            return f"wrote {count} to {visible(path)}"
-    return f"{count} driven, nothing was written"
+        if path is not None and write_if_free(Path(path), saved.encode()):
+            return f"wrote the points driven so far to {visible(path)}"
+    return "nothing was written, because there is a file already" if path is not None else "nothing was written"
 
 
 def catalogue_text(entries: Sequence[Entry]) -> str:

@@ -377,7 +377,7 @@ def sweep(
     points: int = POINTS,
     against: str | Path | Sweep | None = None,
     on_point: Callable[[int], None] | None = None,
-    on_stop: Callable[[Sweep], str] | None = None,
+    on_stop: Callable[[str], str] | None = None,
     **values: float,
 ) -> Sweep:
     """Drive a scenario for all values of one or two of its numbers, and return the map.
@@ -395,7 +395,8 @@ def sweep(
             is driven, and between them where the answer changes.
         against: an earlier map, or the file that :meth:`Sweep.save` wrote. The points that it has driven are driven.
         on_point: is called with the number of points driven so far.
-        on_stop: is called with the points driven so far if Ctrl-C ends the map; what it returns is added to the error.
+        on_stop: is called with the points driven so far, as the text of a saved map, if Ctrl-C ends the map; the text
+            that it returns is added to the interruption as a note.
         values: other parameters of the entry.
 
     Raises:
@@ -435,7 +436,7 @@ def sweep(
             _refine_all(driver, axes, between)
     except KeyboardInterrupt as interrupt:
         if on_stop is not None:
-            interrupt.add_note(on_stop(Sweep(name=name, axes=axes, points=tuple(driver.points.values()))))
+            interrupt.add_note(on_stop(Sweep(name=name, axes=axes, points=tuple(driver.points.values())).csv()))
         raise
     found = tuple(
         driver.points.get(index)
@@ -763,8 +764,8 @@ def _read(scenario: str, names: Sequence[str], path: str | Path) -> Before:
         if row["result"] not in KINDS:
             raise wrong(f"one of {', '.join(KINDS)} as the result", row["result"])
         try:
-            found[_key([float(row[name]) for name in names])] = row["result"], bool(int(row["driven"]))
-        except (TypeError, ValueError):
+            found[_key([float(row[name]) for name in names])] = row["result"], {"0": False, "1": True}[row["driven"]]
+        except (KeyError, TypeError, ValueError):
             numbers = [row[name] for name in (*names, "driven")]
             raise wrong("numbers in the columns of the axes and in driven", numbers) from None
     return found

@@ -204,6 +204,26 @@ def test_collision_does_not_change_what_came_up_as_asked():
     assert answers == {(), ("lateral speed",), ("acceleration",), ("lateral speed", "acceleration")}
 
 
+def test_collision_with_one_npc_leaves_the_steps_of_others_no_time():
+    first = Manoeuvre(beside=1, ahead=30.0, speed=10.0, steps=(Step(gap=20.0, lane="left", lateral_speed=2.0),))
+    second = Manoeuvre(beside=1, ahead=90.0, speed=10.0, steps=(Step(gap=5.0, lane="left"),))
+    trace = HIGHWAY.rollout(Scenario(npcs=((first,), (second,)), ego_speed=20.0), constant_speed)
+    assert trace.outcome is Outcome.COLLISION
+    assert [len(begun) for begun in trace.begun] == [1, 0]
+    assert missed(trace) == []
+
+
+def test_lateral_speed_that_grows_with_the_speed_has_not_built_up():
+    pulls_out = Step(gap=3.0, lane="left", lateral_speed=1.0, speed=5.0, acceleration=0.5)
+
+    def swerving():
+        return lambda seen: (0.0, 0.03 if seen.time > 2.1 else 0.0)
+
+    trace = drive(pulls_out, ahead=60.0, speed=0.0, ads=swerving)
+    assert trace.outcome is Outcome.COLLISION
+    assert missed(trace) == []
+
+
 def test_ego_off_the_road_leaves_a_step_no_time():
     trace = in_a_bend(Step(gap=14.0), Step(after=5.0, speed=2.0))
     assert "step" in {each.what for each in asked(trace)}

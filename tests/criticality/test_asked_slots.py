@@ -68,9 +68,23 @@ def test_ego_that_slows_down_early_is_adapted_to():
 
 
 def test_slot_is_not_judged_with_an_ego_that_waits():
+    trace = rollout((RIGHT, -0.5, 8.0), ego=braking_at(0.5, 0.0))
+    assert trace.ego[-1, SPEED] < 0.1
+    assert trace.arrivals[0][0] is not None
+    assert asked(trace) == ()
+
+
+def test_npc_that_does_not_come_because_the_ego_waits_is_not_as_asked():
     trace = rollout((LEFT, 1.0, 8.0), ego=braking_at(1.0, 0.0))
     assert trace.ego[-1, SPEED] < 0.1
-    assert asked(trace) == ()
+    assert [each.words for each in asked(trace)] == ["the NPC did not come to its zone"]
+
+
+def test_crash_does_not_hide_that_the_ego_came_too_early():
+    trace = rollout((RIGHT, -1.0, 8.0), ego=Hurrying)
+    assert trace.outcome is Outcome.COLLISION
+    assert [each.words for each in asked(trace)] == ["slot asked -1 s, was -0.4 s"]
+    assert not Run(trace).as_asked
 
 
 def test_ego_that_comes_too_early_for_the_npc_is_not_as_asked():
