@@ -210,8 +210,8 @@ def _dynamics(
     step, *others = steps
     lately = round(LATELY * trace.physics_hz)
 
-    def is_steady(values: FloatArray) -> bool:
-        return len(values) > lately and abs(values[-1] - values[-1 - lately]) < RISE
+    def rises(values: FloatArray) -> bool:
+        return len(values) <= lately or bool(values[-1] - values[-1 - lately] >= RISE)
 
     rows = trace.states[begin : end + 1, npc + 1]
     change = 0.0 if step.speed is None else step.speed - float(rows[0, SPEED])
@@ -220,12 +220,12 @@ def _dynamics(
         fastest, tolerance = float(np.max(values, initial=0.0)), LATERAL + LATERAL_SHARE * step.lateral_speed
         yield (
             Asked(npc, number, "lateral speed", step.lateral_speed, fastest, tolerance, "m/s"),
-            (fastest > RISE and is_steady(values) and is_steady(rows[:, SPEED])),
+            (fastest > RISE and not rises(values) and not rises(rows[:, SPEED])),
         )
     if abs(change) >= LEAST_CHANGE and all(each.speed is None for each in others):
         values = rows[1:, ACCELERATION] * np.sign(change)
         hardest, tolerance = float(np.max(values, initial=0.0)), BRAKING_SHARE * step.acceleration
         yield (
             Asked(npc, number, "acceleration", step.acceleration, hardest, tolerance, "m/s^2"),
-            (hardest > RISE and is_steady(values)),
+            (hardest > RISE and not rises(values)),
         )
