@@ -119,7 +119,6 @@ def test_lines_that_tell_failing_neighbours_from_passing_ones_are_told(project, 
     assert contents == labelled(same, record)
 
 
-@pytest.mark.processes
 def test_a_second_place_is_told_and_saved_only_if_asked_for(project):
     project.write(TWO)
     result, record, contents = run(project, "--pafot-neighbours=40", seed=3)
