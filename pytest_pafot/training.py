@@ -101,7 +101,7 @@ class TrainingEnv(gymnasium.Env[Any, Any]):
             fix = "leave it out: a policy learns from the environment's own observations and actions"
             raise WorldError(field="world.planner_hz", expected="None", received=f"{world.planner_hz:g}", fix=fix)
         world.check()
-        if not world.environment.has_ordinary_steps:
+        if world.environment.steps_itself(drives_itself=False):
             expected = "an environment that uses highway-env's `step`, so that the NPCs can replace its traffic"
             received = f"{world.env_id!r}, whose class overrides it"
             raise WorldError(field="world", expected=expected, received=received)

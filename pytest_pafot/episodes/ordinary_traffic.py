@@ -10,18 +10,12 @@ from __future__ import annotations
 
 import math
 from array import array
-from collections.abc import Callable
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from types import MethodType
 from typing import Any
 
 import numpy as np
-from highway_env.envs.common.abstract import AbstractEnv
-from highway_env.envs.exit_env import ExitEnv
-from highway_env.envs.intersection_env import IntersectionEnv
-from highway_env.road.regulation import RegulatedRoad
-from highway_env.road.road import Road
-from highway_env.vehicle.controller import ControlledVehicle, MDPVehicle
-from highway_env.vehicle.kinematics import Vehicle
 from highway_env.vehicle.objects import Obstacle
 
 from pytest_pafot.episodes.episode import Episode, EpisodeRecording, Kind, Start, Step
@@ -30,15 +24,28 @@ from pytest_pafot.support.errors import AdsFactoryError, WorldError
 from pytest_pafot.world.driving.ads import AdsFactory, is_vehicle_class, make_ads, wants_env
 from pytest_pafot.world.driving.compiled_vehicle import CompiledRoad, obstacles_on, road_rules
 from pytest_pafot.world.driving.idm_model import idm_model
+from pytest_pafot.world.driving.object_driver import finite_state
 from pytest_pafot.world.driving.observations import observe_fast, observer
 from pytest_pafot.world.driving.perception import ads_and_sight
 from pytest_pafot.world.driving.policy import View
 from pytest_pafot.world.guard.failure import UNFIT, closing, error_of
 from pytest_pafot.world.guard.hang_guard import HangGuard
-from pytest_pafot.world.gym_environment import NEUTRAL, GymEnvironment, vehicle_classes_kept
+from pytest_pafot.world.gym_environment import NEUTRAL, GymEnvironment, has_known_step, vehicle_classes_kept
 from pytest_pafot.world.kernel.bodies import Body
+from pytest_pafot.world.kernel.loop import PlannerDriver
 from pytest_pafot.world.kernel.observation import COLUMNS
 from pytest_pafot.world.kernel.traffic import OrdinaryTraffic
+from pytest_pafot.world.stock import (
+    ControlledVehicle,
+    IntersectionEnv,
+    MDPVehicle,
+    RegulatedRoad,
+    Road,
+    RoadNetwork,
+    Vehicle,
+    action,
+    class_from_path,
+)
 
 
 def why_not(start: Start) -> str:
@@ -48,57 +55,94 @@ def why_not(start: Start) -> str:
         inner = inner.env
     if inner is not env:
         return f"the environment is wrapped in {type(inner).__name__}"
-    steps = AbstractEnv.step, ExitEnv.step, IntersectionEnv.step
-    is_known = cls.step in steps and cls._simulate is AbstractEnv._simulate
-    if type(road) not in (Road, RegulatedRoad) or not is_known:
+    if not has_known_step(cls):
         return f"{cls.__name__} has its own steps"
+    if type(road) not in (Road, RegulatedRoad) or type(road.network) is not RoadNetwork:
+        return f"the road is a {type(road).__name__} with a {type(road.network).__name__}"
+    if _is_patched(road):
+        return "the road has its own steps"
+    if any(lane.speed_limit is None for lane in road.network.lanes_list()):
+        return "the road has lanes without a speed limit"
     if start.compiled_lanes is None:
         return "the road has lanes of a class of its own"
+    if start.kind == "planner" and start.more_than_lanes:
+        return f"a planner drives on a road with {start.more_than_lanes}"
     if start.kind == "planner" and start.compiled_lanes is not start.road:
-        return "a planner needs lanes of one speed limit, without objects and routes"
-    for each in road.objects:
-        if type(each) is not Obstacle:
-            return f"there is a {type(each).__name__} on the road"
-    for each in road.vehicles:
-        if each is not ego and idm_model(type(each)) is None:
-            return f"the traffic has a {type(each).__name__}, not only IDM and MOBIL"
-        if (each.MIN_SPEED, each.MAX_SPEED) != (Vehicle.MIN_SPEED, Vehicle.MAX_SPEED):
-            return f"a {type(each).__name__} has its own speed limits"
+        return "a planner drives on a road that does not start at the origin"
+    reasons = [*(_unlike_idm(each, ego) for each in road.vehicles), *map(_unlike_obstacle, road.objects)]
+    if issubclass(cls, IntersectionEnv):  # it adds vehicles during the episode
+        reasons.append(_class_unlike_idm(class_from_path(env.config["other_vehicles_type"])))
+    if any(reasons):
+        return next(filter(None, reasons))
     if start.kind == "vehicle" and not isinstance(ego, ControlledVehicle) and hasattr(ego, "target_speed"):
         return f"{type(ego).__name__} has a target speed and no target lane"
+    if start.kind == "policy" and type(env.action_type).__module__ != action.__name__:
+        return f"the actions are of the class {type(env.action_type).__name__}"
     has_range = getattr(env.action_type, "speed_range", None) is not None  # actions limit the ego's speed to it
     if start.kind == "policy" and (type(ego) not in (MDPVehicle, Vehicle) or has_range):
         return f"the actions drive a {type(ego).__name__} with its own limits"
     decides_itself = start.kind == "planner" or (start.kind == "vehicle" and idm_model(type(ego)) is None)
-    if decides_itself and (road.vehicles[0] is not ego or type(road) is RegulatedRoad):
-        return "the ego is not the first on its road, or the road makes it yield"
-    return ""
+    if decides_itself and type(road) is RegulatedRoad:
+        return f"the road makes vehicles yield, also a {type(ego).__name__}"
+    return "the ego is not the first vehicle on its road" if decides_itself and road.vehicles[0] is not ego else ""
+
+
+def _unlike_idm(vehicle: Any, ego: Any = None) -> str:
+    """Return the reason why compiled code cannot drive a vehicle; empty if it can. The ego may be of any class."""
+    name, reason = type(vehicle).__name__, "" if vehicle is ego else _class_unlike_idm(type(vehicle))
+    if (vehicle.MIN_SPEED, vehicle.MAX_SPEED) != (Vehicle.MIN_SPEED, Vehicle.MAX_SPEED):
+        reason = reason or f"a {name} has its own speed limits"
+    if not (vehicle.solid and vehicle.collidable):
+        reason = reason or f"a {name} does not crash"
+    if _is_patched(vehicle):
+        reason = reason or f"a {name} has its own steps"
+    return reason
+
+
+def _class_unlike_idm(cls: type[Any]) -> str:
+    return "" if idm_model(cls) else f"the traffic has a {cls.__name__}, not only IDM and MOBIL"
+
+
+def _unlike_obstacle(thing: Any) -> str:
+    """Return the reason why compiled code does not know an object on the road; empty if it does."""
+    if type(thing) is not Obstacle:
+        return f"there is a {type(thing).__name__} on the road"
+    is_usual = thing.solid and thing.collidable and thing.check_collisions
+    return "" if is_usual else "there is an Obstacle on the road with which vehicles do not crash"
+
+
+def _is_patched(thing: Any) -> bool:
+    """Return whether a road or vehicle has its own ``act`` or ``step`` instead of that of its class."""
+    return not vars(thing).keys().isdisjoint(("act", "step"))
 
 
 class Steps:
-    """An episode in which the environment takes its steps, but something else than its road's functions may do a tick.
+    """An episode in which the environment takes its own steps; it works for any environment and any ADS.
 
     Attributes:
         tick: current tick of the episode.
         crashed_at: tick at which the ego was flagged as crashed, else None; the environment continues to the end of its
             step.
         error: error of the ADS, if it did not decide, else None.
+        reason: reason why the road moves its vehicles itself; empty if compiled code does.
     """
 
-    def __init__(self, start: Start, act: Callable[[], None], step: Callable[[float], None]) -> None:
+    def __init__(self, start: Start, reason: str, body: Body | None = None) -> None:
         self.tick = 0
         self.crashed_at: int | None = None
         self.error: AdsError | None = None
+        self.reason = reason
         self._start = start
         self._frames: list[dict[Any, tuple[float, ...]]] | None = None
-        # A copy of a vehicle with its road shares plain functions. It would copy a method with its object.
-        start.env.road.act, start.env.road.step = lambda: act(), lambda dt: step(dt)  # noqa: PLW0108
+        self._road_itself = start.env.road
+        self._act_itself, self._step_itself = self._road_itself.act, self._road_itself.step
+        self._ego = Body(start.env.vehicle.LENGTH, start.env.vehicle.WIDTH) if body is None else body
+        self._record = start.record() if start.kind == "planner" else None
+        self._recorded = start.vehicles
+        self._driver = None if self._record is None else start.driver(self._ego, self._record)
 
-    def run(self, seed: int, reason: str, *, is_recorded: bool) -> Episode:
-        """Take steps until the episode is over, and return its result.
-
-        ``reason`` says why its traffic is not compiled, and is stored in the result.
-        """
+    def run(self, seed: int, *, is_recorded: bool) -> Episode:
+        """Take steps until the episode is over, and return its result."""
         start, seen, is_over = self._start, self._start.seen, False
         outer, ask = (start.outer, start.action) if start.kind == "policy" else (start.env, lambda *_: None)
         self._frames = [] if is_recorded else None
@@ -111,7 +155,8 @@ class Steps:
                 self.error = error_of(error, before, start.guard)
                 break
             try:
-                seen, _, is_terminated, is_truncated, _ = outer.step(action)
+                with self._replaced():
+                    seen, _, is_terminated, is_truncated, _ = outer.step(action)
             except Exception as error:
                 raise start.unfit(error) from error
             is_over = bool(is_terminated or is_truncated)
@@ -122,22 +167,86 @@ class Steps:
                 )
         tick = self.tick if self.crashed_at is None else self.crashed_at
         tick = tick if self.error is None else self.error.tick
-        return start.ended(seed, tick, self.error, steps=reason, recording=self._recording())
+        return start.ended(seed, tick, self.error, steps=self.reason, recording=self._recording())
+
+    @contextmanager
+    def _replaced(self) -> Iterator[None]:
+        """Replace ``act`` and ``step`` of the road, so that the episode notes or does each tick of the environment.
+
+        An ADS may simulate in a copy of the road, which must not advance the episode. A copy has the same functions,
+        bound to the copy, and then moves its own vehicles.
+        """
+
+        def act(road: Any) -> None:
+            self._act() if road is self._road_itself else type(road).act(road)
+
+        def step(road: Any, dt: float) -> None:
+            self._step(dt) if road is self._road_itself else type(road).step(road, dt)
+
+        attributes = vars(self._road_itself)
+        own = {name: attributes[name] for name in ("act", "step") if name in attributes}
+        attributes |= {"act": MethodType(act, self._road_itself), "step": MethodType(step, self._road_itself)}
+        try:
+            yield
+        finally:
+            del attributes["act"], attributes["step"]
+            attributes |= own
+
+    def _act(self) -> None:
+        """Let all vehicles decide; the environment has interpreted the action of a policy."""
+        if self._start.eyes is not None:
+            self._start.eyes.note()
+        if self._driver is not None and self._record is not None:
+            self._plan(self._driver, self._record)
+        if self._start.kind == "vehicle":
+            self._guarded(self._act_itself)
+        else:
+            self._act_itself()
+
+    def _step(self, dt: float) -> None:
+        """Move all vehicles."""
+
+        def step() -> None:
+            self._step_itself(dt)
+            finite_state(self._start.env.vehicle)
+
+        if self._start.kind == "vehicle":
+            self._guarded(step)
+        else:
+            self._step_itself(dt)
+        self._ticked()
 
     def _ticked(self) -> None:
-        """Count a tick in which all vehicles have moved."""
+        """Count a tick in which all vehicles have moved; none after an error."""
+        if self.error is not None:
+            return
         self.tick += 1
         if self._start.env.vehicle.crashed and self.crashed_at is None:
             self.crashed_at = self.tick
         self._note()
 
-    def _guarded(self, call: Callable[..., None], *arguments: float) -> None:
+    def _guarded(self, call: Callable[[], object]) -> None:
         """Call the user's code under guard; nothing after an error."""
         if self.error is None:
             try:
-                self._start.guarded(call, *arguments)
+                self._start.guarded(call)
             except UNFIT as error:
                 self.error = error_of(error, self.tick, self._start.guard)
+
+    def _plan(self, driver: PlannerDriver, record: array[float]) -> None:
+        """Let a planner decide on the vehicles that were there at the start, and set the controls of its ego."""
+        straight, ego, count = self._start.straight, self._start.env.vehicle, len(self._recorded)
+        for row, each in enumerate(self._recorded):
+            at = (self.tick * count + row) * COLUMNS
+            pose = straight.project(float(each.position[0]), float(each.position[1]), float(each.heading))
+            held = each.action["acceleration"], each.action["steering"]
+            record[at : at + 6] = array("d", (*pose, each.speed, *held))
+        x, y = map(float, ego.position)
+        self._ego.place(*straight.project(x, y, ego.heading), ego.speed)
+        if self.tick % driver.every == 0 and self.error is None:
+            self.error = driver.decide(self.tick)
+        driver.actuate()
+        ego.control(self._ego.acceleration, self._ego.steering)
 
     def _note(self) -> None:
         if self._frames is not None and self.crashed_at in (None, self.tick):
@@ -162,7 +271,8 @@ class CompiledSteps(Steps):
     """An episode among highway-env's IDM and MOBIL vehicles, all of which compiled code moves.
 
     The environment still creates the start and the observations, interprets actions, and decides when the episode is
-    over. Before each of these, its vehicles are moved to the places that the compiled code has computed.
+    over. Before each of these, its vehicles are moved to the places that the compiled code has computed. If it adds
+    something to the road that compiled code does not know, the road moves its vehicles itself from then on.
     :func:`why_not` must have returned an empty text for the start.
     """
 
@@ -171,60 +281,89 @@ class CompiledSteps(Steps):
         assert start.compiled_lanes is not None  # noqa: S101  (see why_not)
         self._road = CompiledRoad(env.road, start.compiled_lanes)
         self._bodies = {each: self._road.vehicle(each) for each in env.road.vehicles}
-        self._ego = self._bodies[env.vehicle]
-        record = start.record() if start.kind == "planner" else None
+        self._objects = list(env.road.objects)
+        self._compiled = self._bodies[env.vehicle]
+        super().__init__(start, "", self._compiled)
         self._traffic = OrdinaryTraffic(
             list(self._bodies.values()),
             obstacles_on(env.road),
             1 / start.physics_hz,
-            record,
+            self._record,
             road_rules(env.road, start.compiled_lanes, start.physics_hz),
         )
-        self._planner = None if record is None else start.driver(self._ego, record)
-        super().__init__(start, self._act, self._step)
         if start.kind == "policy" and start.eyes is None:
             env.observation_type.observe = observer(env)
 
     def step(self, action: Any) -> Step:
         """Take one step with an action, and return the values of ``env.step``; the episode ends at a crash's tick."""
         start = self._start
-        seen, reward, is_terminated, is_truncated, info = start.env.step(action)
-        is_truncated = bool(is_truncated) or self.tick + start.every > start.ticks
+        with self._replaced():
+            seen, reward, is_terminated, is_truncated, info = start.env.step(action)
+        is_over = self.crashed_at is not None and not is_terminated  # the environment would go on after a crash
+        is_truncated = bool(is_truncated) or is_over or self.tick + start.every > start.ticks
         return seen, float(reward), bool(is_terminated), is_truncated, info
 
     def _act(self) -> None:
         """Let the ego decide, unless its model does; the environment has interpreted the action of a policy."""
         if self._is_over():
             return
-        start, ego, vehicles = self._start, self._start.env.vehicle, self._start.env.road.vehicles
-        if vehicles != list(self._bodies):  # the environment has added or removed some after its last step
-            self._bodies = {each: self._bodies.get(each) or self._road.vehicle(each) for each in vehicles}
-            self._traffic.vehicles = list(self._bodies.values())
-        if self._planner is not None:
-            if self.tick % self._planner.every == 0:
-                self.error = self._planner.decide(self.tick)
-            self._planner.actuate()
+        start, ego, road = self._start, self._start.env.vehicle, self._road_itself
+        if start.kind == "policy" and not self.reason and self.tick % start.every == 0:
+            self._road.take(ego, self._compiled)
+        if not self.reason and (road.vehicles != list(self._bodies) or road.objects != self._objects):
+            self._follow_changes()
+        if self.reason:
+            super()._act()
+        elif self._driver is not None:
+            if self.tick % self._driver.every == 0:
+                self.error = self._driver.decide(self.tick)
+            self._driver.actuate()
         elif start.kind == "policy":
-            if self.tick % start.every == 0:
-                self._road.take(ego, self._ego)
             if start.eyes is not None:  # an imperfect sight stores the places of all vehicles
                 self._show()
                 start.eyes.note()
-        elif not self._ego.drives_itself:
+        elif not self._compiled.drives_itself:
             self._show()
-            self._guarded(ego.act)
-            self._road.take(ego, self._ego)
-            self._guarded(ego.step, 1 / start.physics_hz)
-            self._ego.acceleration = float(ego.action["acceleration"])  # its step may have limited it
-            self._ego.lead(*self._road.state(ego))
+            self._guarded(self._move_ego)
+
+    def _move_ego(self) -> None:
+        """Let the ego act and step by its own code; the compiled one will be where it has gone."""
+        ego, compiled = self._start.env.vehicle, self._compiled
+        ego.act()
+        self._road.take(ego, compiled)
+        ego.step(1 / self._start.physics_hz)
+        finite_state(ego)
+        compiled.acceleration = float(ego.action["acceleration"])  # its step may have limited it
+        compiled.lead(*self._road.state(ego))
 
     def _step(self, dt: float) -> None:
         if self._is_over():
             return
+        if self.reason:
+            super()._step(dt)
+            return
         self._traffic.step()
-        if self._ego.crashed or self._frames is not None or (self.tick + 1) % self._start.every == 0:
+        if self._start.kind == "vehicle" and not self._compiled.drives_itself:  # its step may have set a goal
+            self._guarded(lambda: self._road.take(self._start.env.vehicle, self._compiled))
+        if self._compiled.crashed or self._frames is not None or (self.tick + 1) % self._start.every == 0:
             self._show()
         self._ticked()
+
+    def _follow_changes(self) -> None:
+        """Drive the vehicles that the environment has added after its last step too, or let the road move them all."""
+        road, bodies = self._road_itself, self._bodies
+        reasons = [_unlike_idm(each) for each in road.vehicles if each not in bodies]
+        if road.objects != self._objects or self._driver is not None:
+            reasons.append("the environment changes what is on its road")
+        self.reason = next(filter(None, reasons), "")
+        if self.reason:
+            for vehicle, body in bodies.items():
+                self._road.leave(vehicle, body)
+            if isinstance(road, RegulatedRoad):
+                road.steps += self.tick  # it has not counted the ticks of compiled code
+            return
+        self._bodies = {each: bodies[each] if each in bodies else self._road.vehicle(each) for each in road.vehicles}
+        self._traffic.vehicles = list(self._bodies.values())
 
     def _is_over(self) -> bool:
         """Return whether an error or a crash has ended the episode, although the environment's step goes on."""
@@ -236,46 +375,22 @@ class CompiledSteps(Steps):
             self._road.show(vehicle, body)
 
 
-class OwnSteps(Steps):
-    """An episode by the environment's own steps, which works for any environment and any ADS."""
+def _has_own_reward(cls: type[Any]) -> bool:
+    """Return whether a class of environments is not highway-env's in its reward or information; they may end it."""
+    methods = cls._reward, cls._rewards, cls._info
+    return any(not each.__module__.startswith("highway_env.") for each in methods)
 
-    def __init__(self, start: Start) -> None:
-        road, is_policy = start.env.road, start.kind == "policy"
-        own_act, own_step = road.act, road.step
 
-        def act() -> None:
-            if start.eyes is not None:
-                start.eyes.note()
-            own_act() if is_policy else self._guarded(own_act)
-
-        def step(dt: float) -> None:
-            own_step(dt) if is_policy else self._guarded(own_step, dt)
-            self._ticked()
-
-        super().__init__(start, act, step)
-        if start.kind == "planner":
-            start.env.vehicle.act = self._planner()
-
-    def _planner(self) -> Callable[..., None]:
-        """Return the ``act`` of an ego that a planner drives."""
-        start, ego, count = self._start, self._start.env.vehicle, len(self._start.vehicles)
-        record, body = start.record(), Body(ego.LENGTH, ego.WIDTH)
-        driver = start.driver(body, record)
-
-        def act(action: Any = None) -> None:
-            for row, each in enumerate(start.vehicles):
-                at = (self.tick * count + row) * COLUMNS
-                pose = start.straight.project(float(each.position[0]), float(each.position[1]), float(each.heading))
-                held = each.action["acceleration"], each.action["steering"]
-                record[at : at + 6] = array("d", (*pose, each.speed, *held))
-            x, y = map(float, ego.position)
-            body.place(*start.straight.project(x, y, ego.heading), ego.speed)
-            error = driver.decide(self.tick) if self.tick % driver.every == 0 else None
-            self.error = self.error or error
-            driver.actuate()
-            ego.control(body.acceleration, body.steering)
-
-        return act
+@contextmanager
+def _unrewarded(env: Any) -> Iterator[None]:
+    """Leave out the reward and the information of an environment's steps, which take time and nothing reads."""
+    stubs: dict[str, Callable[..., object]] = {"_reward": lambda *_: 0.0, "_info": lambda *_: {}}
+    vars(env).update(stubs)
+    try:
+        yield
+    finally:
+        for name in stubs:  # it is used again
+            del vars(env)[name]
 
 
 def drive(
@@ -325,11 +440,9 @@ def drive(
             if start.eyes is not None:
                 at_the_end.callback(start.eyes.close)
             reason = why_not(start) if may_compile else "that was requested"
-            steps = OwnSteps(start) if reason else CompiledSteps(start)
-            env = start.env
-            if not (reason and kind == "policy"):  # nothing reads them, but a wrapper may
-                env._reward, env._info = lambda *_: 0.0, lambda *_: {}
-                at_the_end.callback(lambda: [vars(env).pop(name) for name in ("_reward", "_info")])  # it is used again
+            steps = Steps(start, reason) if reason else CompiledSteps(start)
             if kind != "policy":
-                env.observation_type.observe = lambda: 0.0
-            return steps.run(seed, reason, is_recorded=is_recorded)
+                start.env.observation_type.observe = lambda: 0.0
+            if kind != "policy" or not (reason or _has_own_reward(type(start.env))):  # a wrapper may read them
+                at_the_end.enter_context(_unrewarded(start.env))
+            return steps.run(seed, is_recorded=is_recorded)

@@ -170,7 +170,7 @@ def test_crash_is_cut_where_highway_env_flags_it():
 
 
 def test_other_traffic_or_roads_use_environment_steps():
-    assert "the ego is not the first" in driven(INTERSECTION, Sluggish, 0).steps
+    assert "makes vehicles yield, also a Sluggish" in driven(INTERSECTION, lambda: Sluggish, 0).steps
     parking = driven(pafot.World("parking-v0", {"duration": 1}), lambda: lambda seen: (0.0, 0.0), 0)
     assert "a Landmark on the road" in parking.steps
     ranged = {**SWERVING, "action": {"type": "ContinuousAction", "speed_range": [0.0, 22.0]}, "duration": 2}
@@ -210,7 +210,7 @@ def test_straight_road_with_several_speed_limits_is_compiled_but_not_for_planner
             driven(world, idm_mobil.make, 0, is_recorded=True, may_compile=may_compile) for may_compile in (True, False)
         )
         assert (compiled.steps, difference(compiled, stepped) <= WITHIN) == ("", True)
-        assert "one speed limit" in driven(world, constant_speed.make, 0, is_planner=True).steps
+        assert "several speed limits" in driven(world, constant_speed.make, 0, is_planner=True).steps
     finally:
         del gymnasium.registry["limits-v0"]
 

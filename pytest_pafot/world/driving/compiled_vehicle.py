@@ -72,12 +72,17 @@ class CompiledRoad:
         body.drives_itself = idm_model(type(vehicle)) is not None
         body.checks = bool(vehicle.check_collisions)
         body.crashed = bool(vehicle.crashed)
+        body.diagonal = float(vehicle.diagonal)
         body.waited = vehicle.yield_timer if getattr(vehicle, "is_yielding", False) else -1
         if not hasattr(vehicle, "target_speed"):
             body.taken_for = 0.0  # highway-env's IDM treats it as one that wants to stand still
         body.start(*self.state(vehicle), bool(getattr(vehicle, "enable_lane_change", True)))
+        body.stay(self._numbers[vehicle.lane_index])
         if hasattr(vehicle, "timer"):
-            body.wait(float(vehicle.timer))
+            body.timer = float(vehicle.timer)
+        if vehicle.impact is not None:
+            body.push(*map(float, vehicle.impact))
+            vehicle.impact = None
         self.take(vehicle, body)
         return body
 
@@ -87,10 +92,11 @@ class CompiledRoad:
         return float(x) - self._x, float(y) - self._y, float(vehicle.heading), float(vehicle.speed)
 
     def take(self, vehicle: Any, body: GoalVehicle) -> None:
-        """Copy the goal of a vehicle of highway-env to a compiled one, and its controls, which a goal may replace."""
+        """Copy the goal of a vehicle of highway-env, its controls, which a goal may replace, and whether it crashed."""
         if body.has_goal:
             body.aim(self._numbers[vehicle.target_lane_index], float(vehicle.target_speed))
         body.acceleration, body.steering = float(vehicle.action["acceleration"]), float(vehicle.action["steering"])
+        body.crashed = body.crashed or bool(vehicle.crashed)
 
     def show(self, vehicle: Any, body: GoalVehicle) -> None:
         """Copy the state of a compiled vehicle to a vehicle of highway-env."""
@@ -101,6 +107,20 @@ class CompiledRoad:
         vehicle.crashed = body.crashed
         if body.has_goal:
             vehicle.target_lane_index, vehicle.target_speed = self._named[goal][0], wanted
+        if body.drives_itself:
+            vehicle.timer = body.timer
+            if body.waited >= 0:
+                vehicle.is_yielding, vehicle.yield_timer = True, body.waited
+                vehicle.color = RegulatedRoad.YIELDING_COLOR  # the road deletes it afterwards
+            elif getattr(vehicle, "is_yielding", False):
+                vehicle.is_yielding = False
+                vars(vehicle).pop("color", None)
+
+    def leave(self, vehicle: Any, body: GoalVehicle) -> None:
+        """Show a vehicle, and its next push, so that highway-env can move it from now on."""
+        self.show(vehicle, body)
+        if body.is_pushed:
+            vehicle.impact = np.array([body.push_x, body.push_y])
 
 
 def _searched(road: Any, numbers: dict[Any, int]) -> list[list[tuple[int, float]]]:
@@ -147,7 +167,7 @@ def obstacles_on(road: Any) -> list[Body]:
     bodies: list[Body] = []
     for each in road.objects:
         if not isinstance(each, Landmark):
-            bodies.append(StaticObstacle(float(each.LENGTH), float(each.WIDTH)))
+            bodies.append(StaticObstacle(float(each.LENGTH), float(each.WIDTH), float(each.diagonal)))
             x, y = map(float, each.position)
             bodies[-1].place(x, y, float(each.heading), float(each.speed))
     return bodies
