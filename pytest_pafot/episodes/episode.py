@@ -156,13 +156,13 @@ class Start:
     def more_than_lanes(self) -> str:
         """What a straight road has besides lanes of one kind; empty if nothing."""
         road, lanes = self.env.road, self.env.road.network.lanes_list()
-        if road.objects:
-            return "objects"
-        if any(getattr(each, "route", None) for each in road.vehicles):
-            return "vehicles with a route"
-        if any(lane.forbidden for lane in lanes):
-            return "lanes that forbid lane changes"
-        return "lanes of several speed limits" if len({lane.speed_limit for lane in lanes}) > 1 else ""
+        found = {
+            "objects": bool(road.objects),
+            "routes": any(getattr(each, "route", None) for each in road.vehicles),
+            "lanes that forbid lane changes": any(lane.forbidden for lane in lanes),
+            "several speed limits": len({lane.speed_limit for lane in lanes}) > 1,
+        }
+        return ", ".join(name for name, is_there in found.items() if is_there)
 
     @property
     def straight(self) -> StraightRoad:

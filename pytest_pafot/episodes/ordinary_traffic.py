@@ -24,7 +24,7 @@ from pytest_pafot.support.errors import AdsFactoryError, WorldError
 from pytest_pafot.world.driving.ads import AdsFactory, is_vehicle_class, make_ads, wants_env
 from pytest_pafot.world.driving.compiled_vehicle import CompiledRoad, obstacles_on, road_rules
 from pytest_pafot.world.driving.idm_model import idm_model
-from pytest_pafot.world.driving.object_driver import finite_state
+from pytest_pafot.world.driving.object_driver import body_of
 from pytest_pafot.world.driving.observations import observe_fast, observer
 from pytest_pafot.world.driving.perception import ads_and_sight
 from pytest_pafot.world.driving.policy import View
@@ -35,17 +35,10 @@ from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.kernel.loop import PlannerDriver
 from pytest_pafot.world.kernel.observation import COLUMNS
 from pytest_pafot.world.kernel.traffic import OrdinaryTraffic
-from pytest_pafot.world.stock import (
-    ControlledVehicle,
-    IntersectionEnv,
-    MDPVehicle,
-    RegulatedRoad,
-    Road,
-    RoadNetwork,
-    Vehicle,
-    action,
-    class_from_path,
-)
+from pytest_pafot.world.stock import ControlledVehicle, MDPVehicle, RegulatedRoad, Road, RoadNetwork, Vehicle, action
+
+OWN = {"act", "step"}
+"""The attributes of a road or vehicle that moves in its own way, instead of that of its class."""
 
 
 def why_not(start: Start) -> str:
@@ -59,21 +52,15 @@ def why_not(start: Start) -> str:
         return f"{cls.__name__} has its own steps"
     if type(road) not in (Road, RegulatedRoad) or type(road.network) is not RoadNetwork:
         return f"the road is a {type(road).__name__} with a {type(road.network).__name__}"
-    if _is_patched(road):
+    if vars(road).keys() & OWN:
         return "the road has its own steps"
-    if any(lane.speed_limit is None for lane in road.network.lanes_list()):
-        return "the road has lanes without a speed limit"
     if start.compiled_lanes is None:
-        return "the road has lanes of a class of its own"
+        has_limits = all(lane.speed_limit is not None for lane in road.network.lanes_list())
+        return f"the road has lanes {'of a class of its own' if has_limits else 'without a speed limit'}"
     if start.kind == "planner" and start.more_than_lanes:
         return f"a planner drives on a road with {start.more_than_lanes}"
-    if start.kind == "planner" and start.compiled_lanes is not start.road:
-        return "a planner drives on a road that does not start at the origin"
-    reasons = [*(_unlike_idm(each, ego) for each in road.vehicles), *map(_unlike_obstacle, road.objects)]
-    if issubclass(cls, IntersectionEnv):  # it adds vehicles during the episode
-        reasons.append(_class_unlike_idm(class_from_path(env.config["other_vehicles_type"])))
-    if any(reasons):
-        return next(filter(None, reasons))
+    if unknown := _unknown(road.vehicles, road.objects, ego):
+        return unknown
     if start.kind == "vehicle" and not isinstance(ego, ControlledVehicle) and hasattr(ego, "target_speed"):
         return f"{type(ego).__name__} has a target speed and no target lane"
     if start.kind == "policy" and type(env.action_type).__module__ != action.__name__:
@@ -87,33 +74,21 @@ def why_not(start: Start) -> str:
     return "the ego is not the first vehicle on its road" if decides_itself and road.vehicles[0] is not ego else ""
 
 
-def _unlike_idm(vehicle: Any, ego: Any = None) -> str:
-    """Return the reason why compiled code cannot drive a vehicle; empty if it can. The ego may be of any class."""
-    name, reason = type(vehicle).__name__, "" if vehicle is ego else _class_unlike_idm(type(vehicle))
-    if (vehicle.MIN_SPEED, vehicle.MAX_SPEED) != (Vehicle.MIN_SPEED, Vehicle.MAX_SPEED):
-        reason = reason or f"a {name} has its own speed limits"
-    if not (vehicle.solid and vehicle.collidable):
-        reason = reason or f"a {name} does not crash"
-    if _is_patched(vehicle):
-        reason = reason or f"a {name} has its own steps"
-    return reason
-
-
-def _class_unlike_idm(cls: type[Any]) -> str:
-    return "" if idm_model(cls) else f"the traffic has a {cls.__name__}, not only IDM and MOBIL"
-
-
-def _unlike_obstacle(thing: Any) -> str:
-    """Return the reason why compiled code does not know an object on the road; empty if it does."""
-    if type(thing) is not Obstacle:
-        return f"there is a {type(thing).__name__} on the road"
-    is_usual = thing.solid and thing.collidable and thing.check_collisions
-    return "" if is_usual else "there is an Obstacle on the road with which vehicles do not crash"
-
-
-def _is_patched(thing: Any) -> bool:
-    """Return whether a road or vehicle has its own ``act`` or ``step`` instead of that of its class."""
-    return not vars(thing).keys().isdisjoint(("act", "step"))
+def _unknown(vehicles: list[Any], objects: list[Any], ego: Any = None) -> str:
+    """Return the reason why compiled code does not know something on a road; empty if it knows everything."""
+    for each in (*vehicles, *objects):
+        name = type(each).__name__
+        if each in objects and (type(each) is not Obstacle or not each.check_collisions):
+            return f"there is a {name} on the road"
+        if each not in objects and each is not ego and idm_model(type(each)) is None:
+            return f"the traffic has a {name}, not only IDM and MOBIL"
+        if each not in objects and (each.MIN_SPEED, each.MAX_SPEED) != (Vehicle.MIN_SPEED, Vehicle.MAX_SPEED):
+            return f"a {name} has its own speed limits"
+        if not (each.solid and each.collidable):
+            return f"nothing crashes with a {name}"
+        if vars(each).keys() & OWN:
+            return f"a {name} has its own steps"
+    return ""
 
 
 class Steps:
@@ -121,22 +96,21 @@ class Steps:
 
     Attributes:
         tick: current tick of the episode.
-        crashed_at: tick at which the ego was flagged as crashed, else None; the environment continues to the end of its
-            step.
+        has_crashed: whether the ego was flagged as crashed.
         error: error of the ADS, if it did not decide, else None.
         reason: reason why the road moves its vehicles itself; empty if compiled code does.
     """
 
     def __init__(self, start: Start, reason: str, body: Body | None = None) -> None:
         self.tick = 0
-        self.crashed_at: int | None = None
+        self.has_crashed = False
         self.error: AdsError | None = None
         self.reason = reason
         self._start = start
         self._frames: list[dict[Any, tuple[float, ...]]] | None = None
         self._road_itself = start.env.road
         self._act_itself, self._step_itself = self._road_itself.act, self._road_itself.step
-        self._ego = Body(start.env.vehicle.LENGTH, start.env.vehicle.WIDTH) if body is None else body
+        self._ego: Any = Body(start.env.vehicle.LENGTH, start.env.vehicle.WIDTH) if body is None else body
         self._record = start.record() if start.kind == "planner" else None
         self._recorded = start.vehicles
         self._driver = None if self._record is None else start.driver(self._ego, self._record)
@@ -147,7 +121,7 @@ class Steps:
         outer, ask = (start.outer, start.action) if start.kind == "policy" else (start.env, lambda *_: None)
         self._frames = [] if is_recorded else None
         self._note()
-        while not (is_over or self.error or self.crashed_at or self.tick >= start.ticks):
+        while not (is_over or self.has_ended or self.tick >= start.ticks):
             before = self.tick
             try:
                 action = ask(seen, before)
@@ -165,9 +139,12 @@ class Steps:
                     "wrappers: expected their step to step the environment, received a step that did not, at "
                     f"{before / start.physics_hz:.1f} s of an episode"
                 )
-        tick = self.tick if self.crashed_at is None else self.crashed_at
-        tick = tick if self.error is None else self.error.tick
-        return start.ended(seed, tick, self.error, steps=self.reason, recording=self._recording())
+        return start.ended(seed, self.tick, self.error, steps=self.reason, recording=self._recording())
+
+    @property
+    def has_ended(self) -> bool:
+        """True after a crash or an error; the environment's step goes on to its end, but nothing moves any more."""
+        return self.has_crashed or self.error is not None
 
     @contextmanager
     def _replaced(self) -> Iterator[None]:
@@ -177,20 +154,23 @@ class Steps:
         bound to the copy, and then moves its own vehicles.
         """
 
-        def act(road: Any) -> None:
-            self._act() if road is self._road_itself else type(road).act(road)
+        def instead(name: str, call: Callable[..., None]) -> MethodType:
+            def method(road: Any, *arguments: float) -> None:
+                if road is not self._road_itself:
+                    getattr(type(road), name)(road, *arguments)
+                elif not self.has_ended:
+                    call(*arguments)
 
-        def step(road: Any, dt: float) -> None:
-            self._step(dt) if road is self._road_itself else type(road).step(road, dt)
+            return MethodType(method, self._road_itself)
 
         attributes = vars(self._road_itself)
-        own = {name: attributes[name] for name in ("act", "step") if name in attributes}
-        attributes |= {"act": MethodType(act, self._road_itself), "step": MethodType(step, self._road_itself)}
+        own = {name: attributes[name] for name in OWN if name in attributes}
+        attributes.update(act=instead("act", self._act), step=instead("step", self._tick))
         try:
             yield
         finally:
             del attributes["act"], attributes["step"]
-            attributes |= own
+            attributes.update(own)
 
     def _act(self) -> None:
         """Let all vehicles decide; the environment has interpreted the action of a policy."""
@@ -198,38 +178,28 @@ class Steps:
             self._start.eyes.note()
         if self._driver is not None and self._record is not None:
             self._plan(self._driver, self._record)
-        if self._start.kind == "vehicle":
-            self._guarded(self._act_itself)
-        else:
-            self._act_itself()
+        self._guarded(self._act_itself)
 
     def _step(self, dt: float) -> None:
         """Move all vehicles."""
+        self._guarded(self._step_itself, dt)
+        self._guarded(body_of, self._start.env.vehicle)  # it raises BadAction for NaN
 
-        def step() -> None:
-            self._step_itself(dt)
-            finite_state(self._start.env.vehicle)
-
-        if self._start.kind == "vehicle":
-            self._guarded(step)
-        else:
-            self._step_itself(dt)
-        self._ticked()
-
-    def _ticked(self) -> None:
-        """Count a tick in which all vehicles have moved; none after an error."""
-        if self.error is not None:
-            return
-        self.tick += 1
-        if self._start.env.vehicle.crashed and self.crashed_at is None:
-            self.crashed_at = self.tick
-        self._note()
-
-    def _guarded(self, call: Callable[[], object]) -> None:
-        """Call the user's code under guard; nothing after an error."""
+    def _tick(self, dt: float) -> None:
+        """Do a tick, and count it unless the ADS raised an error."""
+        self._step(dt)
         if self.error is None:
+            self.tick += 1
+            self.has_crashed = bool(self._start.env.vehicle.crashed)
+            self._note()
+
+    def _guarded(self, call: Callable[..., object], *arguments: Any) -> None:
+        """Call code that may be the ADS's, under guard if it is; nothing after an error."""
+        if self._start.kind != "vehicle":
+            call(*arguments)
+        elif self.error is None:
             try:
-                self._start.guarded(call)
+                self._start.guarded(call, *arguments)
             except UNFIT as error:
                 self.error = error_of(error, self.tick, self._start.guard)
 
@@ -243,13 +213,13 @@ class Steps:
             record[at : at + 6] = array("d", (*pose, each.speed, *held))
         x, y = map(float, ego.position)
         self._ego.place(*straight.project(x, y, ego.heading), ego.speed)
-        if self.tick % driver.every == 0 and self.error is None:
+        if self.tick % driver.every == 0:
             self.error = driver.decide(self.tick)
         driver.actuate()
         ego.control(self._ego.acceleration, self._ego.steering)
 
     def _note(self) -> None:
-        if self._frames is not None and self.crashed_at in (None, self.tick):
+        if self._frames is not None:
             poses = {each: (*each.position, each.heading, each.speed) for each in self._start.vehicles}
             self._frames.append(poses)
 
@@ -282,8 +252,7 @@ class CompiledSteps(Steps):
         self._road = CompiledRoad(env.road, start.compiled_lanes)
         self._bodies = {each: self._road.vehicle(each) for each in env.road.vehicles}
         self._objects = list(env.road.objects)
-        self._compiled = self._bodies[env.vehicle]
-        super().__init__(start, "", self._compiled)
+        super().__init__(start, "", self._bodies[env.vehicle])
         self._traffic = OrdinaryTraffic(
             list(self._bodies.values()),
             obstacles_on(env.road),
@@ -299,17 +268,15 @@ class CompiledSteps(Steps):
         start = self._start
         with self._replaced():
             seen, reward, is_terminated, is_truncated, info = start.env.step(action)
-        is_over = self.crashed_at is not None and not is_terminated  # the environment would go on after a crash
-        is_truncated = bool(is_truncated) or is_over or self.tick + start.every > start.ticks
+        is_over = self.tick + start.every > start.ticks or (self.has_crashed and not is_terminated)
+        is_truncated = bool(is_truncated) or is_over
         return seen, float(reward), bool(is_terminated), is_truncated, info
 
     def _act(self) -> None:
         """Let the ego decide, unless its model does; the environment has interpreted the action of a policy."""
-        if self._is_over():
-            return
         start, ego, road = self._start, self._start.env.vehicle, self._road_itself
         if start.kind == "policy" and not self.reason and self.tick % start.every == 0:
-            self._road.take(ego, self._compiled)
+            self._road.take(ego, self._ego)
         if not self.reason and (road.vehicles != list(self._bodies) or road.objects != self._objects):
             self._follow_changes()
         if self.reason:
@@ -322,52 +289,45 @@ class CompiledSteps(Steps):
             if start.eyes is not None:  # an imperfect sight stores the places of all vehicles
                 self._show()
                 start.eyes.note()
-        elif not self._compiled.drives_itself:
+        elif not self._ego.drives_itself:
             self._show()
             self._guarded(self._move_ego)
 
     def _move_ego(self) -> None:
         """Let the ego act and step by its own code; the compiled one will be where it has gone."""
-        ego, compiled = self._start.env.vehicle, self._compiled
+        ego = self._start.env.vehicle
         ego.act()
-        self._road.take(ego, compiled)
+        self._road.take(ego, self._ego)
         ego.step(1 / self._start.physics_hz)
-        finite_state(ego)
-        compiled.acceleration = float(ego.action["acceleration"])  # its step may have limited it
-        compiled.lead(*self._road.state(ego))
+        body_of(ego)  # it raises BadAction for NaN
+        self._ego.lead(*self._road.state(ego))
 
     def _step(self, dt: float) -> None:
-        if self._is_over():
-            return
         if self.reason:
             super()._step(dt)
             return
         self._traffic.step()
-        if self._start.kind == "vehicle" and not self._compiled.drives_itself:  # its step may have set a goal
-            self._guarded(lambda: self._road.take(self._start.env.vehicle, self._compiled))
-        if self._compiled.crashed or self._frames is not None or (self.tick + 1) % self._start.every == 0:
+        if self._start.kind == "vehicle" and not self._ego.drives_itself:  # its own step may have set these too
+            self._guarded(self._road.take, self._start.env.vehicle, self._ego)
+        if self._ego.crashed or self._frames is not None or (self.tick + 1) % self._start.every == 0:
             self._show()
-        self._ticked()
 
     def _follow_changes(self) -> None:
         """Drive the vehicles that the environment has added after its last step too, or let the road move them all."""
         road, bodies = self._road_itself, self._bodies
-        reasons = [_unlike_idm(each) for each in road.vehicles if each not in bodies]
+        self.reason = _unknown([each for each in road.vehicles if each not in bodies], [])
         if road.objects != self._objects or self._driver is not None:
-            reasons.append("the environment changes what is on its road")
-        self.reason = next(filter(None, reasons), "")
+            self.reason = self.reason or "the environment changes what is on its road"
         if self.reason:
             for vehicle, body in bodies.items():
-                self._road.leave(vehicle, body)
+                self._road.show(vehicle, body)
+                if body.is_pushed:
+                    vehicle.impact = np.array([body.push_x, body.push_y])
             if isinstance(road, RegulatedRoad):
                 road.steps += self.tick  # it has not counted the ticks of compiled code
             return
         self._bodies = {each: bodies[each] if each in bodies else self._road.vehicle(each) for each in road.vehicles}
         self._traffic.vehicles = list(self._bodies.values())
-
-    def _is_over(self) -> bool:
-        """Return whether an error or a crash has ended the episode, although the environment's step goes on."""
-        return self.error is not None or self.crashed_at is not None
 
     def _show(self) -> None:
         """Move the environment's vehicles to the places of the compiled ones."""
@@ -375,22 +335,14 @@ class CompiledSteps(Steps):
             self._road.show(vehicle, body)
 
 
-def _has_own_reward(cls: type[Any]) -> bool:
-    """Return whether a class of environments is not highway-env's in its reward or information; they may end it."""
-    methods = cls._reward, cls._rewards, cls._info
-    return any(not each.__module__.startswith("highway_env.") for each in methods)
-
-
 @contextmanager
 def _unrewarded(env: Any) -> Iterator[None]:
     """Leave out the reward and the information of an environment's steps, which take time and nothing reads."""
-    stubs: dict[str, Callable[..., object]] = {"_reward": lambda *_: 0.0, "_info": lambda *_: {}}
-    vars(env).update(stubs)
+    env._reward, env._info = lambda *_: 0.0, lambda *_: {}
     try:
         yield
     finally:
-        for name in stubs:  # it is used again
-            del vars(env)[name]
+        del env._reward, env._info  # it is used again
 
 
 def drive(
@@ -443,6 +395,8 @@ def drive(
             steps = Steps(start, reason) if reason else CompiledSteps(start)
             if kind != "policy":
                 start.env.observation_type.observe = lambda: 0.0
-            if kind != "policy" or not (reason or _has_own_reward(type(start.env))):  # a wrapper may read them
+            rewards = type(start.env)._reward, type(start.env)._rewards, type(start.env)._info
+            # A wrapper may read rewards, and a user's environment may end an episode by its own.
+            if kind != "policy" or (not reason and all(each.__module__.startswith("highway_env.") for each in rewards)):
                 at_the_end.enter_context(_unrewarded(start.env))
             return steps.run(seed, is_recorded=is_recorded)

@@ -109,18 +109,9 @@ class CompiledRoad:
             vehicle.target_lane_index, vehicle.target_speed = self._named[goal][0], wanted
         if body.drives_itself:
             vehicle.timer = body.timer
-            if body.waited >= 0:
-                vehicle.is_yielding, vehicle.yield_timer = True, body.waited
-                vehicle.color = RegulatedRoad.YIELDING_COLOR  # the road deletes it afterwards
-            elif getattr(vehicle, "is_yielding", False):
-                vehicle.is_yielding = False
-                vars(vehicle).pop("color", None)
-
-    def leave(self, vehicle: Any, body: GoalVehicle) -> None:
-        """Show a vehicle, and its next push, so that highway-env can move it from now on."""
-        self.show(vehicle, body)
-        if body.is_pushed:
-            vehicle.impact = np.array([body.push_x, body.push_y])
+            vehicle.is_yielding = body.waited >= 0
+            if vehicle.is_yielding:
+                vehicle.yield_timer, vehicle.color = body.waited, RegulatedRoad.YIELDING_COLOR
 
 
 def _searched(road: Any, numbers: dict[Any, int]) -> list[list[tuple[int, float]]]:

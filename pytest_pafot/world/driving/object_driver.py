@@ -110,21 +110,12 @@ def follow(body: Body, vehicle: Any) -> None:
     Raises:
         BadAction: if the state is not finite.
     """
-    body.place(*finite_state(vehicle))
-    body.acceleration, body.steering = float(vehicle.action["acceleration"]), float(vehicle.action["steering"])
-
-
-def finite_state(vehicle: Any) -> tuple[float, float, float, float]:
-    """Return x [m], y [m], heading [rad] and speed [m/s] of a highway-env vehicle.
-
-    Raises:
-        BadAction: if the state is not finite.
-    """
     x, y = vehicle.position
     state = float(x), float(y), float(vehicle.heading), float(vehicle.speed)
     if not all(map(math.isfinite, state)):
         raise BadAction(f"expected a vehicle with a finite position, heading and speed, received {state}")
-    return state
+    body.place(*state)
+    body.acceleration, body.steering = float(vehicle.action["acceleration"]), float(vehicle.action["steering"])
 
 
 def foresee(npcs: Sequence[Any], places: Places, road: Any) -> None:
