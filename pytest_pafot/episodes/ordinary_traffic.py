@@ -1,9 +1,12 @@
 """Episodes of an unchanged environment: its own start, its own random traffic, and its own flag for crashes.
 
 The start of an episode is the result of ``env.reset`` with its seed. Compiled code then drives the traffic if possible;
-otherwise the environment takes its own steps. Both give the same outcome at the same tick, and positions that differ
-only because numpy rounds some functions differently: by less than 1e-9 m, and up to 1e-7 m where vehicles crawl at an
-intersection, because highway-env's steering is unstable at such speeds.
+otherwise the environment takes its own steps. Both give the same outcome at the same tick, and the same positions up
+to rounding, because numpy rounds some functions differently from the C library: less than 1e-9 m on straight roads, and
+more where a vehicle crawls, because highway-env's steering is unstable at such speeds (8e-3 m in u-turn-v0).
+
+Compiled code does not see changes that a user's environment makes to the vehicles on its road between two steps, such
+as in ``_is_truncated``, except for added and removed vehicles and objects.
 """
 
 from __future__ import annotations

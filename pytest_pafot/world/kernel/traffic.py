@@ -29,8 +29,7 @@ class OrdinaryTraffic:
         rules: the rules of the road; None if there are none.
 
     Attributes:
-        vehicles: the vehicles in the road's order; the road may add and remove some between two ticks if nothing is
-            recorded.
+        vehicles: the vehicles in the road's order; they may be replaced between two ticks if there is no record.
     """
 
     def __init__(
