@@ -156,13 +156,11 @@ class Start:
     def more_than_lanes(self) -> str:
         """What a straight road has besides lanes of one kind; empty if nothing."""
         road, lanes = self.env.road, self.env.road.network.lanes_list()
-        found = {
-            "objects": bool(road.objects),
-            "routes": any(getattr(each, "route", None) for each in road.vehicles),
-            "lanes that forbid lane changes": any(lane.forbidden for lane in lanes),
-            "several speed limits": len({lane.speed_limit for lane in lanes}) > 1,
-        }
-        return ", ".join(name for name, is_there in found.items() if is_there)
+        if road.objects or any(getattr(each, "route", None) for each in road.vehicles):
+            return "objects or routes"
+        if any(lane.forbidden for lane in lanes):
+            return "lanes closed to lane changes"
+        return "several speed limits" if len({lane.speed_limit for lane in lanes}) > 1 else ""
 
     @property
     def straight(self) -> StraightRoad:

@@ -15,6 +15,7 @@ import math
 from array import array
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
+from functools import partial
 from types import MethodType
 from typing import Any
 
@@ -138,10 +139,8 @@ class Steps:
                 raise start.unfit(error) from error
             is_over = bool(is_terminated or is_truncated)
             if self.tick == before and self.error is None:
-                raise WorldError(
-                    "wrappers: expected their step to step the environment, received a step that did not, at "
-                    f"{before / start.physics_hz:.1f} s of an episode"
-                )
+                expected, at = "their step to step the environment", f"{before / start.physics_hz:.1f} s of an episode"
+                raise WorldError(f"wrappers: expected {expected}, received a step that did not, at {at}")
         return start.ended(seed, self.tick, self.error, steps=self.reason, recording=self._recording())
 
     @property
@@ -156,24 +155,22 @@ class Steps:
         An ADS may simulate in a copy of the road, which must not advance the episode. A copy has the same functions,
         bound to the copy, and then moves its own vehicles.
         """
-
-        def instead(name: str, call: Callable[..., None]) -> MethodType:
-            def method(road: Any, *arguments: float) -> None:
-                if road is not self._road_itself:
-                    getattr(type(road), name)(road, *arguments)
-                elif not self.has_ended:
-                    call(*arguments)
-
-            return MethodType(method, self._road_itself)
-
         attributes = vars(self._road_itself)
         own = {name: attributes[name] for name in OWN if name in attributes}
-        attributes.update(act=instead("act", self._act), step=instead("step", self._tick))
+        attributes.update({name: MethodType(partial(self._instead, name), self._road_itself) for name in OWN})
         try:
             yield
         finally:
             del attributes["act"], attributes["step"]
             attributes.update(own)
+
+    def _instead(self, name: str, road: Any, *arguments: float) -> None:
+        """Do ``act`` or ``step`` of a road, which may be a copy of the episode's."""
+        if road is not self._road_itself:
+            getattr(type(road), name)(road, *arguments)
+        elif not self.has_ended:
+            call: Callable[..., None] = self._act if name == "act" else self._tick
+            call(*arguments)
 
     def _act(self) -> None:
         """Let all vehicles decide; the environment has interpreted the action of a policy."""
@@ -271,9 +268,8 @@ class CompiledSteps(Steps):
         start = self._start
         with self._replaced():
             seen, reward, is_terminated, is_truncated, info = start.env.step(action)
-        is_over = self.tick + start.every > start.ticks or (self.has_crashed and not is_terminated)
-        is_truncated = bool(is_truncated) or is_over
-        return seen, float(reward), bool(is_terminated), is_truncated, info
+        is_over = is_truncated or self.tick + start.every > start.ticks or (self.has_crashed and not is_terminated)
+        return seen, float(reward), bool(is_terminated), bool(is_over), info
 
     def _act(self) -> None:
         """Let the ego decide, unless its model does; the environment has interpreted the action of a policy."""
@@ -318,9 +314,9 @@ class CompiledSteps(Steps):
     def _follow_changes(self) -> None:
         """Drive the vehicles that the environment has added after its last step too, or let the road move them all."""
         road, bodies = self._road_itself, self._bodies
-        self.reason = _unknown([each for each in road.vehicles if each not in bodies], [])
-        if road.objects != self._objects or self._driver is not None:
-            self.reason = self.reason or "the environment changes what is on its road"
+        is_strange = road.objects != self._objects or self._driver is not None  # a planner's record has a fixed size
+        changed = "the environment changes what is on its road" if is_strange else ""
+        self.reason = _unknown([each for each in road.vehicles if each not in bodies], []) or changed
         if self.reason:
             for vehicle, body in bodies.items():
                 self._road.show(vehicle, body)

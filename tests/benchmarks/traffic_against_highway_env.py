@@ -3,8 +3,8 @@
     python -m tests.benchmarks.traffic_against_highway_env [EPISODES]
 
 Each of nine environments gets a ninth of the episodes (450), from which the time of 1,000 is extrapolated. Outcome and
-time must be the same, and all positions up to rounding, up to the tick before the ego is flagged. At that tick, highway-env pushes boxes apart along
-the shortest of several normals, which rounding errors decide.
+time must be the same, and all positions up to rounding, up to the tick before the ego is flagged. At that tick,
+highway-env pushes boxes apart along the shortest of several normals, which rounding errors decide.
 """
 
 from __future__ import annotations

@@ -71,15 +71,13 @@ class CompiledRoad:
         body.has_goal = isinstance(vehicle, ControlledVehicle)
         body.drives_itself = idm_model(type(vehicle)) is not None
         body.checks = bool(vehicle.check_collisions)
-        body.crashed = bool(vehicle.crashed)
         body.diagonal = float(vehicle.diagonal)
         body.waited = vehicle.yield_timer if getattr(vehicle, "is_yielding", False) else -1
         if not hasattr(vehicle, "target_speed"):
             body.taken_for = 0.0  # highway-env's IDM treats it as one that wants to stand still
         body.start(*self.state(vehicle), bool(getattr(vehicle, "enable_lane_change", True)))
         body.stay(self._numbers[vehicle.lane_index])
-        if hasattr(vehicle, "timer"):
-            body.timer = float(vehicle.timer)
+        body.timer = float(getattr(vehicle, "timer", body.timer))
         if vehicle.impact is not None:
             body.push(*map(float, vehicle.impact))
             vehicle.impact = None
@@ -108,8 +106,7 @@ class CompiledRoad:
         if body.has_goal:
             vehicle.target_lane_index, vehicle.target_speed = self._named[goal][0], wanted
         if body.drives_itself:
-            vehicle.timer = body.timer
-            vehicle.is_yielding = body.waited >= 0
+            vehicle.timer, vehicle.is_yielding = body.timer, body.waited >= 0
             if vehicle.is_yielding:
                 vehicle.yield_timer, vehicle.color = body.waited, RegulatedRoad.YIELDING_COLOR
 

@@ -13,7 +13,6 @@ from typing import Any
 
 from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.kernel.idm import GoalVehicle
-from pytest_pafot.world.kernel.network_vehicle import StaticObstacle
 from pytest_pafot.world.kernel.observation import COLUMNS
 from pytest_pafot.world.kernel.road_rules import RoadRules
 
@@ -66,8 +65,7 @@ class OrdinaryTraffic:
                 other = vehicles[other_index]
                 if vehicle.checks or other.checks:
                     _meet(vehicle, other, other, other.diagonal, dt)
-            for each in self._obstacles:
-                obstacle: StaticObstacle = each
+            for obstacle in self._obstacles:
                 _meet(vehicle, obstacle, None, obstacle.diagonal, dt)
         self._note()
 
