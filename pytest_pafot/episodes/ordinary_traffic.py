@@ -15,7 +15,6 @@ import math
 from array import array
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
-from functools import partial
 from types import MethodType
 from typing import Any
 
@@ -100,7 +99,8 @@ class Steps:
 
     Attributes:
         tick: current tick of the episode.
-        has_crashed: whether the ego was flagged as crashed.
+        has_crashed: whether the ego was flagged as crashed. After a crash or an error nothing moves any more, although
+            the environment's step goes on to its end.
         error: error of the ADS, if it did not decide, else None.
         reason: reason why the road moves its vehicles itself; empty if compiled code does.
     """
@@ -114,6 +114,7 @@ class Steps:
         self._frames: list[dict[Any, tuple[float, ...]]] | None = None
         self._road_itself = start.env.road
         self._act_itself, self._step_itself = self._road_itself.act, self._road_itself.step
+        self._methods = {"act": self._instead("act", self._act), "step": self._instead("step", self._tick)}
         self._ego: Any = Body(start.env.vehicle.LENGTH, start.env.vehicle.WIDTH) if body is None else body
         self._record = start.record() if start.kind == "planner" else None
         self._recorded = start.vehicles
@@ -125,7 +126,7 @@ class Steps:
         outer, ask = (start.outer, start.action) if start.kind == "policy" else (start.env, lambda *_: None)
         self._frames = [] if is_recorded else None
         self._note()
-        while not (is_over or self.has_ended or self.tick >= start.ticks):
+        while not (is_over or self.has_crashed or self.error or self.tick >= start.ticks):
             before = self.tick
             try:
                 action = ask(seen, before)
@@ -143,34 +144,29 @@ class Steps:
                 raise WorldError(f"wrappers: expected {expected}, received a step that did not, at {at}")
         return start.ended(seed, self.tick, self.error, steps=self.reason, recording=self._recording())
 
-    @property
-    def has_ended(self) -> bool:
-        """True after a crash or an error; the environment's step goes on to its end, but nothing moves any more."""
-        return self.has_crashed or self.error is not None
-
     @contextmanager
     def _replaced(self) -> Iterator[None]:
-        """Replace ``act`` and ``step`` of the road, so that the episode notes or does each tick of the environment.
-
-        An ADS may simulate in a copy of the road, which must not advance the episode. A copy has the same functions,
-        bound to the copy, and then moves its own vehicles.
-        """
+        """Replace ``act`` and ``step`` of the road, so that the episode notes or does each tick of the environment."""
         attributes = vars(self._road_itself)
         own = {name: attributes[name] for name in OWN if name in attributes}
-        attributes.update({name: MethodType(partial(self._instead, name), self._road_itself) for name in OWN})
+        attributes.update(self._methods)
         try:
             yield
         finally:
             del attributes["act"], attributes["step"]
             attributes.update(own)
 
-    def _instead(self, name: str, road: Any, *arguments: float) -> None:
-        """Do ``act`` or ``step`` of a road, which may be a copy of the episode's."""
-        if road is not self._road_itself:
-            getattr(type(road), name)(road, *arguments)
-        elif not self.has_ended:
-            call: Callable[..., None] = self._act if name == "act" else self._tick
-            call(*arguments)
+    def _instead(self, name: str, call: Callable[..., None]) -> MethodType:
+        """Return a method for the episode's road. A copy of the road, in which an ADS simulates, moves by itself."""
+        itself = self._road_itself
+
+        def method(road: Any, *arguments: float) -> None:
+            if road is not itself:
+                getattr(type(road), name)(road, *arguments)
+            elif not (self.has_crashed or self.error):
+                call(*arguments)
+
+        return MethodType(method, itself)
 
     def _act(self) -> None:
         """Let all vehicles decide; the environment has interpreted the action of a policy."""
