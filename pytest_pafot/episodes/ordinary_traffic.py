@@ -134,8 +134,7 @@ class Steps:
                 self.error = error_of(error, before, start.guard)
                 break
             try:
-                with self._replaced():
-                    seen, _, is_terminated, is_truncated, _ = outer.step(action)
+                seen, _, is_terminated, is_truncated, _ = self._stepped(outer, action)
             except Exception as error:
                 raise start.unfit(error) from error
             is_over = bool(is_terminated or is_truncated)
@@ -144,14 +143,13 @@ class Steps:
                 raise WorldError(f"wrappers: expected {expected}, received a step that did not, at {at}")
         return start.ended(seed, self.tick, self.error, steps=self.reason, recording=self._recording())
 
-    @contextmanager
-    def _replaced(self) -> Iterator[None]:
-        """Replace ``act`` and ``step`` of the road, so that the episode notes or does each tick of the environment."""
+    def _stepped(self, env: Any, action: Any) -> Any:
+        """Return the result of ``env.step``, while ``act`` and ``step`` of the road note or do the episode's ticks."""
         attributes = vars(self._road_itself)
         own = {name: attributes[name] for name in OWN if name in attributes}
         attributes.update(self._methods)
         try:
-            yield
+            return env.step(action)
         finally:
             del attributes["act"], attributes["step"]
             attributes.update(own)
@@ -262,8 +260,7 @@ class CompiledSteps(Steps):
     def step(self, action: Any) -> Step:
         """Take one step with an action, and return the values of ``env.step``; the episode ends at a crash's tick."""
         start = self._start
-        with self._replaced():
-            seen, reward, is_terminated, is_truncated, info = start.env.step(action)
+        seen, reward, is_terminated, is_truncated, info = self._stepped(start.env, action)
         is_over = is_truncated or self.tick + start.every > start.ticks or (self.has_crashed and not is_terminated)
         return seen, float(reward), bool(is_terminated), bool(is_over), info
 

@@ -40,6 +40,7 @@ class CompiledRoad:
         self._numbers = {index: number for number, (index, _) in enumerate(self._named)}
         self._x, self._y, _ = lanes.position(0.0, 0) if isinstance(lanes, StraightRoad) else (0.0, 0.0, 0.0)
         self._searched = _searched(road, self._numbers)
+        self._is_regulated = isinstance(road, RegulatedRoad)
 
     def vehicle(self, vehicle: Any) -> GoalVehicle:
         """Return a compiled vehicle in the state of a vehicle of highway-env.
@@ -98,7 +99,7 @@ class CompiledRoad:
 
     def show(self, vehicle: Any, body: GoalVehicle) -> None:
         """Copy the state of a compiled vehicle to a vehicle of highway-env."""
-        x, y, vehicle.heading, vehicle.speed, lane, goal, wanted = body.seen()
+        x, y, vehicle.heading, vehicle.speed, lane, goal, wanted, timer = body.seen()
         vehicle.position = np.array([x + self._x, y + self._y])
         vehicle.action = {"steering": body.steering, "acceleration": body.acceleration}
         vehicle.lane_index, vehicle.lane = self._named[lane]
@@ -106,8 +107,10 @@ class CompiledRoad:
         if body.has_goal:
             vehicle.target_lane_index, vehicle.target_speed = self._named[goal][0], wanted
         if body.drives_itself:
-            vehicle.timer, vehicle.is_yielding = body.timer, body.waited >= 0
-            if vehicle.is_yielding:
+            vehicle.timer = timer
+            if self._is_regulated:
+                vehicle.is_yielding = body.waited >= 0
+            if self._is_regulated and vehicle.is_yielding:
                 vehicle.yield_timer, vehicle.color = body.waited, RegulatedRoad.YIELDING_COLOR
 
 

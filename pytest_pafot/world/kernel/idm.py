@@ -119,9 +119,9 @@ class GoalVehicle(Body):
         self.push_x = x
         self.push_y = y
 
-    def seen(self) -> tuple[float, float, float, float, int, int, float]:
-        """Return its x [m], y [m], heading [rad], speed [m/s], its lane, and the lane and the speed of its goal."""
-        return self.x, self.y, self.heading, self.speed, self._closest, self._goal, self._target_speed
+    def seen(self) -> tuple[float, float, float, float, int, int, float, float]:
+        """Return x [m], y [m], heading [rad], speed [m/s], its lane, its goal's lane and speed, and its timer [s]."""
+        return self.x, self.y, self.heading, self.speed, self._closest, self._goal, self._target_speed, self.timer
 
     def pursue(self) -> None:
         """Set acceleration and steering for the coming tick towards the goal, whatever others do."""
