@@ -41,7 +41,7 @@ from pytest_pafot.world.run_config import Rules
 class ScenarioSteps:
     """A run of one scenario that advances by calls of ``step``.
 
-    The class of the environment must not override highway-env's ``step``, and the scenario must fit the rules.
+    The environment must have one of highway-env's own ``step``, and the scenario must fit the rules.
     """
 
     def __init__(self, environment: GymEnvironment, rules: Rules, scenario: Scenario) -> None:
@@ -101,9 +101,9 @@ class TrainingEnv(gymnasium.Env[Any, Any]):
             fix = "leave it out: a policy learns from the environment's own observations and actions"
             raise WorldError(field="world.planner_hz", expected="None", received=f"{world.planner_hz:g}", fix=fix)
         world.check()
-        if not world.environment.has_ordinary_steps:
-            expected = "an environment that uses highway-env's `step`, so that the NPCs can replace its traffic"
-            received = f"{world.env_id!r}, whose class overrides it"
+        if world.environment.steps_itself(drives_itself=False):
+            expected = "an environment with a `step` and a road of highway-env, so that NPCs can replace its traffic"
+            received = f"{world.env_id!r}, which has its own"
             raise WorldError(field="world", expected=expected, received=received)
         share = checked_number(share, "share", "the share of scenarios among the episodes, 0 to 1", least=0.0, most=1.0)
         self.trace: Trace | None = None
@@ -172,8 +172,8 @@ def training_env(world: World, scenarios: Scenarios = None, share: float = 0.5) 
     traffic) and ``responsible`` (``ego``, ``npc``, ``both`` or ``none`` after a crash in a scenario; otherwise empty).
 
     Args:
-        world: the world. Its environment must not have its own ``step``. It must not have ``planner_hz`` or wrappers;
-            put wrappers around the returned environment.
+        world: the world. Its environment must have a ``step`` and a road of highway-env. The world must not have
+            ``planner_hz`` or wrappers; put wrappers around the returned environment.
         scenarios: a folder with saved scenarios in it or below it; a sequence of scenarios; or a function that samples
             a scenario with a numpy ``Generator``. By default scenarios are random, like the first scenarios of a
             search.

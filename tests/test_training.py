@@ -171,7 +171,7 @@ NOWHERE = Scenario(npcs=BRAKING.npcs, ego_lane=5)
         ({"world": pafot.Highway()}, pafot.WorldError, "an environment with a reward"),
         ({"world": pafot.World("highway-v0", wrappers=[])}, pafot.WorldError, "around the training environment"),
         ({"world": pafot.World("highway-v0", planner_hz=5)}, pafot.WorldError, "world.planner_hz: expected None"),
-        ({"world": pafot.World("intersection-v0")}, pafot.WorldError, "'intersection-v0', whose class overrides it"),
+        ({"world": pafot.World("lane-keeping-v0")}, pafot.WorldError, "'lane-keeping-v0', which has its own"),
         ({"share": 1.5}, ValueError, "share: .* 0 to 1, received 1.5"),
         ({"share": True}, ValueError, "share: .* received True"),
         ({"scenarios": []}, ValueError, "scenarios: expected at least one, received none"),

@@ -71,7 +71,7 @@ class Episode:
             decide, else ``safe``.
         seconds: time driven until the crash, the error or the end of the episode [s].
         error: error of the ADS, if it did not decide, else None.
-        steps: reason why the environment took its own steps; empty if the traffic was compiled.
+        steps: reason why the environment's own code moved its traffic; empty if compiled code did.
         recording: recording of the episode, if requested, else None.
     """
 
@@ -150,11 +150,17 @@ class Start:
     @cached_property
     def compiled_lanes(self) -> StraightRoad | Network | None:
         """The lanes for compiled code, which is fastest on a plain straight road; None if it does not know them."""
-        road, network, straight = self.env.road, self.env.road.network, self.road
-        has_more = road.objects or any(getattr(each, "route", None) for each in road.vehicles)
-        kinds = {(lane.speed_limit, bool(lane.forbidden)) for lane in network.lanes_list()}
-        is_plain = straight is not None and len(kinds) == 1 and not kinds.pop()[1] and not has_more
-        return straight if is_plain else compiled_network(network)
+        return compiled_network(self.env.road.network) if self.road is None or self.more_than_lanes else self.road
+
+    @cached_property
+    def more_than_lanes(self) -> str:
+        """What a straight road has besides lanes of one kind; empty if nothing."""
+        road, lanes = self.env.road, self.env.road.network.lanes_list()
+        if road.objects or any(getattr(each, "route", None) for each in road.vehicles):
+            return "objects or routes"
+        if any(lane.forbidden for lane in lanes):
+            return "lanes closed to lane changes"
+        return "several speed limits" if len({lane.speed_limit for lane in lanes}) > 1 else ""
 
     @property
     def straight(self) -> StraightRoad:

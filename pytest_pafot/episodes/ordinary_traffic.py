@@ -1,27 +1,24 @@
 """Episodes of an unchanged environment: its own start, its own random traffic, and its own flag for crashes.
 
 The start of an episode is the result of ``env.reset`` with its seed. Compiled code then drives the traffic if possible;
-otherwise the environment takes its own steps. Both give the same outcome at the same tick, and positions that differ
-only because numpy rounds some functions differently: by less than 1e-9 m, and up to 1e-7 m where vehicles crawl at an
-intersection, because highway-env's steering is unstable at such speeds.
+otherwise the environment takes its own steps. Both give the same outcome at the same tick, and the same positions up
+to rounding, because numpy rounds some functions differently from the C library: less than 1e-9 m on straight roads, and
+more where a vehicle crawls, because highway-env's steering is unstable at such speeds (8e-3 m in u-turn-v0).
+
+Compiled code does not see changes that a user's environment makes to the vehicles on its road between two steps, such
+as in ``_is_truncated``, except for added and removed vehicles and objects.
 """
 
 from __future__ import annotations
 
 import math
 from array import array
-from collections.abc import Callable
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from types import MethodType
 from typing import Any
 
 import numpy as np
-from highway_env.envs.common.abstract import AbstractEnv
-from highway_env.envs.exit_env import ExitEnv
-from highway_env.envs.intersection_env import IntersectionEnv
-from highway_env.road.regulation import RegulatedRoad
-from highway_env.road.road import Road
-from highway_env.vehicle.controller import ControlledVehicle, MDPVehicle
-from highway_env.vehicle.kinematics import Vehicle
 from highway_env.vehicle.objects import Obstacle
 
 from pytest_pafot.episodes.episode import Episode, EpisodeRecording, Kind, Start, Step
@@ -30,15 +27,21 @@ from pytest_pafot.support.errors import AdsFactoryError, WorldError
 from pytest_pafot.world.driving.ads import AdsFactory, is_vehicle_class, make_ads, wants_env
 from pytest_pafot.world.driving.compiled_vehicle import CompiledRoad, obstacles_on, road_rules
 from pytest_pafot.world.driving.idm_model import idm_model
+from pytest_pafot.world.driving.object_driver import body_of
 from pytest_pafot.world.driving.observations import observe_fast, observer
 from pytest_pafot.world.driving.perception import ads_and_sight
 from pytest_pafot.world.driving.policy import View
 from pytest_pafot.world.guard.failure import UNFIT, closing, error_of
 from pytest_pafot.world.guard.hang_guard import HangGuard
-from pytest_pafot.world.gym_environment import NEUTRAL, GymEnvironment, vehicle_classes_kept
+from pytest_pafot.world.gym_environment import NEUTRAL, GymEnvironment, has_known_step, vehicle_classes_kept
 from pytest_pafot.world.kernel.bodies import Body
+from pytest_pafot.world.kernel.loop import PlannerDriver
 from pytest_pafot.world.kernel.observation import COLUMNS
 from pytest_pafot.world.kernel.traffic import OrdinaryTraffic
+from pytest_pafot.world.stock import ControlledVehicle, MDPVehicle, RegulatedRoad, Road, RoadNetwork, Vehicle, action
+
+OWN = {"act", "step"}
+"""The attributes of a road or vehicle that moves in its own way, instead of that of its class."""
 
 
 def why_not(start: Start) -> str:
@@ -48,62 +51,82 @@ def why_not(start: Start) -> str:
         inner = inner.env
     if inner is not env:
         return f"the environment is wrapped in {type(inner).__name__}"
-    steps = AbstractEnv.step, ExitEnv.step, IntersectionEnv.step
-    is_known = cls.step in steps and cls._simulate is AbstractEnv._simulate
-    if type(road) not in (Road, RegulatedRoad) or not is_known:
+    if not has_known_step(cls):
         return f"{cls.__name__} has its own steps"
+    if type(road) not in (Road, RegulatedRoad) or type(road.network) is not RoadNetwork:
+        return f"the road is a {type(road).__name__} with a {type(road.network).__name__}"
+    if vars(road).keys() & OWN:
+        return "the road has its own steps"
     if start.compiled_lanes is None:
-        return "the road has lanes of a class of its own"
-    if start.kind == "planner" and start.compiled_lanes is not start.road:
-        return "a planner needs lanes of one speed limit, without objects and routes"
-    for each in road.objects:
-        if type(each) is not Obstacle:
-            return f"there is a {type(each).__name__} on the road"
-    for each in road.vehicles:
-        if each is not ego and idm_model(type(each)) is None:
-            return f"the traffic has a {type(each).__name__}, not only IDM and MOBIL"
-        if (each.MIN_SPEED, each.MAX_SPEED) != (Vehicle.MIN_SPEED, Vehicle.MAX_SPEED):
-            return f"a {type(each).__name__} has its own speed limits"
+        has_limits = all(lane.speed_limit is not None for lane in road.network.lanes_list())
+        return f"the road has lanes {'of a class of its own' if has_limits else 'without a speed limit'}"
+    if start.kind == "planner" and start.more_than_lanes:
+        return f"a planner drives on a road with {start.more_than_lanes}"
+    if unknown := _unknown(road.vehicles, road.objects, ego):
+        return unknown
     if start.kind == "vehicle" and not isinstance(ego, ControlledVehicle) and hasattr(ego, "target_speed"):
         return f"{type(ego).__name__} has a target speed and no target lane"
+    if start.kind == "policy" and type(env.action_type).__module__ != action.__name__:
+        return f"the actions are of the class {type(env.action_type).__name__}"
     has_range = getattr(env.action_type, "speed_range", None) is not None  # actions limit the ego's speed to it
     if start.kind == "policy" and (type(ego) not in (MDPVehicle, Vehicle) or has_range):
         return f"the actions drive a {type(ego).__name__} with its own limits"
     decides_itself = start.kind == "planner" or (start.kind == "vehicle" and idm_model(type(ego)) is None)
-    if decides_itself and (road.vehicles[0] is not ego or type(road) is RegulatedRoad):
-        return "the ego is not the first on its road, or the road makes it yield"
+    if decides_itself and type(road) is RegulatedRoad:
+        return f"the road makes vehicles yield, also a {type(ego).__name__}"
+    return "the ego is not the first vehicle on its road" if decides_itself and road.vehicles[0] is not ego else ""
+
+
+def _unknown(vehicles: list[Any], objects: list[Any], ego: Any = None) -> str:
+    """Return the reason why compiled code does not know something on a road; empty if it knows everything."""
+    for each in (*vehicles, *objects):
+        name = type(each).__name__
+        if each in objects and (type(each) is not Obstacle or not each.check_collisions):
+            return f"there is a {name} on the road"
+        if each not in objects and each is not ego and idm_model(type(each)) is None:
+            return f"the traffic has a {name}, not only IDM and MOBIL"
+        if each not in objects and (each.MIN_SPEED, each.MAX_SPEED) != (Vehicle.MIN_SPEED, Vehicle.MAX_SPEED):
+            return f"a {name} has its own speed limits"
+        if not (each.solid and each.collidable):
+            return f"nothing crashes with a {name}"
+        if vars(each).keys() & OWN:
+            return f"a {name} has its own steps"
     return ""
 
 
 class Steps:
-    """An episode in which the environment takes its steps, but something else than its road's functions may do a tick.
+    """An episode in which the environment takes its own steps; it works for any environment and any ADS.
 
     Attributes:
         tick: current tick of the episode.
-        crashed_at: tick at which the ego was flagged as crashed, else None; the environment continues to the end of its
-            step.
+        has_crashed: whether the ego was flagged as crashed. After a crash or an error nothing moves any more, although
+            the environment's step goes on to its end.
         error: error of the ADS, if it did not decide, else None.
+        reason: reason why the road moves its vehicles itself; empty if compiled code does.
     """
 
-    def __init__(self, start: Start, act: Callable[[], None], step: Callable[[float], None]) -> None:
+    def __init__(self, start: Start, reason: str, body: Body | None = None) -> None:
         self.tick = 0
-        self.crashed_at: int | None = None
+        self.has_crashed = False
         self.error: AdsError | None = None
+        self.reason = reason
         self._start = start
         self._frames: list[dict[Any, tuple[float, ...]]] | None = None
-        # A copy of a vehicle with its road shares plain functions. It would copy a method with its object.
-        start.env.road.act, start.env.road.step = lambda: act(), lambda dt: step(dt)  # noqa: PLW0108
+        self._road_itself = start.env.road
+        self._act_itself, self._step_itself = self._road_itself.act, self._road_itself.step
+        self._methods = {"act": self._instead("act", self._act), "step": self._instead("step", self._tick)}
+        self._ego: Any = Body(start.env.vehicle.LENGTH, start.env.vehicle.WIDTH) if body is None else body
+        self._record = start.record() if start.kind == "planner" else None
+        self._recorded = start.vehicles
+        self._driver = None if self._record is None else start.driver(self._ego, self._record)
 
-    def run(self, seed: int, reason: str, *, is_recorded: bool) -> Episode:
-        """Take steps until the episode is over, and return its result.
-
-        ``reason`` says why its traffic is not compiled, and is stored in the result.
-        """
+    def run(self, seed: int, *, is_recorded: bool) -> Episode:
+        """Take steps until the episode is over, and return its result."""
         start, seen, is_over = self._start, self._start.seen, False
         outer, ask = (start.outer, start.action) if start.kind == "policy" else (start.env, lambda *_: None)
         self._frames = [] if is_recorded else None
         self._note()
-        while not (is_over or self.error or self.crashed_at or self.tick >= start.ticks):
+        while not (is_over or self.has_crashed or self.error or self.tick >= start.ticks):
             before = self.tick
             try:
                 action = ask(seen, before)
@@ -111,36 +134,86 @@ class Steps:
                 self.error = error_of(error, before, start.guard)
                 break
             try:
-                seen, _, is_terminated, is_truncated, _ = outer.step(action)
+                seen, _, is_terminated, is_truncated, _ = self._stepped(outer, action)
             except Exception as error:
                 raise start.unfit(error) from error
             is_over = bool(is_terminated or is_truncated)
             if self.tick == before and self.error is None:
-                raise WorldError(
-                    "wrappers: expected their step to step the environment, received a step that did not, at "
-                    f"{before / start.physics_hz:.1f} s of an episode"
-                )
-        tick = self.tick if self.crashed_at is None else self.crashed_at
-        tick = tick if self.error is None else self.error.tick
-        return start.ended(seed, tick, self.error, steps=reason, recording=self._recording())
+                expected, at = "their step to step the environment", f"{before / start.physics_hz:.1f} s of an episode"
+                raise WorldError(f"wrappers: expected {expected}, received a step that did not, at {at}")
+        return start.ended(seed, self.tick, self.error, steps=self.reason, recording=self._recording())
 
-    def _ticked(self) -> None:
-        """Count a tick in which all vehicles have moved."""
-        self.tick += 1
-        if self._start.env.vehicle.crashed and self.crashed_at is None:
-            self.crashed_at = self.tick
-        self._note()
+    def _stepped(self, env: Any, action: Any) -> Any:
+        """Return the result of ``env.step``, while ``act`` and ``step`` of the road note or do the episode's ticks."""
+        attributes = vars(self._road_itself)
+        own = {name: attributes[name] for name in OWN if name in attributes}
+        attributes.update(self._methods)
+        try:
+            return env.step(action)
+        finally:
+            del attributes["act"], attributes["step"]
+            attributes.update(own)
 
-    def _guarded(self, call: Callable[..., None], *arguments: float) -> None:
-        """Call the user's code under guard; nothing after an error."""
+    def _instead(self, name: str, call: Callable[..., None]) -> MethodType:
+        """Return a method for the episode's road. A copy of the road, in which an ADS simulates, moves by itself."""
+        itself = self._road_itself
+
+        def method(road: Any, *arguments: float) -> None:
+            if road is not itself:
+                getattr(type(road), name)(road, *arguments)
+            elif not (self.has_crashed or self.error):
+                call(*arguments)
+
+        return MethodType(method, itself)
+
+    def _act(self) -> None:
+        """Let all vehicles decide; the environment has interpreted the action of a policy."""
+        if self._start.eyes is not None:
+            self._start.eyes.note()
+        if self._driver is not None and self._record is not None:
+            self._plan(self._driver, self._record)
+        self._guarded(self._act_itself)
+
+    def _step(self, dt: float) -> None:
+        """Move all vehicles."""
+        self._guarded(self._step_itself, dt)
+        self._guarded(body_of, self._start.env.vehicle)  # it raises BadAction for NaN
+
+    def _tick(self, dt: float) -> None:
+        """Do a tick, and count it unless the ADS raised an error."""
+        self._step(dt)
         if self.error is None:
+            self.tick += 1
+            self.has_crashed = bool(self._start.env.vehicle.crashed)
+            self._note()
+
+    def _guarded(self, call: Callable[..., object], *arguments: Any) -> None:
+        """Call code that may be the ADS's, under guard if it is; nothing after an error."""
+        if self._start.kind != "vehicle":
+            call(*arguments)
+        elif self.error is None:
             try:
                 self._start.guarded(call, *arguments)
             except UNFIT as error:
                 self.error = error_of(error, self.tick, self._start.guard)
 
+    def _plan(self, driver: PlannerDriver, record: array[float]) -> None:
+        """Let a planner decide on the vehicles that were there at the start, and set the controls of its ego."""
+        straight, ego, count = self._start.straight, self._start.env.vehicle, len(self._recorded)
+        for row, each in enumerate(self._recorded):
+            at = (self.tick * count + row) * COLUMNS
+            pose = straight.project(float(each.position[0]), float(each.position[1]), float(each.heading))
+            held = each.action["acceleration"], each.action["steering"]
+            record[at : at + 6] = array("d", (*pose, each.speed, *held))
+        x, y = map(float, ego.position)
+        self._ego.place(*straight.project(x, y, ego.heading), ego.speed)
+        if self.tick % driver.every == 0:
+            self.error = driver.decide(self.tick)
+        driver.actuate()
+        ego.control(self._ego.acceleration, self._ego.steering)
+
     def _note(self) -> None:
-        if self._frames is not None and self.crashed_at in (None, self.tick):
+        if self._frames is not None:
             poses = {each: (*each.position, each.heading, each.speed) for each in self._start.vehicles}
             self._frames.append(poses)
 
@@ -162,7 +235,8 @@ class CompiledSteps(Steps):
     """An episode among highway-env's IDM and MOBIL vehicles, all of which compiled code moves.
 
     The environment still creates the start and the observations, interprets actions, and decides when the episode is
-    over. Before each of these, its vehicles are moved to the places that the compiled code has computed.
+    over. Before each of these, its vehicles are moved to the places that the compiled code has computed. If it adds
+    something to the road that compiled code does not know, the road moves its vehicles itself from then on.
     :func:`why_not` must have returned an empty text for the start.
     """
 
@@ -171,64 +245,81 @@ class CompiledSteps(Steps):
         assert start.compiled_lanes is not None  # noqa: S101  (see why_not)
         self._road = CompiledRoad(env.road, start.compiled_lanes)
         self._bodies = {each: self._road.vehicle(each) for each in env.road.vehicles}
-        self._ego = self._bodies[env.vehicle]
-        record = start.record() if start.kind == "planner" else None
+        self._objects = list(env.road.objects)
+        super().__init__(start, "", self._bodies[env.vehicle])
         self._traffic = OrdinaryTraffic(
             list(self._bodies.values()),
             obstacles_on(env.road),
             1 / start.physics_hz,
-            record,
+            self._record,
             road_rules(env.road, start.compiled_lanes, start.physics_hz),
         )
-        self._planner = None if record is None else start.driver(self._ego, record)
-        super().__init__(start, self._act, self._step)
         if start.kind == "policy" and start.eyes is None:
             env.observation_type.observe = observer(env)
 
     def step(self, action: Any) -> Step:
         """Take one step with an action, and return the values of ``env.step``; the episode ends at a crash's tick."""
         start = self._start
-        seen, reward, is_terminated, is_truncated, info = start.env.step(action)
-        is_truncated = bool(is_truncated) or self.tick + start.every > start.ticks
-        return seen, float(reward), bool(is_terminated), is_truncated, info
+        seen, reward, is_terminated, is_truncated, info = self._stepped(start.env, action)
+        is_over = is_truncated or self.tick + start.every > start.ticks or (self.has_crashed and not is_terminated)
+        return seen, float(reward), bool(is_terminated), bool(is_over), info
 
     def _act(self) -> None:
         """Let the ego decide, unless its model does; the environment has interpreted the action of a policy."""
-        if self._is_over():
-            return
-        start, ego, vehicles = self._start, self._start.env.vehicle, self._start.env.road.vehicles
-        if vehicles != list(self._bodies):  # the environment has added or removed some after its last step
-            self._bodies = {each: self._bodies.get(each) or self._road.vehicle(each) for each in vehicles}
-            self._traffic.vehicles = list(self._bodies.values())
-        if self._planner is not None:
-            if self.tick % self._planner.every == 0:
-                self.error = self._planner.decide(self.tick)
-            self._planner.actuate()
+        start, ego, road = self._start, self._start.env.vehicle, self._road_itself
+        if start.kind == "policy" and not self.reason and self.tick % start.every == 0:
+            self._road.take(ego, self._ego)
+        if not self.reason and (road.vehicles != list(self._bodies) or road.objects != self._objects):
+            self._follow_changes()
+        if self.reason:
+            super()._act()
+        elif self._driver is not None:
+            if self.tick % self._driver.every == 0:
+                self.error = self._driver.decide(self.tick)
+            self._driver.actuate()
         elif start.kind == "policy":
-            if self.tick % start.every == 0:
-                self._road.take(ego, self._ego)
             if start.eyes is not None:  # an imperfect sight stores the places of all vehicles
                 self._show()
                 start.eyes.note()
         elif not self._ego.drives_itself:
             self._show()
-            self._guarded(ego.act)
-            self._road.take(ego, self._ego)
-            self._guarded(ego.step, 1 / start.physics_hz)
-            self._ego.acceleration = float(ego.action["acceleration"])  # its step may have limited it
-            self._ego.lead(*self._road.state(ego))
+            self._guarded(self._move_ego)
+
+    def _move_ego(self) -> None:
+        """Let the ego act and step by its own code; the compiled one will be where it has gone."""
+        ego = self._start.env.vehicle
+        ego.act()
+        self._road.take(ego, self._ego)
+        ego.step(1 / self._start.physics_hz)
+        body_of(ego)  # it raises BadAction for NaN
+        self._ego.lead(*self._road.state(ego))
 
     def _step(self, dt: float) -> None:
-        if self._is_over():
+        if self.reason:
+            super()._step(dt)
             return
         self._traffic.step()
+        if self._start.kind == "vehicle" and not self._ego.drives_itself:  # its own step may have set these too
+            self._guarded(self._road.take, self._start.env.vehicle, self._ego)
         if self._ego.crashed or self._frames is not None or (self.tick + 1) % self._start.every == 0:
             self._show()
-        self._ticked()
 
-    def _is_over(self) -> bool:
-        """Return whether an error or a crash has ended the episode, although the environment's step goes on."""
-        return self.error is not None or self.crashed_at is not None
+    def _follow_changes(self) -> None:
+        """Drive the vehicles that the environment has added after its last step too, or let the road move them all."""
+        road, bodies = self._road_itself, self._bodies
+        is_strange = road.objects != self._objects or self._driver is not None  # a planner's record has a fixed size
+        changed = "the environment changes what is on its road" if is_strange else ""
+        self.reason = _unknown([each for each in road.vehicles if each not in bodies], []) or changed
+        if self.reason:
+            for vehicle, body in bodies.items():
+                self._road.show(vehicle, body)
+                if body.is_pushed:
+                    vehicle.impact = np.array([body.push_x, body.push_y])
+            if isinstance(road, RegulatedRoad):
+                road.steps += self.tick  # it has not counted the ticks of compiled code
+            return
+        self._bodies = {each: bodies[each] if each in bodies else self._road.vehicle(each) for each in road.vehicles}
+        self._traffic.vehicles = list(self._bodies.values())
 
     def _show(self) -> None:
         """Move the environment's vehicles to the places of the compiled ones."""
@@ -236,46 +327,14 @@ class CompiledSteps(Steps):
             self._road.show(vehicle, body)
 
 
-class OwnSteps(Steps):
-    """An episode by the environment's own steps, which works for any environment and any ADS."""
-
-    def __init__(self, start: Start) -> None:
-        road, is_policy = start.env.road, start.kind == "policy"
-        own_act, own_step = road.act, road.step
-
-        def act() -> None:
-            if start.eyes is not None:
-                start.eyes.note()
-            own_act() if is_policy else self._guarded(own_act)
-
-        def step(dt: float) -> None:
-            own_step(dt) if is_policy else self._guarded(own_step, dt)
-            self._ticked()
-
-        super().__init__(start, act, step)
-        if start.kind == "planner":
-            start.env.vehicle.act = self._planner()
-
-    def _planner(self) -> Callable[..., None]:
-        """Return the ``act`` of an ego that a planner drives."""
-        start, ego, count = self._start, self._start.env.vehicle, len(self._start.vehicles)
-        record, body = start.record(), Body(ego.LENGTH, ego.WIDTH)
-        driver = start.driver(body, record)
-
-        def act(action: Any = None) -> None:
-            for row, each in enumerate(start.vehicles):
-                at = (self.tick * count + row) * COLUMNS
-                pose = start.straight.project(float(each.position[0]), float(each.position[1]), float(each.heading))
-                held = each.action["acceleration"], each.action["steering"]
-                record[at : at + 6] = array("d", (*pose, each.speed, *held))
-            x, y = map(float, ego.position)
-            body.place(*start.straight.project(x, y, ego.heading), ego.speed)
-            error = driver.decide(self.tick) if self.tick % driver.every == 0 else None
-            self.error = self.error or error
-            driver.actuate()
-            ego.control(body.acceleration, body.steering)
-
-        return act
+@contextmanager
+def _unrewarded(env: Any) -> Iterator[None]:
+    """Leave out the reward and the information of an environment's steps, which take time and nothing reads."""
+    env._reward, env._info = lambda *_: 0.0, lambda *_: {}
+    try:
+        yield
+    finally:
+        del env._reward, env._info  # it is used again
 
 
 def drive(
@@ -325,11 +384,11 @@ def drive(
             if start.eyes is not None:
                 at_the_end.callback(start.eyes.close)
             reason = why_not(start) if may_compile else "that was requested"
-            steps = OwnSteps(start) if reason else CompiledSteps(start)
-            env = start.env
-            if not (reason and kind == "policy"):  # nothing reads them, but a wrapper may
-                env._reward, env._info = lambda *_: 0.0, lambda *_: {}
-                at_the_end.callback(lambda: [vars(env).pop(name) for name in ("_reward", "_info")])  # it is used again
+            steps = Steps(start, reason) if reason else CompiledSteps(start)
             if kind != "policy":
-                env.observation_type.observe = lambda: 0.0
-            return steps.run(seed, reason, is_recorded=is_recorded)
+                start.env.observation_type.observe = lambda: 0.0
+            rewards = type(start.env)._reward, type(start.env)._rewards, type(start.env)._info
+            # A wrapper may read rewards, and a user's environment may end an episode by its own.
+            if kind != "policy" or (not reason and all(each.__module__.startswith("highway_env.") for each in rewards)):
+                at_the_end.enter_context(_unrewarded(start.env))
+            return steps.run(seed, is_recorded=is_recorded)

@@ -39,7 +39,7 @@ class EpisodeRow:
     outcome: str  # ``collision``, ``safe``, or, if the ADS did not decide, ``ads_error`` or ``hang``
     seconds: float  # time driven until the end
     error: str  # error of the ADS, if it did not decide; else empty
-    steps: str  # reason why the environment itself stepped the traffic; empty if compiled code did
+    steps: str  # reason why the environment's own code moved its traffic; empty if compiled code did
 
 
 COLUMNS = tuple(field.name for field in fields(EpisodeRow))

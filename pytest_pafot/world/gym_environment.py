@@ -203,16 +203,7 @@ class GymEnvironment:
         """
         env, road = type(self.unwrapped), type(self.unwrapped.road)
         has_own_road = road is not RegulatedRoad and (road.step is not Road.step or road.act is not Road.act)
-        steps = AbstractEnv.step, IntersectionEnv.step, ExitEnv.step
-        is_known = env.step in steps and env._simulate is AbstractEnv._simulate
-        return has_own_road or not (is_known or drives_itself)
-
-    @property
-    def has_ordinary_steps(self) -> bool:
-        """True if neither the environment nor its road overrides the ``step`` of highway-env's base classes."""
-        env, road = type(self.unwrapped), type(self.unwrapped.road)
-        has_own_step = env.step is not AbstractEnv.step or env._simulate is not AbstractEnv._simulate
-        return not has_own_step and road.step is Road.step and road.act is Road.act
+        return has_own_road or not (drives_itself or has_known_step(env))
 
     @property
     def whole_config(self) -> dict[str, Any]:
@@ -234,6 +225,11 @@ class GymEnvironment:
         """The configuration that overrides the defaults, as in gymnasium: the user's, or else the registered one's."""
         registered: dict[str, Any] = gymnasium.registry[self.env_id].kwargs.get("config") or {}
         return registered if self.config is None else self.config
+
+
+def has_known_step(cls: Any) -> bool:
+    """Return whether a class of environments has one of highway-env's own ``step``, which moves traffic by its road."""
+    return cls.step in (AbstractEnv.step, IntersectionEnv.step, ExitEnv.step) and cls._simulate is AbstractEnv._simulate
 
 
 def wrapper_names(env: Any) -> list[str]:

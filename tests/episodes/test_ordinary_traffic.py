@@ -1,14 +1,19 @@
 """Episodes in an environment's own traffic: compiled as with the environment's own steps, for every kind of ADS."""
 
+import copy
+import math
 import time
+from functools import partial
 
 import gymnasium
 import numpy as np
 import pytest
 from highway_env.envs.highway_env import HighwayEnvFast
+from highway_env.road.road import RoadNetwork
 from highway_env.vehicle.behavior import IDMVehicle
-from highway_env.vehicle.controller import MDPVehicle
+from highway_env.vehicle.controller import ControlledVehicle, MDPVehicle
 from highway_env.vehicle.kinematics import Vehicle
+from highway_env.vehicle.objects import Obstacle
 
 import pytest_pafot as pafot
 from example_ads import constant_speed, idm_mobil
@@ -25,6 +30,7 @@ from tests.helpers.stages import oracle
 
 SHORT = {"vehicles_count": 10, "duration": 15}
 FAST = pafot.World("highway-fast-v0", SHORT)
+BRIEF = pafot.World("highway-fast-v0", {**SHORT, "duration": 4})
 CRASHING = pafot.World("highway-v0", {**SHORT, "lanes_count": 2, "simulation_frequency": 10, "vehicles_density": 2})
 SWERVING = {"vehicles_count": 6, "duration": 5, "action": {"type": "ContinuousAction"}, "policy_frequency": 5}
 CONTINUOUS = pafot.World("highway-fast-v0", SWERVING)
@@ -170,7 +176,7 @@ def test_crash_is_cut_where_highway_env_flags_it():
 
 
 def test_other_traffic_or_roads_use_environment_steps():
-    assert "the ego is not the first" in driven(INTERSECTION, Sluggish, 0).steps
+    assert "makes vehicles yield, also a Sluggish" in driven(INTERSECTION, lambda: Sluggish, 0).steps
     parking = driven(pafot.World("parking-v0", {"duration": 1}), lambda: lambda seen: (0.0, 0.0), 0)
     assert "a Landmark on the road" in parking.steps
     ranged = {**SWERVING, "action": {"type": "ContinuousAction", "speed_range": [0.0, 22.0]}, "duration": 2}
@@ -210,7 +216,7 @@ def test_straight_road_with_several_speed_limits_is_compiled_but_not_for_planner
             driven(world, idm_mobil.make, 0, is_recorded=True, may_compile=may_compile) for may_compile in (True, False)
         )
         assert (compiled.steps, difference(compiled, stepped) <= WITHIN) == ("", True)
-        assert "one speed limit" in driven(world, constant_speed.make, 0, is_planner=True).steps
+        assert "several speed limits" in driven(world, constant_speed.make, 0, is_planner=True).steps
     finally:
         del gymnasium.registry["limits-v0"]
 
@@ -314,3 +320,294 @@ def test_imperfect_planner_sight_is_same_compiled_or_stepped():
     compiled, stepped, perfect = shown
     assert compiled == [pytest.approx(each, abs=1e-6) for each in stepped]
     assert {len(each) for each in compiled} != {len(each) for each in perfect} == {11}
+
+
+class LooksAhead(IDMVehicle):
+    """A vehicle class that simulates in a copy of its road, and brakes if it crashes there."""
+
+    looks = True
+
+    def act(self, action=None):
+        super().act(action)
+        if self.looks:
+            self.looks = False
+            copied = copy.deepcopy(self)
+            self.looks = True
+            for _ in range(3):
+                copied.road.act()
+                copied.road.step(0.1)
+            self.action["acceleration"] = -6.0 if copied.crashed else copied.speed / 100 - copied.timer
+
+
+class ChangesGoalInStep(ControlledVehicle):
+    """A vehicle class that decides on its speed and lane only after it has moved."""
+
+    def step(self, dt):
+        super().step(dt)
+        self.target_speed += 0.5
+        start, end, lane = self.lane_index
+        self.target_lane_index = start, end, max(0, lane - 1)
+
+
+class SaysThatItCrashed(IDMVehicle):
+    """A vehicle class that flags itself as crashed after its first step."""
+
+    def step(self, dt):
+        super().step(dt)
+        self.crashed = True
+
+
+class ReadsTimers(IDMVehicle):
+    """A vehicle class that brakes by the times since others have last decided on their lanes."""
+
+    def act(self, action=None):
+        super().act(action)
+        self.action["acceleration"] = -sum(each.timer for each in self.road.vehicles[1:]) / 10
+
+
+class Unfinished(IDMVehicle):
+    """A vehicle class whose acceleration is not a number."""
+
+    def act(self, action=None):
+        super().act(action)
+        self.action["acceleration"] = math.nan
+
+
+class RaisesAfterASecond(IDMVehicle):
+    """A vehicle class with an error in one of its decisions."""
+
+    asked = 0
+
+    def act(self, action=None):
+        if self.asked == 5:
+            raise ValueError("no plan")
+        self.asked += 1
+        super().act(action)
+
+
+def plain_states(world, vehicle_class, seed, ticks):
+    """Return the states of all vehicles at each tick, by highway-env's road alone."""
+    env = gymnasium.make(world.env_id, config=world.config).unwrapped
+    env.reset(seed=seed)
+    old, road, states = env.vehicle, env.road, []
+    ego = vehicle_class(road, old.position, old.heading, old.speed)
+    road.vehicles = [ego if each is old else each for each in road.vehicles]
+    for _ in range(ticks):
+        states.append([[*each.position, each.heading, each.speed] for each in road.vehicles])
+        road.act()
+        road.step(1 / env.config["simulation_frequency"])
+    return np.array(states)
+
+
+@pytest.mark.parametrize("may_compile", [True, False])
+@pytest.mark.parametrize(
+    ("vehicle_class", "seconds", "error"),
+    [
+        (LooksAhead, 4.0, None),
+        (ChangesGoalInStep, None, None),
+        (SaysThatItCrashed, 0.2, None),
+        (ReadsTimers, None, None),
+        (Unfinished, 0.0, "BadAction"),
+        (RaisesAfterASecond, 1.0, "ValueError"),
+    ],
+)
+def test_vehicle_class_drives_as_on_the_road_alone(vehicle_class, seconds, error, may_compile):
+    episode = driven(BRIEF, lambda: vehicle_class, 0, is_recorded=True, may_compile=may_compile)
+    assert (bool(episode.steps), episode.error and episode.error.kind) == (not may_compile, error)
+    assert seconds in (episode.seconds, None)
+    frames = round(5 * episode.seconds)
+    assert len(episode.recording.states) == frames + 1
+    plain = plain_states(BRIEF, vehicle_class, 0, frames)
+    assert frames == 0 or np.abs(episode.recording.states[:-1] - plain).max() <= WITHIN
+
+
+class MovedAside(HighwayEnvFast):
+    """Vehicles start closer to another lane than to theirs."""
+
+    def _create_vehicles(self):
+        super()._create_vehicles()
+        for each in self.road.vehicles:
+            each.position = each.position + np.array([0.0, 3.0])
+
+
+class Touched(HighwayEnvFast):
+    """Two vehicles are in a contact before the start."""
+
+    def _reset(self):
+        super()._reset()
+        if len(self.road.vehicles) == 1:
+            return
+        _, one, other = self.road.vehicles[:3]
+        other.position, other.speed = one.position + np.array([5.2, 0.0]), 10.0
+        one.check_collisions, one.speed = True, 30.0
+        while one.impact is None:
+            self.road.step(0.01)
+
+
+class OneVehicleBrakes(HighwayEnvFast):
+    """A vehicle has its own function to act."""
+
+    def _create_vehicles(self):
+        super()._create_vehicles()
+        for each in self.road.vehicles[1:2]:
+            each.act = partial(Vehicle.act, each, {"steering": 0.0, "acceleration": -3.0})
+
+
+class SlowRoad(HighwayEnvFast):
+    """The road has its own function to step."""
+
+    def _create_road(self):
+        super()._create_road()
+        own = self.road.step
+
+        def step(dt):
+            own(dt)
+            for each in self.road.vehicles[1:]:
+                each.speed *= 0.97
+
+        self.road.step = step
+
+
+class Ghosts(HighwayEnvFast):
+    """Nothing crashes with other vehicles."""
+
+    def _create_vehicles(self):
+        super()._create_vehicles()
+        for each in self.road.vehicles[1:]:
+            each.solid = False
+
+
+class NoSideLanes(RoadNetwork):
+    """A network on which nobody changes lanes."""
+
+    def side_lanes(self, lane_index):
+        return []
+
+
+class WithoutLaneChanges(HighwayEnvFast):
+    """The road has a network of another class."""
+
+    def _create_road(self):
+        super()._create_road()
+        network = NoSideLanes()
+        network.graph, self.road.network = self.road.network.graph, network
+
+
+class LongObstacle(HighwayEnvFast):
+    """An obstacle is longer than highway-env's."""
+
+    def _create_vehicles(self):
+        super()._create_vehicles()
+        obstacle = Obstacle(self.road, [self.vehicle.position[0] + 120, 4.0])
+        obstacle.LENGTH = 20.0
+        self.road.objects.append(obstacle)
+
+
+class GhostObstacle(LongObstacle):
+    """Nothing crashes with an obstacle."""
+
+    def _create_vehicles(self):
+        super()._create_vehicles()
+        self.road.objects[0].collidable = False
+
+
+class AddsObstacle(HighwayEnvFast):
+    """An obstacle appears ahead of the ego."""
+
+    def _is_truncated(self):
+        if self.steps == 10:
+            place = self.vehicle.position + np.array([60.0, 0.0])
+            self.road.objects.append(Obstacle(self.road, place))
+        return super()._is_truncated()
+
+
+class AddsVehicles(HighwayEnvFast):
+    """A vehicle without a goal appears ahead of the ego."""
+
+    def _is_truncated(self):
+        if self.steps == 10:
+            self.road.vehicles.append(Vehicle(self.road, self.vehicle.position + np.array([40.0, 0.0]), 0.0, 5.0))
+        return super()._is_truncated()
+
+
+class EnoughReward(HighwayEnvFast):
+    """An episode ends after some reward."""
+
+    def _reset(self):
+        super()._reset()
+        self.total = 0.0
+
+    def _reward(self, action):
+        self.total += super()._reward(action)
+        return super()._reward(action)
+
+    def _is_terminated(self):
+        return super()._is_terminated() or self.total > 3.0
+
+
+@pytest.fixture
+def world_of():
+    """Return a function that makes the world of an environment's class, which is registered for one test."""
+    names = []
+
+    def make(cls, **config):
+        names.append(f"{cls.__name__}-v0")
+        gymnasium.register(names[-1], entry_point=cls)
+        return pafot.World(names[-1], {"vehicles_count": 9, "duration": 5, **config})
+
+    yield make
+    for name in names:
+        del gymnasium.registry[name]
+
+
+@pytest.mark.parametrize(
+    ("cls", "reason"),
+    [
+        (MovedAside, ""),
+        (Touched, ""),
+        (OneVehicleBrakes, "a IDMVehicle has its own steps"),
+        (SlowRoad, "the road has its own steps"),
+        (Ghosts, "nothing crashes with a IDMVehicle"),
+        (WithoutLaneChanges, "the road is a Road with a NoSideLanes"),
+        (LongObstacle, ""),
+        (GhostObstacle, "nothing crashes with a Obstacle"),
+        (AddsObstacle, "the environment changes what is on its road"),
+        (AddsVehicles, "the traffic has a Vehicle, not only IDM and MOBIL"),
+        (EnoughReward, ""),
+    ],
+)
+def test_changed_environment_drives_as_by_its_own_steps(world_of, cls, reason):
+    world, policy = world_of(cls), lambda: lambda seen: 1
+    compiled, stepped = (
+        driven(world, policy, 1, is_recorded=True, may_compile=may_compile) for may_compile in (True, False)
+    )
+    assert (compiled.steps, stepped.steps) == (reason, "that was requested")
+    assert difference(compiled, stepped) <= WITHIN
+
+
+def test_vehicles_of_another_class_that_appear_are_driven_by_the_road():
+    aggressive = {"other_vehicles_type": "highway_env.vehicle.behavior.AggressiveVehicle", "duration": 8}
+    world = pafot.World("intersection-v0", {**aggressive, "initial_vehicle_count": 1, "spawn_probability": 1.0})
+    compiled, stepped = (
+        driven(world, lambda: lambda seen: 2, 10, is_recorded=True, may_compile=may_compile)
+        for may_compile in (True, False)
+    )
+    assert compiled.steps == "the traffic has a AggressiveVehicle, not only IDM and MOBIL"
+    assert difference(compiled, stepped) <= WITHIN
+
+
+class DrivesOn(HighwayEnvFast):
+    """An environment that does not end its episodes after crashes."""
+
+    def _is_terminated(self):
+        return False
+
+
+def test_training_episode_ends_at_a_crash(world_of):
+    env = pafot.training_env(world_of(DrivesOn, vehicles_count=20, duration=30), share=0.0)
+    env.reset(seed=5)
+    results = [env.step(3)]
+    while not (results[-1][2] or results[-1][3]):
+        results.append(env.step(3))
+    assert (results[-1][2:4], results[-1][4]["crashed"]) == ((False, True), True)
+    assert len(results) < 20

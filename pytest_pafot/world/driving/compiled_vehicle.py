@@ -40,6 +40,7 @@ class CompiledRoad:
         self._numbers = {index: number for number, (index, _) in enumerate(self._named)}
         self._x, self._y, _ = lanes.position(0.0, 0) if isinstance(lanes, StraightRoad) else (0.0, 0.0, 0.0)
         self._searched = _searched(road, self._numbers)
+        self._is_regulated = isinstance(road, RegulatedRoad)
 
     def vehicle(self, vehicle: Any) -> GoalVehicle:
         """Return a compiled vehicle in the state of a vehicle of highway-env.
@@ -71,13 +72,16 @@ class CompiledRoad:
         body.has_goal = isinstance(vehicle, ControlledVehicle)
         body.drives_itself = idm_model(type(vehicle)) is not None
         body.checks = bool(vehicle.check_collisions)
-        body.crashed = bool(vehicle.crashed)
+        body.diagonal = float(vehicle.diagonal)
         body.waited = vehicle.yield_timer if getattr(vehicle, "is_yielding", False) else -1
         if not hasattr(vehicle, "target_speed"):
             body.taken_for = 0.0  # highway-env's IDM treats it as one that wants to stand still
         body.start(*self.state(vehicle), bool(getattr(vehicle, "enable_lane_change", True)))
-        if hasattr(vehicle, "timer"):
-            body.wait(float(vehicle.timer))
+        body.stay(self._numbers[vehicle.lane_index])
+        body.timer = float(getattr(vehicle, "timer", body.timer))
+        if vehicle.impact is not None:
+            body.push(*map(float, vehicle.impact))
+            vehicle.impact = None
         self.take(vehicle, body)
         return body
 
@@ -87,20 +91,27 @@ class CompiledRoad:
         return float(x) - self._x, float(y) - self._y, float(vehicle.heading), float(vehicle.speed)
 
     def take(self, vehicle: Any, body: GoalVehicle) -> None:
-        """Copy the goal of a vehicle of highway-env to a compiled one, and its controls, which a goal may replace."""
+        """Copy the goal of a vehicle of highway-env, its controls, which a goal may replace, and whether it crashed."""
         if body.has_goal:
             body.aim(self._numbers[vehicle.target_lane_index], float(vehicle.target_speed))
         body.acceleration, body.steering = float(vehicle.action["acceleration"]), float(vehicle.action["steering"])
+        body.crashed = body.crashed or bool(vehicle.crashed)
 
     def show(self, vehicle: Any, body: GoalVehicle) -> None:
         """Copy the state of a compiled vehicle to a vehicle of highway-env."""
-        x, y, vehicle.heading, vehicle.speed, lane, goal, wanted = body.seen()
+        x, y, vehicle.heading, vehicle.speed, lane, goal, wanted, timer = body.seen()
         vehicle.position = np.array([x + self._x, y + self._y])
         vehicle.action = {"steering": body.steering, "acceleration": body.acceleration}
         vehicle.lane_index, vehicle.lane = self._named[lane]
         vehicle.crashed = body.crashed
         if body.has_goal:
             vehicle.target_lane_index, vehicle.target_speed = self._named[goal][0], wanted
+        if body.drives_itself:
+            vehicle.timer = timer
+            if self._is_regulated:
+                vehicle.is_yielding = body.waited >= 0
+            if self._is_regulated and vehicle.is_yielding:
+                vehicle.yield_timer, vehicle.color = body.waited, RegulatedRoad.YIELDING_COLOR
 
 
 def _searched(road: Any, numbers: dict[Any, int]) -> list[list[tuple[int, float]]]:
@@ -147,7 +158,7 @@ def obstacles_on(road: Any) -> list[Body]:
     bodies: list[Body] = []
     for each in road.objects:
         if not isinstance(each, Landmark):
-            bodies.append(StaticObstacle(float(each.LENGTH), float(each.WIDTH)))
+            bodies.append(StaticObstacle(float(each.LENGTH), float(each.WIDTH), float(each.diagonal)))
             x, y = map(float, each.position)
             bodies[-1].place(x, y, float(each.heading), float(each.speed))
     return bodies

@@ -45,7 +45,9 @@ class GoalVehicle(Body):
             for its current speed.
         checks: true if it tests for crashes; a pair is tested if one of the two does.
         crashed: true if highway-env would flag it as crashed.
-        diagonal: the diagonal of its box [m].
+        is_pushed: true if a contact will move it by ``push_x`` and ``push_y`` [m] in the next tick.
+        diagonal: the length for the first test of a contact, usually the diagonal of its box [m].
+        timer: the time since its last decision on lanes [s].
         waited: the number of decisions of the road's rules for which it has yielded; -1 if it does not yield.
     """
 
@@ -56,9 +58,9 @@ class GoalVehicle(Body):
         self.crashed = False
         self.diagonal = math.hypot(self.length, self.width)
         self.waited = -1
-        self._is_led = self._is_pushed = False
+        self._is_led = self.is_pushed = False
         self._next_x = self._next_y = self._next_heading = self._next_speed = 0.0
-        self._push_x = self._push_y = 0.0
+        self.push_x = self.push_y = 0.0
         self._lanes = lanes
         self._speed_limit = speed_limit
         self._acc_max = constants["ACC_MAX"]
@@ -79,7 +81,7 @@ class GoalVehicle(Body):
         self._closest = 0
         self._goal = 0
         self._target_speed = 0.0
-        self._timer = 0.0
+        self.timer = 0.0
         self._routed = -1  # the lane that a route demands, counted from the left; -1 for none
 
     def start(self, x: float, y: float, heading: float, speed: float, changes_lanes: bool) -> None:
@@ -88,7 +90,7 @@ class GoalVehicle(Body):
         self._changes_lanes = changes_lanes
         self._closest = self._goal = self._found(self)
         self._target_speed = speed
-        self._timer = ((x + y) * math.pi) % self._delay  # as in highway-env, so that not all vehicles decide at once
+        self.timer = ((x + y) * math.pi) % self._delay  # as in highway-env, so that not all vehicles decide at once
 
     def aim(self, goal: int, wanted: float) -> None:
         """Set the lane and speed of its goal [m/s]."""
@@ -99,9 +101,9 @@ class GoalVehicle(Body):
         """Set the speed of its goal [m/s]."""
         self._target_speed = speed
 
-    def wait(self, timer: float) -> None:
-        """Set the time since its last decision on lanes [s]."""
-        self._timer = timer
+    def stay(self, lane: int) -> None:
+        """Be in a lane until the next step, although another one may be closer."""
+        self._closest = lane
 
     def lead(self, x: float, y: float, heading: float, speed: float) -> None:
         """Move to the given state in the next tick, whatever the controls are [m, m, rad, m/s]."""
@@ -113,13 +115,13 @@ class GoalVehicle(Body):
 
     def push(self, x: float, y: float) -> None:
         """Move by this much in addition in the next tick, and be crashed then [m]."""
-        self._is_pushed = True
-        self._push_x = x
-        self._push_y = y
+        self.is_pushed = True
+        self.push_x = x
+        self.push_y = y
 
-    def seen(self) -> tuple[float, float, float, float, int, int, float]:
-        """Return its x [m], y [m], heading [rad], speed [m/s], its lane, and the lane and the speed of its goal."""
-        return self.x, self.y, self.heading, self.speed, self._closest, self._goal, self._target_speed
+    def seen(self) -> tuple[float, float, float, float, int, int, float, float]:
+        """Return x [m], y [m], heading [rad], speed [m/s], its lane, its goal's lane and speed, and its timer [s]."""
+        return self.x, self.y, self.heading, self.speed, self._closest, self._goal, self._target_speed, self.timer
 
     def pursue(self) -> None:
         """Set acceleration and steering for the coming tick towards the goal, whatever others do."""
@@ -150,16 +152,16 @@ class GoalVehicle(Body):
         if self.crashed:
             self.steering = 0.0
             self.acceleration = -self.speed
-        self._timer += dt
+        self.timer += dt
         if self._is_led:
             self.place(self._next_x, self._next_y, self._next_heading, self._next_speed)
         else:
             Body.step(self, dt)  # C methods have no super()
-        if self._is_pushed:
-            self.x += self._push_x
-            self.y += self._push_y
+        if self.is_pushed:
+            self.x += self.push_x
+            self.y += self.push_y
             self.crashed = True
-            self._is_pushed = False
+            self.is_pushed = False
         self._closest = self._found(self)
 
     # What a road of another shape replaces.
@@ -184,9 +186,9 @@ class GoalVehicle(Body):
             if self._has_beside(self._closest, self._goal):
                 self._give_way(others)
             return
-        if self._timer <= self._delay:
+        if self.timer <= self._delay:
             return
-        self._timer = 0.0
+        self.timer = 0.0
         lane = self._closest
         for side in (lane - 1, lane + 1):
             if self._has_beside(lane, side) and self._reaches(side) and self._gains(side, others):

@@ -1,7 +1,8 @@
 """The ordinary traffic of highway-env: the ticks of its vehicles, and its test for crashes.
 
 The equations are highway-env's (``Road.step``, ``RoadObject.handle_collisions``). Positions are equal except for
-rounding, because numpy's power and inverse trigonometric functions differ from C's in the last bit.
+rounding, because on some processors numpy's power, trigonometric and inverse trigonometric functions and its products
+of vectors differ from C's in the last bit.
 """
 
 from __future__ import annotations
@@ -27,8 +28,7 @@ class OrdinaryTraffic:
         rules: the rules of the road; None if there are none.
 
     Attributes:
-        vehicles: the vehicles in the road's order; the road may add and remove some between two ticks if nothing is
-            recorded.
+        vehicles: the vehicles in the road's order; they may be replaced between two ticks if there is no record.
     """
 
     def __init__(
@@ -64,9 +64,9 @@ class OrdinaryTraffic:
             for other_index in range(index + 1, count):
                 other = vehicles[other_index]
                 if vehicle.checks or other.checks:
-                    _meet(vehicle, other, other, dt)
+                    _meet(vehicle, other, other, other.diagonal, dt)
             for obstacle in self._obstacles:
-                _meet(vehicle, obstacle, None, dt)
+                _meet(vehicle, obstacle, None, obstacle.diagonal, dt)
         self._note()
 
     def _note(self) -> None:
@@ -85,16 +85,16 @@ class OrdinaryTraffic:
         self._row = row
 
 
-def _meet(a: GoalVehicle, b: Body, other: GoalVehicle | None, dt: float) -> None:
+def _meet(a: GoalVehicle, b: Body, other: GoalVehicle | None, diagonal: float, dt: float) -> None:
     """Flag two vehicles as crashed if they overlap, and push them apart if they will overlap within the next tick.
 
-    If ``b`` is an object on the road and not a vehicle, ``other`` is None, and only ``a`` is pushed.
+    If ``b`` is an object on the road and not a vehicle, ``other`` is None, and only ``a`` is pushed. ``diagonal`` is
+    that of ``b`` [m].
 
     The boxes are compared along the normals of their sides, in highway-env's order. If one box contains the other along
     a normal, the depth depends on the direction of the normal, as in highway-env.
     """
     dx, dy = a.x - b.x, a.y - b.y
-    diagonal = math.hypot(b.length, b.width) if other is None else other.diagonal
     if math.sqrt(dx * dx + dy * dy) > (a.diagonal + diagonal) / 2.0 + a.speed * dt:
         return
     cos_a, sin_a = math.cos(a.heading), math.sin(a.heading)
