@@ -106,6 +106,10 @@ class GymEnvironment:
     config: dict[str, Any] | None
     wrappers: Sequence[Callable[[Any], Any]] | None
 
+    def __getstate__(self) -> dict[str, Any]:
+        """Return what another process needs, which makes an environment with traffic itself."""
+        return {name: value for name, value in vars(self).items() if name != "_stock_with_traffic"}
+
     def make(self, *, has_traffic: bool = False) -> Any:
         """Make a fresh environment in all its wrappers, with or without random traffic."""
         creator, given = _creator(self.env_id), self.config or {}
