@@ -368,7 +368,7 @@ class Search:
             return for_batches if generation and self.sessions.decides_for_many else algorithm
 
         runs_before, campaign_began = loop.runs, self.sessions.clock()
-        campaign_ends = self._campaign_ends(search_until)
+        campaign_ends = self._campaign_ends(campaign_began, runs_before, search_until)
 
         # A run may be cut when the time is over; the first run gets its time in any case.
         def seconds_left() -> float:
@@ -413,15 +413,15 @@ class Search:
         reasons = {"generations": DONE, "runs": ALL_RUN, "time": self.limit.flag, "stopped": "enough findings"}
         return "interrupted" if loop.finished is None else reasons[loop.finished.reason]
 
-    def _campaign_ends(self, search_until: float) -> Callable[[], float]:
-        """Return a function that says when the campaign, which begins now, has to end [s], given its findings so far.
+    def _campaign_ends(self, began: float, runs_before: int, search_until: float) -> Callable[[], float]:
+        """Return a function that says when the campaign has to end [s], given its findings so far.
 
         That leaves the time to simplify its findings, or without any, to confirm one in its last run, as far as can be
         told from the runs so far. Runs of a policy that decides for many at once do not tell how long one alone takes.
-        ``search_until`` is the earliest end [s].
+        The campaign began at the time ``began`` [s], after ``runs_before`` runs; ``search_until`` is the earliest end
+        [s].
         """
-        loop, clock, began, runs_before = self.loop, self.sessions.clock, self.sessions.clock(), self.loop.runs
-        settings = self.harness.request.settings
+        loop, clock, settings = self.loop, self.sessions.clock, self.harness.request.settings
         to_simplify = RUNS_TO_CONFIRM + rollouts_for(self.harness) + RUNS_A_NEIGHBOUR * settings.neighbours
 
         def ends() -> float:

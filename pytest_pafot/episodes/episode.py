@@ -154,7 +154,7 @@ class Start:
 
     @cached_property
     def more_than_lanes(self) -> str:
-        """What a straight road has besides lanes of one kind; empty if nothing."""
+        """The kinds of things that a straight road has besides lanes of one kind; empty if there are none."""
         road, lanes = self.env.road, self.env.road.network.lanes_list()
         if road.objects or any(getattr(each, "route", None) for each in road.vehicles):
             return "objects or routes"

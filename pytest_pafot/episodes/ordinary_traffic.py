@@ -79,13 +79,13 @@ def why_not(start: Start) -> str:
 
 def _unknown(vehicles: list[Any], objects: list[Any], ego: Any = None) -> str:
     """Return the reason why compiled code does not know something on a road; empty if it knows everything."""
-    for each in (*vehicles, *objects):
+    for each, is_vehicle in (*((each, True) for each in vehicles), *((each, False) for each in objects)):
         name = type(each).__name__
-        if each in objects and (type(each) is not Obstacle or not each.check_collisions):
+        if not is_vehicle and (type(each) is not Obstacle or not each.check_collisions):
             return f"there is a {name} on the road"
-        if each not in objects and each is not ego and idm_model(type(each)) is None:
+        if is_vehicle and each is not ego and idm_model(type(each)) is None:
             return f"the traffic has a {name}, not only IDM and MOBIL"
-        if each not in objects and (each.MIN_SPEED, each.MAX_SPEED) != (Vehicle.MIN_SPEED, Vehicle.MAX_SPEED):
+        if is_vehicle and (each.MIN_SPEED, each.MAX_SPEED) != (Vehicle.MIN_SPEED, Vehicle.MAX_SPEED):
             return f"a {name} has its own speed limits"
         if not (each.solid and each.collidable):
             return f"nothing crashes with a {name}"
@@ -311,8 +311,8 @@ class CompiledSteps(Steps):
         changed = "the environment changes what is on its road" if is_strange else ""
         self.reason = _unknown([each for each in road.vehicles if each not in bodies], []) or changed
         if self.reason:
+            self._show()
             for vehicle, body in bodies.items():
-                self._road.show(vehicle, body)
                 if body.is_pushed:
                     vehicle.impact = np.array([body.push_x, body.push_y])
             if isinstance(road, RegulatedRoad):

@@ -114,6 +114,9 @@ def _text(action: Any, other: Any) -> str:
         return "no decision"
     if not (is_si(action) or is_dataclass(action)):
         return f"{action.tolist() if isinstance(action, (np.ndarray, np.generic)) else action!r}"[:80]
-    parts = {name: _parts(action)[name] for name in _told(action, other)}
-    shown = [f"{name} {PARTS.get(name, (0, '{}'))[1].format(part)}" for name, part in parts.items() if part is not None]
-    return ", ".join(shown).replace("_", " ")
+    parts, shown = _parts(action), []
+    for name in _told(action, other):
+        _, form = PARTS.get(name, (0.0, "{}"))
+        if parts[name] is not None:
+            shown.append(f"{name.replace('_', ' ')} {form.format(parts[name])}")
+    return ", ".join(shown)

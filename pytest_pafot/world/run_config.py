@@ -253,22 +253,15 @@ def _not_crossing(scenario: Scenario) -> list[tuple[int, Gene]]:
     return [(npc, first) for npc, first in firsts if not isinstance(first, CrossingInstruction)]
 
 
-def start_positions(
-    rules: Rules, scenario: Scenario, cells: tuple[Cell, ...], ego_length: float = NPC_LENGTH
-) -> list[tuple[float, float, float]]:
-    """Return world x [m], y [m] and heading [rad] of the ego and of each NPC at tick 0.
-
-    NPCs of cells 4 and 8 start next to the ego, those of other cells in their cell's lane, ahead or behind by the
-    headway. So there is no danger at the start, and all danger results from driving. NPCs with manoeuvres start where
-    these say, and NPCs that cross are left out.
-    """
-    return [rules.road.position(along, lane) for along, lane in start_places(rules, scenario, cells, ego_length)]
-
-
 def start_places(
     rules: Rules, scenario: Scenario, cells: tuple[Cell, ...], ego_length: float = NPC_LENGTH
 ) -> list[tuple[float, int]]:
-    """Return the place along the road [m] and the lane of the ego and of each NPC that does not cross, at tick 0."""
+    """Return the place along the road [m] and the lane of the ego and of each NPC that does not cross, at tick 0.
+
+    NPCs of cells 4 and 8 start next to the ego, those of other cells in their cell's lane, ahead or behind by the
+    headway. So there is no danger at the start, and all danger results from driving. NPCs with manoeuvres start where
+    these say.
+    """
     far = rules.start_distance(scenario, ego_length)
     beside = [(rules.ego_start + cell.row * far, scenario.ego_lane + cell.column) for cell in cells]
     for number, (_, first) in enumerate(_not_crossing(scenario)):
@@ -305,8 +298,9 @@ def starts_of(
     A start is x [m], y [m], heading [rad] and speed [m/s].
     """
     cells = director.first_cells()
-    places = [along for along, _ in start_places(rules, scenario, cells, ego_length)]
-    _, *poses = start_positions(rules, scenario, cells, ego_length)
+    in_lanes = start_places(rules, scenario, cells, ego_length)
+    places = [along for along, _ in in_lanes]
+    _, *poses = (rules.road.position(along, lane) for along, lane in in_lanes)
     speeds = start_speeds(rules, scenario, cells, ego_length)
     starts = [(*pose, speed) for pose, speed in zip(poses, speeds, strict=True)]
     if isinstance(director, JunctionDirector):

@@ -6,12 +6,27 @@ import functools
 import math
 
 import numpy as np
+from highway_env.envs.common.abstract import AbstractEnv
 
 from pytest_pafot import World
 from pytest_pafot.model.trace import ACCELERATION, ALONG, HEADING, SPEED, STEERING, X, Y
 from pytest_pafot.searching.space import space_on
 from pytest_pafot.world.protocol import road_start
 from tests.helpers.world_cases import LENGTH, STANDING, WIDTH, beyond
+
+
+class OwnEnvironment(AbstractEnv):
+    """A user's environment without rewards that ends after its duration; its road is made in ``_reset``."""
+
+    def _reward(self, action):
+        return 0.0
+
+    def _is_terminated(self):
+        return False
+
+    def _is_truncated(self):
+        return self.time >= self.config["duration"]
+
 
 ENVIRONMENTS = (
     "exit-v0", "exit-v1", "intersection-v0", "intersection-v1", "intersection-v2", "lane-keeping-v0", "merge-v0",

@@ -7,7 +7,6 @@ import pickle
 import gymnasium
 import numpy as np
 import pytest
-from highway_env.envs.common.abstract import AbstractEnv
 from highway_env.road.lane import StraightLane
 from highway_env.road.regulation import RegulatedRoad
 from highway_env.road.road import RoadNetwork
@@ -22,7 +21,7 @@ from pytest_pafot.world.driving.vehicles import compiled_network
 from pytest_pafot.world.engines import policies
 from pytest_pafot.world.kernel.loop import ModelDriver
 from tests.helpers.c_library import c_library
-from tests.helpers.road_cases import ENVIRONMENTS, space_of
+from tests.helpers.road_cases import ENVIRONMENTS, OwnEnvironment, space_of
 from tests.helpers.stages import mostly_oracle
 
 BENT = mostly_oracle(ENVIRONMENTS, "intersection-v0")
@@ -110,7 +109,7 @@ def test_the_kernel_moves_the_egos_that_it_knows(env_id, monkeypatch):
     assert [isinstance(driver, ModelDriver) for driver in drivers] == [True, False, False]
 
 
-class Yielding(AbstractEnv):
+class Yielding(OwnEnvironment):
     """A slow road that leads across one with priority, and on as a faster road."""
 
     @classmethod
@@ -125,15 +124,6 @@ class Yielding(AbstractEnv):
         self.road = RegulatedRoad(network, np_random=self.np_random)
         self.vehicle = self.action_type.vehicle_class(self.road, [-60.0, 0.0], 0.0, 10.0)
         self.road.vehicles = [self.vehicle]
-
-    def _reward(self, action):
-        return 0.0
-
-    def _is_terminated(self):
-        return False
-
-    def _is_truncated(self):
-        return self.time >= self.config["duration"]
 
 
 @pytest.fixture

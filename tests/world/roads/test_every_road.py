@@ -10,7 +10,6 @@ from dataclasses import replace
 import gymnasium
 import numpy as np
 import pytest
-from highway_env.envs.common.abstract import AbstractEnv
 from highway_env.road.lane import CircularLane, StraightLane
 from highway_env.road.road import Road, RoadNetwork
 from highway_env.vehicle.behavior import IDMVehicle
@@ -25,7 +24,7 @@ from pytest_pafot.oracle.run import Run
 from pytest_pafot.searching import sample
 from pytest_pafot.world import NpcLimits, World, WorldError
 from pytest_pafot.world.roads.straight import StraightRoad
-from tests.helpers.road_cases import ROADS, space_of, violations, world_of
+from tests.helpers.road_cases import ROADS, OwnEnvironment, space_of, violations, world_of
 from tests.helpers.stages import mostly_oracle, oracle
 
 
@@ -354,7 +353,7 @@ def test_reference_drivers_follow_the_road():
     assert np.ptp(trace.track[:, 0, ACROSS]) < 1.0
 
 
-class OwnCircuit(AbstractEnv):
+class OwnCircuit(OwnEnvironment):
     """A user's environment: two lanes around a circle, with only the road from highway-env."""
 
     @classmethod
@@ -371,12 +370,6 @@ class OwnCircuit(AbstractEnv):
         ego = self.action_type.vehicle_class(self.road, lane.position(30, 0), lane.heading_at(30), 10.0)
         self.road.vehicles.append(ego)
         self.vehicle = ego
-
-    def _reward(self, action):
-        return 0.0
-
-    def _is_terminated(self):
-        return False
 
     def _is_truncated(self):
         return False

@@ -8,14 +8,13 @@ import math
 import gymnasium
 import numpy as np
 import pytest
-from highway_env.envs.common.abstract import AbstractEnv
 from highway_env.road.lane import CircularLane, StraightLane
 from highway_env.road.road import Road, RoadNetwork
 
 from pytest_pafot import World
 from pytest_pafot.world.roads.junction import WIDER, Course, meetings_of, near_pairs
 from tests.helpers.polygons import corners, polygons_meet
-from tests.helpers.road_cases import ROADS, world_of, wrapped
+from tests.helpers.road_cases import ROADS, OwnEnvironment, world_of, wrapped
 from tests.helpers.stages import oracle
 from tests.helpers.tables import table
 from tests.helpers.traces import LENGTH, WIDTH
@@ -252,7 +251,7 @@ def test_ways_meet_wherever_boxes_along_them_touch(world):
 # Networks of the user's own.
 
 
-class OwnJunction(AbstractEnv):
+class OwnJunction(OwnEnvironment):
     """A straight road from west to east, a second one across it, and a road that joins it with a bend.
 
     The option says from where the ego comes, the west or the bend.
@@ -277,15 +276,6 @@ class OwnJunction(AbstractEnv):
         ego = self.action_type.vehicle_class(self.road, lane.position(at, 0), lane.heading_at(at), 10.0)
         self.road.vehicles = [ego]
         self.controlled_vehicles = [ego]
-
-    def _reward(self, action):
-        return 0.0
-
-    def _is_terminated(self):
-        return False
-
-    def _is_truncated(self):
-        return self.time >= self.config["duration"]
 
 
 @pytest.fixture
