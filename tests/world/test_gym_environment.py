@@ -272,6 +272,58 @@ def test_custom_reset_that_adds_vehicles_is_refused(wrappers, register):
         World("mine-v0", wrappers=wrappers).rollout(SCENARIO, lambda: lambda seen: 1)
 
 
+class Following(HighwayEnv):
+    """A straight road whose info, also that of its reset, is about the nearest other vehicle."""
+
+    def _info(self, seen, action=None):
+        ego, *others = self.road.vehicles
+        return super()._info(seen, action) | {
+            "nearest": min(abs(each.position[0] - ego.position[0]) for each in others)
+        }
+
+
+@pytest.mark.parametrize("wrappers", [None, [FlattenObservation]])
+def test_environment_that_looks_at_its_traffic_in_reset_runs_with_the_npcs_alone(wrappers, register):
+    register("mine-v0", entry_point=Following)
+    own, stock = World("mine-v0", duration=3.0, wrappers=wrappers), World("highway-v0", duration=3.0)
+    expected = stock.rollout(SCENARIO, lambda: lambda seen: 1)
+    for run in (own.rollout, own.rollout_in_gym):
+        states = run(SCENARIO, lambda: lambda seen: 1).states
+        assert states.shape == expected.states.shape
+        assert np.abs(states - expected.states).max() < 1e-9
+    assert own.to_dict()["config"] == stock.to_dict()["config"]
+
+
+class Refusing(HighwayEnv):
+    """An environment that cannot be reset; it counts the attempts."""
+
+    attempts = 0
+
+    def _create_vehicles(self):
+        type(self).attempts += 1
+        raise ValueError("no map")
+
+
+def test_environment_that_cannot_be_reset_is_not_blamed_on_a_configuration_that_nobody_gave(register, monkeypatch):
+    monkeypatch.setattr(Refusing, "attempts", 0)
+    register("mine-v0", entry_point=Refusing)
+    with pytest.raises(WorldError, match=r"env_id: expected an environment that .* received 'mine-v0'; .*no map"):
+        World("mine-v0").check()
+    assert Refusing.attempts == 2
+    with pytest.raises(
+        WorldError, match=r"config: expected a configuration that .* received \{'duration': 9\}; .*no map"
+    ):
+        World("mine-v0", config={"duration": 9}).check()
+
+
+def test_environment_is_not_tried_with_traffic_that_takes_minutes(register, monkeypatch):
+    monkeypatch.setattr(Refusing, "attempts", 0)
+    register("mine-v0", entry_point=Refusing)
+    with pytest.raises(WorldError, match="no map"):
+        World("mine-v0", config={"vehicles_count": 10**9}).check()
+    assert Refusing.attempts == 1
+
+
 def test_a_simulation_of_its_own_is_too(register):
     register("mine-v0", entry_point=Wet)
     trace = World("mine-v0", duration=3.0).rollout(SCENARIO, lambda: lambda seen: 1)
