@@ -463,6 +463,7 @@ class Search:
             loop.doubt,
             loop.known_alone,
             self._unused,
+            self._without_effect,
             self._out_of_reach,
             loading_hint(self.harness.ads) if loop.runs else "",
         )
@@ -521,6 +522,17 @@ class Search:
             f"the environment's actions keep {speed:g} m/s or more, and what braking avoids may need less; "
             "target_speeds in the action of config= lets a policy do so, too"
         )
+
+    @property
+    def _without_effect(self) -> str:
+        """A note on the options of config= that have no effect, and on what has it in their place; or empty."""
+        lane, world = self.harness.request.space.get("ego_lane"), self.harness.world
+        if not self.loop.runs:  # the environment may be one that cannot be made
+            return ""
+        given = protocol.options_without_effect(world, drives_itself=is_vehicle_class(self.harness.ads))
+        given.pop(f"write ego_lane={lane!r}", None)  # it has been written
+        told = [f"{', '.join(names)} ({why})" for why, names in given.items()]
+        return f"options of config= without effect in a search: {'; '.join(told)}" if told else ""
 
     @property
     def _unused(self) -> str:

@@ -41,6 +41,17 @@ TRAFFIC = ("initial_vehicle_count", "other_vehicles", "spawn_probability")
 REPLACED = (*TRAFFIC, "vehicles_count", "offscreen_rendering")
 """The traffic options, which this package replaces while scenarios run, and the option that depends on the machine."""
 
+TRAFFIC_OPTIONS = (
+    *TRAFFIC,
+    "vehicles_count",
+    "vehicles_density",
+    "other_vehicles_type",
+    "incoming_vehicle_destination",
+)
+"""All options of highway-env for other vehicles, in whose place a search has NPCs."""
+POLICY_OPTIONS = ("observation", "action", "policy_frequency")
+"""The options that have no effect on an ego that decides without the environment's observations and actions."""
+
 LARGEST: Mapping[str, float] = MappingProxyType(
     {
         "lanes_count": 20,
@@ -218,6 +229,31 @@ class GymEnvironment:
         env, road = type(self.unwrapped), type(self.unwrapped.road)
         has_own_road = road is not RegulatedRoad and (road.step is not Road.step or road.act is not Road.act)
         return has_own_road or not (drives_itself or has_known_step(env))
+
+    def without_effect(self, *, drives_itself: bool) -> dict[str, list[str]]:
+        """Return the given options that have no effect in a search, under what has it in their place.
+
+        Rewards and drawing are not among them: they keep their meaning for wrappers and for a ``step`` of the user's.
+        """
+        given, is_straight = self.config or {}, self.straight_road is not None
+        found: dict[str, list[str]] = {}
+        for name in given:
+            told = ""
+            if name in TRAFFIC_OPTIONS:
+                told = "NPCs replace the environment's own traffic"
+            elif name in POLICY_OPTIONS and drives_itself:
+                told = "the ego decides without the environment's observations and actions"
+            elif name == "ego_spacing" and is_straight:
+                told = "headway= of the world sets the gaps at the start"
+            elif name == "initial_lane_id" and is_straight and given[name] is not None:
+                told = f"write ego_lane={given[name]!r:.20}"
+            elif name == "offroad_terminal" and is_straight and given[name]:
+                told = "runs on a straight road go on, and run.off_road says that the ego left it"
+            elif name in ("offroad_terminal", "terminate_off_road") and not is_straight and not given[name]:
+                told = "runs on this road end where the ego leaves it"
+            if told:
+                found.setdefault(told, []).append(name)
+        return found
 
     @property
     def whole_config(self) -> dict[str, Any]:
@@ -417,7 +453,7 @@ def _numbers(observation: Any, config: Mapping[str, Any]) -> float:
 
 
 def _check_config(env_id: str, given: dict[str, Any], env: Any) -> None:
-    """Refuse misspelt options, text for numbers, and more than one ego."""
+    """Refuse misspelt options, text for numbers, more than one ego, and an ego that a keyboard drives."""
     default = env.default_config()
     unknown = sorted(set(given) - set(default))
     if unknown:
@@ -430,6 +466,10 @@ def _check_config(env_id: str, given: dict[str, Any], env: Any) -> None:
     if (egos := env.config.get("controlled_vehicles", 1)) != 1:
         fix = "the other vehicles are the NPCs"
         raise WorldError(field="config.controlled_vehicles", expected="1, the ego", received=repr(egos), fix=fix)
+    if env.config.get("manual_control"):
+        expected, fix = "False, because the policy drives", "leave it out"
+        received = repr(env.config["manual_control"])
+        raise WorldError(field="config.manual_control", expected=expected, received=received, fix=fix)
     for name, module in (("observation", observation), ("action", action)):
         kind = getattr(env, f"{name}_type", None)
         if name in given and type(kind).__module__ == module.__name__:  # options of other classes are not known

@@ -249,6 +249,10 @@ class World(BuiltInWorld):
         sets_speed = self.planner_hz is None and getattr(action_type, "longitudinal", False)
         return max(0.0, float(min(speeds))) if sets_speed and len(speeds) else 0.0
 
+    def options_without_effect(self, *, drives_itself: bool) -> dict[str, list[str]]:
+        """Return the options of ``config`` that have no effect in a search, under what has it in their place."""
+        return self.environment.without_effect(drives_itself=drives_itself or self.planner_hz is not None)
+
     @property
     def has_lock_step(self) -> bool:
         """True if several runs can proceed in lock step.

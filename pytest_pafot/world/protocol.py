@@ -210,6 +210,17 @@ def unused_roads(world: Any) -> frozenset[Meeting]:
     return world.unused_roads if "unused_roads" in vars(type(world)) else frozenset()
 
 
+def options_without_effect(world: Any, *, drives_itself: bool) -> dict[str, list[str]]:
+    """Return the given options of a world's environment that have no effect in a search, under what has it instead.
+
+    Args:
+        world: the world.
+        drives_itself: true if the ADS is a vehicle class.
+    """
+    known = getattr(world, "options_without_effect", None)
+    return {} if known is None else known(drives_itself=drives_itself)
+
+
 def crossings(world: Any) -> Crossings | None:
     """Return the ways on which other traffic meets the ego's way; None if the world states none."""
     found: Crossings | None = getattr(world, "crossings", None)

@@ -9,6 +9,7 @@ from contextlib import suppress
 from dataclasses import replace
 
 import pytest
+from highway_env.vehicle.behavior import IDMVehicle
 
 import pytest_pafot as pafot
 from example_ads import constant_speed
@@ -164,6 +165,25 @@ def test_search_notes_once_which_traffic_is_missing():
     assert "at intersection-v0 all NPCs drive along the ego's way: none crosses it or joins it, " in note
     assert notes(OwnTraffic("merge-v0", duration=3.0)) == notes(pafot.World("highway-fast-v0", duration=2.0)) == ()
     assert notes(pafot.World("intersection-v0", duration=2.0)) == ()
+
+
+def test_search_names_once_the_options_that_have_no_effect():
+    fields = {"holds": lambda run: None, "population": 2, "generations": 1}
+    idle = lambda: lambda observation: 1  # noqa: E731
+
+    def notes(config, ads=idle, planner_hz=None, **more):
+        world = pafot.World("highway-fast-v0", config=config, duration=2.0, planner_hz=planner_hz)
+        return pafot.explore(world=world, ads=ads, **fields, **more).summary.notes
+
+    given = {"initial_lane_id": 0, "vehicles_count": 9, "vehicles_density": 2, "lanes_count": 4, "collision_reward": -9}
+    start = "options of config= without effect in a search: "
+    traffic = "vehicles_count, vehicles_density (NPCs replace the environment's own traffic)"
+    assert notes(given) == (f"{start}initial_lane_id (write ego_lane=0); {traffic}",)
+    assert notes(given, ego_lane=0) == (f"{start}{traffic}",)
+    assert notes({"offroad_terminal": False, "initial_lane_id": None, "policy_frequency": 5}) == ()
+    why = "(the ego decides without the environment's observations and actions)"
+    for ads, planner_hz in ((IDMVehicle, None), (lambda: lambda seen: (0.0, 0.0), 5)):
+        assert notes({"policy_frequency": 5}, ads, planner_hz) == (f"{start}policy_frequency {why}",)
 
 
 def test_setup_error_is_raised_unchanged():

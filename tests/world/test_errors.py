@@ -267,6 +267,7 @@ def test_suggested_environment_is_one_that_a_world_accepts():
         ({"duration": -1}, "config.duration: expected a number from 0.0666667 to 3600, received -1"),
         ({"duration": 300}, "duration: expected at most 240 s on a road of 10000 m, received 300"),
         ({"controlled_vehicles": 2}, "config.controlled_vehicles: expected 1, the ego, received 2"),
+        ({"manual_control": True}, "config.manual_control: expected False, because the policy drives, received True"),
         ({"collision_reward": "-1"}, "config.collision_reward: expected a number such as -1, received '-1'"),
     ])  # fmt: skip
 def test_wrong_configuration_is_named_with_what_was_expected(config, message):

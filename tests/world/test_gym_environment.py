@@ -10,7 +10,7 @@ from hashlib import sha256
 import gymnasium
 import numpy as np
 import pytest
-from gymnasium.envs.registration import WrapperSpec
+from gymnasium.envs.registration import WrapperSpec, load_env_creator
 from gymnasium.wrappers import (
     Autoreset,
     ClipAction,
@@ -30,10 +30,12 @@ from highway_env.vehicle.behavior import IDMVehicle
 from pytest_pafot.model.scenario import PositionInstruction, Scenario
 from pytest_pafot.model.trace import ACCELERATION, HEADING, SPEED, STEERING
 from pytest_pafot.world import World, WorldError
+from pytest_pafot.world.gym_environment import POLICY_OPTIONS, TRAFFIC_OPTIONS
 from tests.helpers.gym_loop import Replayed, StateLog
 from tests.helpers.stages import mostly_oracle
 from tests.helpers.tables import table
 
+TRAFFIC_TOLD = "NPCs replace the environment's own traffic"
 SCENARIO = Scenario(
     npcs=[[PositionInstruction(3, 24.0), PositionInstruction(2, 20.0)], [PositionInstruction(5, 20.0)]],
     seed=11,
@@ -292,6 +294,48 @@ def test_environment_that_looks_at_its_traffic_in_reset_runs_with_the_npcs_alone
         assert states.shape == expected.states.shape
         assert np.abs(states - expected.states).max() < 1e-9
     assert own.to_dict()["config"] == stock.to_dict()["config"]
+
+
+ROAD = (
+    "lanes_count speed_limit length no_lanes roundabout_radius roundabout_lanes before_merge_length after_merge_length "
+    "converge_merge_length parallel_merge_length block_lane force_decision add_walls neighbour_vehicles_connected_lanes"
+)
+RUN = "simulation_frequency duration destination state_noise derivative_noise steering_range"
+REFUSED = "controlled_vehicles manual_control"
+REWARDS = (
+    "action_reward arrived_reward collision_reward goal_reward high_speed_reward lane_centering_cost "
+    "lane_centering_reward lane_change_reward left_lane_constraint left_lane_reward merging_speed_reward "
+    "normalize_reward reward_speed_range reward_weights right_lane_reward success_goal_reward"
+)
+DRAWING = (
+    "centering_position offscreen_rendering real_time_rendering render_agent scaling screen_height screen_width "
+    "show_trajectories"
+)
+NAMED = (*TRAFFIC_OPTIONS, *POLICY_OPTIONS, "ego_spacing", "initial_lane_id", "offroad_terminal", "terminate_off_road")
+
+
+def test_every_option_of_highway_env_is_used_refused_or_named():
+    entries = [spec for spec in gymnasium.registry.values() if str(spec.entry_point).startswith("highway_env.")]
+    known = {key for spec in entries for key in load_env_creator(spec.entry_point).default_config()}
+    assert known == {*NAMED, *" ".join((ROAD, RUN, REFUSED, REWARDS, DRAWING)).split()}
+
+
+@table(
+    ("env_id", "config", "names"),
+    [
+        ("highway-v0", {"initial_lane_id": 0, "vehicles_density": 2, "offroad_terminal": True, "lanes_count": 3},
+         {"write ego_lane=0": ["initial_lane_id"], TRAFFIC_TOLD: ["vehicles_density"],
+          "runs on a straight road go on, and run.off_road says that the ego left it": ["offroad_terminal"]}),
+        ("highway-v0", {"ego_spacing": 3}, {"headway= of the world sets the gaps at the start": ["ego_spacing"]}),
+        ("highway-v0", {"initial_lane_id": None, "offroad_terminal": False, "collision_reward": -9}, {}),
+        ("intersection-v0", {"spawn_probability": 0, "initial_vehicle_count": 3},
+         {TRAFFIC_TOLD: ["spawn_probability", "initial_vehicle_count"]}),
+        ("intersection-v0", {"offroad_terminal": True, "destination": "o2"}, {}),
+        ("racetrack-v1", {"terminate_off_road": False, "other_vehicles": 2},
+         {"runs on this road end where the ego leaves it": ["terminate_off_road"], TRAFFIC_TOLD: ["other_vehicles"]}),
+    ])  # fmt: skip
+def test_option_that_something_replaces_is_named_with_what_does(env_id, config, names):
+    assert World(env_id, config=config).options_without_effect(drives_itself=False) == names
 
 
 class Refusing(HighwayEnv):
