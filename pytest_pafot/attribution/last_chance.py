@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -228,8 +229,8 @@ def _taken_over(trace: Trace, until: int, take_over: TakeOver, driver: str) -> I
     In that run a driver takes over at the decision. The iteration stops if a repetition of the run differs from the
     trace.
     """
-    every, first = trace.physics_hz // trace.ads_hz, max(until - round(SCANNED * trace.physics_hz), 0)
-    for tick in range((until - 1) // every * every, first - 1, -every):
+    first, ticks = max(until - round(SCANNED * trace.physics_hz), 0), trace.decision_ticks
+    for tick in reversed(ticks[bisect_left(ticks, first) : bisect_left(ticks, until)]):
         taken = take_over(trace, tick, driver)
         if not repeats(taken, trace, tick):
             return
@@ -297,8 +298,8 @@ def escape(trace: Trace, take_over: TakeOver) -> Escape | None:
     driver = relief_of(drivers_of(take_over))
     if excuse is None or excuse.due_s is None or driver is None:
         return None
-    hz, every = trace.physics_hz, trace.physics_hz // trace.ads_hz
-    tick = min(round(excuse.time_s * hz), trace.ticks - 1) // every * every
+    hz, ticks = trace.physics_hz, trace.decision_ticks
+    tick = ticks[bisect_right(ticks, min(round(excuse.time_s * hz), trace.ticks - 1)) - 1]
     taken = take_over(trace, tick, driver)
     if not repeats(taken, trace, tick):
         return None

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 import pickle
+from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
@@ -260,15 +261,15 @@ class Simplification:
         is_noted = not (sees_all or harness.request.settings.isolate or wants_env(harness.ads))
         told: list[Reaction] = []
         without_it: list[list[bytes]] = []  # for each NPC, the observations until the event with it hidden
-        hz, until = trace.ads_hz, found.event_time
-        decisions = math.floor(until * hz + 1e-9) + 1
+        until, times = found.event_time, [tick / trace.physics_hz for tick in trace.decision_ticks]
+        decisions = bisect_right(times, until + 1e-9)
         for npc in range(len(found.scenario.npcs)):
             self.tell(f"hiding NPC {npc} of {find_id}")
             seen: list[bytes] = []
             hidden = self._driven(found.scenario, npc, seen if is_noted else None)
             if hidden is None:
                 return ()
-            told.append(Reaction.of(npc, trace.actions, hidden.actions, hz=hz, until=until))
+            told.append(Reaction.of(npc, trace.actions, hidden.actions, times=times, until=until))
             without_it.append(seen[:decisions])
         if is_noted and any(each.time is None for each in told):
             self.tell(f"driving {find_id} again")
@@ -669,8 +670,9 @@ def decisions_before_deed(run: Run) -> range:
     trace = run.trace
     tick = run.attribution.tick if run.collision is not None else None
     tick = round(run.event_time * trace.physics_hz) if tick is None else tick
-    last = tick * trace.ads_hz // trace.physics_hz
-    return range(max(0, last - round(CAUSE * trace.ads_hz)), last + 1)
+    ticks = trace.decision_ticks
+    last = bisect_right(ticks, tick)
+    return range(min(bisect_left(ticks, tick - round(CAUSE * trace.physics_hz)), last - 1), last)
 
 
 def _shown_path(file: str, root: Path) -> str:

@@ -259,7 +259,7 @@ def parted(before: dict[str, Any], now: dict[str, Any]) -> str:
     place, decisions = next(((place, pair) for place, pair in pairs if pair[0] != pair[1]), (0, None))
     if decisions is None:
         return "both decide the same as long as both drive"
-    tick, speed = place * now["every"], now["speeds"][place]
+    tick, speed = now["ticks"][place], now["speeds"][place]
     was, became = map(_decision, decisions)
     when = f"the first decision that differs is at tick {tick}, after {tick / now['hz']:.1f} s at {speed:.1f} m/s"
     return f"{when}\n  before: {was}\n  now:    {became}"

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import tempfile
 import time
+from bisect import bisect_right
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Executor
@@ -271,11 +272,11 @@ class DecisionCache:
         actions, scenario = trace.actions, trace.scenario
         if not actions or len(actions) > self._room:
             return
-        gene_ticks, every = round(scenario.gene_seconds * trace.physics_hz), trace.physics_hz // trace.ads_hz
+        gene_ticks, ticks = round(scenario.gene_seconds * trace.physics_hz), trace.decision_ticks
         asked, driven = plain_chains(scenario), plain_chains(trace.executed)
         keys = []
         for genes in range(1, min(-(-trace.ticks // max(gene_ticks, 1)), scenario.genes) + 1):
-            count = min(genes * gene_ticks // every + 1, len(actions))
+            count = min(bisect_right(ticks, genes * gene_ticks), len(actions))
             by_chains, by_seed = _key(scenario, driven, genes, None), _key(scenario, asked, genes, scenario.seed)
             by_both = [by_chains] if by_chains[-1] == by_seed[-1] else [by_chains, by_seed]
             for key in by_both:

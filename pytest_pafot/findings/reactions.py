@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, is_dataclass
 from typing import Any, Self
@@ -43,20 +42,24 @@ class Reaction:
     unseen: bool = False
 
     @classmethod
-    def of(cls, npc: int, actions: Sequence[Any], hidden: Sequence[Any], *, hz: int, until: float) -> Self:
+    def of(
+        cls, npc: int, actions: Sequence[Any], hidden: Sequence[Any], *, times: Sequence[float], until: float
+    ) -> Self:
         """Compare the decisions of a failing run with those of the run in which an NPC is hidden.
 
         Args:
             npc: the NPC's index in the scenario.
             actions: the actions of the failing run, one per decision.
             hidden: the actions of the other run.
-            hz: decisions per second.
+            times: the time of each decision of the failing run [s].
             until: time of the event [s]; later decisions do not count.
         """
-        for number, action in enumerate(actions[: math.floor(until * hz + 1e-9) + 1]):
+        for number, (action, at) in enumerate(zip(actions, times, strict=False)):
+            if at > until + 1e-9:
+                break
             other = hidden[number] if number < len(hidden) else None
             if _differ(action, other):
-                time = round(number / hz, 3)
+                time = round(at, 3)
                 before, shown = round(until - time, 3), _text(action, other)
                 return cls(npc=npc, time=time, before=before, action=shown, hidden=_text(other, action))
         return cls(npc=npc)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Any, Literal, TypeVar
@@ -142,6 +142,8 @@ class Trace(Shown):
         ads_hz: decisions of the ADS per second; divides ``physics_hz``.
         actions: the actions that the ADS returned, one per decision; none if the ADS is a vehicle class, which
             decides at every tick.
+        decided: the ticks at which the ADS was asked, if it was not asked ``ads_hz`` times a second, for example
+            because a wrapper repeats actions; otherwise empty. :attr:`decision_ticks` has them in either case.
         arrivals: for each NPC and each gene that was started, the tick at which the NPC reached the target, or None.
         off_road_tick: first tick with the ego's centre off the road, or at which it touched a fixed object; or None.
         max_decision_seconds: longest decision of the ADS in wall-clock time [s]; not reproducible.
@@ -169,6 +171,7 @@ class Trace(Shown):
     collision: Collision | None = None
     error: AdsError | None = None
     actions: tuple[Any, ...] = ()
+    decided: tuple[int, ...] = ()
     arrivals: tuple[tuple[int | None, ...], ...] = ()
     off_road_tick: int | None = None
     max_decision_seconds: float = field(default=0.0, compare=False)
@@ -237,6 +240,11 @@ class Trace(Shown):
     def times(self) -> FloatArray:
         """The time of every row [s], shape [ticks + 1]."""
         return np.arange(self.ticks + 1) / self.physics_hz
+
+    @property
+    def decision_ticks(self) -> Sequence[int]:
+        """The ticks at which the ADS was asked for a decision, including one in which it failed."""
+        return self.decided or range(0, self.ticks + (self.error is not None), self.physics_hz // self.ads_hz)
 
     @property
     def ego(self) -> FloatArray:

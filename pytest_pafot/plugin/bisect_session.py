@@ -87,16 +87,16 @@ def judged(finding: Finding, label: str, run: Run | None, verdict: Verdict | Non
 
 
 def decided(trace: Trace) -> dict[str, Any]:
-    """Return the decisions of the ego in a run, the interval between them in ticks, and the ego's speeds [m/s].
+    """Return the decisions of the ego in a run, their ticks, and the ego's speeds [m/s].
 
     An ego of a vehicle class of highway-env makes no decisions. Its accelerations and steering angles at each tick are
     returned instead.
     """
     actions: list[Any] = [list(action) if _is_pair(action) else repr(action) for action in trace.actions]
-    every = trace.physics_hz // trace.ads_hz
+    ticks = list(trace.decision_ticks)
     if not actions:  # an ego of one of highway-env's vehicle classes
-        actions, every = trace.ego[1:, [ACCELERATION, STEERING]].tolist(), 1
-    return {"decisions": actions, "speeds": trace.ego[::every, SPEED].tolist(), "every": every, "hz": trace.physics_hz}
+        actions, ticks = trace.ego[1:, [ACCELERATION, STEERING]].tolist(), list(range(trace.ticks))
+    return {"decisions": actions, "speeds": trace.ego[ticks, SPEED].tolist(), "ticks": ticks, "hz": trace.physics_hz}
 
 
 def _is_pair(action: Any) -> bool:

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import inspect
 import math
+from bisect import bisect_left
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields, replace
 from functools import partial
@@ -231,7 +232,8 @@ def before_impact(trace: Trace) -> Trace:
         outcome=Outcome.OFF_ROAD if off_road else Outcome.SAFE,
         collision=None,
         states=trace.states[: last + 1],
-        actions=trace.actions[: -(-last * trace.ads_hz // trace.physics_hz)],
+        actions=trace.actions[: bisect_left(trace.decision_ticks, last)],
+        decided=trace.decided[: bisect_left(trace.decided, last)],
         arrivals=tuple(
             tuple(
                 tick if tick is not None and tick <= last else None

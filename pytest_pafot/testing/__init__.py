@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 import warnings
+from bisect import bisect_right
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, fields, replace
@@ -301,17 +302,21 @@ def _constant(action: tuple[float, float]) -> Ads:
 
 
 def _decided(world: Any, done: _Done) -> Promises:
-    """Yield that an ADS decides as often as ads_hz says, and that a run records each of its decisions."""
+    """Yield that an ADS decides when the trace says, and that a run records each of its decisions."""
     trace, made, poses = done.trace, len(done.noted.actions), done.noted.poses
     if not done.calls.is_known:
         return
-    every = trace.physics_hz // trace.ads_hz
-    wanted = -(-trace.ticks // every)
+    ticks = list(trace.decision_ticks)
     received = f"{made} decisions in {trace.ticks} ticks, with physics_hz {trace.physics_hz} and ads_hz {trace.ads_hz}"
-    promise = "the ADS decides ads_hz times a second, for the first time at the start"
-    yield wanted <= made <= wanted + 1, promise, received
+    if trace.decided:
+        received += f", and decided {trace.decided!r:.100}"
+        promise = "decided has the ticks of all decisions, in order and from the start on"
+        yield made == len(ticks) and ticks == sorted({0, *ticks}) and ticks[-1] <= trace.ticks, promise, received
+    else:
+        promise = "the ADS decides ads_hz times a second, for the first time at the start"
+        yield len(ticks) <= made <= len(ticks) + 1, promise, received
     if poses and trace.track is None:
-        rows = trace.ego[::every][:made, [X, Y, SPEED]]
+        rows = trace.ego[ticks][:made, [X, Y, SPEED]]
         away = np.median(np.abs(rows - np.array(poses)[: len(rows)]), axis=0)
         promise = "an ADS that receives a pafot.Observation, or an object with its fields, sees the ego as in states"
         received = "a difference of {:.2f} m in x, {:.2f} m in y, {:.2f} m/s at half of the decisions".format(*away)
@@ -397,12 +402,16 @@ def _check_lane_changes(world: Any, done: _Done) -> None:
 def _check_decisions(world: Any, done: Sequence[_Done]) -> None:
     """Check that ``decisions=`` replaces the first decisions of an ADS, which then goes on from there."""
     for each in done if protocol.resumable(world) is not None else ():
-        trace, actions, every = each.trace, each.trace.actions, each.trace.physics_hz // each.trace.ads_hz
+        trace, actions, ticks = each.trace, each.trace.actions, (*each.trace.decision_ticks, each.trace.ticks)
         for given in (len(actions) // 2, len(actions)) if each.calls.is_known and len(actions) > 1 else ():
             calls = _Calls(_constant((-6.0, 0.0)) if protocol.looks_si(actions) else each.calls.ads)
             again = _rollout(world.rollout, each.scenario, calls.factory, decisions=actions[:given])
             promise = "decisions= replaces the first decisions, so a run with trace.actions repeats states"
-            _promise(_repeats(trace, again, given * every + 1), promise, f"other states with {given} decisions")
+            _promise(
+                _repeats(trace, again, ticks[min(given, len(ticks) - 1)] + 1),
+                promise,
+                f"other states with {given} decisions",
+            )
             asked = sum(len(noted.actions) for noted in calls.noted)
             received = f"{asked} calls and {len(again.actions)} actions after {given} decisions"
             promise = "decisions= replaces calls of the ADS, and actions has both"
@@ -429,8 +438,8 @@ def _check_drivers(world: Any, staged: Sequence[_Done], others: Sequence[_Done])
     for name in protocol.takes_over(world):
         is_other = []
         for each in tried:
-            trace, every = each.trace, each.trace.physics_hz // each.trace.ads_hz
-            tick = trace.ticks // 4 // every * every
+            trace, ticks = each.trace, each.trace.decision_ticks
+            tick = ticks[bisect_right(ticks, trace.ticks // 4) - 1]
             with _no_error(f"take_over runs the declared driver {name!r}"):
                 taken = world.take_over(trace, tick, name)
             _promise(isinstance(taken, Trace), "take_over returns a pafot.Trace", f"{taken!r:.200}")
@@ -495,12 +504,13 @@ def _check_faults(world: Any, done: _Done, ads: Ads) -> None:
         ("returns None", lambda: None, Outcome.ADS_ERROR),
         ("hangs", lambda: time.sleep(6 * limit), Outcome.HANG),
     ]
-    tick = GOOD_DECISIONS * (trace.physics_hz // trace.ads_hz)
+    good = min(GOOD_DECISIONS, len(trace.decision_ticks) - 1)  # a run may be shorter
+    tick = trace.decision_ticks[good]
     for name, fault, outcome in faults if limit <= 1.0 else faults[:-1]:
 
         def failing(fault: Callable[[], Any] = fault) -> Callable[..., Any]:
             healthy, made = ads(), count(1)
-            return lambda *seen: healthy(*seen) if next(made) <= GOOD_DECISIONS else fault()
+            return lambda *seen: healthy(*seen) if next(made) <= good else fault()
 
         failed = _rollout(rollout_of(world), done.scenario, failing)
         received = f"{failed.outcome}, {failed.error}"
@@ -508,7 +518,7 @@ def _check_faults(world: Any, done: _Done, ads: Ads) -> None:
         _promise(is_told, f"an ADS that {name} ends its run as {outcome}", received)
         is_tick = failed.error is not None and failed.error.tick == failed.ticks == tick
         promise = f"error.tick is the tick of the decision of an ADS that {name}, at which its run ends"
-        received += f", in a run of {failed.ticks} ticks for decision {GOOD_DECISIONS}, at tick {tick}"
+        received += f", in a run of {failed.ticks} ticks for decision {good}, at tick {tick}"
         _promise(is_tick, promise, received)
         again = _rollout(rollout_of(world), done.scenario, ads)
         _check_same(trace, again, f"an ADS that {name} does not affect the next run")

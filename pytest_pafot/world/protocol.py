@@ -7,6 +7,7 @@ function in this module finds out whether a world has it, so that the search doe
 from __future__ import annotations
 
 import inspect
+from bisect import bisect_left
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -314,7 +315,7 @@ class TakingOver:
         is_by_decisions = self.by_decisions and name == STEADY_BRAKING
         with driven_by(self.world, "rollout(decisions=...)" if is_by_decisions else "take_over", name):
             if is_by_decisions:
-                first = trace.actions[: tick // (trace.physics_hz // trace.ads_hz)]
+                first = trace.actions[: bisect_left(trace.decision_ticks, tick)]
                 taken = self.world.rollout(trace.scenario, lambda: lambda *seen: BRAKING, decisions=first)
             else:
                 taken = self.world.take_over(trace, tick, name)

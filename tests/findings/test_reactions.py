@@ -13,7 +13,7 @@ KEEPS, BRAKES = (0.0, 0.0), (-4.0, 0.0)
 
 
 def reaction(actions, hidden, until=2.0):
-    return Reaction.of(1, actions, hidden, hz=5, until=until)
+    return Reaction.of(1, actions, hidden, times=[number / 5 for number in range(len(actions))], until=until)
 
 
 def test_the_first_decision_that_differs_is_told_with_both_actions():
@@ -94,9 +94,10 @@ def test_a_hidden_vehicle_is_seen_in_no_decision_and_the_others_as_before(factor
     hidden = pafot.Highway().rollout(SCENARIO, without(factory, 0))
     assert Listing.seen == {1}
     whole = pafot.Highway().rollout(SCENARIO, factory)
-    assert Reaction.of(0, whole.actions, hidden.actions, hz=whole.ads_hz, until=whole.duration).time is not None
+    asked = {"times": [tick / whole.physics_hz for tick in whole.decision_ticks], "until": whole.duration}
+    assert Reaction.of(0, whole.actions, hidden.actions, **asked).time is not None
     other = pafot.Highway().rollout(SCENARIO, without(factory, 1))
-    assert Reaction.of(1, whole.actions, other.actions, hz=whole.ads_hz, until=whole.duration).time is None
+    assert Reaction.of(1, whole.actions, other.actions, **asked).time is None
 
 
 def test_an_environments_observation_is_without_the_vehicle():

@@ -87,7 +87,9 @@ def tried(monkeypatch):
         decisions = [[1.0, 0.0], [1.0, 0.0], [-6.0 if verdict else 0.5, 0.0]]
         told = {"passes": verdict, "why": "as it says", "is_other": texts[-1] == OTHER}
         return (
-            told if verdict is None else {**told, "decisions": decisions, "speeds": [20, 21, 22], "every": 3, "hz": 15}
+            told
+            if verdict is None
+            else {**told, "decisions": decisions, "speeds": [20, 21, 22], "ticks": [0, 3, 6], "hz": 15}
         )
 
     monkeypatch.setattr(Trials, "_session", session)
@@ -228,7 +230,7 @@ def test_a_time_in_which_nothing_can_run_is_refused(commit, tried, capsys, secon
 
 
 def test_runs_that_cannot_be_compared_are_told(commit):
-    one, none = {"decisions": [1], "speeds": [9.0], "every": 1, "hz": 5, "why": "safe"}, {"why": "no module\x1b"}
+    one, none = {"decisions": [1], "speeds": [9.0], "ticks": [0], "hz": 5, "why": "safe"}, {"why": "no module\x1b"}
     assert parted(one, none) == "decisions cannot be compared: before, safe; now, no module\x1b"
     assert parted(one, {**one, "decisions": [1, 2]}) == "both decide the same as long as both drive"
     assert parted({**one, "decisions": ["0"]}, {**one, "decisions": ["1"]}).endswith(
@@ -305,7 +307,7 @@ def test_session_reports_whether_the_saved_failure_occurs(safety, told, old, new
     if passes is not None:
         assert found["decisions"][0] == [0.0, 0.0]
         assert found["speeds"][0] == 22.0
-        assert (found["every"], found["hz"]) == (3, 15)
+        assert (found["ticks"][:3], found["hz"]) == ([0, 3, 6], 15)
 
 
 def test_policy_imported_from_elsewhere_gives_no_verdict(safety, told, monkeypatch, tmp_path):

@@ -4,6 +4,7 @@ The plain loop here is independent of this package: the environment's own reset 
 controls from the trace.
 """
 
+from dataclasses import replace
 from functools import partial
 from hashlib import sha256
 
@@ -27,8 +28,11 @@ from gymnasium.wrappers import (
 from highway_env.envs.highway_env import HighwayEnv
 from highway_env.vehicle.behavior import IDMVehicle
 
+from pytest_pafot.findings.reactions import Reaction
 from pytest_pafot.model.scenario import PositionInstruction, Scenario
-from pytest_pafot.model.trace import ACCELERATION, HEADING, SPEED, STEERING
+from pytest_pafot.model.trace import ACCELERATION, HEADING, SPEED, STEERING, Collision
+from pytest_pafot.searching.fitness import before_impact
+from pytest_pafot.testing import check_world
 from pytest_pafot.world import World, WorldError
 from pytest_pafot.world.gym_environment import POLICY_OPTIONS, TRAFFIC_OPTIONS
 from tests.helpers.gym_loop import Replayed, StateLog
@@ -142,6 +146,74 @@ def test_wrapped_policy_matches_the_plain_gymnasium_loop(case, monkeypatch):
     assert all(np.array_equal(a, b) for a, b in zip(listener.actions, expected.actions, strict=True))
     assert np.array_equal(np.array(log.rows[: trace.ticks]), trace.states[1:, :, : SPEED + 1])
     assert len(trace.actions) == len(listener.actions)
+
+
+class Repeating(HighwayEnv):
+    """A straight road whose ``step`` repeats each action, twice in all."""
+
+    def step(self, action):
+        super().step(action)
+        return super().step(action)
+
+
+class Hurried(HighwayEnv):
+    """A straight road whose ``reset`` sets the rate of decisions."""
+
+    def reset(self, **options):
+        first = super().reset(**options)
+        self.config["policy_frequency"] = 3
+        return first
+
+
+@pytest.mark.parametrize(
+    ("entry_point", "wrappers", "every"),
+    [
+        (HighwayEnv, [partial(MaxAndSkipObservation, skip=3)], 45),
+        (Repeating, None, 30),
+        (Repeating, [partial(MaxAndSkipObservation, skip=2)], 60),
+        (Hurried, None, 5),
+        (HighwayEnv, None, 15),
+    ])  # fmt: skip
+def test_times_of_decisions_are_those_at_which_the_policy_was_asked(entry_point, wrappers, every, register):
+    register("mine-v0", entry_point=entry_point)
+    world = World("mine-v0", duration=8.0, wrappers=wrappers)
+    trace = world.rollout(SCENARIO, lambda: Listener(gymnasium.spaces.Discrete(5)))
+    assert list(trace.decision_ticks) == list(range(0, trace.ticks, every))
+    assert len(trace.decision_ticks) == len(trace.actions) > 1
+    assert bool(trace.decided) == (every != trace.physics_hz // trace.ads_hz)
+    check_world(world, ads=lambda: lambda seen: 1, npcs=1, runs=4)
+
+
+@pytest.mark.parametrize("told", [(0, 15, 45), (0, 0, 45, 90), (15, 45, 90), (0, 90, 45)])
+def test_wrong_times_of_decisions_are_refused(told):
+    class Lying(World):
+        def rollout(self, scenario, ads_factory):
+            return replace(super().rollout(scenario, ads_factory), decided=told)
+
+    with pytest.raises(AssertionError, match="decided has the ticks of all decisions"):
+        check_world(Lying("highway-v0", duration=6.0), ads=lambda: lambda seen: 1, npcs=1, runs=2)
+
+
+def test_readers_of_a_run_use_the_times_of_its_decisions():
+    skips = World("highway-v0", duration=8.0, wrappers=[partial(MaxAndSkipObservation, skip=2)])
+    trace = skips.rollout(SCENARIO, lambda: lambda seen: 1)
+    hit = Collision(tick=105, time=7.0, npc=0, side="front", cell=None, ego_speed=9.0, npc_speed=0.0, closing_speed=9.0)
+    before = before_impact(replace(trace, outcome="collision", collision=hit))
+    assert (before.ticks, before.decided, len(before.actions)) == (60, (0, 30), 2)
+    times = [tick / trace.physics_hz for tick in trace.decision_ticks]
+    assert Reaction.of(0, trace.actions, (1, 0), times=times, until=5.0).time == 2.0
+
+
+def test_decision_that_fails_has_its_time_too():
+    def failing():
+        calls = iter([1, 1])
+        return lambda seen: next(calls)
+
+    skips = World("highway-v0", duration=8.0, wrappers=[partial(MaxAndSkipObservation, skip=2)])
+    trace = skips.rollout(SCENARIO, failing)
+    assert (trace.decision_ticks, len(trace.actions), trace.error.tick) == ((0, 30, 60), 2, 60)
+    plain = World("highway-v0", duration=8.0).rollout(SCENARIO, failing)
+    assert (list(plain.decision_ticks), len(plain.actions), plain.error.tick) == ([0, 15, 30], 2, 30)
 
 
 def test_each_run_has_fresh_wrappers_and_is_confirmed():

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import nullcontext
+from dataclasses import replace
 from typing import Any
 
 import gymnasium
@@ -264,6 +265,7 @@ class _Loop:
         foresee(self._vehicles[1:], vehicles.places, vehicles.rules.road)
         env.road.vehicles = self._vehicles
         self._last = vehicles.rules.ticks(vehicles.scenario)
+        self._asked: list[int] = []
         self._error: AdsError | None = None
         if isinstance(env.road, RegulatedRoad) and not is_regulated(env.vehicle):
             env.road.enforce_road_rules = _nothing  # without effect here, and slow
@@ -282,6 +284,7 @@ class _Loop:
                 driver.begin(self._run.scenario.seed)
             while not self._is_over:
                 tick = loop.tick
+                self._asked.append(tick)
                 self._error = driver.decide(tick)
                 if self._error is not None:
                     break
@@ -295,7 +298,10 @@ class _Loop:
                         f"did not, at {tick / self._run.rules.physics_hz:.1f} s; leave out wrappers that end or reset "
                         f"episodes"
                     )
-        return self._run.trace(driver, self._error)
+        trace = self._run.trace(driver, self._error)
+        # A wrapper or the environment's own step may have repeated actions.
+        is_usual = not isinstance(driver, StockPolicy) or self._asked == list(trace.decision_ticks)
+        return trace if is_usual else replace(trace, decided=tuple(self._asked))
 
     def _act(self) -> None:
         """Control the ego and then the NPCs; this replaces ``Road.act``, which calls each vehicle's ``act``."""

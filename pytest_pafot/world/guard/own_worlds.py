@@ -175,6 +175,8 @@ class _Watch:
         if self.hang is None or not isinstance(trace, Trace):
             return trace
         asked = self.decisions * (trace.physics_hz // trace.ads_hz)
+        if self.decisions < len(trace.decided):
+            asked = trace.decided[self.decisions]
         tick = min(asked, trace.ticks) if trace.error is None else trace.error.tick
         return replace(trace, outcome=Outcome.HANG, collision=None, error=replace(self.hang, tick=tick))
 
