@@ -93,14 +93,15 @@ def mistake(trace: Trace, attribution: Attribution) -> Mistake | None:
     other vehicle is ahead if there are more than 2 m between the boxes along the road. It is behind if its box is
     entirely behind the ego's. Otherwise it is next to the ego.
     """
-    if trace.collision is None or attribution.fault is None or attribution.tick is None:
+    npc = None if trace.collision is None else trace.collision.npc
+    if npc is None or attribution.fault is None or attribution.tick is None:
         return None
     if attribution.fault in BY_FAULT:
         return BY_FAULT[attribution.fault]
-    zone = trace.zones[trace.collision.npc] if trace.zones else None
+    zone = trace.zones[npc] if trace.zones else None
     if attribution.fault == "did-not-give-way":
         return None if zone is None else NOT_GIVEN_WAY[zone.origin]
-    frame, npc, tick = frame_of(trace), trace.collision.npc, attribution.tick
+    frame, tick = frame_of(trace), attribution.tick
     ahead, both = frame.ahead[npc, tick], frame.half_along[0, tick] + frame.half_along[npc + 1, tick]
     if ahead > both + CLOSE_AHEAD:
         return "kept-no-distance"

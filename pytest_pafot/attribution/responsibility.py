@@ -452,7 +452,8 @@ def rss_rule(trace: Trace) -> Attribution:
     ego is responsible, too, if a careful driver would have avoided a cut-in by braking. Without a lane change, the
     follower is responsible if braking with 6 m/s^2 after 1 s would have avoided the collision. An ego ahead is
     responsible only for braking hard, or stopping, with nothing in its way. If the NPC's way meets the ego's, right of
-    way is decided first. Each clause, its source and its numbers are in docs/explanation/verdicts.md.
+    way is decided first. The ego is always responsible for touching a fixed object. Each clause, its source and its
+    numbers are in docs/explanation/verdicts.md.
 
     Sources: Shalev-Shwartz, Shammah, Shashua, "On a Formal Model of Safe and Scalable Self-driving Cars",
     arXiv:1708.06374 (distances, danger, blame, proper response); UN Regulations No. 79 (lane changes) and No. 157
@@ -461,6 +462,9 @@ def rss_rule(trace: Trace) -> Attribution:
     if trace.collision is None:
         return Attribution(responsibility="none", tick=None, time=None)
     npc = trace.collision.npc
+    if npc is None:
+        hit = trace.collision
+        return Attribution(responsibility="ego", tick=hit.tick, time=hit.time)
     zone = trace.zones[npc] if trace.zones else None
     if zone is None:
         return trace.reading("attribution", lambda trace: Conflict(trace, npc).attribution)
@@ -542,6 +546,8 @@ def position_rule(trace: Trace) -> Responsibility:
     hit = trace.collision
     if hit is None:
         return "none"
+    if hit.npc is None:
+        return "ego"
     was_ahead = hit.side == "front" if hit.cell is None else hit.cell.row > 0
     return "ego" if was_ahead and hit.ego_speed > STANDING_SPEED else "npc"
 

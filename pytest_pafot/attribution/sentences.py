@@ -196,8 +196,10 @@ def _lines(fact: Fact) -> list[str]:
     return lines
 
 
-def responsible_sentence(responsibility: str, npc: int) -> str:
-    """Return the sentence that says who is responsible for a collision with an NPC."""
+def responsible_sentence(responsibility: str, npc: int | None) -> str:
+    """Return the sentence that says who is responsible for a collision with an NPC, or with a fixed object (None)."""
+    if npc is None:
+        return "The ego is responsible, because a fixed object does not move."
     if responsibility == "both":
         return f"Both are responsible: the ego and NPC {npc}."
     who = {"ego": "The ego", "npc": f"NPC {npc}", "none": f"Neither the ego nor NPC {npc}"}[responsibility]

@@ -189,7 +189,8 @@ def collision_in_short(run: Run) -> str:
     else:
         place = "" if zone is None else f" {zone.whence}"
     who = {"ego": "ego", "npc": "NPC", "both": "both"}.get(run.responsibility or "", "neither")
-    return f"collision after {hit.time:.1f} s at {hit.closing_speed:.1f} m/s: NPC {hit.npc}{place}, {who} at fault"
+    what = "a fixed object" if hit.npc is None else f"NPC {hit.npc}"
+    return f"collision after {hit.time:.1f} s at {hit.closing_speed:.1f} m/s: {what}{place}, {who} at fault"
 
 
 def skips() -> tuple[type[BaseException], ...]:

@@ -389,7 +389,9 @@ def _expect(field: Field, npc: Read) -> Expect:
     fields = field.mapping(_keys_of(Expect))
     if fields["outcome"].choice(_OUTCOMES) == Outcome.COLLISION:
         # An NPC that crosses hits the ego in a zone, off the ego's way; every other NPC is in a cell.
-        field.mapping(Keys(("npc", "zone" if "zone" in fields else "cell", "side"), tuple(fields)))
+        with_npc = ("npc", "zone" if "zone" in fields else "cell", "side")
+        is_fixed = not {"npc", "zone", "cell", "situation"} & {*fields}  # it hit a fixed object
+        field.mapping(Keys(("side",) if is_fixed else with_npc, tuple(fields)))
     if "mistake" in fields and ("fault" not in fields or fields["fault"].value != "entered-lane"):
         raise fields["mistake"].error("no mistake without the fault entered-lane, because other faults say it")
     return _record(

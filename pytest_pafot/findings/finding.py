@@ -194,6 +194,7 @@ class Expect:
             how = "fails" if self.failure == AssertionError.__name__ else f"raises {self.failure}"
             return f"{self.assertion.removeprefix('assert ') or 'the test function'} {how}"
         npc = "" if self.npc is None else f": NPC {self.npc}"
+        npc = ": a fixed object" if self.outcome is Outcome.COLLISION and self.npc is None else npc
         place = "" if self.zone is None else f" {self.zone}"
         place = place if self.cell is None else f" in cell {int(self.cell)} ({self.cell.label})"
         side = "" if self.side is None or is_brief else f" against the ego's {self.side}"
@@ -260,7 +261,9 @@ class Expect:
             responsibility=run.attribution.responsibility,
             fault=run.attribution.fault,
             mistake=mistake_of(trace) if run.attribution.fault == "entered-lane" else None,
-            npc_manoeuvre=None if hit is None or event.zone else manoeuvre_before(trace, hit.npc + 1, hit.tick),
+            npc_manoeuvre=None
+            if hit is None or hit.npc is None or event.zone
+            else manoeuvre_before(trace, hit.npc + 1, hit.tick),
             ego_manoeuvre=None if hit is None else manoeuvre_before(trace, 0, hit.tick),
             reference_drivers=dict(reference_drivers or {}),
             last_chance=last_chance,

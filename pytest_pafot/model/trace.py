@@ -34,15 +34,15 @@ class Outcome(StrEnum):
     SAFE = "safe"
     """The run lasted for its full duration, and none of the other outcomes occurred."""
     OFF_ROAD = "off_road"
-    """The ego's centre was off the road, which ends runs on roads that are not straight; or it hit a fixed object."""
+    """The ego's centre was off the road, which ends runs on roads that are not straight."""
     LEFT_ROUTE = "left_route"
     """The ego entered a lane that does not belong to its route, which the grid follows; the run ended there."""
     END_OF_ROAD = "end_of_road"
     """A vehicle reached the end of the road; the run ended there."""
     COLLISION = "collision"
-    """The ego's box touched an NPC's; the run ended there."""
+    """The ego's box touched an NPC's or a fixed object; the run ended there."""
     INVALID = "invalid"
-    """Two NPCs touched; the run says nothing about the ego and ended there."""
+    """Two NPCs touched, or an NPC touched a fixed object; the run says nothing about the ego and ended there."""
     ADS_ERROR = "ads_error"
     """The ADS raised an exception or returned no valid action; the run ended there."""
     HANG = "hang"
@@ -72,23 +72,23 @@ class Lane:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Collision:
-    """The first contact of the ego's box with an NPC's.
+    """The first contact of the ego's box with an NPC's or with a fixed object on the road.
 
     Attributes:
         tick: physics tick of the first overlap.
         time: time of that tick [s].
-        npc: index of the NPC in the scenario.
+        npc: index of the NPC in the scenario; None for a fixed object.
         side: side of the ego that was hit.
         cell: cell of the NPC's centre at the impact, or before it if the centre was already in the ego's own cell. None
-            if an NPC that crosses was not on the ego's way.
-        ego_speed, npc_speed: speeds at the impact [m/s].
+            if an NPC that crosses was not on the ego's way, and for a fixed object.
+        ego_speed, npc_speed: speeds at the impact [m/s]; a fixed object's is 0.
         closing_speed: magnitude of the difference of the two velocities [m/s], which include the slip of a turning
             vehicle.
     """
 
     tick: int
     time: float
-    npc: int
+    npc: int | None
     side: Side
     cell: Cell | None
     ego_speed: float
@@ -97,7 +97,8 @@ class Collision:
 
     def __repr__(self) -> str:
         where = "" if self.cell is None else f" in cell {int(self.cell)}"
-        return f"<Collision after {self.time:.1f} s: NPC {self.npc}{where}, {self.side} of the ego>"
+        what = "a fixed object" if self.npc is None else f"NPC {self.npc}"
+        return f"<Collision after {self.time:.1f} s: {what}{where}, {self.side} of the ego>"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -145,7 +146,7 @@ class Trace(Shown):
         decided: the ticks at which the ADS was asked, if it was not asked ``ads_hz`` times a second, for example
             because a wrapper repeats actions; otherwise empty. :attr:`decision_ticks` has them in either case.
         arrivals: for each NPC and each gene that was started, the tick at which the NPC reached the target, or None.
-        off_road_tick: first tick with the ego's centre off the road, or at which it touched a fixed object; or None.
+        off_road_tick: first tick with the ego's centre off the road, or None.
         max_decision_seconds: longest decision of the ADS in wall-clock time [s]; not reproducible.
         track: None on straight roads; otherwise float64, read-only, shape [ticks + 1, vehicles, 5] with columns: along
             the ego's way [m], across it to the right [m], angle to it [rad], offset from the centre of the vehicle's
@@ -158,6 +159,8 @@ class Trace(Shown):
         driven: for each NPC and started gene, the cell that the NPC drove to. It differs from ``executed`` if cells
             that the road does not have were skipped, which no chain can express. Empty if it equals ``executed``.
         begun: for each NPC the ticks at which the steps of its manoeuvre began. Empty if no NPC has one.
+        obstacles: the fixed objects on the road that vehicles can touch: x [m], y [m], heading [rad], length and width
+            [m].
     """
 
     scenario: Scenario
@@ -180,6 +183,7 @@ class Trace(Shown):
     on_way: FloatArray | None = None
     driven: tuple[tuple[Cell, ...], ...] = ()
     begun: tuple[tuple[int, ...], ...] = ()
+    obstacles: tuple[tuple[float, float, float, float, float], ...] = ()
     _readings: dict[Hashable, Any] = field(default_factory=dict, init=False, repr=False)
 
     def steps_begun(self, npc: int) -> tuple[int, ...]:

@@ -174,7 +174,7 @@ class Run(Shown):
 
     @property
     def collision(self) -> Collision | None:
-        """The ego's collision with its time, NPC, place and speeds; None without a collision."""
+        """The ego's collision with its time, NPC or fixed object, place and speeds; None without a collision."""
         return self.trace.collision
 
     @property
@@ -424,7 +424,10 @@ class Run(Shown):
 
     @property
     def event_npc(self) -> int | None:
-        """The index of the NPC that collided, or else of the NPC with the least time to contact; None if none."""
+        """The index of the NPC that collided, or else of the NPC with the least time to contact; None if none.
+
+        It is None, too, if the ego hit a fixed object.
+        """
         event = self.collision or self.worst_ttc
         return None if event is None else event.npc
 
@@ -439,8 +442,8 @@ class Run(Shown):
 
         After an NPC has merged and left the zone, it is on the ego's way like any other NPC.
         """
-        zone, on_way = self.npcs[event.npc].zone, self.trace.on_way
-        if zone is None or on_way is None:
+        zone, on_way = None if event.npc is None else self.npcs[event.npc].zone, self.trace.on_way
+        if event.npc is None or zone is None or on_way is None:
             return None
         return zone if event.cell is None or on_way[event.tick, event.npc] <= zone.npc[1] else None
 
@@ -451,7 +454,7 @@ class Run(Shown):
         the ego's own cell.
         """
         zone, on_way = self.zone_of(event), self.trace.on_way
-        if zone is None or on_way is None:
+        if event.npc is None or zone is None or on_way is None:
             return "" if event.cell is None else f"in cell {int(event.cell)} ({event.cell.label})"
         along, (enters, leaves) = on_way[event.tick, event.npc], zone.npc
         where = "before" if along < enters else "past" if along > leaves else "in"
@@ -512,12 +515,14 @@ class Run(Shown):
         hit = self.collision
         if hit is not None:
             place = f"{self.place_of(hit)} ".lstrip()
-            return f"collision after {hit.time:.1f} s: NPC {hit.npc} {place}against the ego's {hit.side}"
+            what = "a fixed object " if hit.npc is None else f"NPC {hit.npc} "
+            return f"collision after {hit.time:.1f} s: {what}{place}against the ego's {hit.side}"
         if self.ads_error is not None:
             kind = "ADS hangs" if self.outcome is Outcome.HANG else "ADS error"
             return f"{kind} after {self.event_time:.1f} s: {self.ads_error.kind}: {self.ads_error.message}"
         if self.outcome is Outcome.INVALID:
-            return f"invalid after {self.duration:.1f} s: two NPCs touched"
+            more = ", or one touched a fixed object" if self.trace.obstacles else ""
+            return f"invalid after {self.duration:.1f} s: two NPCs touched{more}"
         if self.off_road:
             return f"the ego left the road after {self.event_time:.1f} s; no collision in {self.duration:.1f} s"
         return f"no collision in {self.duration:.1f} s{_DEPARTURES.get(self.outcome, '')}"
@@ -525,7 +530,8 @@ class Run(Shown):
     def _measures(self) -> list[str]:
         brake, hit = self._hardest_brake(), self.collision
         if hit is not None:
-            speeds = f"ego {hit.ego_speed:.1f} m/s, NPC {hit.npc_speed:.1f} m/s, closing {hit.closing_speed:.1f} m/s"
+            other = "" if hit.npc is None else f"NPC {hit.npc_speed:.1f} m/s, "
+            speeds = f"ego {hit.ego_speed:.1f} m/s, {other}closing {hit.closing_speed:.1f} m/s"
             return [f"  at the impact: {speeds}", f"  {brake}", *self._backwards()]
         lines, worst = [], self.worst_ttc
         if worst is not None:

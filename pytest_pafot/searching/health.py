@@ -244,12 +244,12 @@ class Health:
         if self.vacuous:
             found.append(
                 f"none of {self.simulated} simulated scenarios gave a valid run ({self.invalid} ended in a crash "
-                f"between NPCs, {self.discarded} were rejected, skipped or ended their process), so nothing was "
+                f"of NPCs, {self.discarded} were rejected, skipped or ended their process), so nothing was "
                 "tested; use fewer NPCs, reject less, or fix what ends the process"
             )
         if _share(self.invalid, self.simulated) > MAX_INVALID_SHARE:
             found.append(
-                f"{_percent(self.invalid, self.simulated)} simulated scenarios ended in a crash between NPCs and "
+                f"{_percent(self.invalid, self.simulated)} simulated scenarios ended in a crash of NPCs and "
                 "tested nothing, which should be at most 25 %; use fewer NPCs or more lanes"
             )
         kinds = self.goals

@@ -35,6 +35,7 @@ from pytest_pafot.model.trace import (
     Y,
 )
 from pytest_pafot.support.errors import plain_whole
+from pytest_pafot.world.kernel.bodies import Box, overlap
 from pytest_pafot.world.limits import NpcLimits
 
 Promises = Iterator[tuple[Any, str, str]]
@@ -293,8 +294,9 @@ def contacts(trace: Trace) -> Promises:
             for (a, b), deep in zip(pairs, most, strict=True)]  # fmt: skip
     count = trace.states.shape[1] - 1  # The pairs with the ego come first.
     if trace.outcome is Outcome.INVALID:
-        gap = min(gaps[count:], default=np.inf)
-        yield gap <= DEEP, "boxes of two NPCs touch at the end of a run with the outcome invalid", f"{gap:.1f} m"
+        gap, at_object = min(gaps[count:], default=np.inf), any(_at_object(trace, npc + 1) for npc in range(count))
+        promise = "boxes of two NPCs, or of one and an obstacle, touch at the end of a run with the outcome invalid"
+        yield gap <= DEEP or at_object, promise, f"{gap:.1f} m"
     if hit is not None:
         yield from _collision(trace, hit, gaps[:count], velocities)
 
@@ -317,6 +319,13 @@ def _depths(trace: Trace, rows: slice = slice(None)) -> tuple[FloatArray, FloatA
     return np.min(depths, axis=0), np.max(depths, axis=0)
 
 
+def _at_object(trace: Trace, vehicle: int) -> bool:
+    """Return whether a vehicle is at a fixed object at the end of a run."""
+    (x, y, heading), (length, width) = trace.states[-1, vehicle, :3].tolist(), trace.sizes[vehicle].tolist()
+    near = Box(x, y, heading, length + 2 * APART, width + 2 * APART)
+    return any(overlap(near, Box(*each)) for each in trace.obstacles)
+
+
 def _collision(trace: Trace, hit: Collision, gaps: Sequence[float], velocities: FloatArray) -> Promises:
     """Yield each field of a collision; ``velocities`` [m/s] are those of the vehicles in the last two rows."""
     npcs, hz, rows = len(gaps), trace.physics_hz, trace.states[-2:]
@@ -324,8 +333,23 @@ def _collision(trace: Trace, hit: Collision, gaps: Sequence[float], velocities: 
     received = f"{hit.time:g} s for tick {hit.tick} at {hz} Hz, which is {hit.tick / hz:g} s"
     promise = "collision.time is the time of collision.tick, tick / physics_hz"
     yield abs(hit.time - hit.tick / hz) <= 0.5 / hz, promise, received
+    if hit.npc is None:
+        nearest = min(gaps, default=np.inf)
+        is_alone = _at_object(trace, 0) and nearest > -DEEP
+        promise = "collision.npc is None only if the ego touches one of obstacles, and no NPC"
+        yield (
+            is_alone,
+            promise,
+            f"{nearest:.1f} m to an NPC, obstacles {trace.obstacles!r:.100}",
+        )
+        speed = abs(float(rows[-1, 0, SPEED]))
+        is_closing = abs(abs(hit.ego_speed) - speed) <= 1.0 and abs(hit.closing_speed - speed) <= 0.1 * speed + 1.0
+        received = f"{hit.ego_speed:g} and {hit.closing_speed:g}, the states have {speed:.1f}"
+        promise = "collision.ego_speed and collision.closing_speed with a fixed object are the ego's speed in m/s"
+        yield is_closing and hit.npc_speed == 0, promise, received
+        return
     is_npc = plain_whole(hit.npc) is not None and 0 <= hit.npc < npcs
-    yield is_npc, "collision.npc is the index of an NPC in the scenario", f"{hit.npc!r} of {npcs}"
+    yield is_npc, "collision.npc is the index of an NPC in the scenario, or None", f"{hit.npc!r} of {npcs}"
     is_near, other = gaps[hit.npc] <= APART, int(np.argmin(gaps))
     received = f"a gap of {gaps[hit.npc]:.1f} m to NPC {hit.npc} at tick {hit.tick}"
     promise = "collision.npc is the NPC that the ego touches"
@@ -372,11 +396,9 @@ def end(world: Any, trace: Trace) -> Promises:
     yield is_whole or trace.track is not None, promise, received
     first = int(off[0]) if len(off) else None
     received = f"off_road_tick {trace.off_road_tick}, outcome {trace.outcome}, and the first such row of states {first}"
-    has_touched = first is None and trace.off_road_tick == trace.ticks and trace.outcome is Outcome.OFF_ROAD
-    is_first = trace.off_road_tick in (None, first) or has_touched
-    promise = "off_road_tick is the first tick with the ego in lane -1, the last if it touched a fixed object, or None"
-    yield is_first, promise, received
-    is_told = has_touched or trace.outcome is not (Outcome.OFF_ROAD if first is None else Outcome.SAFE)
+    promise = "off_road_tick is the first tick with the ego in lane -1, or None"
+    yield trace.off_road_tick in (None, first), promise, received
+    is_told = trace.outcome is not (Outcome.OFF_ROAD if first is None else Outcome.SAFE)
     yield is_told, "the outcome is off_road if the ego was in lane -1 and nothing else ended the run", received
     if not trace.arrivals:
         return

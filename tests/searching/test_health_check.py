@@ -55,7 +55,7 @@ def test_more_than_a_quarter_invalid_runs_warns(make_evaluation):
     invalid = {"outcome": Outcome.INVALID}
     assert health_of(make_evaluation, (3, {}), (1, invalid)).warnings() == []
     assert health_of(make_evaluation, (2, {}), (1, invalid)).warnings() == [
-        "33 % (1) of 3 simulated scenarios ended in a crash between NPCs and tested nothing, which should be at most "
+        "33 % (1) of 3 simulated scenarios ended in a crash of NPCs and tested nothing, which should be at most "
         "25 %; use fewer NPCs or more lanes"
     ]
 

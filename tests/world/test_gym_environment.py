@@ -27,14 +27,25 @@ from gymnasium.wrappers import (
 )
 from highway_env.envs.highway_env import HighwayEnv
 from highway_env.vehicle.behavior import IDMVehicle
+from highway_env.vehicle.kinematics import Vehicle
+from highway_env.vehicle.objects import Landmark, Obstacle
 
+from pytest_pafot.corpus.reader import load
+from pytest_pafot.corpus.writer import write
+from pytest_pafot.findings.finding import Expect, disagreement, is_same_event
 from pytest_pafot.findings.reactions import Reaction
+from pytest_pafot.findings.signature import Failure
+from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.scenario import PositionInstruction, Scenario
 from pytest_pafot.model.trace import ACCELERATION, HEADING, SPEED, STEERING, Collision
+from pytest_pafot.oracle.run import Run
 from pytest_pafot.searching.fitness import before_impact
+from pytest_pafot.support.errors import CorpusError
 from pytest_pafot.testing import check_world
+from pytest_pafot.testing.traces import contacts
 from pytest_pafot.world import World, WorldError
 from pytest_pafot.world.gym_environment import POLICY_OPTIONS, TRAFFIC_OPTIONS
+from tests.findings.builders import plain_finding
 from tests.helpers.gym_loop import Replayed, StateLog
 from tests.helpers.stages import mostly_oracle
 from tests.helpers.tables import table
@@ -366,6 +377,89 @@ def test_environment_that_looks_at_its_traffic_in_reset_runs_with_the_npcs_alone
         assert states.shape == expected.states.shape
         assert np.abs(states - expected.states).max() < 1e-9
     assert own.to_dict()["config"] == stock.to_dict()["config"]
+
+
+class Roadworks(HighwayEnv):
+    """A straight road with an obstacle in lane 1, and a mark in lane 2 that vehicles can drive over."""
+
+    def _create_road(self):
+        super()._create_road()
+        self.road.objects += [Obstacle(self.road, [300.0, 4.0]), Landmark(self.road, [300.0, 8.0])]
+
+
+IDLE = lambda: lambda seen: 1  # noqa: E731
+AT_ONCE = [[PositionInstruction(6, 20.0)]]
+
+
+@pytest.mark.parametrize("wrappers", [None, [FlattenObservation]])
+@pytest.mark.parametrize(
+    "factory", [IDLE, Vehicle, lambda: lambda seen: (0.0, 0.0)], ids=["policy", "class", "planner"]
+)
+def test_contact_with_an_obstacle_is_a_collision_for_which_the_ego_is_responsible(factory, wrappers, register):
+    register("mine-v0", entry_point=Roadworks)
+    world = World("mine-v0", duration=12.0, wrappers=wrappers)
+    if factory not in (IDLE, Vehicle):
+        world = World("mine-v0", duration=12.0, planner_hz=5)
+    scenario = Scenario(npcs=AT_ONCE, ego_lane=1)
+    first, again = world.rollout(scenario, factory), world.rollout_in_gym(scenario, factory)
+    assert disagreement(Run(first), Run(again)) == ""
+    run, hit = Run(first), first.collision
+    assert (run.outcome, hit.npc, hit.side, hit.cell, hit.npc_speed) == ("collision", None, "front", None, 0.0)
+    assert 0 <= 300.0 - 1.0 - (first.ego[-2, 0] + 2.5) < hit.ego_speed / first.physics_hz, "the last tick before it"
+    assert (run.responsibility, run.event_npc, run.off_road) == ("ego", None, False)
+    assert run.explain().startswith(f"collision after {hit.time:.1f} s: a fixed object against the ego's front")
+    assert "The ego is responsible, because a fixed object does not move." in run.explain()
+    beside = world.rollout(replace(scenario, ego_lane=2), factory)
+    assert beside.outcome == "safe"
+    assert all(is_kept for is_kept, *_ in contacts(first))
+    if factory is not Vehicle:
+        check_world(world, ads=factory, npcs=1, runs=4, ego_lane=2)
+
+
+def test_npc_at_an_obstacle_makes_a_run_invalid(register):
+    register("mine-v0", entry_point=Roadworks)
+    world = World("mine-v0", duration=12.0)
+    ahead = Scenario(npcs=[[PositionInstruction(2, 20.0)]], ego_lane=1)
+    for run in (world.rollout, world.rollout_in_gym):
+        trace = run(ahead, IDLE)
+        assert (trace.outcome, trace.collision) == ("invalid", None)
+        assert trace.states[-1, 1, 0] + 2.5 > 299.0
+        assert "or one touched a fixed object" in Run(trace).explain()
+        assert all(is_kept for is_kept, *_ in contacts(trace))
+        assert not all(is_kept for is_kept, *_ in contacts(replace(trace, obstacles=())))
+
+
+def test_collision_with_an_obstacle_is_checked_in_own_worlds(register):
+    register("mine-v0", entry_point=Roadworks)
+    trace = World("mine-v0", duration=12.0).rollout(Scenario(npcs=AT_ONCE, ego_lane=1), IDLE)
+
+    def is_kept(**fields):
+        return all(each for each, *_ in contacts(replace(trace, **fields)))
+
+    assert is_kept()
+    assert not is_kept(obstacles=())
+    assert not is_kept(obstacles=((200.0, 4.0, 0.0, 2.0, 2.0),))
+    for lie in ({"npc": 0}, {"npc": 1}, {"closing_speed": 1.0}, {"ego_speed": 1.0}, {"npc_speed": 3.0}):
+        assert not is_kept(collision=replace(trace.collision, **lie))
+
+
+def test_finding_at_an_obstacle_is_saved_and_read(register, tmp_path):
+    register("mine-v0", entry_point=Roadworks)
+    run = Run(World("mine-v0", duration=12.0).rollout(Scenario(npcs=AT_ONCE, ego_lane=1), IDLE))
+    failure = Failure(kind="AssertionError", message="assert not run.collision", assertion="not run.collision")
+    expect = Expect.of(run, failure)
+    assert (expect.outcome, expect.npc, expect.cell, expect.side) == ("collision", None, None, "front")
+    assert expect.brief == "collision after 4.8 s: a fixed object"
+    assert is_same_event(expect, run, failure)
+    for given in (expect, replace(expect, npc=0), replace(expect, cell=Cell.FRONT)):
+        path = tmp_path / f"front-{given.npc}-{given.cell}.pafot.yaml"
+        finding = plain_finding(expect=given)
+        write(path, finding)
+        if given is expect:
+            assert load(path).expect == expect
+            continue
+        with pytest.raises(CorpusError, match="expect"):
+            load(path)
 
 
 ROAD = (

@@ -96,8 +96,6 @@ class VehiclesOfRun:
         elif loop.is_over:
             touched = Outcome.COLLISION if loop.ego_touched else Outcome.INVALID
             outcome = touched if loop.ego_touched or loop.npcs_touched else places.left or outcome
-            if outcome is Outcome.OFF_ROAD and off_road_tick is None:  # it has touched a fixed object
-                off_road_tick = loop.tick
         return Trace(
             scenario=self.scenario,
             executed=self.director.executed,
@@ -118,6 +116,7 @@ class VehiclesOfRun:
             on_way=on_way,
             driven=self.director.driven,
             begun=self.director.begun,
+            obstacles=self.rules.obstacles,
         )
 
     @property
@@ -130,10 +129,22 @@ class VehiclesOfRun:
     def _collision(self, states: FloatArray, track: FloatArray | None) -> Collision:
         now = self._boxes(states[-1])
         touching = [index for index, npc in enumerate(now[1:]) if overlap(now[0], npc)]
-        npc = min(touching, key=lambda index: depth(now[0], now[index + 1]))
         tick = self.loop.tick
-        before = self._boxes(states[max(tick - 1, 0)])
-        ego, other = states[-1, 0], states[-1, npc + 1]
+        before, ego = self._boxes(states[max(tick - 1, 0)]), states[-1, 0]
+        if not touching:
+            speed, objects = float(ego[SPEED]), [each for each in self.places.obstacles if overlap(now[0], each)]
+            return Collision(
+                tick=tick,
+                time=tick / self.rules.physics_hz,
+                npc=None,
+                side=side_hit(before[0], max(objects, key=lambda each: depth(now[0], each))),
+                cell=None,
+                ego_speed=speed,
+                npc_speed=0.0,
+                closing_speed=abs(speed),
+            )
+        npc = min(touching, key=lambda index: depth(now[0], now[index + 1]))
+        other = states[-1, npc + 1]
         positions = RelativePositions(states, np.array(self.sizes), self.rules.road.lanes, track)
         both = states[-1, [0, npc + 1]]
         course = both[:, HEADING] + np.arctan(0.5 * np.tan(both[:, STEERING]))  # a vehicle with turned wheels slips

@@ -13,7 +13,7 @@ from array import array
 from collections.abc import Callable, Sequence
 from typing import Any, cast
 
-from pytest_pafot.model.trace import AdsError, Outcome
+from pytest_pafot.model.trace import AdsError
 from pytest_pafot.support.errors import BadAction, OutOfTime
 from pytest_pafot.world.guard.failure import UNFIT, error_of
 from pytest_pafot.world.guard.hang_guard import HangGuard
@@ -256,7 +256,7 @@ class Loop:
     Attributes:
         tick: the current tick of the run.
         ego_touched: true if the run ended by a contact of the ego.
-        npcs_touched: true if the run ended by a contact of two NPCs.
+        npcs_touched: true if the run ended by a contact of two NPCs, or of one with a fixed object.
     """
 
     def __init__(self, director: Any, places: Places, record: array[float], dt: float) -> None:
@@ -335,9 +335,9 @@ class Loop:
         self._row = row
 
     def _contact(self) -> bool:
-        """Return whether two vehicles touch, and set which; a contact of the ego is found before contacts of NPCs.
+        """Return whether a vehicle touches another or a fixed object, and set which.
 
-        An ego that touches a fixed object has left the road.
+        A contact of the ego is found before contacts of NPCs, and one of two vehicles before one with an object.
         """
         record, columns, reach, count = self._record, self._columns, self._reach, len(self._vehicles)
         start = self._row - count * columns
@@ -349,8 +349,10 @@ class Loop:
                     self.ego_touched = first == 0
                     self.npcs_touched = first > 0
                     return True
-        for obstacle in self._obstacles:
-            if overlap(self._vehicles[0], obstacle):
-                self._places.left = Outcome.OFF_ROAD
-                return True
+        for first in range(count if self._obstacles else 0):
+            for obstacle in self._obstacles:
+                if overlap(self._vehicles[first], obstacle):
+                    self.ego_touched = first == 0
+                    self.npcs_touched = first > 0
+                    return True
         return False

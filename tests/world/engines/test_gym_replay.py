@@ -10,9 +10,9 @@ from highway_env.vehicle.kinematics import Vehicle
 
 from pytest_pafot.findings.finding import disagreement
 from pytest_pafot.model.scenario import PositionInstruction, Scenario
-from pytest_pafot.model.trace import Outcome
+from pytest_pafot.model.trace import SPEED, Outcome
 from pytest_pafot.oracle.run import Run
-from pytest_pafot.testing.traces import end
+from pytest_pafot.testing.traces import contacts, end
 from pytest_pafot.world import Highway, World
 from pytest_pafot.world.engines.gym_replay import StockVehicle
 from pytest_pafot.world.protocol import gym_replaying
@@ -170,7 +170,7 @@ def drives_at(x, y):
     return DrivesAt
 
 
-def test_ego_that_touches_a_fixed_obstacle_ends_off_the_road_there():
+def test_ego_that_touches_a_fixed_obstacle_has_a_collision_there():
     """The obstacle stands at the end of the lane that merges; highway-env calls the contact a crash."""
     world = World("merge-v0", duration=14.0)
     (obstacle,) = world.environment.unwrapped.road.objects
@@ -178,11 +178,13 @@ def test_ego_that_touches_a_fixed_obstacle_ends_off_the_road_there():
     behind = Scenario(npcs=[[PositionInstruction(6, 5.0)]], ego_lane=lane, ego_speed=speed)
     first = assert_confirmed(world, behind, drives_at(*obstacle.position))
     distance = np.hypot(*(first.ego[:, :2] - obstacle.position).T)
-    assert first.outcome is Outcome.OFF_ROAD
-    assert first.collision is None
-    assert first.off_road_tick == first.ticks
-    assert Run(first).off_road
-    assert all(is_kept for is_kept, *_ in end(world, first))
+    assert first.outcome is Outcome.COLLISION
+    hit = first.collision
+    assert (hit.npc, hit.cell, hit.tick, hit.npc_speed) == (None, None, first.ticks, 0.0)
+    assert hit.closing_speed == hit.ego_speed == first.ego[-1, SPEED]
+    assert Run(first).responsibility == "ego"
+    assert f"collision after {hit.time:.1f} s: a fixed object against the ego's {hit.side}" in Run(first).explain()
+    assert all(is_kept for rule in (end(world, first), contacts(first)) for is_kept, *_ in rule)
     assert 2.0 < distance[-1] < 3.5 < distance[-2], "half the lengths of the car and the obstacle, 5 m and 2 m"
 
 
