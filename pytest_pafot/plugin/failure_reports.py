@@ -38,6 +38,9 @@ REPLAYED = pytest.StashKey[tuple[str, Run | None, "Verdict | None", str]]()
 Run and verdict are None if its process died or hung.
 """
 
+NOT_ACCEPTED = pytest.StashKey[str]()
+"""How the failure of a replay goes beyond the one that its file accepts."""
+
 SCENARIO = re.compile(r"E +scenario [0-9a-f]+, repair seed \d+(, position rule: \w+)?(, [a-z]+ traffic.*)?")
 """The last line of ``run.explain()``. It is left out, since the saved file and the report page contain it, too."""
 
@@ -78,7 +81,7 @@ class Failures:
                 option.tbstyle = style
         saved = saved_of(item)
         if saved is not None and not call.excinfo.errisinstance(pytest.xfail.Exception):
-            _count_unless_replayed(item, saved, report)
+            _count_unless_accepted(item, saved, report)
         if saved is not None:
             told = {"id": saved.id, "file": relative(saved.path, item.config.rootpath)}
             setattr(report, AS_SAVED, json.dumps(told))
@@ -88,13 +91,15 @@ class Failures:
         return report
 
 
-def _count_unless_replayed(item: pytest.Item, saved: Saved, report: pytest.TestReport) -> None:
-    """Let an item count as failed although its failure is accepted, if there was no replay that could show it.
+def _count_unless_accepted(item: pytest.Item, saved: Saved, report: pytest.TestReport) -> None:
+    """Let an item count as failed although its file is accepted, if its failure is not the accepted one.
 
-    This is so for an error in a fixture, in the factory or elsewhere in the set-up.
+    Either the replay shows another failure, or there was no replay: an error in a fixture, in the factory or elsewhere
+    in the set-up.
     """
     is_accepted = saved.is_accepted(date.fromisoformat(item.config.stash[SHARED].today))
-    if is_accepted and REPLAYED not in item.stash and hasattr(report, "wasxfail"):
+    is_other = REPLAYED not in item.stash or NOT_ACCEPTED in item.stash
+    if is_accepted and is_other and hasattr(report, "wasxfail"):
         report.outcome = "failed"
         del report.wasxfail
 
