@@ -22,6 +22,7 @@ from pytest_pafot.oracle.run import Run
 from pytest_pafot.plugin.collection import saved_of
 from pytest_pafot.plugin.marks import CATALOGUE_MARK, SEARCH_MARK
 from pytest_pafot.plugin.messages import AS_SAVED
+from pytest_pafot.plugin.node_ids import base_id
 from pytest_pafot.plugin.session import SHARED
 from pytest_pafot.plugin.tracing import traced
 from pytest_pafot.support.text import MARKER, fitted_lines, visible, visible_lines
@@ -83,7 +84,7 @@ class Failures:
         if saved is not None and not call.excinfo.errisinstance(pytest.xfail.Exception):
             _count_unless_accepted(item, saved, report)
         if saved is not None:
-            told = {"id": saved.id, "file": relative(saved.path, item.config.rootpath)}
+            told = {"id": saved.id, "file": relative(saved.path, item.config.rootpath), "test": base_id(item)}
             setattr(report, AS_SAVED, json.dumps(told))
         _make_visible(report)
         _fit(report.longrepr, item.config.stash[SHARED].width, is_brief=is_brief)
