@@ -512,6 +512,9 @@ def raised_failure(exception: BaseException, test_file: str) -> Failure:
     if isinstance(exception, CheckFailed):
         check = exception.check
         return Failure(kind=CHECK_FAILED, message=str(check), assertion=check.name, check=check)
+    told = getattr(exception, "assertion", None)
+    if type(exception) is AssertionError and isinstance(told, str):  # see oracle/checks.py:require
+        return Failure(kind="AssertionError", message=message_of(exception), assertion=told)
     statements = list(_statements(exception.__traceback__))
     own = [text for text, file in statements if file == test_file and text]
     deepest = statements[-1][0] if statements else ""

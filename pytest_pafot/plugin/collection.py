@@ -241,7 +241,9 @@ class Collection:
         if (not searches and not saved) or self._config.getoption(BY_NAME["merge"].key):
             return None
         counts = f"{searches} search{'' if searches == 1 else 'es'}, {saved} saved scenario{'' if saved == 1 else 's'}"
-        return "; ".join(filter(None, (f"pafot: {counts}", base_line(self._config))))
+        # pytest rewrites the assertions of test files, conftest.py and plugins, so that they run all the same.
+        off = "" if __debug__ else "python -O: assertions in modules that pytest does not rewrite are off"
+        return "; ".join(filter(None, (f"pafot: {counts}", base_line(self._config), off)))
 
 
 def is_search(item: pytest.Item) -> bool:

@@ -97,6 +97,11 @@ def make_ads(factory: AdsFactory, **arguments: Any) -> Any:
     try:
         with unending(), one_process():
             ads = factory(**arguments)
+    except SystemExit as error:
+        raise AdsFactoryError(
+            f"ads: expected the factory to return an ADS, received SystemExit: {error}. It calls sys.exit: let it "
+            "raise an error instead"
+        ) from error
     except TypeError as error:
         if re.search(r"__init__\(\) missing .*'position'", str(error)):
             error.add_note(
