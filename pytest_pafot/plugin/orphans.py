@@ -108,10 +108,10 @@ def find_strays(collected: Collected, orphans: Collection[Path]) -> dict[str, tu
     for root, directory in sorted(collected.roots.items()):
         is_asked_for = any(directory.is_relative_to(each) for each in collected.asked_for)
         modules = modules_in(root)
-        tests = [folder for module in modules for folder in modules_in(module)]
-        # Each level is walked on its own, since a walk does not follow links below its beginning: they may be cyclic.
-        below = {Path(each) for folder in (root, *modules, *tests) for each, _, _ in os.walk(folder)}
-        for folder in sorted({*_up(root, top), *_up(directory, top), *below}):
+        tests = {folder for module in modules for folder in modules_in(module)}
+        # The walk follows no links, which may lead anywhere. A linked folder of a module or test is only listed.
+        below = {Path(each) for each, _, _ in os.walk(root)}
+        for folder in sorted({*_up(root, top), *_up(directory, top), *below, *modules, *tests}):
             is_run = folder in collected.folders or folder in orphans or _is_test_folder(folder, root, tests, collected)
             for file in entries_of(folder):
                 if is_misnamed(file.name):
@@ -208,7 +208,7 @@ def _shared(root: Path, collected: Collected) -> Path | None:
     return next((each for each in sorted(collected.shared) if root.is_relative_to(each)), None)
 
 
-def _is_test_folder(folder: Path, root: Path, tests: Sequence[Path], collected: Collected) -> bool:
+def _is_test_folder(folder: Path, root: Path, tests: Collection[Path], collected: Collected) -> bool:
     """Return whether a folder has the depth at which a test's folder is, also that of a test which was left out."""
     shared = _shared(root, collected)
     if shared is None:

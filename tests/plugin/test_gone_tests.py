@@ -298,3 +298,22 @@ def test_it(run, kind):
     assert is_red(result)
     result.stdout.fnmatch_lines(["  expected the test test_it.py::test_it[[]slow], * without these parameters: *"])
     assert not is_red(replay(project, "test_it.py"))
+
+
+@links
+def test_files_behind_links_are_searched_no_deeper_than_tests(saved, ci, tmp_path_factory):
+    elsewhere = tmp_path_factory.mktemp("elsewhere")
+    (elsewhere / "a" / "b" / "c").mkdir(parents=True)
+    (elsewhere / "a" / "b" / "c" / "a.pafot.yml").write_text("")
+    saved.only_file.unlink()
+    (saved.path / FOLDER / "linked").symlink_to(elsewhere, target_is_directory=True)
+    (saved.path / "pafot_corpus" / "linked").symlink_to(elsewhere, target_is_directory=True)
+    assert replay(saved).ret == 0
+
+
+@pytest.mark.processes
+def test_workers_report_a_misnamed_file_once(saved, ci):
+    saved.only_file.rename(saved.only_file.with_suffix(".yml"))
+    result = replay(saved, "-n2")
+    assert is_red(result)
+    assert sum(line.startswith("not run: ") for line in result.stdout.lines) == 1
