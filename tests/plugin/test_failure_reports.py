@@ -183,25 +183,26 @@ def test_run_is_short_in_a_traceback_header(failing):
     assert len(header) < 80
 
 
+PRINTS = """
+@pytest.fixture
+def ads():
+    def decide(observation):
+        print("x" * 10_000)
+        return 0.0, 0.0
+    print("begun")
+    return lambda: decide
+
+@pafot.search(SHORT, blame="ego", stop_after=1)
+def test_collides(run):
+    assert not run.collision
+"""
+
+
 @pytest.mark.parametrize("options", [(), ("--pafot-isolate",), ("--pafot-workers=2",), ("-n2",)])
 def test_policy_that_prints_much_leaves_the_ends_of_its_output(project, shrinking, options):
     if options == ("-n2",):
         pytest.importorskip("xdist")
-    project.write(
-        """
-        @pytest.fixture
-        def ads():
-            def decide(observation):
-                print("x" * 10_000)
-                return 0.0, 0.0
-            print("begun")
-            return lambda: decide
-
-        @pafot.search(SHORT, blame="ego", stop_after=1)
-        def test_collides(run):
-            assert not run.collision
-        """
-    )
+    project.write(PRINTS)
     first = search(project, *options)
     assert first.ret == 1
     assert len(first.stdout.str()) < 100_000
