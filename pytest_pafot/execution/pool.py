@@ -78,7 +78,7 @@ class ProcessLostError(Exception, Generic[TaskT]):
 
     def __init__(self, task: TaskT, *, pid: int, how: str, is_hang: bool = False) -> None:
         self.who = f"process (pid {pid})" if pid else "worker"
-        super().__init__(f"the {self.who} that ran {task!r} {how}")
+        super().__init__(f"the {self.who} that ran {task} {how}")
         self.task = task
         self.pid = pid
         self.how = how

@@ -52,6 +52,9 @@ REPEATED = (
 )
 """Lines of a report that are left out, because the explanation or the line of the assertion says the same."""
 
+OUTPUT_END = 10_000
+"""The length of the beginning and of the end of captured output that a report contains [characters]."""
+
 _COLOUR = re.compile("\x1b\\[[0-9;]*m")
 """A colour code of the terminal. It is removed, because a malicious file may hide a text with such codes.
 
@@ -66,6 +69,8 @@ class Failures:
     def pytest_runtest_makereport(self, item: pytest.Item, call: pytest.CallInfo[None]) -> Generator[None, Any, Any]:
         """Shorten the report of a search, a replay or a named scenario that fails; name the requirement it breaks."""
         marked = any(item.get_closest_marker(name) is not None for name in (SEARCH_MARK, CATALOGUE_MARK))
+        if marked:  # shortened where pytest stores it, because an item lives, with its output, until the session ends
+            item._report_sections[:] = [(when, key, _ends(text)) for when, key, text in item._report_sections]
         if call.excinfo is None or not marked:
             report = yield
             if report.failed and traced(item).requirements:
@@ -90,6 +95,15 @@ class Failures:
         _fit(report.longrepr, item.config.stash[SHARED].width, is_brief=is_brief)
         summarise(report, item.stash.get(SUMMARY, ""))
         return report
+
+
+def _ends(output: str) -> str:
+    """Return the beginning and the end of a long output: a policy that prints at each decision prints gigabytes."""
+    left_out = len(output) - 2 * OUTPUT_END
+    if left_out <= OUTPUT_END:  # also if it has been shortened before
+        return output
+    line = f"[{left_out} characters of output are left out here; pytest -s shows all, in a session without workers]"
+    return f"{output[:OUTPUT_END]}\n{line}\n{output[-OUTPUT_END:]}"
 
 
 def _count_unless_accepted(item: pytest.Item, saved: Saved, report: pytest.TestReport) -> None:
