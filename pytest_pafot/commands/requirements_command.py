@@ -387,14 +387,19 @@ class Course:
 
     def broke_off(self, tests: Sequence[str]) -> str:
         """Return which session began some tests last and did not end all of them, and why; empty if it ended all."""
+        later: set[str] = set()  # the tests that a later session has ended
         for number in range(len(self.sessions) - 1, -1, -1):
-            ended = [test for test in tests if number in self.searched.get(test, ())]
-            reasons = [self.unended[test][number] for test in tests if number in self.unended.get(test, {})]
-            if reasons or (self.sessions[number].broke_off and len(ended) < len(tests)):
+            # That another test has ended since says nothing of a test that began and did not end.
+            reasons = [
+                self.unended[each][number]
+                for each in tests
+                if number in self.unended.get(each, {}) and each not in later
+            ]
+            ended = {test for test in tests if number in self.searched.get(test, ())}
+            if reasons or (self.sessions[number].broke_off and not later and len(ended) < len(tests)):
                 told = next(filter(None, reasons), "the session did not come to its end")
                 return ": ".join(filter(None, [self.sessions[number].name, told]))
-            if ended:
-                break
+            later |= ended
         return ""
 
     def _names(self, test: str, entry: Mapping[str, Any]) -> str:

@@ -210,6 +210,14 @@ def test_an_item_whose_worker_died_has_not_tested_its_requirement(monkeypatch):
     assert fails_on_open(monkeypatch, night(20, tests=[died]), night(21, searches=BOTH)) == 0
 
 
+def test_a_test_that_did_not_end_stays_so_when_only_another_test_of_its_requirement_runs():
+    other, two = "test_it.py::test_y", {"test_x": ("R1",), "test_y": ("R1",)}
+    died = night(20, tests=[{"node_id": other, "result": "", "requirements": ["R1"], "message": "the worker died"}])
+    assert states(table_of(died, night(21), tests=two)) == {"R1": "not tested, the session broke off"}
+    both = night(22, searches=[search(), search(test=other)])
+    assert states(table_of(died, night(21), both, tests=two)) == {"R1": "no failure known"}
+
+
 def test_a_search_that_was_refused_is_no_failure_and_is_not_fixed_later(monkeypatch, capsys):
     refused = night(21, searches=[search(result="failed", runs=0, message="expected the state of this search")])
     assert fails_on_open(monkeypatch, night(20, searches=BOTH), refused) == 1
