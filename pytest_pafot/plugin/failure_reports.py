@@ -69,10 +69,10 @@ class Failures:
     def pytest_runtest_makereport(self, item: pytest.Item, call: pytest.CallInfo[None]) -> Generator[None, Any, Any]:
         """Shorten the report of a search, a replay or a named scenario that fails; name the requirement it breaks."""
         marked = any(item.get_closest_marker(name) is not None for name in (SEARCH_MARK, CATALOGUE_MARK))
-        if marked:  # shortened where pytest stores it, because an item lives, with its output, until the session ends
-            item._report_sections[:] = [(when, key, _ends(text)) for when, key, text in item._report_sections]
         if call.excinfo is None or not marked:
             report = yield
+            if marked:
+                _shorten_output(report)
             if report.failed and traced(item).requirements:
                 summarise(report, "")
             return report
@@ -85,6 +85,7 @@ class Failures:
         finally:
             if style is not None:
                 option.tbstyle = style
+        _shorten_output(report)
         saved = saved_of(item)
         if saved is not None and not call.excinfo.errisinstance(pytest.xfail.Exception):
             _count_unless_accepted(item, saved, report)
@@ -97,13 +98,13 @@ class Failures:
         return report
 
 
-def _ends(output: str) -> str:
-    """Return the beginning and the end of a long output: a policy that prints at each decision prints gigabytes."""
-    left_out = len(output) - 2 * OUTPUT_END
-    if left_out <= OUTPUT_END:  # also if it has been shortened before
-        return output
-    line = f"[{left_out} characters of output are left out here; pytest -s shows all, in a session without workers]"
-    return f"{output[:OUTPUT_END]}\n{line}\n{output[-OUTPUT_END:]}"
+def _shorten_output(report: pytest.TestReport) -> None:
+    """Keep the beginning and the end of long output: a policy that prints at each decision prints gigabytes."""
+    for number, (title, text) in enumerate(report.sections):
+        left_out = len(text) - 2 * OUTPUT_END
+        if left_out > OUTPUT_END:
+            line = f"[{left_out} characters of output are left out; pytest -s shows all, in a session without workers]"
+            report.sections[number] = (title, f"{text[:OUTPUT_END]}\n{line}\n{text[-OUTPUT_END:]}")
 
 
 def _count_unless_accepted(item: pytest.Item, saved: Saved, report: pytest.TestReport) -> None:
