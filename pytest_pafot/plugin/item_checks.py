@@ -90,11 +90,6 @@ class Checks:
 
 
 def _check_function(item: pytest.Item) -> None:
-    if not __debug__ and item.config.getoption("assertmode", "plain") != "rewrite":
-        raise RequestError(
-            "expected assertions that run, received --assert=plain in a Python with -O or PYTHONOPTIMIZE, in which "
-            "every test passes; leave one of them out"
-        )
     cls = getattr(item, "cls", None)
     unittest = sys.modules.get("unittest")
     if unittest is not None and inspect.isclass(cls) and issubclass(cls, unittest.TestCase):
