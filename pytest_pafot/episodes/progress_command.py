@@ -31,7 +31,7 @@ from pytest_pafot.campaign.request import drawn_space
 from pytest_pafot.campaign.setup_fault import FirstGeneration, SetupFaultError
 from pytest_pafot.campaign.verdict import Verdict, judge, worst_margins
 from pytest_pafot.commands.policy_reference import ABOUT_POLICIES, BAD_USE, ads_factory, check_function, config_of
-from pytest_pafot.commands.resumable import ResumableJob, Task, Tick, gate_workers, run_job, worker_count
+from pytest_pafot.commands.resumable import ResumableJob, Task, Tick, run_job, worker_count
 from pytest_pafot.commands.revision import PROCESS, revision_at
 from pytest_pafot.commands.revision_process import Served
 from pytest_pafot.corpus.layout import CORPUS, files_below
@@ -555,7 +555,7 @@ def run(given: argparse.Namespace, command: Sequence[str]) -> int:
         with _of_revision(plan, given.copy) as (plan, both, same_as):
             if not same_as:
                 job = checked(plan).job
-                workers = gate_workers(workers, job, is_gate=given.fail_on is not None)
+                workers = min(workers, len(job.tasks))
                 with tempfile.TemporaryDirectory(prefix="pafot-") as folder:
                     results = run_job(job, Path(folder), workers=workers, told=sys.stderr, clock=time.monotonic)
                     table = io.StringIO(results.read_text("utf-8"))

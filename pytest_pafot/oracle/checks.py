@@ -238,6 +238,7 @@ def require(holds: bool, assertion: str, explain: Callable[[], str]) -> None:
     Raises:
         AssertionError: if it is not true. Its attribute ``assertion`` is the text.
     """
+    __tracebackhide__ = True
     if not holds:
         error = AssertionError(explain())
         error.assertion = assertion  # type: ignore[attr-defined]
