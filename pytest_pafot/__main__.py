@@ -1,13 +1,83 @@
-"""Commands that are run without ``pytest``, such as ``python -m pytest_pafot search``."""
+"""Commands that are run without ``pytest``, such as ``python -m pytest_pafot search``.
+
+Commands that a CI takes for a verdict drive policies in a child process. A policy may end its process with the exit
+code 0, which must not be the verdict. So the child ends with a receipt in place of 0, and only if the command came to
+its end.
+"""
 
 from __future__ import annotations
 
 import argparse
 import io
 import os
+import signal
+import subprocess
 import sys
 from contextlib import suppress
 from pathlib import Path
+
+from pytest_pafot.support.receipts import received_code, unfinished, with_receipt
+
+GATES = ("search", "bisect", "map", "rate", "progress", "compare")
+"""The commands whose exit code is a verdict on a policy."""
+
+DRIVES = "PYTEST_PAFOT_DRIVES"
+"""The environment variable that tells a process that it is such a child, and of which process."""
+
+
+def main_in_child(arguments: list[str]) -> int:
+    """Run a command and return its exit code; one of :data:`GATES` in a child process, which has to leave a receipt."""
+    if parent := os.environ.pop(DRIVES, ""):
+        if sys.platform == "linux":  # elsewhere it drives on when its parent is killed
+            import ctypes  # noqa: PLC0415
+
+            ctypes.CDLL(None).prctl(1, signal.SIGTERM)  # PR_SET_PDEATHSIG
+            if os.getppid() != int(parent):  # it was killed before that
+                return 128 + signal.SIGTERM
+        try:
+            return with_receipt(main(arguments))
+        except SystemExit as ended:  # after --help, or for wrong arguments; those of a policy are caught
+            return with_receipt(int(ended.code or 0))
+    if arguments[:1] == [] or arguments[0] not in GATES:
+        return main(arguments)
+    child: subprocess.Popen[bytes] | None = None
+    received: list[int] = []
+
+    def pass_on(number: int, _: object) -> None:
+        received.append(number)
+        # Ctrl-C on a terminal reaches both processes, any other signal only this one. A second Ctrl-C may come twice.
+        reached = number == signal.SIGINT and received.count(number) == 1 and _has_terminal()
+        if child is not None and not reached:
+            with suppress(OSError):  # it has ended
+                child.send_signal(number)
+
+    for name in ("SIGINT", "SIGTERM", "SIGHUP"):
+        number = getattr(signal, name, None)
+        if number is not None and signal.getsignal(number) is not signal.SIG_IGN:  # nohup's are ignored in both
+            signal.signal(number, pass_on)
+    # The same interpreter with the same options.
+    environ = {**os.environ, DRIVES: str(os.getpid())}
+    child = subprocess.Popen([sys.executable, *sys.orig_argv[1:]], env=environ)  # noqa: S603  (this command)
+    for number in tuple(received):  # before the child was there
+        child.send_signal(number)
+    left = child.wait()
+    code = received_code(left)
+    if code is not None:
+        return code
+    if -left in received:
+        sys.stderr.write(f"{arguments[0]}: interrupted\n")
+    else:
+        sys.stderr.write(f"{arguments[0]}: {unfinished(left)}\n")
+    return 128 - left if left < 0 else left or 2
+
+
+def _has_terminal() -> bool:
+    """Tell whether this process is in the foreground of a terminal, wherever its standard input comes from."""
+    if os.name == "nt":
+        return True
+    with suppress(OSError), open(os.ctermid(), "rb", buffering=0) as terminal:  # noqa: PTH123  (a device, not a path)
+        return os.tcgetpgrp(terminal.fileno()) == os.getpgrp()
+    return False
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -129,6 +199,12 @@ def main(arguments: list[str] | None = None) -> int:
             except errors as error:
                 sys.stderr.write(f"{arguments_given.command}: {error}\n")
                 code = BAD_USE
+            except SystemExit as error:
+                sys.stderr.write(
+                    f"{arguments_given.command}: expected a policy that drives, received SystemExit: {error}; the "
+                    "policy, its factory or its module calls sys.exit: let it raise an error\n"
+                )
+                code = BAD_USE
             sys.stdout.flush()
     except KeyboardInterrupt as interrupt:
         with suppress(OSError, ValueError):  # A terminal that was closed receives nothing.
@@ -162,4 +238,4 @@ def _without_surroundings(command: str, error: OSError) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(main_in_child(sys.argv[1:]))

@@ -42,7 +42,7 @@ from pytest_pafot.criticality import (
 )
 from pytest_pafot.criticality.signals import Signal
 from pytest_pafot.model.trace import LANE, OFFSET, FloatArray, X, Y
-from pytest_pafot.oracle.checks import check
+from pytest_pafot.oracle.checks import check, require
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.support.errors import checked_number
 
@@ -70,7 +70,8 @@ def no_fault(run: Run) -> None:
 
     ``run.attribution`` decides the responsibility, by the rules of docs/explanation/verdicts.md.
     """
-    assert run.responsibility not in ("ego", "both"), run.explain()  # noqa: S101
+    is_free = run.responsibility not in ("ego", "both")
+    require(is_free, "run.responsibility not in ('ego', 'both')", run.explain)
 
 
 def rss_distance(run: Run, *, rules: RssRules = DISTANCES) -> None:

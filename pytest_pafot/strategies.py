@@ -66,6 +66,11 @@ __all__ = [
     "steps",
 ]
 
+
+def __dir__() -> list[str]:
+    return __all__
+
+
 _STEPS = round(LARGEST_SLOT * SLOT_STEPS_PER_SECOND)
 _SLOTS = [
     step / SLOT_STEPS_PER_SECOND for step in sorted(range(-_STEPS, _STEPS + 1), key=lambda step: (abs(step), -step))

@@ -73,7 +73,8 @@ def test_every_classifier_has_something_that_makes_it_true(check):
         "Operating System :: POSIX :: Linux": "auditwheel"
         in check["TOOLS"],  # builds wheels for this Python and runs tests with them
         "Typing :: Typed": (ROOT / "pytest_pafot" / "py.typed").is_file(),
-        **{f"Programming Language :: Python :: 3.{name[3:-2]}": True for name in wheels},
+        # A classifier says that tests ran with a Python. A wheel is built for one more, as docs/guide/limits.md says.
+        **{f"Programming Language :: Python :: 3.{name[3:-2]}": True for name in wheels if name != "cp314-*"},
     }
     assert {*PROJECT["classifiers"]} - JUDGED == {name for name, holds in true.items() if holds}
     assert not [each for each in PROJECT["classifiers"] if each.startswith("License ::")], "the expression says it"

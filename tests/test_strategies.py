@@ -5,10 +5,12 @@ import random
 import subprocess
 import sys
 
+import numpy as np
 import pytest
 from hypothesis import Phase, find, given, settings
 from hypothesis import strategies as st
 
+import pytest_pafot
 from pytest_pafot import Highway, World, strategies
 from pytest_pafot.model.driving_style import Traffic
 from pytest_pafot.model.grid import Cell, is_adjacent
@@ -24,6 +26,54 @@ SIMPLEST = settings(max_examples=500, phases=[Phase.generate, Phase.shrink])  # 
 def test_instructions_keep_to_their_cells_and_speeds(instruction):
     assert instruction.cell in (Cell.FRONT, Cell.REAR)
     assert 3.0 <= instruction.speed <= 7.0
+
+
+EVERY = st.one_of(
+    strategies.position_instructions(),
+    strategies.lane_instructions(max_speed=99.9),
+    strategies.steps(),
+    strategies.manoeuvres(),
+    strategies.chromosomes(instructions="both"),
+    strategies.scenarios(max_npcs=4, gene_seconds=0.1 + 0.2, ego_speed=1 / 3),
+    strategies.scenarios(traffic="paper", instructions="lanes"),
+    strategies.scenarios(traffic=Traffic("everyday", least_gap=1 / 3), ego_speed=np.float64(20.5)),
+    strategies.scenarios_in(World("intersection-v0")),
+    st.builds(Traffic, st.sampled_from(["hostile", "everyday"]), braking=st.floats(0.5, 100)),
+)
+
+
+@given(EVERY)
+def test_repr_of_a_value_makes_an_equal_value(value):
+    again = eval(repr(value), {name: getattr(pytest_pafot, name) for name in pytest_pafot.__all__})
+    assert again == value
+    assert type(again) is type(value)
+
+
+@pytest.mark.parametrize(
+    ("strategy", "text"),
+    [
+        (strategies.lane_instructions(), "LaneInstruction('keep', 0.0)"),
+        (strategies.manoeuvres(), "Manoeuvre(beside=0, ahead=1.0, speed=0.0)"),
+        (strategies.chromosomes(), "(PositionInstruction(Cell.FRONT_LEFT, 0.0),)"),
+        (
+            strategies.scenarios(),
+            "Scenario(npcs=((PositionInstruction(Cell.FRONT_LEFT, 0.0),),), traffic=Traffic('hostile'))",
+        ),
+    ],
+)
+def test_failing_example_is_printed_so_that_it_can_be_pasted(strategy, text):
+    @settings(max_examples=10, database=None, phases=[Phase.generate, Phase.shrink])
+    @given(strategy)
+    def fails(value):
+        raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError) as failed:
+        fails()
+    assert f"value={text}," in "".join(failed.value.__notes__)
+
+
+def test_module_lists_its_public_names_alone():
+    assert [name for name in dir(strategies) if not name.startswith("__")] == sorted(strategies.__all__)
 
 
 @given(strategies.chromosomes(min_genes=2, max_genes=9))

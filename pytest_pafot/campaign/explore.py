@@ -22,7 +22,7 @@ from pytest_pafot.corpus.layout import folder_of_test, link_below
 from pytest_pafot.corpus.saved import refusal
 from pytest_pafot.findings.finding import Finding
 from pytest_pafot.oracle.run import Run
-from pytest_pafot.support.errors import RequestError, command
+from pytest_pafot.support.errors import RequestError, check_asserts, command
 from pytest_pafot.support.shown import Shown
 from pytest_pafot.support.versions import installed_versions
 from pytest_pafot.world import Highway
@@ -92,11 +92,12 @@ def explore(
             saved.
 
     Raises:
-        RequestError: if an argument is wrong.
+        RequestError: if an argument is wrong, or if assertions are off.
         Exception: if every run of the first generation ends in the same error, which is no assertion. An error of
             ``holds`` is raised with a note. For an ADS that fails at its first decision, a ``PlainFailure`` says what
             it raised and what to do.
     """
+    check_asserts(holds)
     budget = PROFILES[LOCAL] if runs is None and generations is None else {"runs": runs, "generations": generations}
     request = request_of({"ads": ads, "world": world, "seed": seed, **budget, **settings})
     name = node_id or f"explore.py::{getattr(holds, '__name__', 'holds')}"

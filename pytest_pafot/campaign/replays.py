@@ -30,6 +30,7 @@ from pytest_pafot.findings.finding import (
     NEARBY,
     Expect,
     Finding,
+    beyond_acceptance,
     ending,
     has_time,
     is_same_failure,
@@ -146,6 +147,13 @@ class Replays:
     def accepts(self, finding: Finding) -> bool:
         """Return whether the failure of a file is accepted today."""
         return self.today is not None and finding.is_accepted(self.today)
+
+    def beyond_acceptance(self, finding: Finding, run: Run, failure: Failure) -> str:
+        """Return how a failure goes beyond the one that a file accepts today; empty if the file accepts it, or none."""
+        if not self.accepts(finding):
+            return ""
+        same_versions = all(self.harness.versions.get(name) == each for name, each in finding.found.versions.items())
+        return beyond_acceptance(finding, run, failure, same_versions=same_versions)
 
     def still_fails(self, saved: Saved) -> bool:
         """Return whether a process still dies in a saved scenario, even if the reference's process dies as well."""

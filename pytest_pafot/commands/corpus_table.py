@@ -201,8 +201,13 @@ def labels_in(results: Iterable[Path]) -> dict[str, list[tuple[str, str]]]:
     for session in grouped(map(read_results, results)):
         for entry in session.findings:
             file = entry.get("file")
+            label = entry.get("status", "")
+            if entry.get("result") in ("failed", "error") and entry.get("headline") and "failing" not in label:
+                label = (
+                    f"failing, {label}"  # such as a crash that is harder than the one in the file, which has drifted
+                )
             if file:
-                found.setdefault(file.rpartition("/")[2], []).append((file, entry.get("status", "")))
+                found.setdefault(file.rpartition("/")[2], []).append((file, label))
     return found
 
 

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
-from pytest_pafot.support.errors import RequestError
+from pytest_pafot.support.errors import RequestError, check_asserts
 from pytest_pafot.support.references import factory_named
 from pytest_pafot.support.source_files import source_digests
 from pytest_pafot.support.text import meant
@@ -80,7 +80,9 @@ def check_function(reference: str) -> Callable[..., Any]:
     """
     if reference.count(":") != 1:
         raise RequestError(f"--check: expected the name module:function of a function of a run, received {reference!r}")
-    return ads_factory(reference, "--check", "a function of a run")
+    function = ads_factory(reference, "--check", "a function of a run")
+    check_asserts(function)
+    return function
 
 
 def identity(reference: str) -> dict[str, Any]:

@@ -47,8 +47,29 @@ OPEN, ACCEPTED, FLAKY, DRIFTED, FIXED = "open", "accepted", "flaky", "drifted", 
 STATES = (OPEN, ACCEPTED, FLAKY, DRIFTED, FIXED)
 """The states of a failure. ``open`` is one that fails, or that no given session has replayed."""
 
+BROKE_OFF = "not tested, the session broke off"
+"""The state of a requirement whose tests did not all come to an end in the last session that began them."""
+
+FAILED = ("failed", "error")
+"""The results of items that fail."""
+
 _STATE_OF: Mapping[str, str] = {"fixed": FIXED, "fixed before": FIXED, "drifted": DRIFTED, "flaky": FLAKY}
-"""The state by the status of a finding in the results; any other status is open."""
+"""The state by the status of a finding in the results, unless its item fails; any other status is open."""
+
+
+def _passes(entry: Mapping[str, Any]) -> bool:
+    """Return whether the saved scenario of an entry passed. Its item fails even so if its failure was accepted."""
+    return entry.get("status") in ("fixed", "fixed before") or (
+        entry.get("status") == DRIFTED and not entry.get("headline")
+    )
+
+
+def _state_in(entry: Mapping[str, Any]) -> str:
+    """Return the state of a finding in a session: the result of its item, and only then the label of its replay."""
+    if entry.get("result") == "xfailed":
+        return ACCEPTED
+    state = _STATE_OF.get(entry.get("status", ""), OPEN)
+    return OPEN if entry.get("result") in FAILED and state != FIXED else state
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -94,7 +115,7 @@ def run(arguments: argparse.Namespace, _: Sequence[str]) -> int:
     lines = writers[arguments.format](table, course=arguments.course)
     sys.stdout.write("".join(f"{line}\n" for line in lines))
     # A table that lacks tests cannot say that nothing is open.
-    is_open = bool(inventory.problem) or any(each.failures(OPEN) for each in table.requirements)
+    is_open = bool(inventory.problem) or any(each.failures(OPEN) or each.broke_off for each in table.requirements)
     return int(arguments.fail_on == OPEN and is_open)
 
 
@@ -178,13 +199,15 @@ class Day:
 class Requirement:
     """A requirement with its tests, its failures and its course.
 
-    ``days`` has the sessions that saw its tests or their findings, the last one at the end.
+    ``days`` has the sessions that saw its tests or their findings, the last one at the end. ``broke_off`` says which
+    session did not come to the end of its tests, if none has since; otherwise it is empty.
     """
 
     told: Traced
     tests: tuple[str, ...] = ()
     known: tuple[Failure, ...] = ()
     days: tuple[Day, ...] = ()
+    broke_off: str = ""
 
     def failures(self, state: str) -> list[Failure]:
         """Return the failures in a state, the worst first."""
@@ -203,6 +226,8 @@ class Requirement:
     @property
     def state(self) -> str:
         """The state of the requirement in a few words."""
+        if self.broke_off and not self.failures(OPEN):
+            return BROKE_OFF
         for state in (OPEN, ACCEPTED, FLAKY, DRIFTED):
             if self.failures(state):
                 return state
@@ -212,6 +237,8 @@ class Requirement:
     def rank(self) -> tuple[Any, ...]:
         """The key that sorts requirements, the one with the worst open failure first."""
         first = min((each.rank for each in self.known), default=(len(STATES),))
+        if self.broke_off and self.state == BROKE_OFF:
+            first = (STATES.index(OPEN) + 0.5,)
         return first[0], *first[1:-1], self.told.ids
 
 
@@ -265,6 +292,7 @@ class Table:
                 tests=tuple(sorted(tests.get(id_, ()))),
                 known=tuple(known.get(id_, ())),
                 days=tuple(course.days(id_)),
+                broke_off=course.broke_off(tests.get(id_, ())),
             )
             for id_ in {**tests, **course.told, **listed}
         ]
@@ -308,6 +336,8 @@ class Course:
         sessions: in their order; sessions are named by their numbers.
         events: for each finding what a session saw of it, by the session. Of shards that differ, the worst counts.
         searched: for each test the sessions in which it ran, and was not only replayed or skipped.
+        unended: for each test the sessions in which it did not come to an end, or in which its search could not begin,
+            each with the reason.
         told: the requirements that the results name, as in the last session that names them.
         by_test: the requirements of each test: as its marks say now, or as the last results say if the test is gone.
     """
@@ -315,6 +345,7 @@ class Course:
     sessions: Sequence[Session]
     events: dict[Key, dict[int, Event]] = field(default_factory=dict)
     searched: dict[str, set[int]] = field(default_factory=dict)
+    unended: dict[str, dict[int, str]] = field(default_factory=dict)
     told: dict[str, Traced] = field(default_factory=dict)
     by_test: dict[str, tuple[str, ...]] = field(default_factory=dict)
 
@@ -325,23 +356,51 @@ class Course:
         for number, session in enumerate(sessions):
             for entry in session.findings:
                 test = course._names(entry["test"] if entry.get("test") else entry["node_id"], entry)
-                state = _STATE_OF.get(entry.get("status", ""), OPEN)
-                state = ACCEPTED if entry.get("result") == "xfailed" else state
-                course._see((test, entry.get("id", "")), number, Event(state, entry))
+                course._see((test, entry.get("id", "")), number, Event(_state_in(entry), entry))
             others = [(name_without(SEARCH_PART, entry["node_id"]), entry) for entry in session.searches]
             for test, entry in (*others, *((entry["node_id"], entry) for entry in session.tests)):
                 course._names(test, entry)
-                result = entry.get("result", "")
-                if result in ("", "skipped"):
+                result, has_findings = entry.get("result", ""), entry.get("finds") or entry.get("unsaved")
+                # A search without a run was refused: its stored state is of other versions, or its world cannot be
+                # made. It says nothing of the requirement, and when it runs again, nothing was fixed.
+                is_refused = "runs" in entry and not entry["runs"] and result in FAILED and not has_findings
+                if not result or is_refused:
+                    for each in course._begun(test, inventory):
+                        course.unended.setdefault(each, {})[number] = one_line(entry.get("message", ""))
+                if result in ("", "skipped") or is_refused:
                     continue
                 course.searched.setdefault(test, set()).add(number)
                 # A search that has findings fails because of them, and they are in the results on their own.
-                failed = result in ("failed", "error") and not (entry.get("finds") or entry.get("unsaved"))
+                failed = result in FAILED and not has_findings
                 if failed or (test, "") in course.events:
                     state = OPEN if failed else ACCEPTED if result == "xfailed" else FIXED
                     course._see((test, ""), number, Event(state, entry))
         course.by_test.update((test, each.requirements) for test, each in inventory.tests.items())
         return course
+
+    def _begun(self, node_id: str, inventory: Inventory) -> Iterable[str]:
+        """Return the tests of an item that did not end. A replay's item may be any of those of its function."""
+        if node_id in inventory.tests:
+            return [node_id]
+        function = node_id.partition("[")[0]
+        return [test for test in inventory.tests if test.partition("[")[0] == function]
+
+    def broke_off(self, tests: Sequence[str]) -> str:
+        """Return which session began some tests last and did not end all of them, and why; empty if it ended all."""
+        later: set[str] = set()  # the tests that a later session has ended
+        for number in range(len(self.sessions) - 1, -1, -1):
+            # That another test has ended since says nothing of a test that began and did not end.
+            reasons = [
+                self.unended[each][number]
+                for each in tests
+                if number in self.unended.get(each, {}) and each not in later
+            ]
+            ended = {test for test in tests if number in self.searched.get(test, ())}
+            if reasons or (self.sessions[number].broke_off and not later and len(ended) < len(tests)):
+                told = next(filter(None, reasons), "the session did not come to its end")
+                return ": ".join(filter(None, [self.sessions[number].name, told]))
+            later |= ended
+        return ""
 
     def _names(self, test: str, entry: Mapping[str, Any]) -> str:
         """Note the requirements that an entry names; return its test."""
@@ -375,13 +434,16 @@ class Course:
             detail = entry["status"]
         if not id_:
             detail = one_line(entry.get("message", ""))
-        if finding is not None and finding.is_accepted(today):
+        is_beyond = entry.get("result") in FAILED and not _passes(entry)
+        if finding is not None and finding.is_accepted(today) and is_beyond:
+            state, detail = OPEN, f"not the failure that is accepted: {finding.accepted}"
+        elif finding is not None and finding.is_accepted(today):
             passes = "; it passes now, so remove the line" if state == FIXED and not finding.xfail_flaky else ""
             state, detail = ACCEPTED, f"{finding.accepted}{passes}"
         elif finding is not None and finding.xfail is not None:
             state = OPEN if state == ACCEPTED else state
             detail = f"accepted, {finding.accepted}, which is over"
-        elif finding is not None and finding.flaky is not None:
+        elif finding is not None and finding.flaky is not None and not is_beyond:
             state = FLAKY
         elif saved is not None and finding is None:
             state, detail = OPEN, "the file cannot be read"
@@ -534,6 +596,8 @@ def _parts(requirement: Requirement) -> Iterator[tuple[str, str]]:
         failures = requirement.failures(state)
         if failures:
             yield state, f"{len(failures)}: {_named(map(str, failures), separator='; ')}"
+    if requirement.broke_off:
+        yield "broke off", requirement.broke_off
     last = requirement.searched
     if last is None:
         yield "searched", "not in a given session"

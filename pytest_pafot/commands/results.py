@@ -29,6 +29,8 @@ class Session:
     Attributes:
         day, commit: as the session was told by ``--pafot-today`` and ``--pafot-commit``; empty if it was not.
         searches, findings, tests: the entries of its JSON.
+        broke_off: True if the session, or a shard of it, did not come to its end: it was killed, interrupted, or ended
+            with an exit code of pytest other than 0 and 1.
     """
 
     day: str = ""
@@ -36,6 +38,7 @@ class Session:
     searches: tuple[Mapping[str, Any], ...] = ()
     findings: tuple[Mapping[str, Any], ...] = ()
     tests: tuple[Mapping[str, Any], ...] = ()
+    broke_off: bool = False
 
     @property
     def name(self) -> str:
@@ -68,7 +71,8 @@ def read_results(path: Path) -> Session:
     day, commit = (data.get(name) or "" for name in ("day", "commit"))
     if not isinstance(commit, str) or (day and day_of(str(day)) is None):
         raise RequestError(f"{expected}, received day {day!r:.50} and commit {commit!r:.50}")
-    return Session(day=day, commit=commit, **{name: tuple(data.get(name, ())) for name in lists})
+    broke_off = data.get("exit") not in (0, 1)
+    return Session(day=day, commit=commit, broke_off=broke_off, **{name: tuple(data.get(name, ())) for name in lists})
 
 
 def _are_entries(entries: object) -> bool:
@@ -111,6 +115,7 @@ def grouped(sessions: Iterable[Session]) -> list[Session]:
             searches=tuple(each for session in same for each in session.searches),
             findings=tuple(each for session in same for each in session.findings),
             tests=tuple(each for session in same for each in session.tests),
+            broke_off=any(session.broke_off for session in same),
         )
         for (day, commit, _), same in parts.items()
     ]

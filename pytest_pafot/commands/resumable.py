@@ -128,14 +128,6 @@ def run_job(job: ResumableJob, folder: Path, *, workers: int, told: TextIO, cloc
     return folder / RESULTS
 
 
-def gate_workers(workers: int, job: ResumableJob, *, is_gate: bool) -> int:
-    """Return the number of processes for a job. A command that may fail a CI job drives in no process of its own.
-
-    A policy that ends its process with the exit code 0 would end the command with it.
-    """
-    return max(min(workers, len(job.tasks)), 2 if is_gate else 1)
-
-
 @contextmanager
 def printing_elsewhere() -> Iterator[None]:
     """Let what this process and its children print go to the standard error, for a command that prints JSON."""

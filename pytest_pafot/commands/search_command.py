@@ -34,16 +34,30 @@ from pytest_pafot.model.driving_style import STYLES
 from pytest_pafot.support.errors import OF_SEARCH, RequestError, flag, page
 from pytest_pafot.support.files import way_out, write_if_free
 from pytest_pafot.support.interrupts import Ended, undisturbed
+from pytest_pafot.support.receipts import received_code, unfinished
 from pytest_pafot.support.text import one_line, visible
 
 CONFTEST, TEST = "conftest.py", "test_safety.py"
 PAGE = "pafot.html"
 OWN = ("runs", "seed", "report", "against")
 """The options of pytest that have a short name here."""
-TESTS_FAILED, USAGE_ERROR = 1, 4
-"""Exit codes of pytest. They are copied, because importing pytest would slow down the help of commands."""
+TESTS_FAILED, STUCK, USAGE_ERROR = 1, 2, 4
+"""Exit codes of pytest; a session whose policy hangs ends itself with the second. They are copied, because importing
+pytest would slow down the help of commands."""
 LAST_SECONDS = 30
 """The time that an interrupted session has for its summary [s]. After that it is killed."""
+PYTEST = """
+import os, sys, pytest
+try:
+    code = int(pytest.main())
+    sys.stdout.flush()
+except BrokenPipeError:  # as of `| head`; else Python fails to flush the rest when it exits
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    code = 1
+from pytest_pafot.support.receipts import with_receipt  # only now: pytest rewrites the assertions of what it imports
+sys.exit(with_receipt(code))
+"""
+"""``python -m pytest``, as a process that leaves a receipt: a policy may end it with the exit code 0."""
 NO_TESTS = "[pytest]\n"
 """An empty configuration of pytest, so that the project's settings do not apply to the session."""
 
@@ -132,20 +146,23 @@ def _session(files: Mapping[str, str]) -> Iterator[list[str]]:
         for name, text in {**files, "pytest.ini": NO_TESTS}.items():
             (Path(folder) / name).write_text(text, encoding="utf-8")
         fixed = [f"--rootdir={folder}", "-pno:cacheprovider", "-rN"]
-        yield [sys.executable, "-m", "pytest", folder, *fixed]
+        yield [sys.executable, "-c", PYTEST, folder, *fixed]
 
 
 def _code_of(session: Sequence[str], environ: Mapping[str, str], output: int | None = None) -> int:
-    """Run a pytest session and return its exit code. If this process is interrupted, the session ends before it.
+    """Run the session of a command and return its exit code. If this process is interrupted, the session ends before.
 
     A session has LAST_SECONDS for its summary and page, and is killed then. ``output`` is a file for all that it
     prints, by default that of this process.
+
+    Raises:
+        ChildProcessError: if the session did not come to its end.
     """
     with subprocess.Popen(  # noqa: S603  (the user's own arguments)
         session, env=environ, stdout=output, stderr=output
     ) as process:
         try:
-            return process.wait()
+            left = process.wait()
         except KeyboardInterrupt as interrupt:
             if not isinstance(interrupt, Ended):  # The session has received Ctrl-C as well, and a second one ends it.
                 with suppress(subprocess.TimeoutExpired):
@@ -159,6 +176,10 @@ def _code_of(session: Sequence[str], environ: Mapping[str, str], output: int | N
                 except subprocess.TimeoutExpired:
                     process.kill()
                     process.wait()
+    code = received_code(left)
+    if code is None and left != STUCK:
+        raise ChildProcessError(unfinished(left))
+    return left if code is None else code
 
 
 def _write_test(here: Path, files: Mapping[str, str], ads: str) -> int:

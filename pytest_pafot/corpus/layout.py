@@ -37,6 +37,11 @@ def files_in(folder: Path) -> list[Path]:
     return [path for path in entries_of(folder) if path.name.endswith(SUFFIX)]
 
 
+def is_misnamed(name: str) -> bool:
+    """Return whether a file's name has another suffix than a saved scenario, but one that was meant as such."""
+    return name.lower().endswith((".yaml", ".yml")) and not name.endswith(SUFFIX)
+
+
 def modules_in(root: Path) -> list[Path]:
     """Return the folders of modules in a corpus, sorted by name; none if there is no corpus."""
     return [path for path in entries_of(root) if is_folder(path)]

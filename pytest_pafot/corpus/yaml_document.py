@@ -17,6 +17,7 @@ from typing import Any
 
 import yaml
 
+from pytest_pafot.corpus.layout import SUFFIX
 from pytest_pafot.findings.finding import MAX_DEPTH, MAX_NUMBER
 from pytest_pafot.support.errors import RESTORE, CorpusError, plain_number, plain_whole
 from pytest_pafot.support.text import day_of
@@ -185,6 +186,9 @@ def parse(path: Path, content: bytes, base: type[Any] | None = None) -> Field:
             of another version.
     """
     __tracebackhide__ = True  # pytest's --showlocals would print the content
+    if not path.name.endswith(SUFFIX) and not _IS_SAVED.match(content):
+        fix = f"give a file that ends in {SUFFIX}; this one is for other tools, such as those that `export` writes for"
+        raise CorpusError(path, "a saved scenario", "a file of another kind", fix)
     if len(content) > MAX_BYTES:
         raise CorpusError(path, f"at most {MAX_BYTES // 1024} KiB", "a larger file", "delete or shorten it")
     if not content.removeprefix(b"\xef\xbb\xbf").strip():

@@ -31,7 +31,7 @@ from pytest_pafot.campaign.request import drawn_space
 from pytest_pafot.campaign.setup_fault import FirstGeneration, SetupFaultError
 from pytest_pafot.campaign.verdict import Verdict, judge, worst_margins
 from pytest_pafot.commands.policy_reference import ABOUT_POLICIES, BAD_USE, ads_factory, check_function, config_of
-from pytest_pafot.commands.resumable import ResumableJob, Task, Tick, gate_workers, run_job, worker_count
+from pytest_pafot.commands.resumable import ResumableJob, Task, Tick, run_job, worker_count
 from pytest_pafot.commands.revision import PROCESS, revision_at
 from pytest_pafot.commands.revision_process import Served
 from pytest_pafot.corpus.layout import CORPUS, files_below
@@ -43,13 +43,14 @@ from pytest_pafot.execution.runner import runner_here
 from pytest_pafot.execution.scenario_pool import METHOD
 from pytest_pafot.findings.severity import WORSE_BY, worsening
 from pytest_pafot.model.trace import Outcome
+from pytest_pafot.oracle.checks import require
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.searching.space import sample, space_on
 from pytest_pafot.support.errors import RequestError, command
 from pytest_pafot.support.files import way_out, write_whole
 from pytest_pafot.support.proportions import difference, holm, mcnemar
 from pytest_pafot.support.references import described
-from pytest_pafot.support.text import ascii_text, csv_text, markdown_table, plural
+from pytest_pafot.support.text import ascii_text, csv_text, markdown_table, one_line, plural, visible
 from pytest_pafot.support.versions import installed_versions
 from pytest_pafot.world import AdsFactoryError, Highway, World, WorldError
 from pytest_pafot.world.protocol import first_decision, reference_world, road_start
@@ -248,7 +249,7 @@ OTHER_VERSION = f"give {REVISION}main, the policy of the branch main"
 
 def never_at_fault_in_a_collision(run: Run) -> None:
     """Assert that there is no collision, as the command ``search`` does if it receives no check."""
-    assert not run.collision, run.explain()  # noqa: S101  (the function of a test)
+    require(not run.collision, "not run.collision", run.explain)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -395,8 +396,11 @@ def _check_apart(plan: ProgressPlan, side: str) -> None:
         answer = pool.fetch(side)
     if isinstance(answer, ProcessLostError):
         raise RequestError(f"{side.upper()}: expected a policy that drives, received one whose process {answer.how}")
-    if isinstance(answer, Exception):
+    if isinstance(answer, (RequestError, AdsFactoryError)):
         raise answer
+    if isinstance(answer, Exception):
+        received = one_line(visible(f"{type(answer).__name__}: {answer}".partition("\n")[0]))
+        raise RequestError(f"{side.upper()}: expected a policy that drives, received {received}") from None
 
 
 def _check_in_worker(plan: ProgressPlan, side: str, tick: Tick) -> None:
@@ -551,7 +555,7 @@ def run(given: argparse.Namespace, command: Sequence[str]) -> int:
         with _of_revision(plan, given.copy) as (plan, both, same_as):
             if not same_as:
                 job = checked(plan).job
-                workers = gate_workers(workers, job, is_gate=given.fail_on is not None)
+                workers = min(workers, len(job.tasks))
                 with tempfile.TemporaryDirectory(prefix="pafot-") as folder:
                     results = run_job(job, Path(folder), workers=workers, told=sys.stderr, clock=time.monotonic)
                     table = io.StringIO(results.read_text("utf-8"))

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pytest_pafot.commands.policy_reference import config_of
-from pytest_pafot.commands.resumable import AGAIN, gate_workers, printing_elsewhere, run_job, worker_count, written_into
+from pytest_pafot.commands.resumable import AGAIN, printing_elsewhere, run_job, worker_count, written_into
 from pytest_pafot.episodes.rate import CHUNK, Pair, Rate, RatePlan, checked, factory_of, number, rows_of, shown, told
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.report.animation import AnimationError, animate
@@ -201,7 +201,7 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
         with ExitStack() as stack:
             folder = arguments.out or Path(stack.enter_context(tempfile.TemporaryDirectory()))
             job = plan.job
-            workers = gate_workers(workers, job, is_gate=limit is not None)
+            workers = min(workers, len(job.tasks))
             if arguments.json:
                 stack.enter_context(printing_elsewhere())
             results = run_job(job, folder, workers=workers, told=sys.stderr, clock=time.monotonic)

@@ -78,7 +78,7 @@ class ProcessLostError(Exception, Generic[TaskT]):
 
     def __init__(self, task: TaskT, *, pid: int, how: str, is_hang: bool = False) -> None:
         self.who = f"process (pid {pid})" if pid else "worker"
-        super().__init__(f"the {self.who} that ran {task!r} {how}")
+        super().__init__(f"the {self.who} that ran {task} {how}")
         self.task = task
         self.pid = pid
         self.how = how
@@ -199,12 +199,13 @@ class WorkerPool(Generic[TaskT, ResultT]):
         while self._wanted:
             self._receive()
             self._send()
-            tick(sum(worker.share for worker in self._busy))
             answers = self._answers | self._suspects
             self._answers, self._suspects = {}, {}
             for task, answer in answers.items():
                 self._wanted.discard(task)
                 yield task, answer
+            # Last, since the share of an answered task is gone: who counts it as finished has to do so before.
+            tick(sum(worker.share for worker in self._busy))
 
     def close(self, *, at_once: bool = False) -> None:
         """End all processes; busy processes are killed, and with ``at_once`` idle ones, too."""

@@ -184,7 +184,7 @@ class Runner:
         __tracebackhide__ = True
         trace = self.made(scenario, afresh=afresh)
         if isinstance(trace, Digest):
-            raise TypeError(f"scenario: expected one that no other process has judged, received {scenario!r}")
+            raise TypeError(f"scenario: expected one that no other process has judged, received {scenario}")
         return trace
 
     def made(self, scenario: Scenario, *, afresh: bool = False) -> Trace | Digest:
@@ -710,7 +710,7 @@ def retry(
     if leftover.reference:
         note = (
             f"a process (pid {leftover.pid}) died while the reference {leftover.reference} drove in "
-            f"{leftover.scenario!r}, which says nothing about the ADS: correct the reference, or search with "
+            f"{leftover.scenario}, which says nothing about the ADS: correct the reference, or search with "
             f"{flag('isolate')}, so that it can die without harm"
         )
         return Retried(notes=(note,), pending=leftover)
@@ -734,7 +734,7 @@ def retry(
     if guilty:
         leftover.discard()
         return Retried()
-    ran = f"{leftover.scenario!r},"
+    ran = f"{leftover.scenario},"
     if leftover.is_lock_step:
         ran = f"{len(leftover.scenarios)} scenarios in lock step, each of"
     note = (

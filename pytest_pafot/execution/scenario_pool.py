@@ -382,6 +382,6 @@ def expectation(lost: LostRun) -> Expect:
 def recovery_note(lost: LostRun) -> str:
     """Return a note for the user on a process that died in a run that succeeded when it was tried again."""
     return (
-        f"a {lost.who} {lost.how} while it ran {lost.task!r}, which ran to its end when it was tried "
+        f"a {lost.who} {lost.how} while it ran {lost.task}, which ran to its end when it was tried "
         "alone: there may be too little memory for so many workers, or the process was killed from outside"
     )

@@ -65,12 +65,13 @@ GROUP = "pytest_pafot.exporters"
 """The group of entry points in which packages register an :class:`Exporter` under the name of its format."""
 
 BUILT_IN = tuple(
-    metadata.EntryPoint(name, f"{__package__}.{module}:export", GROUP)
-    for name, module in (
-        ("commonroad", "commonroad_xml"),
-        ("csv", "csv_table"),
-        ("mcap", "foxglove_mcap"),
-        ("xosc", "openscenario"),
+    metadata.EntryPoint(name, f"{__package__}.{function}", GROUP)
+    for name, function in (
+        ("commonroad", "commonroad_xml:export"),
+        ("csv", "csv_table:export"),
+        ("mcap", "foxglove_mcap:export"),
+        ("xosc", "openscenario:export"),
+        ("xosc-1.0", "openscenario:export_1_0"),
     )
 )
 """The entry points of this package's exporters. They replace exporters of other packages with the same names."""

@@ -1,4 +1,4 @@
-"""OpenSCENARIO XML 1.2 with OpenDRIVE: the road, and every vehicle on the trajectory that it drove."""
+"""OpenSCENARIO XML 1.2 or 1.0 with OpenDRIVE: the road, and every vehicle on the trajectory that it drove."""
 
 from __future__ import annotations
 
@@ -81,29 +81,31 @@ def _geometries(lane: Lane) -> Iterator[tuple[xodr.Line | xodr.ParamPoly3, Float
         yield cubic, start, math.atan2(first[1], first[0])
 
 
-MINOR_VERSION = 2
 REAR_AXLE = 0.3
 """Distance of the rear axle behind the centre, as a share of the length. OpenSCENARIO uses the axle's position."""
 ANY_SPEED, ANY_ACCELERATION = 100.0, 20.0
 """A vehicle's limits of speed [m/s] and acceleration [m/s^2]: so high that every trajectory can be followed."""
 
 
-def export(finding: Finding, trace: Trace) -> Mapping[str, bytes]:
-    """Return an OpenSCENARIO file, and the OpenDRIVE file of the road to which it refers."""
+def export(finding: Finding, trace: Trace, minor: int = 2) -> Mapping[str, bytes]:
+    """Return a file in OpenSCENARIO 1.2 or another minor version, and the OpenDRIVE file to which it refers."""
     road = f"{finding.id}.xodr"
     entities, init = xosc.Entities(), xosc.Init()
-    act = xosc.Act("replay", _at("begin", 0))
+    act = xosc.Act("replay", _at("begin", 0, minor))
     at_once = xosc.TransitionDynamics(xosc.DynamicsShapes.step, xosc.DynamicsDimension.time, 0)
     for vehicle, size in enumerate(trace.sizes.tolist()):
         name = name_of(vehicle)
         states = states_of(trace)[:, vehicle]
         positions = _rear_axles(states, size[0])
-        entities.add_scenario_object(name, _vehicle(name, *size))
+        box = _vehicle(name, *size)
+        if minor == 0:  # CARLA's scenario_runner, the reader of this version, looks there for the ego
+            box.add_property("type", "simulation" if vehicle else "ego_vehicle")
+        entities.add_scenario_object(name, box)
         init.add_init_action(name, xosc.TeleportAction(positions[0]))
         init.add_init_action(name, xosc.AbsoluteSpeedAction(states[0, SPEED], at_once))
         if trace.ticks:  # A run that ends at its first decision has no trajectories.
-            act.add_maneuver_group(_replay(name, trace.times.tolist(), positions))
-    board = xosc.StoryBoard(init, _at("end", trace.duration, "stop"))
+            act.add_maneuver_group(_replay(name, trace.times.tolist(), positions, minor))
+    board = xosc.StoryBoard(init, _at("end", trace.duration, minor, "stop"))
     if trace.ticks:
         story = xosc.Story("replay")
         story.add_act(act)
@@ -116,10 +118,15 @@ def export(finding: Finding, trace: Trace) -> Mapping[str, bytes]:
         board,
         xosc.RoadNetwork(road),
         xosc.Catalog(),
-        osc_minor_version=MINOR_VERSION,
+        osc_minor_version=minor,
         creation_date=datetime.fromisoformat(NO_DATE),
     )
     return {f"{finding.id}.xosc": text_of(scenario.get_element()), road: road_file(finding.id, trace)}
+
+
+def export_1_0(finding: Finding, trace: Trace) -> Mapping[str, bytes]:
+    """Return the files of :func:`export` in OpenSCENARIO 1.0, which CARLA's scenario_runner requires."""
+    return export(finding, trace, 0)
 
 
 def _rear_axles(states: FloatArray, length: float) -> list[xosc.WorldPosition]:
@@ -137,12 +144,12 @@ def _vehicle(name: str, length: float, width: float) -> xosc.Vehicle:
     return xosc.Vehicle(name, category, box, front, rear, ANY_SPEED, ANY_ACCELERATION, ANY_ACCELERATION)
 
 
-def _replay(name: str, times: list[float], positions: list[xosc.WorldPosition]) -> xosc.ManeuverGroup:
+def _replay(name: str, times: list[float], positions: list[xosc.WorldPosition], minor: int) -> xosc.ManeuverGroup:
     trajectory = xosc.Trajectory(f"{name} drove", False)
     trajectory.add_shape(xosc.Polyline(times, positions))
     follow = xosc.FollowTrajectoryAction(trajectory, xosc.FollowingMode.position, xosc.ReferenceContext.absolute, 1, 0)
-    event = xosc.Event(f"{name} drives", xosc.Priority.override)
-    event.add_trigger(_at(f"{name} begins", 0))
+    event = xosc.Event(f"{name} drives", xosc.Priority.override if minor >= 2 else xosc.Priority.overwrite)
+    event.add_trigger(_at(f"{name} begins", 0, minor))
     event.add_action(f"{name} follows", follow)
     manoeuvre = xosc.Maneuver(f"{name} replays")
     manoeuvre.add_event(event)
@@ -152,6 +159,7 @@ def _replay(name: str, times: list[float], positions: list[xosc.WorldPosition]) 
     return group
 
 
-def _at(name: str, seconds: float, triggers: str = "start") -> xosc.ValueTrigger:
-    condition = xosc.SimulationTimeCondition(seconds, xosc.Rule.greaterOrEqual)
+def _at(name: str, seconds: float, minor: int, triggers: str = "start") -> xosc.ValueTrigger:
+    rule = xosc.Rule.greaterOrEqual if minor else xosc.Rule.greaterThan  # 1.0 has no other that holds from then on
+    condition = xosc.SimulationTimeCondition(seconds, rule)
     return xosc.ValueTrigger(name, 0, xosc.ConditionEdge.none, condition, triggeringpoint=triggers)

@@ -515,6 +515,9 @@ def raised_failure(exception: BaseException, test_file: str) -> Failure:
     if isinstance(exception, CheckFailed):
         check = exception.check
         return Failure(kind=CHECK_FAILED, message=str(check), assertion=check.name, check=check)
+    told = getattr(exception, "assertion", None)
+    if type(exception) is AssertionError and isinstance(told, str):  # see oracle/checks.py:require
+        return Failure(kind="AssertionError", message=message_of(exception), assertion=told)
     statements = list(_statements(exception.__traceback__))
     own = [text for text, file in statements if file == test_file and text]
     deepest = statements[-1][0] if statements else ""
@@ -596,6 +599,9 @@ DRIVEN_ON = 10.0
 A file ends shortly after its failure, so a policy that only drives more slowly passes before it makes the same mistake.
 """
 
+ACCEPTED_FASTER = 1.0
+"""The largest difference [m/s] by which an accepted collision may be faster than its file says."""
+
 HAS_EVENT = frozenset({Outcome.COLLISION, Outcome.ADS_ERROR, Outcome.HANG, Outcome.OFF_ROAD})
 """Outcomes that have a time, which is the run's event. For any other outcome the event is the most critical moment."""
 
@@ -668,6 +674,38 @@ def is_same_failure(finding: Finding, run: Run, failure: Failure) -> bool:
     if then.fault is not None and then.mistake is None:  # an older file, which does not store it
         return now.fault == then.fault and now == replace(then, mistake=now.mistake)
     return now == then
+
+
+def beyond_acceptance(finding: Finding, run: Run, failure: Failure, *, same_versions: bool) -> str:
+    """Return how a failure goes beyond the one that a file describes; empty if accepting the file accepts it, too.
+
+    It must be the same assertion, check or exception, in a run that ends in the same way. A collision must be with the
+    same NPC, at a closing speed of at most :data:`ACCEPTED_FASTER` above that of the file. It may be at another time
+    and in another cell, and somebody else may be responsible.
+
+    Args:
+        finding: the saved finding.
+        run: the run of the replay.
+        failure: the failure of this run.
+        same_versions: False if the file was saved under other versions of the packages that a run depends on. They may
+            move vehicles, so that NPC and closing speed are not compared.
+    """
+    then, now, hit = finding.signature, of_failure(run, failure), run.collision
+    if now.failure != then.failure:
+        return f"{now.failure} instead of {then.failure}"
+    if now.assertion != then.assertion:
+        return f"{now.assertion or 'no assertion'!r} fails instead of {then.assertion or 'no assertion'!r}"
+    if run.outcome is not finding.expect.outcome:
+        return f"the run ends with {run.outcome} instead of {finding.expect.outcome}"
+    if hit is None or not same_versions:
+        return ""
+    if finding.expect.npc is not None and hit.npc != finding.expect.npc:
+        return f"a collision with NPC {hit.npc} instead of NPC {finding.expect.npc}"
+    speed = finding.expect.closing_speed
+    # The file has three decimals, hence the last term.
+    if speed is not None and hit.closing_speed > speed + ACCEPTED_FASTER + 0.001:
+        return f"a closing speed of {hit.closing_speed:.1f} m/s instead of {speed:.1f} m/s"
+    return ""
 
 
 def has_time(run: Run, failure: Failure) -> bool:

@@ -12,6 +12,7 @@ from types import MappingProxyType
 from typing import Any, Literal, get_args
 
 from pytest_pafot.support.errors import FieldError, plain_number
+from pytest_pafot.support.shown import Pasteable
 
 Style = Literal["paper", "hostile", "assertive", "everyday"]
 STYLES: tuple[Style, ...] = get_args(Style)
@@ -22,7 +23,7 @@ no given number can be mistaken for it."""
 
 
 @dataclass(frozen=True, slots=True, repr=False)
-class Traffic:
+class Traffic(Pasteable):
     """The driving style of a scenario's NPCs, and the limits that it sets whatever their instructions say.
 
     In every style except the paper's, NPCs are *attentive*: behind the ego in its lane, an NPC keeps the same distance
@@ -97,7 +98,7 @@ class Traffic:
         return f"{self.style} traffic{f' ({own})' if own else ''}" if self.is_attentive else ""
 
     def __repr__(self) -> str:
-        return f"Traffic({', '.join([repr(self.style), *(f'{name}={part:g}' for name, part in self.own.items())])})"
+        return f"Traffic({', '.join([repr(self.style), *(f'{name}={part!r}' for name, part in self.own.items())])})"
 
     @classmethod
     def of(cls, given: Any) -> Traffic:

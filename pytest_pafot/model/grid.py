@@ -26,6 +26,9 @@ class Cell(IntEnum):
     REAR_LEFT = 7
     LEFT = 8
 
+    def __repr__(self) -> str:
+        return f"Cell.{self.name}"  # an expression that makes it, unlike an enumeration's own
+
     __hash__ = int.__hash__  # the hash of the equal number; an enumeration's is several times as slow
 
     @property

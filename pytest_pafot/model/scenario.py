@@ -22,6 +22,7 @@ from typing import Any, Literal, cast, get_args
 from pytest_pafot.model.driving_style import PAPERS, Traffic
 from pytest_pafot.model.grid import Cell, are_valid, is_adjacent, repair_chains
 from pytest_pafot.support.errors import FieldError, checked_whole, plain_whole
+from pytest_pafot.support.shown import Pasteable
 
 SPEED_STEPS_PER_MPS = 10
 """Target speeds are multiples of 0.1 m/s, so that a scenario reads the same in a file and in memory."""
@@ -54,7 +55,7 @@ class ScenarioError(FieldError):
     """Error for a scenario that breaks a rule; the message says where, what was expected and what to do."""
 
 
-class _PreparedGene:
+class _PreparedGene(Pasteable):
     """A gene with values that a search needs of dozens of genes in each run, computed once for each gene."""
 
     __slots__ = ("code", "target", "text")
@@ -77,7 +78,7 @@ class _PreparedGene:
         return known_gene, (self.target, self.speed)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, repr=False)
 class PositionInstruction(_PreparedGene):
     """A gene that makes an NPC drive into a cell of the grid and then keep a speed.
 
@@ -115,7 +116,7 @@ LANE_STARTS = tuple(map(Cell, (1, 2, 3, 8, 4, 6, 7, 5)))
 two are the starts of the NPCs in the released AV-Fuzzer: ahead to the left of the ego, and ahead in the ego's lane."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, repr=False)
 class LaneInstruction(_PreparedGene):
     """A gene that makes an NPC keep its lane or change it by one, at a speed, wherever the ego is.
 
@@ -160,8 +161,8 @@ ZONE_NAME = re.compile(r"[A-Za-z0-9_.-]{1,30}>[A-Za-z0-9_.-]{1,30}")
 """The pattern of a zone's name: the names of an entry node and an exit node of the road network."""
 
 
-@dataclass(frozen=True, slots=True)
-class CrossingInstruction:
+@dataclass(frozen=True, slots=True, repr=False)
+class CrossingInstruction(Pasteable):
     """The only gene of an NPC whose way meets the ego's way: the zone, the time relative to the ego, and the act there.
 
     It transfers the grid to a zone, where the time matters as well as the place. The NPC starts so that it meets an ego
@@ -246,8 +247,8 @@ FASTEST_ASIDE = 5.0
 """The largest lateral speed that a step can ask for [m/s]."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Step:
+@dataclass(frozen=True, slots=True, kw_only=True, repr=False)
+class Step(Pasteable):
     """A step of a :class:`Manoeuvre`: when it begins, and what the NPC does then.
 
     It begins when ``gap`` or ``headway`` is reached, from either side, or else ``after`` the end of the step before. A
@@ -331,8 +332,8 @@ STEP_BOUNDS = (
 """The smallest and largest number that each field of a step may have."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Manoeuvre:
+@dataclass(frozen=True, slots=True, kw_only=True, repr=False)
+class Manoeuvre(Pasteable):
     """The only gene of an NPC that does what is asked for: a start relative to the ego, and steps.
 
     In the traffic of the paper's style, the NPC does it whatever is in its way, except vehicles that cross its way; in
@@ -432,7 +433,7 @@ Chromosome = tuple[Gene, ...]
 """The chain of one NPC: its instructions in the order in which it executes them."""
 
 
-class _Hashed:
+class _Hashed(Pasteable):
     """The place for the hash of a scenario, which is computed when it is first needed."""
 
     __slots__ = ("_hash",)
@@ -440,7 +441,7 @@ class _Hashed:
     _hash: int
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True, kw_only=True, repr=False)
 class Scenario(_Hashed):
     """The input of a simulated run: one chain of instructions per NPC, the start, and the seed of the repair.
 
@@ -609,7 +610,7 @@ class Scenario(_Hashed):
         """Return this scenario with only the first ``genes`` genes of each NPC."""
         return replace(self, npcs=tuple(chain[:genes] for chain in self.npcs))
 
-    def __repr__(self) -> str:
+    def __str__(self) -> str:
         chains = "; ".join(" ".join(map(_short, chain)) for chain in self.npcs)
         return f"<Scenario {self.id}: {chains}>"
 

@@ -6,7 +6,7 @@ A search can reduce a margin step by step. A plain ``assert`` reports only that 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass, field
@@ -225,6 +225,24 @@ def _values(value: Any, name: str) -> FloatArray:
             f"{values.shape}; check each NPC by itself"
         )
     return values
+
+
+def require(holds: bool, assertion: str, explain: Callable[[], str]) -> None:
+    """Assert as ``assert`` does, also under ``python -O``, which switches assertions off.
+
+    Args:
+        holds: what must be true.
+        assertion: its source text, which identifies the failure as that of an ``assert`` does.
+        explain: returns the message, if it is not true.
+
+    Raises:
+        AssertionError: if it is not true. Its attribute ``assertion`` is the text.
+    """
+    __tracebackhide__ = True
+    if not holds:
+        error = AssertionError(explain())
+        error.assertion = assertion  # type: ignore[attr-defined]
+        raise error
 
 
 def _named(name: str) -> str:

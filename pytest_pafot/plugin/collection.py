@@ -168,6 +168,8 @@ class Collection:
             folder = layout.folder_of_test(item.path, qualified_name(item), corpus, self._rootpath)
             self._collected.folders[folder] = base_id(item)
             self._collected.roots[folder.parents[1]] = item.path.parent
+            if Path(corpus).is_absolute():
+                self._collected.shared.add(Path(corpus))
         mark = item.get_closest_marker(SAVED_MARK)
         if mark is None:
             return True
@@ -200,6 +202,8 @@ class Collection:
         if corpus is not None:
             files = {item.path.parent: item.path for item in items}
             roots |= {layout.corpus_root(file, corpus, self._rootpath): directory for directory, file in files.items()}
+            if Path(corpus).is_absolute():
+                self._collected.shared.add(Path(corpus))
             met = [each for each in sorted(self._corpora) if any(map(each.is_relative_to, self._folders_given))]
             for given in self._config.getoption(BY_NAME["merge"].key) or ():  # corpora that come from other machines
                 merged = self._config.invocation_params.dir / given
@@ -241,7 +245,9 @@ class Collection:
         if (not searches and not saved) or self._config.getoption(BY_NAME["merge"].key):
             return None
         counts = f"{searches} search{'' if searches == 1 else 'es'}, {saved} saved scenario{'' if saved == 1 else 's'}"
-        return "; ".join(filter(None, (f"pafot: {counts}", base_line(self._config))))
+        # pytest rewrites the assertions of test files, conftest.py and plugins, so that they run all the same.
+        off = "" if __debug__ else "python -O: assertions in modules that pytest does not rewrite are off"
+        return "; ".join(filter(None, (f"pafot: {counts}", base_line(self._config), off)))
 
 
 def is_search(item: pytest.Item) -> bool:

@@ -22,6 +22,7 @@ from pytest_pafot.oracle.run import Run
 from pytest_pafot.plugin.collection import saved_of
 from pytest_pafot.plugin.marks import CATALOGUE_MARK, SEARCH_MARK
 from pytest_pafot.plugin.messages import AS_SAVED
+from pytest_pafot.plugin.node_ids import base_id
 from pytest_pafot.plugin.session import SHARED
 from pytest_pafot.plugin.tracing import traced
 from pytest_pafot.support.text import MARKER, fitted_lines, visible, visible_lines
@@ -38,6 +39,9 @@ REPLAYED = pytest.StashKey[tuple[str, Run | None, "Verdict | None", str]]()
 Run and verdict are None if its process died or hung.
 """
 
+NOT_ACCEPTED = pytest.StashKey[str]()
+"""How the failure of a replay goes beyond the one that its file accepts."""
+
 SCENARIO = re.compile(r"E +scenario [0-9a-f]+, repair seed \d+(, position rule: \w+)?(, [a-z]+ traffic.*)?")
 """The last line of ``run.explain()``. It is left out, since the saved file and the report page contain it, too."""
 
@@ -47,6 +51,9 @@ REPEATED = (
     re.compile(r"E +\+  where .* = <Run [^<>]*>\.\w+"),
 )
 """Lines of a report that are left out, because the explanation or the line of the assertion says the same."""
+
+OUTPUT_END = 10_000
+"""The length of the beginning and of the end of captured output that a report contains [characters]."""
 
 _COLOUR = re.compile("\x1b\\[[0-9;]*m")
 """A colour code of the terminal. It is removed, because a malicious file may hide a text with such codes.
@@ -64,6 +71,8 @@ class Failures:
         marked = any(item.get_closest_marker(name) is not None for name in (SEARCH_MARK, CATALOGUE_MARK))
         if call.excinfo is None or not marked:
             report = yield
+            if marked:
+                _shorten_output(report)
             if report.failed and traced(item).requirements:
                 summarise(report, "")
             return report
@@ -76,11 +85,12 @@ class Failures:
         finally:
             if style is not None:
                 option.tbstyle = style
+        _shorten_output(report)
         saved = saved_of(item)
         if saved is not None and not call.excinfo.errisinstance(pytest.xfail.Exception):
-            _count_unless_replayed(item, saved, report)
+            _count_unless_accepted(item, saved, report)
         if saved is not None:
-            told = {"id": saved.id, "file": relative(saved.path, item.config.rootpath)}
+            told = {"id": saved.id, "file": relative(saved.path, item.config.rootpath), "test": base_id(item)}
             setattr(report, AS_SAVED, json.dumps(told))
         _make_visible(report)
         _fit(report.longrepr, item.config.stash[SHARED].width, is_brief=is_brief)
@@ -88,13 +98,24 @@ class Failures:
         return report
 
 
-def _count_unless_replayed(item: pytest.Item, saved: Saved, report: pytest.TestReport) -> None:
-    """Let an item count as failed although its failure is accepted, if there was no replay that could show it.
+def _shorten_output(report: pytest.TestReport) -> None:
+    """Keep the beginning and the end of long output: a policy that prints at each decision prints gigabytes."""
+    for number, (title, text) in enumerate(report.sections):
+        left_out = len(text) - 2 * OUTPUT_END
+        if left_out > OUTPUT_END:
+            line = f"[{left_out} characters of output are left out; pytest -s shows all, in a session without workers]"
+            report.sections[number] = (title, f"{text[:OUTPUT_END]}\n{line}\n{text[-OUTPUT_END:]}")
 
-    This is so for an error in a fixture, in the factory or elsewhere in the set-up.
+
+def _count_unless_accepted(item: pytest.Item, saved: Saved, report: pytest.TestReport) -> None:
+    """Let an item count as failed although its file is accepted, if its failure is not the accepted one.
+
+    Either the replay shows another failure, or there was no replay: an error in a fixture, in the factory or elsewhere
+    in the set-up.
     """
     is_accepted = saved.is_accepted(date.fromisoformat(item.config.stash[SHARED].today))
-    if is_accepted and REPLAYED not in item.stash and hasattr(report, "wasxfail"):
+    is_other = REPLAYED not in item.stash or NOT_ACCEPTED in item.stash
+    if is_accepted and is_other and hasattr(report, "wasxfail"):
         report.outcome = "failed"
         del report.wasxfail
 

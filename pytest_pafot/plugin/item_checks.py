@@ -27,7 +27,7 @@ from pytest_pafot.plugin.node_ids import base_id
 from pytest_pafot.plugin.option_sources import request_of_mark
 from pytest_pafot.plugin.session import SHARED, records_folder
 from pytest_pafot.plugin.tracing import read
-from pytest_pafot.support.errors import RequestError, flag
+from pytest_pafot.support.errors import RequestError, asserts_run, flag
 from pytest_pafot.support.text import meant, wrapped_to
 
 REQUEST: pytest.StashKey[Request] = pytest.StashKey()
@@ -108,6 +108,12 @@ def _check_function(item: pytest.Item) -> None:
         raise RequestError(
             "expected a plain function, received an async function, whose assertions would never run; "
             "write `def` instead of `async def`"
+        )
+    if not asserts_run(inspect.unwrap(item.obj)):
+        raise RequestError(
+            "expected a test whose assertions run, received one that pytest does not rewrite, such as with "
+            "--assert=plain or from another module, in a Python with -O or PYTHONOPTIMIZE; leave out -O and "
+            "PYTHONOPTIMIZE"
         )
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Generator, Iterable, Iterator, Sequence
+from collections.abc import Collection, Generator, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -18,9 +18,11 @@ import pytest
 
 from pytest_pafot.campaign.options import BY_NAME, is_ci
 from pytest_pafot.corpus.layout import (
+    SUFFIX,
     entries_of,
     files_in,
     is_folder,
+    is_misnamed,
     link_below,
     may_be_of,
     module_named,
@@ -54,7 +56,8 @@ class Unrun(NamedTuple):
     """The saved scenarios of a session that no item runs."""
 
     orphans: dict[Path, Orphan]  # by folder
-    strays: dict[str, str]  # saved scenarios outside of all folders of tests, each with the test that it names
+    # saved scenarios that no test's folder runs, each with the reason, and whether the session fails by it on CI
+    strays: dict[str, tuple[str, bool]]
     unmerged: dict[str, str]  # folders of other corpora that match no single test, each with the reason
 
 
@@ -69,6 +72,7 @@ class Collected:
     asked_for: list[Path] = field(default_factory=list)  # the folders given on the command line
     folders: dict[Path, str] = field(default_factory=dict)  # corpus folders of the items, with the ids of their tests
     roots: dict[Path, Path] = field(default_factory=dict)  # corpora, each with the folder of its test files
+    shared: set[Path] = field(default_factory=set)  # the corpora of several folders of test files: absolute paths
     # node ids of the classes that exist in collected modules and classes
     classes: set[str] = field(default_factory=set)
     opened: set[str] = field(default_factory=set)  # node ids of the classes whose members were collected
@@ -87,25 +91,41 @@ def find_orphans(collected: Collected) -> dict[Path, Orphan]:
         for root, directory in sorted(collected.roots.items())
         for module in modules_in(root)
         for folder in entries_of(module)
-        # The folder of a test has no subfolders. In a shared corpus, subfolders of packages are next to modules.
-        if files_in(folder) and not any(map(is_folder, entries_of(folder)))
+        # In a shared corpus, subfolders of packages are next to modules: a folder with subfolders may be one of them.
+        if files_in(folder) and not (_shared(root, collected) and any(map(is_folder, entries_of(folder))))
         if _is_orphan(folder, directory, collected)
     }
 
 
-def find_strays(collected: Collected, orphans: Iterable[Path]) -> dict[str, str]:
-    """Return the saved scenarios that are in no test's folder, each with the test that it names, if any.
+def find_strays(collected: Collected, orphans: Collection[Path]) -> dict[str, tuple[str, bool]]:
+    """Return the saved scenarios that no item can run, each with the reason, and whether the session fails by it on CI.
 
-    Only the folders between the rootdir and the folders of tests are searched.
+    They are too high or too deep for the folder of a test, or have another suffix. Only the corpora and the folders
+    between the rootdir and the folders of tests are searched.
     """
     top = collected.rootpath
-    on_the_way = {
-        folder
-        for root, directory in collected.roots.items()
-        for folder in (*_up(root, top), *_up(directory, top), *modules_in(root))
-    }
-    files = (file for folder in sorted(on_the_way.difference(collected.folders, orphans)) for file in files_in(folder))
-    return {relative(file, top): _named_test(file) for file in files}
+    strays: dict[str, tuple[str, bool]] = {}
+    for root, directory in sorted(collected.roots.items()):
+        is_asked_for = any(directory.is_relative_to(each) for each in collected.asked_for)
+        modules = modules_in(root)
+        tests = {folder for module in modules for folder in modules_in(module)}
+        # The walk follows no links, which may lead anywhere. A linked folder of a module or test is only listed.
+        below = {Path(each) for each, _, _ in os.walk(root)}
+        for folder in sorted({*_up(root, top), *_up(directory, top), *below, *modules, *tests}):
+            is_run = folder in collected.folders or folder in orphans or _is_test_folder(folder, root, tests, collected)
+            for file in entries_of(folder):
+                if is_misnamed(file.name):
+                    if not _is_meant_as_saved(file, root):
+                        continue
+                    why = f"its suffix is not {SUFFIX}; rename it, or move it out of the corpus"
+                elif is_run or not file.name.endswith(SUFFIX):
+                    continue
+                else:
+                    place = f"the folder of {_named_test(file) or 'its test'}"
+                    why = f"it is in no test's folder; move it to {place}, or delete it"
+                name = relative(file, top)
+                strays[name] = why, is_asked_for or strays.get(name, ("", False))[1]
+    return strays
 
 
 def advice(config: pytest.Config) -> str:
@@ -125,7 +145,7 @@ def advice(config: pytest.Config) -> str:
 
 
 class Guard:
-    """The hook that fails a session, once and on the controller, if the test of saved scenarios no longer exists."""
+    """The hook that fails a session, once and on the controller, if no test can replay saved scenarios."""
 
     @pytest.hookimpl(wrapper=True)
     def pytest_runtestloop(self, session: pytest.Session) -> Generator[None, object, object]:
@@ -146,14 +166,21 @@ def _error(config: pytest.Config) -> list[str]:
     cause = "CI is set" if is_ci(os.environ) else strict.flag if option_value(config, strict, {}) else ""
     if not cause or config.getoption("collectonly") or option_value(config, allow, {}):
         return []
-    gone = {folder: orphan for folder, orphan in config.stash[UNRUN].orphans.items() if orphan.is_gone}
-    if not gone:
-        return []
-    counts = plural(sum(len(files_in(folder)) for folder in gone), "saved scenario")
-    lines = [f"the test of {counts} is gone ({cause}; {allow.flag} lets it pass):"]
-    for folder, orphan in gone.items():
-        lines += [*(relative(file, config.rootpath) for file in files_in(folder)), f"  {orphan.expected}"]
-    return [visible(line) for line in (*lines, f"  {advice(config)}")]
+    unrun = config.stash[UNRUN]
+    gone = {folder: orphan for folder, orphan in unrun.orphans.items() if orphan.is_gone}
+    lines = []
+    if gone:
+        counts = plural(sum(len(files_in(folder)) for folder in gone), "saved scenario")
+        lines.append(f"the test of {counts} is gone ({cause}; {allow.flag} lets it pass):")
+        for folder, orphan in gone.items():
+            lines += [*(relative(file, config.rootpath) for file in files_in(folder)), f"  {orphan.expected}"]
+        lines.append(f"  {advice(config)}")
+    strays = {file: why for file, (why, fails) in sorted(unrun.strays.items()) if fails}
+    if strays:
+        lines.append(f"no test replays {plural(len(strays), 'saved scenario')} ({cause}; {allow.flag} lets it pass):")
+        for file, why in strays.items():
+            lines += [file, f"  {why}"]
+    return [visible(line) for line in lines]
 
 
 def _report(session: pytest.Session, lines: Sequence[str]) -> None:
@@ -174,6 +201,28 @@ def _report(session: pytest.Session, lines: Sequence[str]) -> None:
     session.testscollected += 1
     log(report=report(outcome="failed", longrepr=longrepr, when="setup"))
     log(report=report(outcome="passed", longrepr=None, when="teardown"))
+
+
+def _shared(root: Path, collected: Collected) -> Path | None:
+    """Return the shared corpus to which a corpus belongs; None if it is next to its test files."""
+    return next((each for each in sorted(collected.shared) if root.is_relative_to(each)), None)
+
+
+def _is_test_folder(folder: Path, root: Path, tests: Collection[Path], collected: Collected) -> bool:
+    """Return whether a folder has the depth at which a test's folder is, also that of a test which was left out."""
+    shared = _shared(root, collected)
+    if shared is None:
+        return folder in tests
+    if len(folder.parts) < len(shared.parts) + 2:
+        return False
+    # A deeper folder may be that of a test file in a deeper folder, which this session did not collect.
+    directory = collected.rootpath / folder.parents[1].relative_to(shared)
+    return os.path.lexists(module_named(directory, folder.parent.name))
+
+
+def _is_meant_as_saved(file: Path, root: Path) -> bool:
+    """Return whether a file with another suffix is a saved scenario: by its name, or in a corpus by its content."""
+    return ".pafot." in file.name.lower() or (file.is_relative_to(root) and bool(_named_test(file)))
 
 
 def _is_orphan(folder: Path, directory: Path, collected: Collected) -> bool:
@@ -203,15 +252,16 @@ def _orphan(folder: Path, root: Path, directory: Path, collected: Collected) -> 
     named = next((name for name in map(_test_of, saved) if _is_folder_of(folder, name)), "")
     name = named.partition("::")[2] or folder.name
     there, is_gone = f"no file {file}", True
-    if os.path.lexists(module):
-        tests = [
-            test.removeprefix(f"{file}::").partition("[")[0]
-            for test in collected.folders.values()
-            if test.startswith(f"{file}::")
-        ]
-        is_gone = not any(may_be_of(folder.name, test) for test in tests)
-        there = f"{file} without {'this search' if is_gone else 'these parameters'}"
     is_asked_for = any(module.is_relative_to(each) for each in collected.asked_for)
+    if os.path.lexists(module):
+        same_test = [
+            each
+            for each, test in collected.folders.items()
+            if test.startswith(f"{file}::") and may_be_of(folder.name, test.removeprefix(f"{file}::").partition("[")[0])
+        ]
+        there = f"{file} without {'these parameters' if same_test else 'this search'}"
+        # A parameter may be removed. But if no file of the test is replayed, its parameters were renamed.
+        is_gone = not any(map(files_in, same_test))
     return Orphan(
         removable=[str(path) for path in _own_files(folder, saved, directory, collected.rootpath)],
         expected=f"expected the test {file}::{name:.{MAX_NAME}}, received {there}: it was renamed, moved or deleted",

@@ -26,7 +26,7 @@ from pytest_pafot.findings.severity import worsening
 from pytest_pafot.oracle.checks import CheckFailed
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.plugin import messages, node_ids
-from pytest_pafot.plugin.failure_reports import REPLAYED, SUMMARY, explained
+from pytest_pafot.plugin.failure_reports import NOT_ACCEPTED, REPLAYED, SUMMARY, explained
 from pytest_pafot.plugin.finding_message import tell_finding
 from pytest_pafot.plugin.messages import OF_ONE_RUN, set_properties, severity_text
 from pytest_pafot.plugin.own_session import replay_in_own_session
@@ -52,6 +52,8 @@ def run_replay(item: pytest.Function, request: Request, saved: Saved) -> None:
     today = date.fromisoformat(item.config.stash[SHARED].today)
     replays = Replays(harness=harness, in_own_session=partial(replay_in_own_session, item), today=today)
     path, lost = relative(saved.path, harness.root), None
+    if NOT_ACCEPTED in item.stash:  # left by the first try of an item that is tried again
+        del item.stash[NOT_ACCEPTED]
     try:
         now = replays.labelled(saved, item.nodeid)
     except ProcessLostError as error:
@@ -67,6 +69,10 @@ def run_replay(item: pytest.Function, request: Request, saved: Saved) -> None:
     if nearby is None:
         _check_set_up(item, replays, saved, run, verdict)
     worse = _worsening(verdict) if label == BESIDE[False] else ""
+    # The marker xfail of the item accepts every exception, so the report needs to know which one it must not accept.
+    beyond = "" if verdict.failure is None else replays.beyond_acceptance(finding, run, verdict.failure)
+    if beyond:
+        item.stash[NOT_ACCEPTED] = beyond
     told = [note, _rests_on(label, now.around), _against(replays), f"worse: {worse}" if worse else ""]
     told += replays.setting_changes(finding)
     detail = "; ".join(filter(None, told))
@@ -83,6 +89,8 @@ def run_replay(item: pytest.Function, request: Request, saved: Saved) -> None:
     if finding.xfail is not None and not verdict.failed:
         _tell_pass(item, finding, label, path, is_accepted=replays.accepts(finding))
     told = [] if nearby is None else _nearby_lines(item, nearby, path)
+    if beyond:
+        told.append(_beyond(finding, path, beyond))
     _conclude(item, run, verdict, label, detail, told, is_strict=request.settings.strict_drift)
 
 
@@ -91,6 +99,14 @@ def _rests_on(label: str, around: Around) -> str:
     if label == NEARBY:
         return "the saved scenario passes, but a neighbour of it fails in the same way"
     return f"rests on {plural(around.passing, 'neighbour')}" if label == "fixed" and around.passing else ""
+
+
+def _beyond(finding: Finding, path: str, how: str) -> str:
+    """Name the failure that a file accepts and the one that came, and say what can be done."""
+    return (
+        f"not accepted: the line `xfail:` of {path} accepts {visible(finding.expect.brief)}, received {visible(how)}; "
+        "correct the policy, or delete the file, search again and accept what is found then"
+    )
 
 
 def _nearby_lines(item: pytest.Item, nearby: Finding, path: str) -> list[str]:
@@ -144,6 +160,9 @@ def _conclude_lost(
     """
     __tracebackhide__ = True
     label = "still failing" if was_lost(finding, lost) else "drifted"
+    beyond = "" if label == "still failing" or not replays.accepts(finding) else f"a process that {lost.how}"
+    if beyond:
+        item.stash[NOT_ACCEPTED] = beyond
     note = "; ".join(getattr(lost, "__notes__", ()))
     item.stash[REPLAYED] = label, None, None, note
     label = beside or label
@@ -153,7 +172,10 @@ def _conclude_lost(
     detail = "; ".join(filter(None, [note, *told]))
     line = f"the process (pid {lost.pid}) that ran this scenario {lost.how}"
     _tell(item, replays, saved, label, None, headline=line, detail=detail)
-    _add_section(item, [f"replay: {label}{f', {detail}' if detail else ''}"])
+    lines = [f"replay: {label}{f', {detail}' if detail else ''}"]
+    _add_section(
+        item, [*lines, _beyond(finding, relative(saved.path, replays.harness.root), beyond)] if beyond else lines
+    )
     item.stash[OF_ONE_RUN].show(None)
     pytest.fail(f"{line}: {cause(lost, 'delete the file')}", pytrace=False)
 
@@ -186,7 +208,8 @@ def _tell(
     today = date.fromisoformat(item.config.stash[SHARED].today)
     failure = None if verdict is None else verdict.failure
     reference = None if verdict is None else verdict.reference
-    may_pass = finding.xfail_flaky and finding.is_accepted(today)
+    is_accepted = finding.is_accepted(today) and NOT_ACCEPTED not in item.stash
+    may_pass = finding.xfail_flaky and is_accepted
     if may_pass:
         detail = "; ".join(filter(None, [detail, f"accepted: {finding.accepted}"]))
     find = Find(
@@ -200,13 +223,13 @@ def _tell(
         severity_before=None if reference is None else reference.severity,
         responsible=finding.expect.responsibility,
         against=replays.harness.against_name,
-        is_accepted=finding.is_accepted(today),
+        is_accepted=is_accepted,
         may_pass=may_pass,
         rests_on=around.passing,
     )
     if headline:
         set_properties(item.user_properties, severity=severity_text(find.severity))
-    if finding.xfail is not None and not find.is_accepted:
+    if finding.xfail is not None and not finding.is_accepted(today):
         over = (
             f"{path}: accepted ({finding.accepted}), but that day is over: correct the failure, write a later day, "
             "or remove the line"

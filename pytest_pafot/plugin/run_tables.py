@@ -25,6 +25,7 @@ from pytest_pafot.plugin import messages
 from pytest_pafot.plugin.session import SUMMARY_LINES, not_written
 from pytest_pafot.plugin.tracing import traced
 from pytest_pafot.support.errors import flag, install
+from pytest_pafot.support.text import spreadsheet_cell
 
 if TYPE_CHECKING:
     from pytest_pafot.campaign.events import SearchEvent
@@ -212,5 +213,5 @@ def _parquet(names: list[str], rows: StoredRows) -> bytes:
 
 def _text(rows: Iterable[list[Any]]) -> str:
     text = io.StringIO()
-    csv.writer(text, lineterminator="\n").writerows(rows)
+    csv.writer(text, lineterminator="\n").writerows(map(spreadsheet_cell, row) for row in rows)
     return text.getvalue()

@@ -326,7 +326,7 @@ class SearchMessages:
         details += [f"second     {kept.find.second}"] if kept.find.second is not None else []
         details += [f"answers    {reaction}" for reaction in kept.find.reactions]
         if not is_compact(config):
-            details += [f"scenario   {kept.finding.scenario!r}", f"found by   {kept.origin}"]
+            details += [f"scenario   {kept.finding.scenario}", f"found by   {kept.origin}"]
             details += terminal.effort_lines(kept.finding)
         advice = "it does not repeat, so it is not shrunk" if kept.find.is_flaky else ""
         if kept.find.difference == NOT_REPEATED:

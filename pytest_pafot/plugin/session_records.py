@@ -124,6 +124,11 @@ class Records:
     def _take_phase(self, report: pytest.TestReport) -> None:
         """Store the result of a phase. A saved scenario that failed without a message could not be read or run."""
         told = Traced.of_properties(report.user_properties)
+        when: str = report.when
+        if when == "???":  # pytest-xdist: the worker died, so the item has no result and says nothing of itself
+            self._reasons.setdefault(report.nodeid, str(report.longrepr))
+            self._traced.setdefault(report.nodeid, told)
+            return
         if told:
             self._traced[report.nodeid] = told
         elif SEARCH_MARK not in report.keywords:
@@ -140,13 +145,14 @@ class Records:
         if report.failed and SAVED_MARK in report.keywords:
             from pytest_pafot.report.session_record import ERROR, FindingRecord  # noqa: PLC0415
 
-            told = json.loads(getattr(report, AS_SAVED, "{}"))  # absent if a worker of pytest-xdist died
+            told = json.loads(getattr(report, AS_SAVED))
             self._findings[report.nodeid] = FindingRecord(
                 node_id=report.nodeid,
-                id=told.get("id", ""),
+                id=told["id"],
+                test=told["test"],
                 status=ERROR,
-                file=told.get("file"),
-                replay=rerun(["python", "-m", "pytest", told.get("file", report.nodeid)], os.environ, saved=told["id"]),
+                file=told["file"],
+                replay=rerun(["python", "-m", "pytest", told["file"]], os.environ, saved=told["id"]),
                 detail=self._reasons[report.nodeid],
             )
         elif report.failed and self._config.getoption(BY_NAME["merge"].key):

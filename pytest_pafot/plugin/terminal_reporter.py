@@ -197,7 +197,7 @@ class Reporter:
             orphans=[
                 (self._relative(folder), [each.name for each in files], why) for folder, why, files in left if files
             ],
-            strays=sorted(unrun.strays.items()),
+            strays=[(file, why) for file, (why, _) in sorted(unrun.strays.items())],
             unmerged=sorted(unrun.unmerged.items()),
             way_out=orphans.advice(self._config),
             problems=self._lines.problems,

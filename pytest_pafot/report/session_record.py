@@ -49,8 +49,8 @@ class FindingRecord:
         node_id: node id of the item that replays it, in this session or, if it is new, from the next one on.
         id: name of its file without the suffix.
         test: node id of its test.
-        status: `new`; the label of its replay; or `error` if it could not be read or run. Then only its ids, `result`,
-            `file`, `replay` and `detail` are known.
+        status: `new`; the label of its replay; or `error` if it could not be read or run. Then only its ids, `test`,
+            `result`, `file`, `replay` and `detail` are known.
         result: result of the item: `passed`, `skipped`, `xfailed`, `failed`, `error`; empty if the item did not end.
         file, replay: path relative to the rootdir, null if it was not saved, and the command that replays it.
         scenario: its scenario, which `pafot.Scenario.from_canonical` reads; null if `status` is `error`.
@@ -181,6 +181,8 @@ class FindingRecord:
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ItemRecord:
     """A test that names a requirement or an owner, and is neither a search nor the replay of a saved scenario.
+
+    An item whose process of pytest-xdist died is one as well, whatever it is, with an empty result.
 
     Attributes:
         node_id, result, message: of its item, as for a search.

@@ -54,7 +54,7 @@ class SessionSummary:
         neighbour_seconds: the time that neighbours of replayed scenarios took [s].
         orphans: folders of saved scenarios whose test is gone, with the names of its files and what was expected.
         way_out: what the user can do about all orphans.
-        strays: saved scenarios that are in no test's folder, each with the test that it names.
+        strays: saved scenarios that no test can replay, each with the reason.
         unmerged: folders of other corpora that were not merged, each with the reason.
         interrupted: node ids of searches that began and did not end.
         warnings: warnings about saved scenarios that are no longer accepted.
@@ -363,9 +363,7 @@ def session_lines(session: SessionSummary, *, verbose: bool = False, width: int 
         lines.append(f"orphaned: {plural(len(names), 'saved scenario')} without a test in {folder}")
         lines += _wrapped(f"{', '.join(names)}: {expected}", width)
     lines += _wrapped(session.way_out, width) if session.orphans else []
-    for file, test in session.strays:
-        place = f"the folder of {test or 'its test'}"
-        lines.append(f"not run: {file} is in no test's folder; move it to {place}, or delete it")
+    lines += [f"not run: {file}: {why}" for file, why in session.strays]
     lines += [f"not merged: {folder}: {why}" for folder, why in session.unmerged]
     if any(find.path for search in session.searches for find in search.finds):
         lines.append(f"run a single saved scenario with: {session.again}")

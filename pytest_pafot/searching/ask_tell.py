@@ -257,8 +257,8 @@ def check_order(place: str, scenarios: Sequence[Scenario], evaluations: Sequence
     for index, (scenario, evaluation) in enumerate(zip(scenarios, evaluations, strict=True)):
         if evaluation.scenario is not scenario and evaluation.scenario != scenario:
             raise ValueError(
-                f"{place}: expected the evaluation of {scenario!r} at {index}, received the evaluation of "
-                f"{evaluation.scenario!r}; keep the order of the scenarios"
+                f"{place}: expected the evaluation of {scenario} at {index}, received the evaluation of "
+                f"{evaluation.scenario}; keep the order of the scenarios"
             )
 
 

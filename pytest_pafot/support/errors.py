@@ -6,10 +6,11 @@ import math
 import operator
 import shlex
 from argparse import ArgumentTypeError
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from numbers import Integral, Real
 from pathlib import Path
+from typing import Any
 
 from pytest_pafot.support.text import one_line, visible
 
@@ -191,3 +192,26 @@ def rerun(words: Sequence[str], environ: Mapping[str, str], *options: str, saved
     end = given.index("--") if "--" in given else len(given)
     of_pytest = [*given[end + 1 :], *(["-k", saved] if saved else [])]
     return shlex.join([*given[:end], *options, *(["--", *of_pytest] if of_pytest else [])])
+
+
+def asserts_run(function: Callable[..., Any]) -> bool:
+    """Tell whether the assertions of a function run. ``python -O`` switches off all that pytest does not rewrite.
+
+    The checks of this package need none.
+    """
+    known = getattr(function, "__globals__", None) or getattr(type(function).__call__, "__globals__", {})
+    return __debug__ or "@pytest_ar" in known or str(known.get("__name__")).partition(".")[0] == "pytest_pafot"
+
+
+def check_asserts(holds: Callable[..., Any]) -> None:
+    """Check that a user's function can assert: else every run would pass it.
+
+    Raises:
+        RequestError: if its assertions are off.
+    """
+    if not asserts_run(holds):
+        name = getattr(holds, "__name__", type(holds).__name__)
+        raise RequestError(
+            f"{name}: expected a Python that runs assertions, received one with -O or PYTHONOPTIMIZE, in which every "
+            "run passes; leave them out"
+        )

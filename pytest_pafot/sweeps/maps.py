@@ -22,8 +22,9 @@ from pytest_pafot.criticality.asked import asked
 from pytest_pafot.findings.finding import Finding
 from pytest_pafot.model.scenario import Scenario, ScenarioError
 from pytest_pafot.model.trace import Outcome, Trace
+from pytest_pafot.oracle.checks import require
 from pytest_pafot.oracle.run import Run
-from pytest_pafot.support.errors import RequestError, plain_whole
+from pytest_pafot.support.errors import RequestError, check_asserts, plain_whole
 from pytest_pafot.support.files import open_regular, write_whole
 from pytest_pafot.support.references import described, factory_named
 from pytest_pafot.support.text import ascii_text, csv_text, plural, spreadsheet_cell, visible, wrapped_to
@@ -400,8 +401,10 @@ def sweep(
         values: other parameters of the entry.
 
     Raises:
-        RequestError: if an argument is wrong, or the world has no reference drivers.
+        RequestError: if an argument is wrong, the world has no reference drivers, or assertions are off for ``holds``.
     """
+    if holds is not None:
+        check_asserts(holds)
     if world is not None and not hasattr(world, "rollout"):
         raise RequestError(f"world: expected pafot.Highway(...) or pafot.World(...), received {world!r:.80}")
     name, make = _source(what, world, values)
@@ -470,7 +473,8 @@ def named_factory(ads: AdsFactory | str) -> Any:
 
 def stays_safe(run: Run) -> None:
     """Assert that the ego neither collided nor left the road."""
-    assert run.outcome not in (Outcome.COLLISION, Outcome.OFF_ROAD), run.explain()  # noqa: S101  (it is an oracle)
+    is_safe = run.outcome not in (Outcome.COLLISION, Outcome.OFF_ROAD)
+    require(is_safe, "run.outcome not in (Outcome.COLLISION, Outcome.OFF_ROAD)", run.explain)
 
 
 def short(value: float) -> str:

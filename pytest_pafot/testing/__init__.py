@@ -278,7 +278,7 @@ def _check_same(first: Trace, second: Trace, promise: str) -> None:
     """Check that two traces are the same to the last bit, apart from the requested scenario and the time it took."""
     names = {each.name for each in fields(Trace) if each.init} - {"scenario", "max_decision_seconds"}
     differ = [name for name in sorted(names) if not _is_same(getattr(first, name), getattr(second, name))]
-    _promise(not differ, promise, f"a different {', '.join(differ)} for {first.scenario!r}")
+    _promise(not differ, promise, f"a different {', '.join(differ)} for {first.scenario}")
 
 
 def _is_same(first: Any, second: Any) -> bool:
@@ -486,13 +486,13 @@ def _check_lasting(world: Any, done: Sequence[_Done], ads: Ads) -> None:
         longer = _rollout(rollout_of(other), each.scenario, ads)
         begins = _is_same(trace.states, longer.states[: len(trace.states)]) and len(trace.lanes) == len(longer.lanes)
         usual = "a run in the world of lasting begins as usual"
-        _promise(begins, usual, f"other states or lanes for {each.scenario!r}")
+        _promise(begins, usual, f"other states or lanes for {each.scenario}")
         # An event may end it earlier.
         least = seconds if longer.outcome is Outcome.SAFE else trace.duration
         _promise(
             least - trace.dt - ROUNDING <= longer.duration <= seconds + trace.dt + ROUNDING,
             "a run in the world of lasting lasts as long as asked",
-            f"{longer.duration:g} s for {seconds:g} s, for {each.scenario!r}",
+            f"{longer.duration:g} s for {seconds:g} s, for {each.scenario}",
         )
 
 

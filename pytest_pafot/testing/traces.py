@@ -259,7 +259,7 @@ def places_at_start(trace: Trace) -> Promises:
     scenario, start, ahead = trace.scenario, trace.states[0], Encounters(trace).ahead[:, 0]
     lane = int(start[0, LANE])
     promise = "the ego starts in scenario.ego_lane, states[0, 0, LANE]"
-    yield lane == scenario.ego_lane, promise, f"{lane} in {scenario!r}"
+    yield lane == scenario.ego_lane, promise, f"{lane} in {scenario}"
     for npc, (gene, *_) in enumerate(trace.executed.npcs):
         if not isinstance(gene, PositionInstruction):
             continue

@@ -37,7 +37,7 @@ def inventory(**tests):
 
 
 def finding(id_="a-1", status="still failing", test=TEST, **more):
-    result = "passed" if status in ("fixed", "drifted") else "failed"
+    result = "passed" if status in ("fixed", "drifted", "flaky") else "failed"
     return {"node_id": f"{test}[saved-{id_}]", "test": test, "id": id_, "status": status, "result": result, **more}
 
 
@@ -167,6 +167,71 @@ def test_requirements_without_a_test_and_tests_without_one_are_named(tmp_path):
     assert "requirements without a test: R9" in lines
     assert "tests without a requirement: test_it.py::test_y" in lines
     assert "R1: One (owner planning)" in lines
+
+
+@pytest.mark.parametrize("status", ["drifted", "flaky", "still failing", "error"])
+def test_a_replay_that_fails_is_open_whatever_its_label(status):
+    table = table_of(night(20, finding(status=status) | {"result": "failed", "headline": "collision after 3.9 s"}))
+    assert states(table) == {"R1": "open"}
+
+
+def test_an_error_of_one_night_is_closed_by_the_next_good_one():
+    table = table_of(night(20, finding(status="error")), night(21, finding(status="fixed")))
+    assert states(table) == {"R1": "no failure known"}
+    assert [(day.open, day.fixed) for day in table.requirements[0].days] == [(1, 0), (0, 1)]
+
+
+def fails_on_open(monkeypatch, *sessions):
+    """Return the exit code of ``requirements --fail-on open`` for some sessions."""
+    given = {Path(f"{number}.json"): session for number, session in enumerate(sessions)}
+    monkeypatch.setattr(requirements_command, "collected", lambda _: inventory(test_x=("R1",), test_y=("R1",)))
+    monkeypatch.setattr(requirements_command, "read_results", given.__getitem__)
+    arguments = Namespace(
+        results=list(given), list=None, pytest=[], today=TODAY, format="text", course=False, fail_on="open"
+    )
+    return run(arguments, [])
+
+
+BOTH = (search(), search(test="test_it.py::test_y"))
+
+
+def test_a_session_that_broke_off_has_not_tested_what_it_did_not_end(monkeypatch, capsys):
+    broken = replace(night(21), broke_off=True)  # of its two tests it ended one
+    assert fails_on_open(monkeypatch, night(20, searches=BOTH), broken) == 1
+    assert "1 requirement: 1 not tested, the session broke off" in capsys.readouterr().out
+    assert fails_on_open(monkeypatch, night(20, searches=BOTH), broken, night(22, searches=BOTH)) == 0
+    assert fails_on_open(monkeypatch, replace(night(20, searches=BOTH), broke_off=True)) == 0
+
+
+def test_an_item_whose_worker_died_has_not_tested_its_requirement(monkeypatch):
+    for node_id in ("test_it.py::test_x", f"{TEST}[search]", f"{TEST}[saved-a-1]"):
+        died = {"node_id": node_id, "result": "", "message": "worker 'gw0' crashed", "requirements": []}
+        assert fails_on_open(monkeypatch, night(20, tests=[died])) == 1
+    assert fails_on_open(monkeypatch, night(20, tests=[died]), night(21, searches=BOTH)) == 0
+
+
+def test_a_test_that_did_not_end_stays_so_when_only_another_test_of_its_requirement_runs():
+    other, two = "test_it.py::test_y", {"test_x": ("R1",), "test_y": ("R1",)}
+    died = night(20, tests=[{"node_id": other, "result": "", "requirements": ["R1"], "message": "the worker died"}])
+    assert states(table_of(died, night(21), tests=two)) == {"R1": "not tested, the session broke off"}
+    both = night(22, searches=[search(), search(test=other)])
+    assert states(table_of(died, night(21), both, tests=two)) == {"R1": "no failure known"}
+
+
+def test_a_search_that_was_refused_is_no_failure_and_is_not_fixed_later(monkeypatch, capsys):
+    refused = night(21, searches=[search(result="failed", runs=0, message="expected the state of this search")])
+    assert fails_on_open(monkeypatch, night(20, searches=BOTH), refused) == 1
+    assert "broke off 2026-11-21 abc: expected the state of this search" in capsys.readouterr().out
+    after = table_of(night(20), refused, night(22))
+    assert states(after) == {"R1": "no failure known"}
+    assert [(day.new, day.open, day.fixed) for day in after.requirements[0].days] == [(0, 0, 0)] * 2
+
+
+@pytest.mark.parametrize(("code", "broke_off"), [(0, False), (1, False), (2, True), (3, True), (5, True), (None, True)])
+def test_the_exit_code_says_whether_a_session_came_to_its_end(tmp_path, code, broke_off):
+    path = tmp_path / "n.json"
+    path.write_text(json.dumps({"pafot_json": 1, "exit": code}))
+    assert read_results(path).broke_off is broke_off
 
 
 SEARCHES = st.sampled_from(

@@ -2,12 +2,14 @@ from dataclasses import replace
 from datetime import date
 from pathlib import Path
 
+import pytest
 import yaml
 from hypothesis import given, settings
 
 from pytest_pafot.attribution.last_chance import Avoidance, Escape, LastChance
 from pytest_pafot.corpus.reader import load, parsed
 from pytest_pafot.corpus.writer import text_of, write
+from pytest_pafot.corpus.yaml_document import parse
 from pytest_pafot.findings.finding import Expect
 from pytest_pafot.findings.neighbours import Breadth
 from pytest_pafot.findings.situation import Situation
@@ -15,6 +17,7 @@ from pytest_pafot.model.driving_style import Traffic
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.scenario import PositionInstruction, Scenario
 from pytest_pafot.model.trace import Outcome
+from pytest_pafot.support.errors import CorpusError
 from tests.findings.builders import NASTY_TEXTS, findings, plain_finding
 from tests.helpers.tables import table
 
@@ -211,3 +214,9 @@ def test_lone_surrogate_is_written_as_the_replacement_character(tmp_path):
     path = tmp_path / "a.pafot.yaml"
     write(path, plain_finding(test="t\udc80"))
     assert load(path).test == "t\ufffd"
+
+
+@pytest.mark.parametrize("content", [b"<OpenSCENARIO/>", b"", b"x" * 300_000, b"a: 1"])
+def test_file_of_another_tool_is_not_said_to_be_broken(content):
+    with pytest.raises(CorpusError, match=r"received a file of another kind; give a file that ends in \.pafot\.yaml"):
+        parse(Path("run.xosc"), content)

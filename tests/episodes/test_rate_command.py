@@ -178,7 +178,7 @@ def test_fail_above_compares_the_lower_end_of_the_interval(capsys, monkeypatch, 
         outcome = "collision" if seed < crashes else "safe"
         return EpisodeRow(ads=name, seed=seed, outcome=outcome, seconds=1.0, error="", steps="")
 
-    monkeypatch.setattr(rate_command, "gate_workers", lambda *_, **__: 1)  # the episodes are made up in this process
+    monkeypatch.setattr(rate_command, "worker_count", lambda _: 1)  # the episodes are made up in this process
     monkeypatch.setattr(rates, "driven", driven)  # 3 of 10: the interval of Clopper and Pearson begins at 6.674 %
     assert rate("--ads", "idm_mobil", "--episodes", "10", "--fail-above", limit) == code
     assert ("received an interval that begins at" in capsys.readouterr().err) == bool(code)
@@ -189,7 +189,7 @@ def test_fail_above_refuses_a_policy_that_failed_in_an_episode(capsys, monkeypat
         outcome = "safe" if seed else "ads_error"
         return EpisodeRow(ads=name, seed=seed, outcome=outcome, seconds=1.0, error="KeyError", steps="")
 
-    monkeypatch.setattr(rate_command, "gate_workers", lambda *_, **__: 1)
+    monkeypatch.setattr(rate_command, "worker_count", lambda _: 1)
     monkeypatch.setattr(rates, "driven", driven)
     assert rate("--ads", "idm_mobil", "--episodes", "10") == 0
     assert rate("--ads", "idm_mobil", "--episodes", "10", "--fail-above", "2%") == 1
@@ -328,7 +328,7 @@ def test_policy_that_ends_its_process_fails_a_gate(tmp_path, monkeypatch):
         text=True,
         check=False,
     )
-    assert (told.returncode, "expected a worker" in told.stderr) == (2, True), told
+    assert (told.returncode, "expected the process that drives to finish" in told.stderr) == (2, True), told
     told = subprocess.run(
         [sys.executable, "-m", "pytest_pafot", *given, "--ads", "policies:talks"],
         capture_output=True,

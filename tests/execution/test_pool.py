@@ -464,6 +464,27 @@ def test_tasks_complete_as_they_finish_and_report_progress(tmp_path):
     assert {0.25, 0.75} <= set(shares)
 
 
+def test_a_task_is_answered_before_its_share_is_gone(tmp_path):
+    def work(task, tell):
+        tell(0.75)
+        while not (tmp_path / str(task)).exists():
+            time.sleep(0.001)
+
+    counts, finished = [], 0
+
+    def tick(share):
+        counts.append(finished + share)
+        if share == 0.75:
+            (tmp_path / str(finished)).touch()
+
+    with WorkerPool(work, 1, method="fork", patience=30.0) as pool:
+        pool.expect([0, 1])
+        for _ in pool.completed(tick):
+            finished += 1
+    assert {0.75, 1.75} <= set(counts)
+    assert counts == sorted(counts), "a count of finished work fell"
+
+
 def doubled(number, tell):
     """Double a number; a function of this module, so that processes that are not forked find it."""
     return 2 * number

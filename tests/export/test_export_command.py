@@ -84,7 +84,7 @@ def test_differing_run_is_exported_with_a_warning(tmp_path, capsys):
         ((FILE, "--to", "csv"), r"--ads: expected the policy that drives the ego in the test "
          "test_golden.py::test_never_at_fault, such as --ads module:factory, received none; a file contains the NPCs'"),
         ((FILE, "--to", "xslx", "--ads", "constant_speed"), "--to: expected one of commonroad, csv, mcap, xosc, "
-         "received 'xslx'; a package that registers it may not be installed here"),
+         "xosc-1.0, received 'xslx'; a package that registers it may not be installed here"),
         (("no-such", "--to", "csv", "--ads", "constant_speed"), "received no such file or id; `python -m"),
         ((FILE, "--to", "csv", "--ads", "no_such_policy"), "--ads: expected one of "),
         ((FILES / "crash.pafot.yaml", "--to", "csv", "--ads", "constant_speed"), "a scenario in which a process died"),

@@ -51,9 +51,13 @@ def distance(points, line):
 
 
 @pytest.mark.parametrize("exported", ["gym-merge"], indirect=True)
-@pytest.mark.parametrize("name", ["csv", "xosc", "mcap", "commonroad"])
+@pytest.mark.parametrize("name", ["csv", "xosc", "xosc-1.0", "mcap", "commonroad"])
 def test_same_run_gives_same_files_named_by_finding(exported, name):
-    pytest.importorskip({"csv": "csv", "xosc": "scenariogeneration", "mcap": "foxglove"}.get(name, name))
+    pytest.importorskip(
+        {"csv": "csv", "xosc": "scenariogeneration", "xosc-1.0": "scenariogeneration", "mcap": "foxglove"}.get(
+            name, name
+        )
+    )
     files = exporter(name)(*exported)
     assert files == exporter(name)(*exported)
     assert all(file.startswith(exported[0].id) for file in files)
@@ -75,9 +79,13 @@ def test_a_table_read_back_is_what_was_driven(exported, tmp_path):
     assert path.name == f"{finding.id}.csv"
 
 
-@pytest.mark.parametrize("name", ["csv", "xosc", "mcap", "commonroad"])
+@pytest.mark.parametrize("name", ["csv", "xosc", "xosc-1.0", "mcap", "commonroad"])
 def test_run_ending_at_first_decision_exports_its_start(ended_at_once, name):
-    pytest.importorskip({"csv": "csv", "xosc": "scenariogeneration", "mcap": "foxglove"}.get(name, name))
+    pytest.importorskip(
+        {"csv": "csv", "xosc": "scenariogeneration", "xosc-1.0": "scenariogeneration", "mcap": "foxglove"}.get(
+            name, name
+        )
+    )
     files = exporter(name)(*ended_at_once)
     assert all(files.values())
     if name == "xosc":
@@ -107,6 +115,23 @@ def test_openscenario_has_every_vehicle_at_every_tick(exported, tmp_path, larges
         x, y, heading = (np.array([float(pose[key]) for pose in poses]) for key in "xyh")
         driven.append(np.stack([x + shift * np.cos(heading), y + shift * np.sin(heading)], axis=-1))
     assert largest(f"OpenSCENARIO, {finding.id} [m]", np.stack(driven, axis=1), centres(trace)) < 1e-9
+
+
+def test_openscenario_1_0_has_what_that_version_and_its_reader_require(exported, tmp_path):
+    pytest.importorskip("scenariogeneration")
+    path, _ = written(exported, "xosc-1.0", tmp_path)
+    root = ElementTree.parse(path).getroot()
+    assert (root.find("FileHeader").get("revMajor"), root.find("FileHeader").get("revMinor")) == ("1", "0")
+    assert {event.get("priority") for event in root.iter("Event")} == {"overwrite"}
+    assert {each.get("rule") for each in root.iter("SimulationTimeCondition")} == {"greaterThan"}
+    follows = list(root.iter("FollowTrajectoryAction"))
+    assert len(follows) == len(exported[1].sizes)
+    assert all(follow[0].tag == "Trajectory" for follow in follows)
+    types = [each.get("value") for each in root.iter("Property")]
+    assert types == ["ego_vehicle", *["simulation"] * (len(follows) - 1)]
+    # The version is a setting of the whole library, so the next file must have its own again.
+    again, _ = written(exported, "xosc", tmp_path)
+    assert ElementTree.parse(again).getroot().find("FileHeader").get("revMinor") == "2"
 
 
 CHECKERS = {".xosc": ("qc_openscenario", "xoscBundle"), ".xodr": ("qc_opendrive", "xodrBundle")}

@@ -172,9 +172,9 @@ def test_truncating_keeps_the_first_genes(scenario, genes):
     assert all(a == b[: len(a)] for a, b in zip(short.npcs, scenario.npcs, strict=True))
 
 
-def test_the_repr_shows_the_chains_on_one_line():
+def test_a_scenario_in_a_message_is_its_chains_on_one_line():
     scenario = Scenario(npcs=[[one(1, 25), one(2, 8.5)], [one(6, 0)]])
-    assert repr(scenario) == f"<Scenario {scenario.id}: 1@25 2@8.5; 6@0>"
+    assert str(scenario) == f"<Scenario {scenario.id}: 1@25 2@8.5; 6@0>"
 
 
 @table(
@@ -272,7 +272,7 @@ class TestLaneInstructions:
     def test_the_canonical_text_tells_them_from_cells(self):
         scenario = Scenario(npcs=((LaneInstruction("right", 10.0),),))
         assert scenario.canonical() == '[[[["right",10.0]]],0,1,22.0,10.0]'
-        assert "right@10" in repr(scenario)
+        assert "right@10" in str(scenario)
         assert (
             len(
                 {

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from pytest_pafot.__main__ import main
+from pytest_pafot.__main__ import DRIVES, main
 from pytest_pafot.commands.bisect_command import Trials, _group, parted
 from pytest_pafot.plugin.bisect_session import TOLD
 from tests.helpers.processes import begun
@@ -404,9 +404,11 @@ def test_killed_bisect_takes_its_session_along(real, tmp_path, monkeypatch, caps
     (tmp_path / "temporary").mkdir()
     monkeypatch.setenv("TMPDIR", str(tmp_path / "temporary"))
     command = [sys.executable, "-m", "pytest_pafot", "bisect", FILE, "--good", first, "--policy", "planner.py"]
+    monkeypatch.setenv(DRIVES, str(os.getpid()))  # the process that drives, which would clean up if its parent died
     with begun(command, stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL) as process:
         wait_for(lambda: pid.exists() and pid.read_text())
         process.kill()
+    monkeypatch.delenv(DRIVES)
     wait_for(lambda: not Path(f"/proc/{pid.read_text()}/cmdline").exists())
     assert git("worktree", "list").count("\n") == 1
     assert bisect("--good", "HEAD~1", "--timeout", "0.1") == 2

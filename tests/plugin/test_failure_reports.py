@@ -181,3 +181,33 @@ def test_workers_fit_their_lines_to_the_terminal(explained, monkeypatch):
 def test_run_is_short_in_a_traceback_header(failing):
     (header,) = re.findall(r"^run = .*$", failing.run_once("-v").stdout.str(), re.MULTILINE)
     assert len(header) < 80
+
+
+PRINTS = """
+@pytest.fixture
+def ads():
+    def decide(observation):
+        print("x" * 10_000)
+        return 0.0, 0.0
+    print("begun")
+    return lambda: decide
+
+@pafot.search(SHORT, blame="ego", stop_after=1)
+def test_collides(run):
+    assert not run.collision
+"""
+
+
+@pytest.mark.parametrize("options", [(), ("--pafot-isolate",), ("--pafot-workers=2",), ("-n2",)])
+def test_policy_that_prints_much_leaves_the_ends_of_its_output(project, shrinking, options):
+    if options == ("-n2",):
+        pytest.importorskip("xdist")
+    project.write(PRINTS)
+    first = search(project, *options)
+    assert first.ret == 1
+    assert len(first.stdout.str()) < 100_000
+    first.stdout.fnmatch_lines(["*begun", "*characters of output are left out; pytest -s shows all*"])
+    replayed = search(project, *options, generations=0)
+    assert replayed.ret == 1
+    assert len(replayed.stdout.str()) < 100_000
+    replayed.stdout.fnmatch_lines(["*characters of output are left out; pytest -s shows all*"])

@@ -237,3 +237,83 @@ def test_two_files_of_one_failure_both_replay(saved):
     replay(saved).assert_outcomes(failed=2, skipped=1)
     saved.write(FAILING.replace("< 1", "> 1"))
     replay(saved).assert_outcomes(passed=2, skipped=1)
+
+
+PLACES = (
+    "pafot_corpus/test_it/test_fails/deeper/still/a.pafot.yaml",
+    "pafot_corpus/test_it/a.pafot.yaml",
+    "pafot_corpus/a.pafot.yaml",
+    "a.pafot.yaml",
+    "pafot_corpus/pafot_corpus/test_it/test_fails/a.pafot.yaml",
+    *(f"{FOLDER}/a{suffix}" for suffix in (".pafot.yml", ".yml", ".yaml", ".PAFOT.YAML", ".pafot.Yml")),
+    "A.Pafot.Yaml",
+)
+
+
+@pytest.mark.parametrize("place", PLACES)
+def test_a_file_that_no_test_can_replay_fails_a_ci_session(saved, ci, place):
+    target = saved.path / place
+    target.parent.mkdir(parents=True, exist_ok=True)
+    saved.only_file.rename(target)
+    result = replay(saved)
+    assert is_red(result)
+    assert sum(line.startswith(f"not run: {place}: it") for line in result.stdout.lines) == 1
+    assert result.stdout.lines.count(place) == 1
+    for args in (["--pafot-allow-orphans"], ["test_it.py"], ["test_it.py::test_fails"]):
+        assert replay(saved, *args).ret == 0, args
+
+
+def test_a_misnamed_file_in_a_shared_corpus_fails_a_ci_session(saved, ci):
+    shared = saved.path / "all"
+    name = saved.only_file.name
+    shutil.move(saved.path / "pafot_corpus", shared)
+    folder = shared / "test_it" / "test_fails"
+    (folder / name).rename(folder / "a.yml")
+    assert is_red(replay(saved, f"--pafot-corpus={shared}"))
+
+
+def test_other_files_in_a_corpus_are_no_saved_scenarios(saved, ci):
+    folder = saved.only_file.parent
+    saved.only_file.unlink()
+    for name in ("notes.yaml", "README.md", "a.pafot.yaml.bak"):
+        (folder / name).write_text("about: a test\n")
+    (saved.path / "settings.yaml").write_text("test: test_it.py::test_fails\n")
+    result = replay(saved)
+    assert result.ret == 0
+    result.stdout.no_fnmatch_line("not run: *")
+
+
+@pytest.mark.parametrize("values", ['["kind-slow", "kind-fast"]', "[7]"])
+def test_a_test_whose_parameters_were_all_renamed_fails_a_ci_session(project, ci, values):
+    source = """
+@pytest.mark.parametrize("kind", ["slow", "fast"])
+@pafot.search(SHORT, stop_after=1)
+def test_it(run, kind):
+    assert not kind
+"""
+    project.write(source)
+    project.run_once()
+    project.write(source.replace('["slow", "fast"]', values))
+    result = replay(project)
+    assert is_red(result)
+    result.stdout.fnmatch_lines(["  expected the test test_it.py::test_it[[]slow], * without these parameters: *"])
+    assert not is_red(replay(project, "test_it.py"))
+
+
+@links
+def test_files_behind_links_are_searched_no_deeper_than_tests(saved, ci, tmp_path_factory):
+    elsewhere = tmp_path_factory.mktemp("elsewhere")
+    (elsewhere / "a" / "b" / "c").mkdir(parents=True)
+    (elsewhere / "a" / "b" / "c" / "a.pafot.yml").write_text("")
+    saved.only_file.unlink()
+    (saved.path / FOLDER / "linked").symlink_to(elsewhere, target_is_directory=True)
+    (saved.path / "pafot_corpus" / "linked").symlink_to(elsewhere, target_is_directory=True)
+    assert replay(saved).ret == 0
+
+
+@pytest.mark.processes
+def test_workers_report_a_misnamed_file_once(saved, ci):
+    saved.only_file.rename(saved.only_file.with_suffix(".yml"))
+    result = replay(saved, "-n2")
+    assert is_red(result)
+    assert sum(line.startswith("not run: ") for line in result.stdout.lines) == 1

@@ -124,7 +124,7 @@ def test_workers_accept_file_names_that_are_not_text(saved, workers):
     result = saved.run(*workers, "--pafot-json=session.json", generations=0, apart=bool(workers))
     assert "crashed" not in result.stdout.str()
     result.stdout.fnmatch_lines(
-        [r"orphaned: 1 saved scenario without a test in *\udcffgone", r"not run: \udcff.pafot.yaml is in no *"]
+        [r"orphaned: 1 saved scenario without a test in *\udcffgone", r"not run: \udcff.pafot.yaml: it is in no *"]
     )
     files = [each["file"] for each in json.loads((saved.path / "session.json").read_text())["findings"]]
     assert any(file.endswith("\udcff.pafot.yaml") for file in files)

@@ -61,7 +61,7 @@ def test_misplaced_files_are_reported_with_their_test(saved):
     result = saved.run(generations=0)
     result.assert_outcomes(skipped=1)
     assert sorted(told(result)) == [
-        f"{name} is in no test's folder; move it to the folder of test_it.py::test_fails, or delete it"
+        f"{name}: it is in no test's folder; move it to the folder of test_it.py::test_fails, or delete it"
         for name in saved.files
     ]
     saved.forget()
@@ -84,7 +84,7 @@ def test_misplaced_file_is_found_only_above_its_test(saved):
     for folder in ("safety", "notes"):
         (saved.path / folder / "a.pafot.yaml").write_text(content)
     place = "the folder of safety/near/test_it.py::test_fails"
-    expected = [f"safety/a.pafot.yaml is in no test's folder; move it to {place}, or delete it"]
+    expected = [f"safety/a.pafot.yaml: it is in no test's folder; move it to {place}, or delete it"]
     assert told(saved.run(generations=0)) == expected
     assert told(saved.run("--pafot-corpus", saved.path / "all", generations=0)) == expected
 
@@ -93,8 +93,8 @@ def test_misplaced_files_without_collected_test_are_reported(failing):
     (failing.path / "a.pafot.yaml").write_text("test: test_old.py::test_it")
     (failing.path / "b.pafot.yaml").write_text("")
     assert told(failing.run(generations=0)) == [
-        "a.pafot.yaml is in no test's folder; move it to the folder of test_old.py::test_it, or delete it",
-        "b.pafot.yaml is in no test's folder; move it to the folder of its test, or delete it",
+        "a.pafot.yaml: it is in no test's folder; move it to the folder of test_old.py::test_it, or delete it",
+        "b.pafot.yaml: it is in no test's folder; move it to the folder of its test, or delete it",
     ]
 
 
@@ -168,6 +168,6 @@ def test_prune_spares_files_below_a_misplaced_one(project):
     result = prune(project, f"--pafot-corpus={corpus}")
     assert set(files) < set(project.files)
     assert told(result) == [
-        "all/tests/test_low/a.pafot.yaml is in no test's folder; "
+        "all/tests/test_low/a.pafot.yaml: it is in no test's folder; "
         "move it to the folder of tests/test_low.py::test_fails, or delete it"
     ]

@@ -86,7 +86,7 @@ def make_ads(factory: AdsFactory, **arguments: Any) -> Any:
         AdsFactoryError: if the factory cannot be called with these arguments, or returns nothing that drives.
     """
     if is_vehicle_class(factory):
-        return factory
+        return _checked_vehicle_class(factory)
     if not callable(factory):
         hint = hint_at_object(factory) or "Return one from the fixture, such as `return lambda: MyPlanner()`"
         raise AdsFactoryError(
@@ -97,6 +97,11 @@ def make_ads(factory: AdsFactory, **arguments: Any) -> Any:
     try:
         with unending(), one_process():
             ads = factory(**arguments)
+    except SystemExit as error:
+        raise AdsFactoryError(
+            f"ads: expected the factory to return an ADS, received SystemExit: {error}. It calls sys.exit: let it "
+            "raise an error instead"
+        ) from error
     except TypeError as error:
         if re.search(r"__init__\(\) missing .*'position'", str(error)):
             error.add_note(
@@ -106,7 +111,9 @@ def make_ads(factory: AdsFactory, **arguments: Any) -> Any:
         raise
     if isinstance(ads, SeeingAds):
         _check_sight_is_told(factory, ads)
-    if is_vehicle_class(ads) or callable(ads):
+    if is_vehicle_class(ads):
+        return _checked_vehicle_class(ads)
+    if callable(ads):
         return ads
     hint = hint_at_object(ads) or (
         "An action is what the ADS returns: write `lambda: lambda observation: ...`, or `lambda: MyPlanner()`"
@@ -115,6 +122,21 @@ def make_ads(factory: AdsFactory, **arguments: Any) -> Any:
         "ads: expected the factory to return an ADS, a callable `observation -> action` or a highway-env vehicle "
         f"class, received {shown(ads)}. {'Is a `return` missing in it?' if ads is None else hint}"
     )
+
+
+def _checked_vehicle_class(vehicle_class: Any) -> Any:
+    """Return a vehicle class that each run can call with a road, a position, a heading and a speed."""
+    signature = inspect.signature(vehicle_class)
+    try:
+        signature.bind(None, [0.0, 0.0], 0.0, 0.0)
+    except TypeError as error:
+        name = getattr(vehicle_class, "func", vehicle_class).__name__
+        raise AdsFactoryError(
+            "ads: expected a highway-env vehicle class that can be called with (road, position, heading, speed), "
+            f"received {name} with the signature {signature} ({error}). Give its other arguments by name, as in "
+            f"`ads=functools.partial({name}, <name>=<value>)`, or write a subclass without them"
+        ) from None
+    return vehicle_class
 
 
 def _check_sight_is_told(factory: AdsFactory, ads: SeeingAds) -> None:

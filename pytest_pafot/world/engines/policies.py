@@ -39,7 +39,9 @@ def rollout(environment: GymEnvironment, rules: Rules, scenario: Scenario, ads_f
     """Simulate a scenario, which fits the rules, with a fresh ADS that is a vehicle class or a policy."""
     with ExitStack() as at_the_end:
         ads, env, view = ads_factory, _env_of(environment, scenario), None
-        if not is_vehicle_class(ads):
+        if is_vehicle_class(ads):
+            ads = make_ads(ads)
+        else:
             _put_policys_ego(environment, env, rules, scenario)
             if wants_env(ads_factory):
                 view = View(environment.make().unwrapped, env)

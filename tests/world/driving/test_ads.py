@@ -365,3 +365,19 @@ def test_factory_type_error_is_not_a_wrong_signature():
     with pytest.raises(TypeError, match="has no len") as caught:
         HIGHWAY.rollout(SCENARIO, factory)
     assert not isinstance(caught.value, AdsFactoryError)
+
+
+class Aggressive(IDMVehicle):
+    def __init__(self, road, position, heading=0.0, speed=0.0, *, aggression):
+        super().__init__(road, position, heading, speed)
+        self.aggression = aggression
+
+
+@pytest.mark.parametrize("world", [Highway(duration=2), World("highway-v0", duration=2)])
+def test_vehicle_class_with_an_argument_of_its_own_is_refused_with_a_way_out(world):
+    for factory in (Aggressive, lambda: Aggressive):
+        if not (isinstance(world, World) and factory is not Aggressive):  # a World wants the class itself
+            with pytest.raises(AdsFactoryError, match=r"received Aggressive with .*functools\.partial\(Aggressive, "):
+                world.rollout(Scenario(npcs=[[PositionInstruction(2, 22.0)]]), factory)
+    given = functools.partial(Aggressive, aggression=2)
+    assert world.rollout(Scenario(npcs=[[PositionInstruction(2, 22.0)]]), given).ticks > 0

@@ -1,0 +1,176 @@
+"""A command that gates ends with 0 only if it came to its end, whatever the policy does with its process."""
+
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+pytestmark = pytest.mark.processes
+
+POLICY = """
+import atexit, os, signal, sys, threading
+
+class Old:
+    def __call__(self, observation):
+        return 0.0, 0.0
+
+class Planner:
+    def __call__(self, observation):
+        IN_DECISION
+        return 0.0, 0.0
+
+def make():
+    IN_FACTORY
+    return Planner()
+
+def check(run):
+    assert not run.collision
+
+ON_IMPORT
+"""
+COMMANDS = {
+    "map": "map r157/cut-in --ads planner:make --over gap=10:60:2 --fail-on preventable",
+    "search": "search planner:make --runs 4 --report=x.html",
+    "rate": "rate --ads planner:make@planner --world highway-fast-v0 --episodes 8 --workers 1 --fail-above 60%",
+    "progress": "progress planner:Old planner:make --scenarios 4 --workers 1 --fail-on worse",
+    "compare": "compare --ads planner:make --algorithms random --runs 1 --generations 1 --workers 1 --out out",
+}
+ENDINGS = {
+    "IN_DECISION": ["os._exit(0)", "sys.exit(0)", "os.execv('/bin/true', ['true'])"],
+    "IN_FACTORY": ["os._exit(0)", "sys.exit(0)"],
+    "ON_IMPORT": [
+        "os._exit(0)",
+        "os._exit(3)",
+        "sys.exit(0)",
+        "os.kill(os.getpid(), signal.SIGKILL)",
+        "threading.Timer(0.0, os._exit, [0]).start()",
+    ],
+}
+
+
+def ended(folder, command, *, options=(), **parts):
+    """Run a command on a policy; return its exit code and what it wrote to the standard error."""
+    source = POLICY
+    for name in ENDINGS:
+        source = source.replace(name, parts.get(name, "pass"))
+    (folder / "planner.py").write_text(source)
+    line = [sys.executable, *options, "-m", "pytest_pafot", *COMMANDS[command].split()]
+    done = subprocess.run(line, cwd=folder, capture_output=True, text=True, check=False, timeout=120)
+    return done.returncode, done.stderr + done.stdout
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+@pytest.mark.parametrize(("place", "how"), [(place, how) for place, ways in ENDINGS.items() for how in ways])
+def test_a_policy_that_ends_its_process_is_no_success(tmp_path, command, place, how):
+    code, told = ended(tmp_path, command, **{place: how})
+    assert code != 0
+    assert "Traceback" not in told or command == "search"  # pytest's
+    assert re.search(r"expected (the process|a policy|an ADS|the factory|a module)|SystemExit: 0", told)
+
+
+@pytest.mark.parametrize("how", ["os._exit(0)", "sys.exit(0)"])
+def test_an_ending_after_the_verdict_does_not_change_it(tmp_path, how):
+    assert ended(tmp_path, "map")[0] == 1
+    assert ended(tmp_path, "map", ON_IMPORT=f"atexit.register(lambda: {how})")[0] != 0
+
+
+def test_commands_that_come_to_their_end_keep_their_codes(tmp_path):
+    assert {command: ended(tmp_path, command)[0] for command in COMMANDS} == {
+        "map": 1,
+        "search": 1,
+        "rate": 1,
+        "progress": 0,
+        "compare": 0,
+    }
+
+
+def test_the_session_of_a_search_ends_as_pytest_does_if_nobody_reads_its_output(tmp_path):
+    (tmp_path / "planner.py").write_text(re.sub("[A-Z]+_[A-Z]+", "pass", POLICY))
+    reader, writer = os.pipe()
+    os.close(reader)
+    line = [sys.executable, "-m", "pytest_pafot", *COMMANDS["search"].split()]
+    done = subprocess.run(line, cwd=tmp_path, stdout=writer, stderr=subprocess.PIPE, check=False, text=True)
+    os.close(writer)
+    assert done.returncode == 1
+    assert "Traceback" not in done.stderr
+
+
+def test_wrong_arguments_and_help_keep_their_codes(tmp_path):
+    def code(*arguments):
+        line = [sys.executable, "-m", "pytest_pafot", *arguments]
+        return subprocess.run(line, cwd=tmp_path, capture_output=True, check=False).returncode
+
+    assert [code("map", "--help"), code("rate", "--hel"), code("map", "--nothing"), code("map")] == [0, 0, 2, 0]
+
+
+def test_assertions_that_are_off_are_refused_and_own_checks_hold(tmp_path):
+    assert ended(tmp_path, "map", options=["-O"])[0] == 1
+    COMMANDS["map --check"] = f"{COMMANDS['map']} --check planner:check"
+    try:
+        code, told = ended(tmp_path, "map --check", options=["-O"])
+    finally:
+        del COMMANDS["map --check"]
+    assert code == 2
+    assert "check: expected a Python that runs assertions" in told
+
+
+@pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+def test_a_signal_to_the_command_ends_the_process_that_drives(tmp_path, number):
+    line = [sys.executable, "-m", "pytest_pafot", *COMMANDS["map"].replace("10:60:2", "10:60:200").split()]
+    (tmp_path / "planner.py").write_text(
+        "import os, time\ndef make():\n    open(f'pid-{os.getpid()}', 'w').close()\n    time.sleep(0.1)\n"
+        "    return lambda seen: (0.0, 0.0)\n"
+    )
+    process = subprocess.Popen(line, cwd=tmp_path, stdin=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+    while not (begun := list(tmp_path.glob("pid-*"))):
+        assert process.poll() is None
+        time.sleep(0.02)
+    process.send_signal(number)
+    _, told = process.communicate(timeout=60)  # until the process that drives has ended, too
+    assert process.returncode == (-9 if number == signal.SIGKILL else 128 + number)
+    assert "map: interrupted" in told
+    if number != signal.SIGKILL:  # then nobody may have waited for it yet, though its output is closed
+        with pytest.raises(ProcessLookupError):
+            os.kill(int(begun[0].name.removeprefix("pid-")), 0)
+
+
+def session(folder, test, *options, docstring=""):
+    """Run a session under -O; return its output."""
+    (folder / "helper.py").write_text("def holds(run):\n    assert not run.collision\n")
+    imports = "import pytest_pafot as pafot\nfrom helper import holds\nfrom planner import Old\n"
+    (folder / "test_it.py").write_text(f"{docstring}{imports}{test}")
+    (folder / "planner.py").write_text(re.sub("[A-Z]+_[A-Z]+", "pass", POLICY))
+    line = [sys.executable, "-O", "-m", "pytest", "-p", "no:randomly", "--pafot-runs=8", "--pafot-seed=1", *options]
+    return subprocess.run(line, cwd=folder, capture_output=True, text=True, check=False).stdout
+
+
+MARKED = "@pafot.search(ads=Old)\ndef test_it(run):\n    assert not run.collision\n"
+
+
+@pytest.mark.parametrize(
+    ("test", "options", "docstring"),
+    [
+        (MARKED, ["--assert=plain"], ""),
+        (MARKED, ["-p", "no:assertion"], ""),
+        (MARKED, [], "'PYTEST_DONT_REWRITE'\n"),
+        ("test_it = pafot.search(ads=Old)(holds)\n", [], ""),
+    ],
+)
+def test_pytest_refuses_a_marked_test_whose_assertions_are_off(tmp_path, test, options, docstring):
+    told = session(tmp_path, test, *options, docstring=docstring)
+    assert "expected a test whose assertions run" in told
+    assert "1 error in" in told
+
+
+def test_assertions_that_pytest_rewrites_hold_without_those_of_python(tmp_path):
+    explored = "def holds_here(run):\n    assert not run.collision\n\ndef test_explored():\n"
+    explored += "    assert pafot.explore(Old, holds=holds_here, runs=8, seed=1).findings\n"
+    told = session(tmp_path, MARKED + explored, "-rAp")
+    assert "new finding" in told
+    assert "assertions in modules that pytest does not rewrite are off" in told
+    assert "PASSED test_it.py::test_explored" in told

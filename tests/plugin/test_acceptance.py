@@ -1,0 +1,112 @@
+"""An accepted file accepts the one failure that it describes, and no other."""
+
+import json
+import re
+
+import pytest
+
+DRIVES = "def make():\n    def drive(observation):\n        {}\n    return drive\n"
+KEEPS = DRIVES.format("return 0.0, 0.0")
+TEST = """
+import planner
+
+@pafot.search(npcs=2, genes=2, gene_seconds=10, ads=planner.make, shrink_rollouts=0, stop_after=1, neighbours=0)
+def test_never_collides(run):
+    assert not run.collision
+    assert run.duration > 0
+"""
+
+
+@pytest.fixture
+def accepted(project):
+    """Return a project with one saved collision, which is accepted."""
+    project.write(TEST)
+    project.pytester.makepyfile(planner=KEEPS)
+    project.run_once(generations=4)
+    edited(project, '# xfail: "reason"', 'xfail: "planner issue 12"')
+    return project
+
+
+def edited(project, old, new):
+    text = project.only_file.read_text()
+    assert re.search(old, text)
+    project.only_file.write_text(re.sub(old, new, text))
+
+
+def replayed(project, body="return 0.0, 0.0", *args):
+    """Replay the file with a policy; return the session's result and what it recorded of the file."""
+    project.pytester.makepyfile(planner=DRIVES.format(body))
+    result = project.run("--pafot-json=pafot.json", "--pafot-replay-neighbours=0", *args, generations=0)
+    (finding,) = json.loads((project.path / "pafot.json").read_text())["findings"]
+    return result, finding
+
+
+def test_the_accepted_failure_is_accepted(accepted):
+    result, finding = replayed(accepted)
+    assert (result.ret, finding["result"]) == (0, "xfailed")
+
+
+@pytest.mark.parametrize(
+    ("later", "received"),
+    [
+        ("(1 / 0, 0.0)", "ZeroDivisionError instead of AssertionError"),
+        ("None", "BadAction instead of AssertionError"),
+        ("(float('nan'), 0.0)", "BadAction instead of AssertionError"),
+    ],
+)
+def test_an_error_of_the_policy_names_what_is_accepted_and_what_came(accepted, later, received):
+    result, finding = replayed(accepted, f"return (0.0, 0.0) if observation.time < 2 else {later}")
+    assert (result.ret, finding["result"]) == (1, "failed")
+    told = " ".join(result.stdout.str().split())
+    assert "accepts collision after" in told
+    assert f"received {received}" in told
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "received"),
+    [
+        (r"npc: ([01]), cell", lambda found: f"npc: {1 - int(found[1])}, cell", "a collision with NPC"),
+        (r"closing_speed: [\d.]+", "closing_speed: 0.5", "a closing speed of"),
+        (r"assertion: not run.collision", "assertion: not run.off_road", "fails instead of"),
+        (r"outcome: collision", "outcome: off_road", "the run ends with collision instead of off_road"),
+    ],
+)
+def test_another_collision_or_assertion_is_not_accepted(accepted, old, new, received):
+    edited(accepted, old, new)
+    result, finding = replayed(accepted)
+    assert (result.ret, finding["result"]) == (1, "failed")
+    assert received in " ".join(result.stdout.str().split())
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [(r"responsibility: \w+", "responsibility: both"), (r"\btime: [\d.]+, npc", "time: 1.0, npc")],
+)
+def test_another_time_or_blame_stays_accepted(accepted, old, new):
+    edited(accepted, old, new)
+    result, finding = replayed(accepted)
+    assert (result.ret, finding["result"]) == (0, "xfailed")
+
+
+def test_other_versions_may_move_the_collision_but_not_change_what_fails(accepted):
+    edited(accepted, r"closing_speed: [\d.]+", "closing_speed: 0.5")
+    edited(accepted, r"numpy: [\d.]+", "numpy: 1.0.0")
+    result, finding = replayed(accepted)
+    assert (result.ret, finding["result"]) == (0, "xfailed")
+    result, finding = replayed(accepted, "return 0.0, 0.0 if observation.time < 2 else 1 / 0")
+    assert (result.ret, finding["result"]) == (1, "failed")
+
+
+def test_a_failure_that_is_accepted_as_flaky_is_still_the_only_one(accepted):
+    edited(accepted, 'xfail: "planner issue 12"', 'xfail: {reason: "issue 12", until: 9999-01-31, flaky: true}')
+    assert replayed(accepted)[1]["result"] == "xfailed"
+    assert replayed(accepted, "return 0.0, 0.0 if observation.time < 2 else 1 / 0")[1]["result"] == "failed"
+
+
+@pytest.mark.processes
+@pytest.mark.parametrize("how", ["-n1", "--pafot-isolate"])
+def test_other_processes_accept_the_same(accepted, how):
+    assert replayed(accepted, "return 0.0, 0.0", how)[1]["result"] == "xfailed"
+    for body in ("return 0.0, 0.0 if observation.time < 2 else 1 / 0", "__import__('os')._exit(0)"):
+        if how == "--pafot-isolate" or "_exit" not in body:
+            assert replayed(accepted, body, how)[1]["result"] == "failed"
