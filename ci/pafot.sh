@@ -8,9 +8,11 @@
 #   sh ci/pafot.sh night          a search that goes on where the last one stopped; its finds go onto a branch
 #   sh ci/pafot.sh merge          the finds of several machines into one corpus, and onto a branch
 #
-# Further arguments are options of pytest. Each session leaves pafot.json and pafot.xml, and pafot.html if a search or a
-# replay ran. It ends with pytest's exit code, or with 2 where pytest ends with 0 and pafot.json does not say so, and
-# where a pull request could not be compared. The environment says the rest; what is empty or not set is left out:
+# Each session runs all tests: one that calls pafot.sweep or uses pafot_simulate looks like any other one before it runs.
+# Further arguments are options of pytest, such as the folder of the tests. Each session leaves pafot.json and pafot.xml,
+# and pafot.html if a search or a replay ran. It ends with pytest's exit code, or with 2 where pytest ends with 0 and
+# pafot.json does not say so, and where a pull request could not be compared. The environment says the rest; what is empty
+# or not set is left out:
 #
 #   REQUIREMENTS  a file for `pip install -r`
 #   RUNS, SEED    of each search
@@ -87,7 +89,7 @@ os.execvp("python", ["python", *sys.argv[1:]])' "$@" <&0 &
 # A policy that calls os._exit(0) ends pytest with 0 as well. But then no code, or another one, is in pafot.json.
 session() {
   rm -f pafot.json || fail "expected to replace pafot.json, which is no file; move it away"
-  run_python -m pytest -m pafot --pafot-json=pafot.json --pafot-report=pafot.html --junitxml=pafot.xml "$@"
+  run_python -m pytest --pafot-json=pafot.json --pafot-report=pafot.html --junitxml=pafot.xml "$@"
   [ "$ended" = 0 ] || return "$ended"
   told="no such file"
   if [ -f pafot.json ]; then

@@ -170,7 +170,7 @@ class Sessions:
     def notes(self) -> list[str]:
         """Lines for the summary on earlier sessions and their findings."""
         went_on = f"resumed after {plural(self._runs, 'run')} of earlier sessions"
-        problem = "" if self._file is None else self._file.problem
+        problem, anew = ("", "") if self._file is None else (self._file.problem, self._file.anew)
         unsaved = self._unsaved_before
         shown = plural(sum(1 + self.loop.repeats[id_] for id_ in unsaved), "run")
         options = " and ".join(sorted(set(unsaved.values())))
@@ -180,7 +180,7 @@ class Sessions:
             *([] if self._earlier is None else [went_on]),
             *([postponed] if self._postponed else []),
             *([left] if unsaved else []),
-            *filter(None, [problem, self.begun]),
+            *filter(None, [problem, anew, self.begun]),
         ]
 
     def resume(self, algorithm: Algorithm[Any], space: SearchSpace, saved: Sequence[Saved]) -> Checkpoint[Any] | None:

@@ -15,6 +15,7 @@ from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
+from itertools import count
 from pathlib import Path
 from typing import Any, BinaryIO, NoReturn
 
@@ -30,10 +31,11 @@ from pytest_pafot.searching.health import Health
 from pytest_pafot.searching.plain import from_plain, plain
 from pytest_pafot.support.errors import FieldError, RequestError, flag
 from pytest_pafot.support.files import hold, open_regular, way_out, write_whole
+from pytest_pafot.support.text import visible
 from pytest_pafot.world import codec
 
 VERSION = 5
-"""The version of the state's format. A state of any other version is refused."""
+"""The version of the state's format. With a state of any other version a search begins anew."""
 
 MAX_BYTES = 1 << 28
 """The largest state that is written or read [bytes]. Ten thousand runs of four NPCs take about 10 MB."""
@@ -127,6 +129,7 @@ class StateFile:
         algorithm: the algorithm of the search.
         clock: returns the seconds since some fixed moment.
         problem: why the last write failed; empty if it did not fail.
+        anew: why the search begins anew although there was a state, and where that is now; empty otherwise.
     """
 
     path: Path
@@ -134,6 +137,7 @@ class StateFile:
     algorithm: ResumableSearch
     clock: Callable[[], float]
     problem: str = ""
+    anew: str = ""
     _claim: BinaryIO | None = None  # an empty, locked file next to the state
     _texts: dict[int, tuple[Remembered, str]] = field(default_factory=dict)  # texts of remembered runs, by identity
     _written_at: float = -math.inf
@@ -173,7 +177,7 @@ class StateFile:
                 path.unlink()
 
     def read(self) -> tuple[Counts, Checkpoint[Any]] | None:
-        """Return the counts and the checkpoint of the state; None if there is no state yet.
+        """Return the counts and the checkpoint of the state; None if there is none yet, or only one of other versions.
 
         Raises:
             RequestError: if the file is not a state, belongs to another search, or cannot be read.
@@ -199,12 +203,13 @@ class StateFile:
             self._refuse(json_of_state, type(error).__name__)
         if not isinstance(data, dict):
             self._refuse("a mapping", f"a {type(data).__name__}")
-        version = data.get("version")
-        if version != VERSION:
-            # A file that is not a state may be a secret, so its content is not printed.
-            self._refuse(
-                f"a state of version {VERSION}", f"version {version if isinstance(version, int) else 'unknown'}"
-            )
+        version, settings = data.get("version"), data.get("settings")
+        if not isinstance(version, int):  # The file may be a secret, so its content is not printed.
+            self._refuse(f"a state of version {VERSION}", "version unknown")
+        then = settings.get("versions") if isinstance(settings, dict) else None
+        if version != VERSION or (then is not None and then != self.settings["versions"]):
+            self._begin_anew(f"version {version}" if then is None else visible(f"{then!r:.200}"))
+            return None
         if set(data) != set(PARTS):
             self._refuse(f"the keys {', '.join(PARTS)}", "others")
         if not isinstance(data["settings"], dict):
@@ -269,6 +274,20 @@ class StateFile:
             self.problem = f"{self.path}: expected to write the state of the search, received: {reason}; {fix}"
         self._written_at = self.clock()
         self._cost = self._written_at - began
+
+    def _begin_anew(self, versions: str) -> None:
+        """Rename the state, because no search can resume the state of other versions.
+
+        An upgrade is no mistake of the user, and a refusal would leave every night without a search. The state is not
+        removed, since it alone knows findings that were not saved.
+        """
+        names = (self.path.with_suffix(f".old-{number}.json") for number in count(1))
+        aside = next(name for name in names if not os.path.lexists(name))
+        try:
+            self.path.rename(aside)
+        except OSError as error:
+            raise self._unreadable(self.path, error) from None
+        self.anew = f"began anew, because the state is of other versions ({versions}); it is kept as {aside}"
 
     def _part(self, data: Mapping[str, Any], name: str, read: Callable[[Any], Any]) -> Any:
         try:

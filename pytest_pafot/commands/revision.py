@@ -16,7 +16,7 @@ from pytest_pafot.commands.revision_process import digest_of, imported_elsewhere
 from pytest_pafot.corpus.layout import SUFFIX
 from pytest_pafot.execution.revision_policy import PACKAGE, RevisionError, RevisionPolicy
 from pytest_pafot.support.errors import RequestError
-from pytest_pafot.support.text import visible
+from pytest_pafot.support.text import plural, visible
 
 PROCESS = "pytest_pafot.commands.revision_process"
 """The module whose ``main`` is the process of a policy that a command names."""
@@ -28,8 +28,8 @@ TESTS = ("test_*.py", "*_test.py")
 OUTPUTS = ("pafot.json", "pafot.html", "pafot.xml")
 """Files that jobs leave in the folder in which they run."""
 
-SHOWN = 20
-"""The largest number of files that are named for each side."""
+SHOWN = 5
+"""The largest number of files that are named in a line."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,12 +94,12 @@ class Revision:
         except RequestError as error:
             raise RevisionError(f"{self.label}: {error}") from None
         differ = changed | {name for name, digest in seen.items() if _digest(root / name) != digest}
-        # Those that differ come first, because long lists are cut. New files other than modules are often outputs.
+        # New files other than modules are often outputs.
         told = {name for name in differ if name.endswith(".py") or (self.tree / name).exists()}
-        names = sorted({*seen, *told}, key=lambda name: (name not in differ, name))
+        names = sorted({*seen, *told})
         before, now = ({name: digest for name in names if (digest := _digest(at / name))} for at in (self.tree, root))
         changes = " and changes" if {*names} & {*dirty} else ""
-        lines = [files_line(self.label, before), files_line(f"now ({head:.7}{changes})", now)]
+        lines = [files_line(self.label, before, f"now ({head:.7}{changes})", now)]
         if self.copies:
             lines.append(f"copied, so the same on both sides: {', '.join(map(visible, self.copies[:SHOWN]))}")
         is_same = seen.keys() - {test} and is_whole and not differ
@@ -154,8 +154,13 @@ def revision_at(text: str, folder: Path, here: Path, paths: str, option: str) ->
         yield Revision(history, label, commit, tree, here, option, copies)
 
 
-def files_line(who: str, files: Mapping[str, str]) -> str:
-    """Return a line with the files of one side, each with the beginning of its hash."""
-    named = [f"{visible(name)} {digest.removeprefix('sha256:'):.7}" for name, digest in [*files.items()][:SHOWN]]
-    more = [f"and {len(files) - SHOWN} more"] if len(files) > SHOWN else []
-    return f"{who}: {', '.join([*named, *more]) or 'no files'}"
+def files_line(old: str, before: Mapping[str, str], new: str, now: Mapping[str, str]) -> str:
+    """Return a line with the names of both sides, how many of their files differ, and the first of these.
+
+    ``before`` and ``now`` have the hashes of the files. Saved scenarios are left out: each finding adds one.
+    """
+    names = sorted(name for name in {**before, **now} if not name.endswith(SUFFIX))
+    differ = [name for name in names if before.get(name) != now.get(name)]
+    more = [f"{len(differ) - SHOWN} more"] if len(differ) > SHOWN else []
+    which = f": {', '.join([*map(visible, differ[:SHOWN]), *more])}" if differ else ""
+    return f"{old} and {new}: {len(differ)} of {plural(len(names), 'file')} of the policy differ{which}"

@@ -106,8 +106,9 @@ class Collection:
         arg = arguments.get("arg", DEFAULT_ARG)
         if arg not in metafunc.fixturenames or is_parametrised(metafunc, arg):
             return  # One item is left. It reports what is wrong when it is set up.
+        # The values differ, because other tools tell items apart by them. Nothing else reads them.
         saved = [
-            pytest.param(SEARCH, id=saved_part(each.id), marks=[getattr(pytest.mark, SAVED_MARK)(each)])
+            pytest.param(part := saved_part(each.id), id=part, marks=[getattr(pytest.mark, SAVED_MARK)(each)])
             for each in self._saved_by_id(metafunc.definition, arguments)
         ]
         metafunc.parametrize(arg, [pytest.param(SEARCH, id=layout.SEARCH_PART), *saved])

@@ -39,12 +39,12 @@ def base_id(item: pytest.Item) -> str:
 
 def saved_node_id(item: pytest.Item, id_: str) -> str:
     """Return the node id of the item that will replay a finding of a search, given the finding's id."""
-    return _node_id(item, _renamed(item.name, id_))
+    return _node_id(item, renamed(item.name, id_))
 
 
 def saved_name(item: pytest.Item, id_: str) -> str:
     """Return the name, for the location of a report, of the item that will replay a finding of a search."""
-    return _renamed(item.location[2], id_)
+    return renamed(item.location[2], id_)
 
 
 def qualified_name(item: pytest.Item) -> str:
@@ -57,6 +57,7 @@ def _node_id(item: pytest.Item, name: str) -> str:
     return name if item.parent is None else f"{item.parent.nodeid}::{name}"
 
 
-def _renamed(text: str, id_: str) -> str:
+def renamed(text: str, id_: str) -> str:
+    """Return the name of a search with the part of a saved scenario in place of its own."""
     parts = around(SEARCH_PART, text)
     return text if parts is None else saved_part(id_).join(parts)

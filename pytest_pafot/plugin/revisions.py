@@ -142,8 +142,8 @@ def compare(item: pytest.Item, harness: Harness) -> None:
     if not harness.request.settings.is_search:
         return
     if found is None and against is not None:  # a reference by name
-        both = ((against.shown, against.ads), ("now", harness.ads))
-        lines = [files_line(who, source_digests(ads, here=harness.root)) for who, ads in both]
+        before, now = (source_digests(ads, here=harness.root) for ads in (against.ads, harness.ads))
+        lines = [files_line(against.shown, before, "now", now)]
     elif found is not None and found.policy is None:
         lines = [f"the policy is new since {found.revision.label}: every failure counts"]
     elif found is not None and found.policy is not None:

@@ -30,6 +30,7 @@ from pytest_pafot.corpus.saved import refusal
 from pytest_pafot.findings.finding import message_of
 from pytest_pafot.oracle.checks import CheckFailed
 from pytest_pafot.plugin import messages, node_ids
+from pytest_pafot.plugin.allure_results import tell_allure, without_listener
 from pytest_pafot.plugin.collection import COLLECTED, is_search
 from pytest_pafot.plugin.failure_reports import SUMMARY, explained, is_compact, summarise
 from pytest_pafot.plugin.finding_message import is_on_page, label_of, tell_finding
@@ -297,6 +298,8 @@ class SearchMessages:
         elif isinstance(event, SearchSummary):
             found = of_findings((each.finding, each.find.path, each.find.severity) for each in self.told.values())
             set_properties(self.item.user_properties, **found)
+            for each in self.told.values():  # only now, because a finding is told again once it is shrunk
+                tell_allure(self.item, each.find.id, _call(each))
             if self.told:  # otherwise they stay those of the last run
                 self.item.stash[OF_ONE_RUN].show(next(iter(self.told.values())).run)
             messages.send(self.item, "search", {"summary": plain(event), **self._for_page(event)})
@@ -358,13 +361,9 @@ def _report(item: pytest.Item, kept: FindTold, section: str) -> dict[str, Any]:
 
     pytest's own hooks make the report, so marks of the test function, such as xfail, apply to it.
     """
-
-    def fail() -> None:
-        raise shown(kept.exception)
-
-    call = pytest.CallInfo.from_call(fail, when="call")
-    report: pytest.TestReport = item.ihook.pytest_runtest_makereport(item=item, call=call)
     find = kept.find
+    with without_listener(item.config):
+        report: pytest.TestReport = item.ihook.pytest_runtest_makereport(item=item, call=_call(kept))
     path, line, _ = report.location
     summarise(report, find.summary)
     report.nodeid = find.node_id
@@ -376,6 +375,13 @@ def _report(item: pytest.Item, kept: FindTold, section: str) -> dict[str, Any]:
     set_properties(report.user_properties, neighbours=find.breadth, lines=lines)
     data: dict[str, Any] = item.config.hook.pytest_report_to_serializable(config=item.config, report=report)
     return data
+
+
+def _call(kept: FindTold) -> pytest.CallInfo[None]:
+    def fail() -> None:
+        raise shown(kept.exception)
+
+    return pytest.CallInfo.from_call(fail, when="call")
 
 
 def _fail(item: pytest.Function, what: str, why: Sequence[str]) -> None:
