@@ -84,7 +84,7 @@ def driven(*vehicles, touched=False):
         places.see(rows, tick * count * COLUMNS)
     scenario = scenario_of(count - 1)
     run = object.__new__(VehiclesOfRun)
-    run.rules = SimpleNamespace(physics_hz=15, ads_hz=5, road=road, crossings=None)
+    run.rules = SimpleNamespace(physics_hz=15, ads_hz=5, road=road, crossings=None, obstacles=())
     run.scenario, run.director = scenario, SimpleNamespace(executed=scenario, arrivals=(), driven=(), begun=())
     run.places, run.rows, run.sizes = places, rows, [(LENGTH, WIDTH)] * count
     run.loop = SimpleNamespace(tick=ticks, is_over=touched, ego_touched=touched, npcs_touched=False)
