@@ -111,7 +111,7 @@ def advice(config: pytest.Config) -> str:
 class Guard:
     """The hook that fails a session, once and on the controller, if no test can replay saved scenarios."""
 
-    @pytest.hookimpl(wrapper=True)
+    @pytest.hookimpl(wrapper=True, trylast=True)  # inside of the hook with which pytest ends the line of its results
     def pytest_runtestloop(self, session: pytest.Session) -> Generator[None, object, object]:
         """Fail the session after all items have run; only then have all pytest-xdist workers reported their items."""
         result = yield

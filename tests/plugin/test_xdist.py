@@ -74,9 +74,8 @@ def test_workers_report_a_misplaced_file_once(project):
     project.write(TWO)
     (project.path / "a.pafot.yaml").write_text("test: test_it.py::test_second")
     result = project.run("-n2", generations=0)
-    expected = (
-        "not run: a.pafot.yaml: it is in no test's folder; move it to the folder of test_it.py::test_second, or delete it"
-    )
+    place = "move it to the folder of test_it.py::test_second, or delete it"
+    expected = f"not run: a.pafot.yaml: it is in no test's folder; {place}"
     assert result.stdout.lines.count(expected) == 1
 
 
