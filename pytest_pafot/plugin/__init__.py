@@ -1,7 +1,7 @@
 """The pytest plugin: options, marks, fixtures, items, and their reports on the terminal.
 
-A session without a marked test imports only small modules. Everything that needs numpy, yaml or highway-env
-is imported when a marked test is collected or run.
+A session without a marked test imports only small modules. What reports on marked tests is imported when the first one
+is collected, and everything that needs numpy, yaml or highway-env when it is collected or run.
 """
 
 from __future__ import annotations
@@ -12,16 +12,12 @@ from contextlib import ExitStack
 
 import pytest
 
-from pytest_pafot.campaign.options import BY_NAME
-from pytest_pafot.plugin import fixtures, messages, session_records
+from pytest_pafot.campaign.options import BY_NAME, OPTIONS
+from pytest_pafot.plugin import fixtures
 from pytest_pafot.plugin.catalogue_item import Catalogued
 from pytest_pafot.plugin.collection import Collection
 from pytest_pafot.plugin.marks import ANY_MARK, CATALOGUE_MARK, SAVED_MARK, SEARCH_MARK
-from pytest_pafot.plugin.merge_item import MERGE, Merging
 from pytest_pafot.plugin.option_sources import add_options
-from pytest_pafot.plugin.orphans import Guard
-from pytest_pafot.plugin.report_pages import Pages
-from pytest_pafot.plugin.run_tables import Tables
 from pytest_pafot.plugin.session import (
     SHARED,
     SUMMARY_LINES,
@@ -30,10 +26,10 @@ from pytest_pafot.plugin.session import (
     Shared,
     SummaryLines,
     Worker,
+    is_worker,
     shared_by_controller,
 )
-from pytest_pafot.plugin.terminal_reporter import Reporter
-from pytest_pafot.plugin.tracing import Tracing
+from pytest_pafot.plugin.unrun import UNRUN
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -52,41 +48,82 @@ def pytest_configure(config: pytest.Config) -> None:
     ):
         config.addinivalue_line("markers", line)
     config.stash[SUMMARY_LINES] = SummaryLines()
-    features = {"fixtures": fixtures, "collection": Collection(config), "messages": messages}
-    features |= {"catalogue": Catalogued(), "tracing": Tracing()}
-    if hasattr(config, "workerinput"):
+    features = {"fixtures": fixtures, "collection": Collection(config), "catalogue": Catalogued()}
+    if is_worker(config):
         config.stash[SHARED] = shared_by_controller(config)
         features["worker"] = Worker()
     else:
         asked = config.getoption(BY_NAME["today"].key)
         config.stash[SHARED] = Shared(today=asked) if asked else Shared()
-        features |= {"reporting": Reporter(config), "pages": Pages(config), "guard": Guard()}
-        if session_records.is_asked_for(config, os.environ):
-            features["records"] = session_records.Records(config)
-        if config.getoption(BY_NAME["table"].key) and not config.getoption("collectonly", False):
-            features["tables"] = Tables(config)
-    if config.getoption(MERGE):
+    is_parallel = config.getoption("dist", "no") != "no"
+    if config.getoption(BY_NAME["merge"].key):
+        from pytest_pafot.plugin.merge_item import Merging  # noqa: PLC0415
+
         features["merging"] = Merging(config)
-    if config.getoption("dist", "no") != "no":
+    if is_parallel:
         features["controller"] = Controller()
     if config.get_verbosity() > 0:
         features["header"] = Header()
     _register(config, features)
+    # A controller of pytest-xdist collects no items, so it cannot wait for a marked one.
+    if is_parallel or any(config.getoption(option.key) is not None for option in OPTIONS):
+        _report(config)
 
 
+@pytest.hookimpl(trylast=True)  # after hooks that add marks
 def pytest_collection_finish(session: pytest.Session) -> None:
-    """Register the plugins that run the marked items, if the session will run any."""
-    is_marked = any(item.get_closest_marker(name) for item in session.items for name in (SEARCH_MARK, ANY_MARK))
-    if not is_marked or session.config.getoption("collectonly"):
+    """Register the plugins that run the marked items and report on them, if there are any."""
+    config = session.config
+    marked = [item for item in session.items if item.get_closest_marker(ANY_MARK) is not None]
+    if marked:
+        from pytest_pafot.plugin.tracing import set_properties_of  # noqa: PLC0415
+
+        set_properties_of(marked)
+    is_marked = bool(marked) or any(item.get_closest_marker(SEARCH_MARK) for item in session.items)
+    unrun = config.stash[UNRUN]
+    if is_marked or any((unrun.orphans, unrun.strays, unrun.unmerged)):
+        _report(config)
+    if not is_marked or config.getoption("collectonly"):
         return  # these plugins import the simulation, and an editor that only lists tests would wait for it
     from pytest_pafot.plugin.failure_reports import Failures  # noqa: PLC0415
     from pytest_pafot.plugin.item_checks import Checks, Execution  # noqa: PLC0415
     from pytest_pafot.support.interrupts import interrupted_by_signals  # noqa: PLC0415
 
-    _register(session.config, {"checks": Checks(), "execution": Execution(), "failing": Failures()})
+    _register(config, {"checks": Checks(), "execution": Execution(), "failing": Failures()})
     stack = ExitStack()
-    session.config.add_cleanup(stack.close)
+    config.add_cleanup(stack.close)
     stack.enter_context(interrupted_by_signals())  # SIGTERM alone would leave processes and copies of revisions behind.
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_sessionfinish(session: pytest.Session) -> None:
+    """Register the reports in a session without marked items that has something to say in its summary."""
+    lines = session.config.stash[SUMMARY_LINES]
+    if lines.problems or lines.reports:
+        _report(session.config)
+
+
+def _report(config: pytest.Config) -> None:
+    """Register the plugins that report on marked items, unless they are registered. A worker only sends messages."""
+    if config.pluginmanager.has_plugin("pafot-messages"):
+        return
+    from pytest_pafot.plugin import messages  # noqa: PLC0415
+
+    features: dict[str, object] = {"messages": messages}
+    if not is_worker(config):
+        from pytest_pafot.plugin import session_records  # noqa: PLC0415
+        from pytest_pafot.plugin.orphans import Guard  # noqa: PLC0415
+        from pytest_pafot.plugin.report_pages import Pages  # noqa: PLC0415
+        from pytest_pafot.plugin.terminal_reporter import Reporter  # noqa: PLC0415
+
+        features |= {"reporting": Reporter(config), "pages": Pages(config), "guard": Guard()}
+        if session_records.is_asked_for(config, os.environ):
+            features["records"] = session_records.Records(config)
+        if config.getoption(BY_NAME["table"].key) and not config.getoption("collectonly", False):
+            from pytest_pafot.plugin.run_tables import Tables  # noqa: PLC0415
+
+            features["tables"] = Tables(config)
+    _register(config, features)
 
 
 def _register(config: pytest.Config, features: Mapping[str, object]) -> None:

@@ -18,8 +18,8 @@ from pytest_pafot.corpus.saved import Saved, refusal, refused_in, saved_in
 from pytest_pafot.plugin.marks import DEFAULT_ARG, SAVED_MARK, SEARCH_MARK, arguments_of
 from pytest_pafot.plugin.node_ids import base_id, qualified_name, saved_part
 from pytest_pafot.plugin.option_sources import corpus_name
-from pytest_pafot.plugin.orphans import UNRUN, Collected, Unrun, find_orphans, find_strays
 from pytest_pafot.plugin.session import SHARED, SUMMARY_LINES, base_line
+from pytest_pafot.plugin.unrun import UNRUN, Collected, Unrun
 from pytest_pafot.support.text import visible
 
 COLLECTED: pytest.StashKey[dict[Path, dict[str, Saved]]] = pytest.StashKey()
@@ -223,6 +223,8 @@ class Collection:
         )
         if OF_COMMAND in os.environ:
             return  # The command asks for one test, which has no file. All others of the project are not collected.
+        from pytest_pafot.plugin.orphans import find_orphans, find_strays  # noqa: PLC0415  (few projects have any)
+
         unrun = self._config.stash[UNRUN]
         unrun.orphans.update(find_orphans(collected))
         unrun.strays.update(find_strays(collected, unrun.orphans))

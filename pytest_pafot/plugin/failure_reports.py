@@ -7,6 +7,7 @@ which is not shortened on CI, and in files for other tools. With ``-v`` or ``--t
 from __future__ import annotations
 
 import json
+import os
 import re
 from collections.abc import Generator
 from datetime import date
@@ -62,13 +63,61 @@ pytest itself uses them to colour the difference of two values.
 """
 
 
+class KeptOutput:
+    """The captured output of an item that runs, of which the beginning and the end are kept.
+
+    pytest keeps all output of every item to the end of the session, so it is read here first. A policy that prints at
+    each decision prints gigabytes.
+    """
+
+    def __init__(self, item: pytest.Item) -> None:
+        self._item = item
+        self._capture = item.config.pluginmanager.get_plugin("capturemanager")  # None if another plugin replaces it
+        self._process = os.getpid()
+        self._texts = {"stdout": ("", "", 0), "stderr": ("", "", 0)}  # beginning, end, characters between them
+
+    def read(self) -> None:
+        """Take the output since the last call out of pytest's capture."""
+        if self._capture is None or os.getpid() != self._process:
+            return  # A process that was forked from this one writes to the same file, which this one reads.
+        for key, text in zip(self._texts, self._capture.read_global_capture(), strict=True):
+            begin, end, left_out = self._texts[key]
+            begin, end = begin + text[: OUTPUT_END - len(begin)], end + text[OUTPUT_END - len(begin) :]
+            too_long = max(0, len(end) - 2 * OUTPUT_END)
+            self._texts[key] = begin, end[too_long:], left_out + too_long
+
+    def give_back(self) -> None:
+        """Add the output to the item's report, as pytest does."""
+        self.read()
+        for key, (begin, end, left_out) in self._texts.items():
+            text = f"{begin}{end}"
+            if left_out:
+                text = _shortened(begin, end[-OUTPUT_END:], left_out + len(end) - OUTPUT_END)
+            self._item.add_report_section("call", key, text)
+
+
+OUTPUT = pytest.StashKey[KeptOutput]()
+"""The output of a marked item that runs."""
+
+
 class Failures:
-    """The hook that shortens the reports of failing items."""
+    """The hooks that shorten the reports of failing items, and the output of all."""
+
+    @pytest.hookimpl(wrapper=True)
+    def pytest_pyfunc_call(self, pyfuncitem: pytest.Function) -> Generator[None, object, object]:
+        """Keep only the beginning and the end of what a marked item prints."""
+        if not _is_marked(pyfuncitem):
+            return (yield)
+        output = pyfuncitem.stash[OUTPUT] = KeptOutput(pyfuncitem)
+        try:
+            return (yield)
+        finally:
+            output.give_back()
 
     @pytest.hookimpl(wrapper=True)
     def pytest_runtest_makereport(self, item: pytest.Item, call: pytest.CallInfo[None]) -> Generator[None, Any, Any]:
         """Shorten the report of a search, a replay or a named scenario that fails; name the requirement it breaks."""
-        marked = any(item.get_closest_marker(name) is not None for name in (SEARCH_MARK, CATALOGUE_MARK))
+        marked = _is_marked(item)
         if call.excinfo is None or not marked:
             report = yield
             if marked:
@@ -98,13 +147,21 @@ class Failures:
         return report
 
 
+def _is_marked(item: pytest.Item) -> bool:
+    return any(item.get_closest_marker(name) is not None for name in (SEARCH_MARK, CATALOGUE_MARK))
+
+
 def _shorten_output(report: pytest.TestReport) -> None:
-    """Keep the beginning and the end of long output: a policy that prints at each decision prints gigabytes."""
+    """Keep the beginning and the end of long output, also that of fixtures."""
     for number, (title, text) in enumerate(report.sections):
         left_out = len(text) - 2 * OUTPUT_END
         if left_out > OUTPUT_END:
-            line = f"[{left_out} characters of output are left out; pytest -s shows all, in a session without workers]"
-            report.sections[number] = (title, f"{text[:OUTPUT_END]}\n{line}\n{text[-OUTPUT_END:]}")
+            report.sections[number] = (title, _shortened(text[:OUTPUT_END], text[-OUTPUT_END:], left_out))
+
+
+def _shortened(begin: str, end: str, left_out: int) -> str:
+    line = f"[{left_out} characters of output are left out; pytest -s shows all, in a session without workers]"
+    return f"{begin}\n{line}\n{end}"
 
 
 def _count_unless_accepted(item: pytest.Item, saved: Saved, report: pytest.TestReport) -> None:

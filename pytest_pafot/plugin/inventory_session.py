@@ -17,8 +17,8 @@ from pytest_pafot.corpus.layout import files_in, relative
 from pytest_pafot.plugin.collection import NAMES_ONLY, saved_of
 from pytest_pafot.plugin.marks import ANY_MARK
 from pytest_pafot.plugin.node_ids import base_id
-from pytest_pafot.plugin.orphans import UNRUN
 from pytest_pafot.plugin.tracing import read
+from pytest_pafot.plugin.unrun import UNRUN
 from pytest_pafot.support.traced import Traced
 
 TO = "--inventory-to"

@@ -14,7 +14,7 @@ from pytest_pafot.plugin.collection import is_search
 from pytest_pafot.plugin.marks import arguments_of
 from pytest_pafot.plugin.node_ids import base_id, qualified_name
 from pytest_pafot.plugin.option_sources import corpus_name
-from pytest_pafot.plugin.orphans import UNRUN
+from pytest_pafot.plugin.unrun import UNRUN
 from pytest_pafot.support.errors import flag
 
 if TYPE_CHECKING:

@@ -9,10 +9,8 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Collection, Generator, Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import NamedTuple
 
 import pytest
 
@@ -32,6 +30,7 @@ from pytest_pafot.corpus.layout import (
 )
 from pytest_pafot.corpus.saved import Saved, saved_in
 from pytest_pafot.plugin.option_sources import option_value
+from pytest_pafot.plugin.unrun import UNRUN, Collected, Orphan
 from pytest_pafot.support.errors import command
 from pytest_pafot.support.text import plural, visible
 
@@ -42,41 +41,6 @@ _TEST_LINE = re.compile(rb"^test:[ \t]*([^\n:]*\.py::[^\n]+?)\s*$", re.MULTILINE
 MAX_NAME = 120  # length of the test's name in an error; the name is from a file, which may contain anything
 ERROR_ID = "pafot::saved_scenarios_without_a_test"
 """The node id of the error with which a session fails if the test of saved scenarios no longer exists."""
-
-
-class Orphan(NamedTuple):
-    """A folder of saved scenarios whose test is gone."""
-
-    removable: list[str]  # paths of the files that may be removed
-    expected: str  # a sentence on which test was expected and what was found instead
-    is_gone: bool  # True if the module or the function no longer exists, although the session collected its folder
-
-
-class Unrun(NamedTuple):
-    """The saved scenarios of a session that no item runs."""
-
-    orphans: dict[Path, Orphan]  # by folder
-    # saved scenarios that no test's folder runs, each with the reason, and whether the session fails by it on CI
-    strays: dict[str, tuple[str, bool]]
-    unmerged: dict[str, str]  # folders of other corpora that match no single test, each with the reason
-
-
-UNRUN = pytest.StashKey[Unrun]()
-
-
-@dataclass(slots=True, kw_only=True)
-class Collected:
-    """The items and corpora that a session collected, before tests are selected."""
-
-    rootpath: Path  # the rootdir of the session
-    asked_for: list[Path] = field(default_factory=list)  # the folders given on the command line
-    folders: dict[Path, str] = field(default_factory=dict)  # corpus folders of the items, with the ids of their tests
-    roots: dict[Path, Path] = field(default_factory=dict)  # corpora, each with the folder of its test files
-    shared: set[Path] = field(default_factory=set)  # the corpora of several folders of test files: absolute paths
-    # node ids of the classes that exist in collected modules and classes
-    classes: set[str] = field(default_factory=set)
-    opened: set[str] = field(default_factory=set)  # node ids of the classes whose members were collected
-    files: set[Path] = field(default_factory=set)  # test files that were collected, also those without a test
 
 
 def find_orphans(collected: Collected) -> dict[Path, Orphan]:
@@ -147,7 +111,7 @@ def advice(config: pytest.Config) -> str:
 class Guard:
     """The hook that fails a session, once and on the controller, if no test can replay saved scenarios."""
 
-    @pytest.hookimpl(wrapper=True)
+    @pytest.hookimpl(wrapper=True, trylast=True)  # inside of the hook with which pytest ends the line of its results
     def pytest_runtestloop(self, session: pytest.Session) -> Generator[None, object, object]:
         """Fail the session after all items have run; only then have all pytest-xdist workers reported their items."""
         result = yield

@@ -12,8 +12,8 @@ from pathlib import Path
 import pytest
 
 from pytest_pafot.corpus.layout import files_in, relative
-from pytest_pafot.plugin.orphans import UNRUN
 from pytest_pafot.plugin.session import SUMMARY_LINES
+from pytest_pafot.plugin.unrun import UNRUN
 from pytest_pafot.support.files import way_out
 from pytest_pafot.support.text import visible
 

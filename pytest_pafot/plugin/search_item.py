@@ -32,7 +32,7 @@ from pytest_pafot.oracle.checks import CheckFailed
 from pytest_pafot.plugin import messages, node_ids
 from pytest_pafot.plugin.allure_results import tell_allure, without_listener
 from pytest_pafot.plugin.collection import COLLECTED, is_search
-from pytest_pafot.plugin.failure_reports import SUMMARY, explained, is_compact, summarise
+from pytest_pafot.plugin.failure_reports import OUTPUT, SUMMARY, explained, is_compact, summarise
 from pytest_pafot.plugin.finding_message import is_on_page, label_of, tell_finding
 from pytest_pafot.plugin.marks import EXECUTOR_FIXTURE, WORLD_FIXTURE
 from pytest_pafot.plugin.messages import OF_ONE_RUN, OfOneRun, of_findings, set_properties
@@ -41,6 +41,7 @@ from pytest_pafot.plugin.revisions import compare, revision_of
 from pytest_pafot.plugin.run_tables import table_messages_of
 from pytest_pafot.plugin.session import SHARED, is_worker, records_folder
 from pytest_pafot.report import terminal
+from pytest_pafot.searching.events import GenerationFinished
 from pytest_pafot.searching.plain import plain
 from pytest_pafot.support.errors import RequestError, flag
 from pytest_pafot.support.files import remove_unfinished
@@ -163,6 +164,7 @@ def bound_test(item: pytest.Function, arg: str) -> Test:
         finally:  # and not before the call, as the ADS may have logged in this run
             for each in kept:
                 each.clear()
+            item.stash[OUTPUT].read()
         check = sys.modules.get("pytest_check")
         if check is not None and check.any_failures():
             raise RequestError(_no_collecting("pytest-check"))
@@ -291,6 +293,8 @@ class SearchMessages:
             seeds = {"seed": event.seed, "base_seed": self.settings.seed}
             set_properties(self.item.user_properties, **seeds)
             messages.send(self.item, "start", seeds)
+        elif isinstance(event, GenerationFinished):  # its runs may have been judged in other processes
+            self.item.stash[OUTPUT].read()
         elif isinstance(event, Progress):
             messages.send(self.item, "progress", asdict(event))
         elif isinstance(event, FindTold):

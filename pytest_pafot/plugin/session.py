@@ -23,7 +23,7 @@ from pytest_pafot.corpus.layout import chosen_folder, corpus_root, link_below
 from pytest_pafot.corpus.saved import refusal
 from pytest_pafot.plugin.node_ids import SAVED_PART
 from pytest_pafot.plugin.option_sources import resolve
-from pytest_pafot.plugin.orphans import UNRUN, Orphan
+from pytest_pafot.plugin.unrun import UNRUN, Orphan
 from pytest_pafot.support.errors import RequestError, flag
 from pytest_pafot.support.text import plural
 

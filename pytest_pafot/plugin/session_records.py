@@ -24,8 +24,9 @@ from pytest_pafot.corpus.layout import files_in, relative
 from pytest_pafot.plugin import messages
 from pytest_pafot.plugin.marks import SAVED_MARK, SEARCH_MARK
 from pytest_pafot.plugin.messages import AS_SAVED
-from pytest_pafot.plugin.orphans import UNRUN, advice
+from pytest_pafot.plugin.orphans import advice
 from pytest_pafot.plugin.session import HERE, SUMMARY_LINES, exit_code, not_written
+from pytest_pafot.plugin.unrun import UNRUN
 from pytest_pafot.support.errors import flag, rerun
 from pytest_pafot.support.traced import Traced
 

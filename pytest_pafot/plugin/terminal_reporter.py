@@ -13,7 +13,6 @@ import pytest
 from pytest_pafot.corpus.layout import files_in, relative
 from pytest_pafot.plugin import orphans
 from pytest_pafot.plugin.messages import Message, received
-from pytest_pafot.plugin.orphans import UNRUN
 from pytest_pafot.plugin.session import (
     SHARED,
     SUMMARY_LINES,
@@ -23,6 +22,7 @@ from pytest_pafot.plugin.session import (
     terminal_width,
     unclaimed,
 )
+from pytest_pafot.plugin.unrun import UNRUN
 from pytest_pafot.support.errors import rerun
 from pytest_pafot.support.text import ascii_text
 from pytest_pafot.support.traced import Traced
@@ -109,13 +109,6 @@ class Reporter:
         self._warnings: dict[str, None] = {}
         self._incomparable: dict[str, None] = {}
 
-    @pytest.hookimpl(trylast=True)
-    def pytest_sessionstart(self, session: pytest.Session) -> None:
-        """Store the session, and choose the interval between reports of progress."""
-        self._session = session
-        if self._live.rewrites:
-            self._config.stash[SHARED].progress_seconds = TERMINAL_SECONDS
-
     @pytest.hookimpl(wrapper=True)
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> Generator[None, object, object]:
         """Handle the message that a test report carries; after the teardown of a search, print its new findings."""
@@ -137,8 +130,15 @@ class Reporter:
         return result
 
     @pytest.hookimpl(wrapper=True, tryfirst=True)
-    def pytest_runtestloop(self) -> Generator[None, object, object]:
-        """End the session with the exit code of a usage error if a policy could not be compared with its reference."""
+    def pytest_runtestloop(self, session: pytest.Session) -> Generator[None, object, object]:
+        """Choose the interval between reports of progress before the items run.
+
+        After them, end the session with the exit code of a usage error if a policy could not be compared with its
+        reference.
+        """
+        self._session = session
+        if self._live.rewrites:
+            self._config.stash[SHARED].progress_seconds = TERMINAL_SECONDS
         result = yield
         if self._incomparable:
             raise pytest.UsageError(f"the reference cannot be compared, as told by {', '.join(self._incomparable)}")

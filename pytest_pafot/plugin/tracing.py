@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import pytest
 
 from pytest_pafot.plugin.marks import ANY_MARK, TRACING
@@ -54,12 +56,7 @@ def _first_line(node: object) -> str:
     return visible(documentation.strip().partition("\n")[0].strip())[:MOST_TEXT].removesuffix(".")
 
 
-class Tracing:
-    """The hook that gives each item the properties of its requirements, which its reports carry."""
-
-    @pytest.hookimpl(trylast=True)
-    def pytest_collection_finish(self, session: pytest.Session) -> None:
-        """Set the properties of items whose marks name a requirement or an owner, also marks that a hook has added."""
-        for item in session.items:
-            if item.get_closest_marker(ANY_MARK) is not None:
-                item.user_properties.extend(traced(item).properties)
+def set_properties_of(items: Iterable[pytest.Item]) -> None:
+    """Give items whose marks name a requirement or an owner their properties, which their reports carry."""
+    for item in items:
+        item.user_properties.extend(traced(item).properties)

@@ -211,3 +211,28 @@ def test_policy_that_prints_much_leaves_the_ends_of_its_output(project, shrinkin
     assert replayed.ret == 1
     assert len(replayed.stdout.str()) < 100_000
     replayed.stdout.fnmatch_lines(["*characters of output are left out; pytest -s shows all*"])
+
+
+KEPT = """
+TEXTS = []
+
+@pytest.fixture
+def ads(request):
+    add = request.node.add_report_section  # pytest keeps what it is given here to the end of the session
+    request.node.add_report_section = lambda when, key, text: (TEXTS.append(text), add(when, key, text))
+    return lambda: lambda observation: (print("x" * 10_000), (0.0, 0.0))[1]
+
+@pafot.search(SHORT)
+def test_passes(run):
+    pass
+
+def test_texts():
+    assert ["characters of output are left out" in each for each in TEXTS if each] == [True]
+    assert max(map(len, TEXTS)) < 50_000
+"""
+
+
+@pytest.mark.parametrize("options", [(), ("--capture=sys",), ("--capture=tee-sys",), ("--pafot-isolate",)])
+def test_item_that_passed_keeps_only_the_ends_of_its_output(project, options):
+    project.write(KEPT)
+    project.run(*options).assert_outcomes(passed=2)

@@ -39,7 +39,9 @@ ADVICE = (
 def test_a_file_without_any_test_fails_a_ci_session(saved, ci):
     saved.write("")
     saved.path.joinpath("test_other.py").write_text("def test_other():\n    pass\n")
-    assert is_red(replay(saved))
+    result = saved.run(generations=None, seed=None)  # without an option, it reports only what it has collected
+    assert is_red(result)
+    result.stdout.re_match_lines([r"test_other\.py \.E +\[100%\]"])  # on the line of results
     saved.write("raise OSError")
     result = replay(saved)
     assert (result.ret, "orphaned" in result.stdout.str()) == (2, False)

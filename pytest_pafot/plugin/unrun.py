@@ -1,0 +1,47 @@
+"""What a session collected, and the saved scenarios that no item of it runs.
+
+:mod:`pytest_pafot.plugin.orphans` finds them. It is imported only in a project that has saved scenarios.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+
+
+class Orphan(NamedTuple):
+    """A folder of saved scenarios whose test is gone."""
+
+    removable: list[str]  # paths of the files that may be removed
+    expected: str  # a sentence on which test was expected and what was found instead
+    is_gone: bool  # True if the module or the function no longer exists, although the session collected its folder
+
+
+class Unrun(NamedTuple):
+    """The saved scenarios of a session that no item runs."""
+
+    orphans: dict[Path, Orphan]  # by folder
+    # saved scenarios that no test's folder runs, each with the reason, and whether the session fails by it on CI
+    strays: dict[str, tuple[str, bool]]
+    unmerged: dict[str, str]  # folders of other corpora that match no single test, each with the reason
+
+
+UNRUN = pytest.StashKey[Unrun]()
+
+
+@dataclass(slots=True, kw_only=True)
+class Collected:
+    """The items and corpora that a session collected, before tests are selected."""
+
+    rootpath: Path  # the rootdir of the session
+    asked_for: list[Path] = field(default_factory=list)  # the folders given on the command line
+    folders: dict[Path, str] = field(default_factory=dict)  # corpus folders of the items, with the ids of their tests
+    roots: dict[Path, Path] = field(default_factory=dict)  # corpora, each with the folder of its test files
+    shared: set[Path] = field(default_factory=set)  # the corpora of several folders of test files: absolute paths
+    # node ids of the classes that exist in collected modules and classes
+    classes: set[str] = field(default_factory=set)
+    opened: set[str] = field(default_factory=set)  # node ids of the classes whose members were collected
+    files: set[Path] = field(default_factory=set)  # test files that were collected, also those without a test
