@@ -46,7 +46,7 @@ AUTO = "auto"
 FULL, LOCAL = "ci", "local"
 
 PROFILES: Mapping[str, Mapping[str, object]] = {
-    FULL: {"runs": 400, "seed": 0},
+    FULL: {"runs": 400, "seed": 0, "isolate": True},
     LOCAL: {"runs": 40},
 }
 """The profiles, which are sets of defaults: ``ci`` if the environment variable CI is set, otherwise ``local``."""
@@ -269,7 +269,8 @@ class Settings:
         "switch",
         "Run the ADS only in other processes, so that an ADS that ends its process is a finding.",
         "The session goes on after such an end. The findings are the same; for an ADS with `batch`, only if the "
-        "population is given.",
+        "population is given. The profile `ci` isolates by itself only on Linux, and no ADS with `batch`; "
+        "`isolate=False` in the mark or `PAFOT_ISOLATE=0` switch that off.",
         default=False,
     )
     memory: int | None = option(

@@ -26,8 +26,9 @@ from pytest_pafot.campaign.state_file import Answer, Shown
 from pytest_pafot.campaign.verdict import Verdict, headline
 from pytest_pafot.corpus.layout import relative
 from pytest_pafot.corpus.writer import CorpusWriteError, free_path, write
+from pytest_pafot.execution import scenario_pool
 from pytest_pafot.execution.pool import ProcessLostError
-from pytest_pafot.execution.runner import runner_for
+from pytest_pafot.execution.runner import call_apart, runner_for
 from pytest_pafot.findings.finding import Expect, Perceived, ending, of_failure
 from pytest_pafot.findings.lines import MOST_LINES, Line, TellingLine, ranked
 from pytest_pafot.findings.neighbours import Breadth, breadth_of, neighbours
@@ -255,10 +256,9 @@ class Simplification:
         if is_vehicle_class(harness.ads) or not codec.is_built_in(harness.world):
             return ()
         # An ADS that never reacts to a vehicle may not have seen it. Its observations are then the same without it.
-        # Those of other processes are not known, and an ADS with the environment sees more than its observations. A
-        # planner with perfect sight sees everybody.
+        # An ADS with the environment sees more than its observations. A planner with perfect sight sees everybody.
         sees_all = sight_of(harness.ads) is None and getattr(harness.world, "planner_hz", 1) is not None
-        is_noted = not (sees_all or harness.request.settings.isolate or wants_env(harness.ads))
+        is_noted = not (sees_all or self._is_out_of_reach or wants_env(harness.ads))
         told: list[Reaction] = []
         without_it: list[list[bytes]] = []  # for each NPC, the observations until the event with it hidden
         until, times = found.event_time, [tick / trace.physics_hz for tick in trace.decision_ticks]
@@ -291,20 +291,30 @@ class Simplification:
         self.neighbour_runs += 1
         harness, record = self.loop.simulation.harness, self.loop.simulation.record
         job = replace(harness.job(), ads=without(harness.ads, npc, None if seen is None else partial(_note, seen)))
+        isolate = harness.request.settings.isolate
         try:
-            with refusals(), runner_for(job, record, isolate=harness.request.settings.isolate) as runner:
-                return runner.run(scenario, afresh=True)
+            with refusals():
+                if isolate and seen is not None:  # the other process notes what it sees in a copy of the list
+                    trace, noted = call_apart(job, scenario, lambda *run: (rollout_of(job.world)(*run), seen))
+                    seen += noted
+                    return trace
+                with runner_for(job, record, isolate=isolate) as runner:
+                    return runner.run(scenario, afresh=True)
         except RequestError:
             return None
         finally:
             record.clear()
 
     @property
+    def _is_out_of_reach(self) -> bool:
+        """True if the ADS is called in processes that are no copies of this one: nothing in them can be read."""
+        return self.loop.simulation.harness.request.settings.isolate and scenario_pool.METHOD != "fork"
+
+    @property
     def _has_lines(self) -> bool:
-        """True if lines of the ADS can be recorded: it is called in this process, and is code in Python."""
-        harness = self.loop.simulation.harness
-        is_elsewhere = harness.request.settings.isolate or is_vehicle_class(harness.ads)
-        return not (is_elsewhere or isinstance(harness.ads, Perception))
+        """True if lines of the ADS can be recorded: it is called within reach, and is code in Python."""
+        ads = self.loop.simulation.harness.ads
+        return not (self._is_out_of_reach or is_vehicle_class(ads) or isinstance(ads, Perception))
 
     def _telling_lines(
         self, kept: FindTold, deeds: Mapping[Scenario, range | None], breadth: Breadth
@@ -331,12 +341,11 @@ class Simplification:
                 break
             for scenario in islice(neighbours(kept.finding.scenario, share, limits), self.neighbours):
                 self._neighbour(kept, last, scenario)
-        failing, passing = list[Mapping[Line, int]](), list[Mapping[Line, int]]()
-        for scenario, deed in last.items():
-            which = passing if deed is None else failing
-            if len(which) < MOST_READ:
-                self.tell(f"reading the lines of {find_id}, run {len(failing) + len(passing) + 1}")
-                which.append(self._lines_in(scenario, otherwise if deed is None else deed))
+        that_fail = [(scenario, deed) for scenario, deed in last.items() if deed is not None][:MOST_READ]
+        that_pass = [(scenario, otherwise) for scenario, deed in last.items() if deed is None][:MOST_READ]
+        self.tell(f"reading the lines of {find_id}, {len(that_fail) + len(that_pass)} runs")
+        read = self._lines_in(*that_fail, *that_pass)
+        failing, passing = read[: len(that_fail)], read[len(that_fail) :]
         return tuple(
             TellingLine(
                 file=_shown_path(each.line.file, harness.root),
@@ -351,15 +360,25 @@ class Simplification:
             for each in ranked(failing, passing)[:MOST_LINES]
         )
 
-    def _lines_in(self, scenario: Scenario, decisions: range) -> Mapping[Line, int]:
-        """Run a scenario, and return the lines that ran in some of its decisions, and in how many."""
-        harness, key = self.loop.simulation.harness, (scenario, decisions)
-        if key not in self._ran:
-            self._check_time()
-            self.neighbour_runs += 1
-            run = partial(rollout_of(harness.world), scenario, self._trace.watched(harness.ads))
-            self._ran[key] = self._trace.lines_in(run, decisions)
-        return self._ran[key]
+    def _lines_in(self, *runs: tuple[Scenario, range]) -> list[Mapping[Line, int]]:
+        """Run scenarios, and return the lines that ran in some decisions of each, and in how many."""
+        harness = self.loop.simulation.harness
+        new = [key for key in runs if key not in self._ran]
+
+        def lines(_: Scenario, ads: Callable[..., Any]) -> list[Mapping[Line, int]]:
+            found: list[Mapping[Line, int]] = []
+            for scenario, decisions in new:
+                self._check_time()
+                run = partial(rollout_of(harness.world), scenario, self._trace.watched(ads))
+                found.append(self._trace.lines_in(run, decisions))
+            return found
+
+        if new:
+            self.neighbour_runs += len(new)
+            first, isolate = new[0][0], harness.request.settings.isolate
+            read = call_apart(harness.job(), first, lines) if isolate else lines(first, harness.ads)
+            self._ran |= dict(zip(new, read, strict=True))
+        return [self._ran[key] for key in runs]
 
     def _second_place(self, kept: FindTold, found: Run, deeds: Mapping[Scenario, range | None]) -> SecondPlace | None:
         """Return a run that fails as a finding does, but from another place of the policy, or None.
@@ -371,7 +390,7 @@ class Simplification:
         find, root = kept.find, self.loop.simulation.harness.root
 
         def is_in(line: TellingLine, scenario: Scenario, decisions: range) -> bool:
-            ran = self._lines_in(scenario, decisions)
+            (ran,) = self._lines_in((scenario, decisions))
             return any((_shown_path(each.file, root), each.number) == (line.file, line.number) for each in ran)
 
         def runs_in(run: Run, line: TellingLine) -> bool:

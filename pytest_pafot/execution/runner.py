@@ -16,13 +16,13 @@ from concurrent.futures import Executor
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, Self, TypeVar
 
 from pytest_pafot.execution import scenario_pool
 from pytest_pafot.execution.crash_records import CrashRecord, Leftover
 from pytest_pafot.execution.executors import ExecutorPool
 from pytest_pafot.execution.groups import Course, Groups
-from pytest_pafot.execution.pool import ProcessLostError, WorkerPool
+from pytest_pafot.execution.pool import GRACE, ProcessLostError, WorkerPool
 from pytest_pafot.execution.revision_policy import Elsewhere, RevisionPolicy
 from pytest_pafot.execution.scenario_pool import (
     NOT_REPEATED,
@@ -43,12 +43,15 @@ from pytest_pafot.execution.scenario_pool import (
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Outcome, Trace
 from pytest_pafot.searching.evaluation import Chains, plain_chains
-from pytest_pafot.support.errors import flag
+from pytest_pafot.support.errors import flag, page
+from pytest_pafot.support.isolation import isolates
 from pytest_pafot.support.text import plural
 from pytest_pafot.world import Highway, protocol
-from pytest_pafot.world.driving.ads import is_vehicle_class, wants_env
+from pytest_pafot.world.driving.ads import is_vehicle_class, make_ads, wants_env
 from pytest_pafot.world.guard.own_worlds import rollout_of, simulate_batch
 from pytest_pafot.world.protocol import WorldLike, lock_stepping, resumable
+
+ResultT = TypeVar("ResultT")
 
 
 def runner_for(
@@ -572,7 +575,7 @@ class _OtherRuns:
     guards_ads = True
 
     hang_limit: float
-    rollout: Callable[[Scenario, Callable[..., Any]], Trace]
+    rollout: Callable[[Scenario, Callable[..., Any]], Any]
 
 
 def answers_apart(
@@ -648,6 +651,79 @@ def run_apart(
             "expected a scenario that has ended a process to run in a separate process, received from there "
             f"{type(error).__name__}: {error}. {NOT_REPEATED} Or delete the file; a search may then find it again"
         ) from None
+
+
+def call_apart(job: Job, scenario: Scenario, drive: Callable[[Scenario, Callable[..., Any]], ResultT]) -> ResultT:
+    """Return what a function of a scenario and the ADS's factory returns in a separate process, which must be forked.
+
+    Raises:
+        ProcessLostError: if the separate process died or hung.
+        ExecutionError: if no other process can be started.
+        Exception: any exception of the separate process.
+    """
+    __tracebackhide__ = True
+    with pool_for(replace(job, world=_OtherRuns(protocol.hang_limit(job.world), drive)), 1) as pool:
+        answer = pool.fetch(scenario)
+    if pool.failure:
+        raise ExecutionError(f"{flag('isolate')}: expected processes to run the ADS in, received: {pool.failure}")
+    result: Any = trace_from(answer)
+    if isinstance(answer, Exception):
+        raise answer
+    return result  # type: ignore[no-any-return]
+
+
+def ended(lost: ProcessLostError[Any]) -> str:
+    """Return the message about a policy that has ended the process in which it drove."""
+    return (
+        f"expected a policy that drives to the end of the run, received one whose process {lost.how}. It ends the "
+        f"process itself, as sys.exit and os._exit do, or its compiled code crashes: see {page('guide/planners.md')}"
+    )
+
+
+@contextmanager
+def driven_first(world: Any, ads: Callable[..., Any]) -> Iterator[Callable[[Scenario], None]]:
+    """Provide a function that drives a scenario in a forked process, for a test in which a policy is isolated.
+
+    The test then drives the scenario itself, because it may read what a policy has noted, and a policy that works only
+    in the process of the test must work. A copy of the process ends as the process itself would.
+
+    The function raises a ``ProcessLostError`` if the process died or hung, and nothing else.
+    """
+    if scenario_pool.METHOD != "fork" or not isolates():
+        yield lambda scenario: None
+        return
+    with tempfile.TemporaryDirectory(prefix="pafot-") as records:
+        job = Job(world=world, ads=ads, records=Path(records), owner="test")
+        with pool_for(job, 1) as pool:
+
+            def drive(scenario: Scenario) -> None:
+                __tracebackhide__ = True
+                answer = pool.fetch(scenario)
+                if isinstance(answer, ProcessLostError):
+                    raise answer
+
+            yield drive
+
+
+def must_stay_here(job: Job) -> str:
+    """Return why runs had better stay in this process although nobody has decided that; empty if they can leave it.
+
+    The ADS may decide for many runs at once, which is faster. Or it works only in the process that has begun, such as
+    one that has loaded a model onto a GPU there. A separate process makes it, since its factory may end its process.
+    """
+    if is_vehicle_class(job.ads) or wants_env(job.ads) or isinstance(job.ads, RevisionPolicy):
+        return ""
+    pool = WorkerPool[str, str](
+        lambda _, tell: "decides for many runs at once" if callable(getattr(make_ads(job.ads), "batch", None)) else "",
+        1,
+        method=scenario_pool.METHOD,
+        patience=protocol.hang_limit(job.world) + GRACE,
+    )
+    with capture_output(), pool:
+        answer = pool.fetch("the factory of the ADS")
+    if isinstance(answer, str):
+        return answer
+    return "" if isinstance(answer, ProcessLostError) else f"raises {type(answer).__name__} in another process"
 
 
 def replay_in_gym_apart(job: Job, record: CrashRecord, scenario: Scenario) -> Trace:

@@ -85,6 +85,8 @@ def _skip(reason: str) -> NoReturn:
 def _drive(item: pytest.Function, entry: Entry, given: Mapping[str, Any]) -> None:
     __tracebackhide__ = True
     from pytest_pafot.campaign.harness import checked_factory, refusals, source_file  # noqa: PLC0415
+    from pytest_pafot.execution.pool import ProcessLostError  # noqa: PLC0415
+    from pytest_pafot.execution.runner import driven_first, ended  # noqa: PLC0415
     from pytest_pafot.model.scenario import ScenarioError  # noqa: PLC0415
     from pytest_pafot.plugin.failure_reports import SUMMARY  # noqa: PLC0415
     from pytest_pafot.plugin.search_item import bound_test, shown  # noqa: PLC0415
@@ -113,8 +115,12 @@ def _drive(item: pytest.Function, entry: Entry, given: Mapping[str, Any]) -> Non
         raise RequestError(f"{entry.name}: {error}") from None
     if why:
         _skip(f"{entry.name}: this world cannot drive it: {visible(why)}")
-    with refusals():
-        run = driven(world, scenario, ads)
+    try:
+        with refusals(), driven_first(world, ads) as drive:
+            drive(scenario)
+            run = driven(world, scenario, ads)
+    except ProcessLostError as lost:
+        raise RequestError(f"{entry.name}: {ended(lost)}") from None
     found = judged(run, test, file)
     if found.kind == "avoided":
         return

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import pytest
 
@@ -14,7 +14,8 @@ from pytest_pafot.campaign.options import BY_NAME
 from pytest_pafot.corpus.layout import CORPUS, SUFFIX, chosen_folder, folder_of_module, link_out
 from pytest_pafot.corpus.saved import refusal
 from pytest_pafot.plugin.marks import arguments_of
-from pytest_pafot.plugin.option_sources import corpus_name
+from pytest_pafot.plugin.option_sources import corpus_name, isolates
+from pytest_pafot.support.isolation import isolating
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor
@@ -62,6 +63,13 @@ class Corpus:
         return sorted(self.folder.glob(f"*/*{SUFFIX}"))
 
 
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, Any, Any]:
+    """Let what a test and its fixtures call know whether the policies of this session are isolated."""
+    with isolating(lambda: isolates(item.config, arguments_of(item) or {})):
+        return (yield)
+
+
 @pytest.fixture(scope="session")
 def pafot_world() -> WorldLike:
     """Return the default world of searches, a straight motorway. Override this fixture in a conftest.py."""
@@ -96,6 +104,8 @@ def pafot_simulate(pafot_world: WorldLike) -> Simulate:
     slower than the others.
     """
     from pytest_pafot.campaign.verdict import ads_text  # noqa: PLC0415
+    from pytest_pafot.execution.pool import ProcessLostError  # noqa: PLC0415
+    from pytest_pafot.execution.runner import driven_first, ended  # noqa: PLC0415
     from pytest_pafot.findings.finding import ads_failure  # noqa: PLC0415
     from pytest_pafot.model.grid import Cell  # noqa: PLC0415
     from pytest_pafot.model.scenario import PositionInstruction, Scenario  # noqa: PLC0415
@@ -106,6 +116,14 @@ def pafot_simulate(pafot_world: WorldLike) -> Simulate:
 
     def simulate(scenario: Scenario, ads_factory: AdsFactory, world: WorldLike | None = None) -> Run:
         world = pafot_world if world is None else world
+        end = ""
+        with driven_first(world, ads_factory) as drive:
+            try:
+                drive(scenario)
+            except ProcessLostError as lost:
+                end = ended(lost)
+        if end:
+            pytest.fail(end, pytrace=False)
         trace = rollout_of(world)(scenario, ads_factory)
         run = Run(trace, world=reference_world(world), take_over=taking_over(world, trace))
         failure = ads_failure(run)
@@ -115,7 +133,8 @@ def pafot_simulate(pafot_world: WorldLike) -> Simulate:
 
     # The first run imports highway-env, which takes about a second: hypothesis would call the test too slow.
     still = Scenario(npcs=((PositionInstruction(Cell.FRONT, 22.0),),))
-    simulate(still, lambda: lambda observation: (0.0, 0.0), Highway(duration=0.2))
+    with isolating(lambda: False):
+        simulate(still, lambda: lambda observation: (0.0, 0.0), Highway(duration=0.2))
     return simulate
 
 

@@ -57,6 +57,29 @@ def option_value(config: pytest.Config, option: Option, marker: Mapping[str, obj
         return None
 
 
+def isolates_by_profile(config: pytest.Config, marker: Mapping[str, object]) -> bool:
+    """Return whether a policy is isolated only because of the profile, and nobody has asked for it.
+
+    Raises:
+        RequestError: if the value of an option is wrong.
+    """
+    sources, option = Sources(config=config, marker=marker, environ=os.environ), BY_NAME["isolate"]
+    if sources.given(option) is not None:
+        return False
+    return isolates(config, marker) and not sources.ini(option)
+
+
+def isolates(config: pytest.Config, marker: Mapping[str, object]) -> bool:
+    """Return whether a policy is isolated in a test whose mark has the arguments ``marker``.
+
+    Raises:
+        RequestError: if the value of an option is wrong.
+    """
+    sources = Sources(config=config, marker=marker, environ=os.environ)
+    named = sources.given(BY_NAME["profile"]) or sources.ini(BY_NAME["profile"])
+    return bool(sources.value(BY_NAME["isolate"], named, FULL if is_ci(os.environ) else LOCAL))
+
+
 def request_of_mark(config: pytest.Config, arguments: Mapping[str, Any], fresh_seed: int) -> Request:
     """Return the checked request for the arguments of a mark. Positional arguments are under :data:`POSITIONAL`.
 

@@ -27,6 +27,8 @@ from pytest_pafot.campaign.search_loop import NOT_REPEATED
 from pytest_pafot.campaign.verdict import PlainFailure, Test
 from pytest_pafot.corpus.layout import SUFFIX, chosen_folder, files_in, folder_of_test, link_below
 from pytest_pafot.corpus.saved import refusal
+from pytest_pafot.execution import scenario_pool
+from pytest_pafot.execution.runner import must_stay_here
 from pytest_pafot.findings.finding import message_of
 from pytest_pafot.oracle.checks import CheckFailed
 from pytest_pafot.plugin import messages, node_ids
@@ -34,8 +36,9 @@ from pytest_pafot.plugin.allure_results import tell_allure, without_listener
 from pytest_pafot.plugin.collection import COLLECTED, is_search
 from pytest_pafot.plugin.failure_reports import OUTPUT, SUMMARY, explained, is_compact, summarise
 from pytest_pafot.plugin.finding_message import is_on_page, label_of, tell_finding
-from pytest_pafot.plugin.marks import EXECUTOR_FIXTURE, WORLD_FIXTURE
+from pytest_pafot.plugin.marks import EXECUTOR_FIXTURE, WORLD_FIXTURE, arguments_of
 from pytest_pafot.plugin.messages import OF_ONE_RUN, OfOneRun, of_findings, set_properties
+from pytest_pafot.plugin.option_sources import isolates_by_profile
 from pytest_pafot.plugin.own_session import replay_in_own_session
 from pytest_pafot.plugin.revisions import compare, revision_of
 from pytest_pafot.plugin.run_tables import table_messages_of
@@ -56,6 +59,13 @@ TIDIED: pytest.StashKey[set[Path]] = pytest.StashKey()
 """The folders of saved scenarios from which this session has removed the unfinished files of killed processes."""
 
 IN_WORKER = f"{flag('workers')} is 1 under pytest-xdist, which runs tests in several processes already"
+
+HERE: pytest.StashKey[dict[str, str]] = pytest.StashKey()
+"""Why the ADS of a test stays in the session although the profile isolates, by the node id of its search; or empty."""
+
+NOT_ISOLATED = (
+    "the ADS runs in this process although the profile ci isolates, so it ends the session if it ends its process"
+)
 
 LEAST_TO_BUILD = 30.0
 """The time in which the policy of a revision may be built even if the time limit is over by then [s]."""
@@ -104,7 +114,7 @@ def harness_of(item: pytest.Function, request: Request, *, writes: bool = True) 
         request = replace(request, settings=replace(request.settings, workers=1))
     factory = checked_factory(item.funcargs[ads], ads) if isinstance(ads, str) else ads
     given = against if revision is None else revision.policy
-    return Harness(
+    harness = Harness(
         request=request,
         world=world,
         ads=factory,
@@ -121,6 +131,18 @@ def harness_of(item: pytest.Function, request: Request, *, writes: bool = True) 
         needs_only_run=_needs_only_run(item, request.arg),
         states=None if resume is None else here / resume,
     )
+    if not request.settings.isolate or not isolates_by_profile(item.config, arguments_of(item) or {}):
+        return harness
+    # The profile gives way where isolation does not fit. What it asks of the factory is asked once for a test.
+    known = item.config.stash.setdefault(HERE, {})
+    if scenario_pool.METHOD == "fork" and harness.executor is None:
+        if harness.node_id not in known:
+            known[harness.node_id] = must_stay_here(harness.job())
+            if known[harness.node_id]:
+                messages.send(item, "note", {"text": f"{NOT_ISOLATED}: it {known[harness.node_id]}"})
+        if not known[harness.node_id]:
+            return harness
+    return replace(harness, request=replace(request, settings=replace(request.settings, isolate=False)))
 
 
 def _checked_executor(given: object) -> Executor | None:

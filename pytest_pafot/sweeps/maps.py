@@ -19,6 +19,8 @@ from pytest_pafot.corpus.layout import SUFFIX
 from pytest_pafot.corpus.reader import load
 from pytest_pafot.corpus.saved import named_file
 from pytest_pafot.criticality.asked import asked
+from pytest_pafot.execution.pool import ProcessLostError
+from pytest_pafot.execution.runner import driven_first, ended
 from pytest_pafot.findings.finding import Finding
 from pytest_pafot.model.scenario import Scenario, ScenarioError
 from pytest_pafot.model.trace import Outcome, Trace
@@ -427,20 +429,21 @@ def sweep(
         raise RequestError(
             "sweep: expected a world with reference drivers, which tell what can be avoided, received one without"
         )
-    driver = _Driver(make, axes, factory, holds or stays_safe, on_point)
     remarks = make.check(axes)
     indices = list(product(*(range(len(axis.values)) for axis in axes)))
     between: dict[Index, Point] = {}  # by index the corner of a rectangle whose corners have the same answer
-    try:
-        for index in indices:
-            if len(indices) <= points or _was_driven(before, driver.at(index)):
-                driver(index)
-        if len(indices) > points:
-            _refine_all(driver, axes, between)
-    except KeyboardInterrupt as interrupt:
-        if on_stop is not None:
-            interrupt.add_note(on_stop(Sweep(name=name, axes=axes, points=tuple(driver.points.values())).csv()))
-        raise
+    with driven_first(make.world, factory) as drive:
+        driver = _Driver(make, axes, factory, holds or stays_safe, on_point, drive)
+        try:
+            for index in indices:
+                if len(indices) <= points or _was_driven(before, driver.at(index)):
+                    driver(index)
+            if len(indices) > points:
+                _refine_all(driver, axes, between)
+        except KeyboardInterrupt as interrupt:
+            if on_stop is not None:
+                interrupt.add_note(on_stop(Sweep(name=name, axes=axes, points=tuple(driver.points.values())).csv()))
+            raise
     found = tuple(
         driver.points.get(index)
         or replace(between[index], at=driver.at(index), driven=False, trace=None, words="not driven")
@@ -568,6 +571,7 @@ class _Driver:
     ads: Callable[..., Any]
     holds: Test
     on_point: Callable[[int], None] | None
+    drive_first: Callable[[Scenario], None]
     points: dict[Index, Point] = field(default_factory=dict)
 
     def at(self, index: Index) -> tuple[float, ...]:
@@ -591,21 +595,26 @@ class _Driver:
             return Point(at=at, kind="not as asked", words=f"{UNDRIVABLE}{why}")
         try:
             with refusals():
+                self.drive_first(scenario)
                 run = driven(self.make.world, scenario, self.ads)
         except RequestError:
             raise
+        except ProcessLostError as lost:  # no error of a point, which a test that counts failures may not count
+            raise RequestError(f"ads: {ended(lost)}. It was at {self._named(at)}") from None
         except Exception as error:  # what a policy raises as it drives is part of its run
             received = f"one that raises {described(error)}"
             raise RequestError(f"ads: expected a factory of a policy, received {received}; correct it") from error
         found = judged(run, self.holds, source_file(self.holds))
         raised = found.error
         if raised is not None:
-            where = ", ".join(f"{axis.name}={short(value)}" for axis, value in zip(self.axes, at, strict=True))
             raise RequestError(
                 f"holds: expected a function that asserts, received {type(raised).__name__}: {visible(str(raised))} at "
-                f"{where}; correct the function"
+                f"{self._named(at)}; correct the function"
             ) from raised
         return Point(at=at, kind=found.kind, words=visible(found.words), avoided_by=found.avoided_by, trace=run.trace)
+
+    def _named(self, at: tuple[float, ...]) -> str:
+        return ", ".join(f"{axis.name}={short(value)}" for axis, value in zip(self.axes, at, strict=True))
 
 
 def driven(world: Any, scenario: Scenario, ads: Callable[..., Any]) -> Run:

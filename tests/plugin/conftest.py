@@ -5,7 +5,9 @@ import os
 import pkgutil
 from pathlib import Path
 
-import highway_env.road.road  # noqa: F401  pytester forgets modules that a run imports; compiled ones must stay
+# pytester forgets modules that a run imports; compiled ones must stay, since they cannot be loaded a second time
+import highway_env.road.road  # noqa: F401
+import numpy.fft  # noqa: F401
 import pytest
 
 import pytest_pafot

@@ -220,3 +220,123 @@ def test_factory_must_be_picklable_without_forking(isolated, monkeypatch):
     project.run("--pafot-isolate", "-p", "no:cacheprovider", generations=0).assert_outcomes(
         failed=len(contents), passed=1, skipped=1
     )
+
+
+def pids(project):
+    return {path.name for path in project.path.glob("pid-*")}
+
+
+@pytest.mark.parametrize(
+    ("source", "is_apart"),
+    [("none", True), ("marker", False), ("environment", False), ("ini", False), ("profile", True), ("local", False)],
+)
+def test_profile_of_ci_isolates_unless_somebody_says_otherwise(isolated, monkeypatch, source, is_apart):
+    test = MANY.replace("npcs=2", "npcs=2, isolate=False" if source == "marker" else "npcs=2")
+    project = isolated(test=test)
+    if source != "profile":
+        monkeypatch.setenv("CI", "true")
+    if source == "environment":
+        monkeypatch.setenv("PAFOT_ISOLATE", "0")
+    if source == "ini":
+        project.pytester.makeini("[pytest]\npafot_isolate = false\n")
+    options = {"profile": ["--pafot-profile=ci"], "local": ["--pafot-profile=local"]}.get(source, [])
+    session(project, *options, "--pafot-seed=0", *QUICK)
+    project.run("-p", "no:cacheprovider", *options, "--pafot-seed=0", generations=0)
+    assert len(pids(project)) > 1 or not is_apart
+    assert (f"pid-{os.getpid()}" not in pids(project)) == is_apart
+
+
+def test_profile_of_ci_finds_and_explains_the_same_as_the_session_does(isolated, monkeypatch):
+    project = isolated("drive", TURNS)
+    here, contents = session(project, "--pafot-seed=0", "--pafot-neighbours=10")
+    monkeypatch.setenv("CI", "true")
+    apart, same = session(project, "--pafot-seed=0", "--pafot-neighbours=10")
+    assert same == contents
+    told = [[line for line in result.outlines if line.startswith(("line ", "answers "))] for result in (here, apart)]
+    assert told[0] == told[1]
+    assert {line.split()[0] for line in told[0]} == {"line", "answers"}
+
+
+TURNS = """
+def drive(observation):
+    ego, other = observation.ego, observation.others[0]
+    if other.lane == ego.lane:
+        if other.x > ego.x + 30:
+            return -1.0, 0.0
+        return -0.5, 0.0
+    return 0.0, 0.0
+"""
+
+
+def test_policy_that_decides_for_many_runs_stays_in_the_session_and_that_is_told(isolated, monkeypatch):
+    project = isolated("Batching()", BATCH)
+    monkeypatch.setenv("CI", "true")
+    result, contents = session(project, "--pafot-seed=0", *QUICK)
+    result.stdout.fnmatch_lines(["  note: the ADS runs in this process although the profile ci isolates*"])
+    assert str(result.stdout).count("decides for many runs at once") == 1
+    monkeypatch.delenv("CI")
+    assert session(project, "--pafot-seed=0", *QUICK)[1] == contents
+
+
+def test_policy_that_works_only_in_the_session_stays_there(isolated, monkeypatch):
+    project = isolated("only_here()", "def only_here():\n    assert os.getpid() == SESSION\n    return keep\n")
+    monkeypatch.setenv("CI", "true")
+    result, contents = session(project, "--pafot-seed=0", *QUICK, generations=1)
+    result.stdout.fnmatch_lines(["  note: *although the profile ci isolates*raises AssertionError in another process"])
+    assert contents
+    strict, contents = session(project, "--pafot-isolate", "--pafot-seed=0", *QUICK, generations=1)
+    strict.stdout.fnmatch_lines(["*not tried again in the session*"])
+    assert contents == {}
+
+
+EXITS = """
+import os
+
+SESSION = PID
+
+class Exits:
+    def __call__(self, observation):
+        if os.getpid() != SESSION:
+            os._exit(0)
+        return 0.0, 0.0
+"""
+OTHERS = {
+    "catalogue": '@pafot.catalogue("r157/cut-in", ads=Exits)\ndef test_it(run):\n    pass\n',
+    "sweep": 'def test_it():\n    assert pafot.sweep("r157/cut-in", Exits, over={"gap": "10:60:3"}).errors == 0\n',
+    "simulate": "def test_it(pafot_simulate):\n    pafot_simulate(SCENARIO, Exits)\n",
+    "explore": "def test_it():\n    assert not pafot.explore(Exits, holds=lambda run: None, runs=8).findings\n",
+}
+SCENARIO = "SCENARIO = pafot.Scenario(npcs=[[pafot.Manoeuvre(beside=0, ahead=30.0, speed=15.0)]], ego_speed=20.0)\n"
+
+
+@pytest.mark.parametrize("kind", OTHERS)
+@pytest.mark.parametrize("source", ["CI", "option"])
+def test_what_is_no_search_is_isolated_as_well(project, monkeypatch, kind, source):
+    """The policy ends only other processes than that of the session, so that the test sees it do so."""
+    project.write(EXITS.replace("PID", str(os.getpid())) + SCENARIO + OTHERS[kind])
+    options = ["--pafot-isolate"] if source == "option" else []
+    if source == "CI":
+        monkeypatch.setenv("CI", "true")
+    result = project.run(*options, generations=None)
+    result.assert_outcomes(failed=1)
+    if kind != "explore":
+        result.stdout.fnmatch_lines(["*ended with exit code 0*"])
+    monkeypatch.delenv("CI", raising=False)
+    project.run(generations=None).assert_outcomes(passed=1)
+
+
+def test_what_a_policy_notes_in_a_simulated_scenario_is_seen_by_the_test(project, monkeypatch):
+    monkeypatch.setenv("CI", "true")
+    project.write(
+        SCENARIO
+        + """
+def test_it(pafot_simulate):
+    seen = []
+    def drive(observation):
+        seen.append(observation.time)
+        return 0.0, 0.0
+    run = pafot_simulate(SCENARIO, lambda: drive)
+    assert len(seen) == len(set(seen)) == len(run.trace.actions)
+"""
+    )
+    project.run(generations=None).assert_outcomes(passed=1)

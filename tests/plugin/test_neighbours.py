@@ -137,11 +137,13 @@ def test_a_second_place_is_told_and_saved_only_if_asked_for(project):
     assert {(each["status"], each["signature"]) for each in found} == {("still failing", record["signature"])}
 
 
-def test_an_isolated_ads_has_no_lines_because_it_may_not_run_in_the_session(project):
+def test_an_isolated_ads_has_the_same_lines(project):
     project.write(ONE)
-    _, record, _ = run(project, "--pafot-neighbours=10", "--pafot-isolate")
-    assert record["breadth"]["of"] == 10
-    assert record["lines"] == []
+    _, record, _ = run(project, "--pafot-neighbours=10")
+    _, apart, _ = run(project, "--pafot-neighbours=10", "--pafot-isolate")
+    assert apart["breadth"]["of"] == 10
+    assert apart["lines"] == record["lines"] != []
+    assert apart["second"] == record["second"]
 
 
 @pytest.mark.parametrize("source", ["marker", "ini"])
@@ -218,6 +220,8 @@ def test_collides(run):
     result.stdout.fnmatch_lines(["  note: the environment's actions keep 20 m/s or more, and what braking avoids *"])
     assert [each["time"] for each in reactions] == [None, None]
     assert sorted(each["unseen"] for each in reactions) == [False, True]
+    apart = run(project, "--pafot-neighbours=8", "--pafot-shrink-rollouts=0", "--pafot-isolate")[1]["reactions"]
+    assert apart == reactions
 
 
 def test_an_ads_with_the_environment_may_see_more_than_its_observations(project):
