@@ -230,7 +230,10 @@ def shrink(
     plainer: Pass = partial(_plainer_start, plain=plain)
     longer: Pass = partial(_plainer_duration, seconds=plain_seconds)
     deletions: tuple[Pass, ...] = (plainer, longer, *PASSES, partial(_later, starts=starts))
-    small = partial(_small, found=scenario, plain=plain or (scenario.ego_lane, scenario.ego_speed))
+    with suppress(OutOfBudget):
+        gate.exhausts(_ending)  # first, because a run that does not fail lasts as long as its scenario
+        gate.exhausts(_alone)
+    small = partial(_small, found=gate.best, plain=plain or (scenario.ego_lane, scenario.ego_speed))
     with suppress(OutOfBudget):
         gate.exhausts(plainer)
         gate.exhausts(small)
@@ -323,21 +326,31 @@ def _on_grid(scenario: Scenario) -> Candidates:
         yield _with_chain(scenario, npc, chain)
 
 
+def _alone(scenario: Scenario) -> Candidates:
+    """Try each NPC without the others."""
+    for npc in scenario.npcs if len(scenario.npcs) > 1 else ():
+        yield replace(scenario, npcs=(npc,))
+
+
 def _fewer_npcs(scenario: Scenario) -> Candidates:
     """Try each NPC without the others, then remove several NPCs with consecutive indices, the most first."""
     npcs = scenario.npcs
-    for npc in npcs if len(npcs) > 1 else ():
-        yield replace(scenario, npcs=(npc,))
+    yield from _alone(scenario)
     for start, end in _slices(len(npcs), len(npcs) - 1):
         yield replace(scenario, npcs=npcs[:start] + npcs[end:])
 
 
-def _shorter(scenario: Scenario) -> Candidates:
-    """Remove the end of the scenario, then any other stretch of time, long stretches first."""
+def _ending(scenario: Scenario) -> Candidates:
+    """Remove the end of the scenario, most of it first."""
     most = scenario.genes - 1
     for genes in sorted({1 << power for power in range(most.bit_length())} | {most} - {0}):  # 1, 2, 4 ... most
         yield scenario.truncated(genes)
-    for start, end in _slices(scenario.genes, most):
+
+
+def _shorter(scenario: Scenario) -> Candidates:
+    """Remove the end of the scenario, then any other stretch of time, long stretches first."""
+    yield from _ending(scenario)
+    for start, end in _slices(scenario.genes, scenario.genes - 1):
         cut = (chain if _is_alone(chain) else chain[:start] + chain[end:] for chain in scenario.npcs)
         yield _valid(scenario, tuple(cut))
 

@@ -182,6 +182,19 @@ def test_run_that_is_no_simpler_is_not_accepted():
     assert how.is_minimal
 
 
+def test_first_attempts_are_short_because_a_run_that_does_not_fail_lasts_to_its_end():
+    """With little time, few attempts are made. Most of them have to be of scenarios without what is not needed."""
+    long, attempts = scenario("2@0 " * 30, *(f"{cell}@20 " * 30 for cell in (1, 3, 4, 5, 6))), []
+
+    def attempt(candidate):
+        attempts.append(candidate)
+        return candidate if has(2)(candidate) else None
+
+    shrink(long, attempt, rollouts=100)
+    assert all(each.genes == 1 for each in attempts)
+    assert sum(len(each.npcs) for each in attempts[:20]) < 2 * 20
+
+
 def test_without_rollouts_nothing_is_tried():
     simplest, how = shrunk(BUSY, lambda each: True, rollouts=0)
     assert (simplest, how.rollouts, how.is_minimal) == (BUSY, 0, False)
