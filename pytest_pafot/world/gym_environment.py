@@ -230,6 +230,15 @@ class GymEnvironment:
         has_own_road = road is not RegulatedRoad and (road.step is not Road.step or road.act is not Road.act)
         return has_own_road or not (drives_itself or has_known_step(env))
 
+    def episodes_itself(self, *, drives_itself: bool) -> bool:
+        """Return whether runs must be episodes of the environment itself: by its own ``step``, or after its own reset.
+
+        What an overridden ``reset`` does to the ego, such as to set its goal or to drive for a second, holds only in
+        an episode of the environment. It has no effect on an ego that drives itself.
+        """
+        resets_itself = type(self.unwrapped).reset is not AbstractEnv.reset
+        return self.steps_itself(drives_itself=drives_itself) or (resets_itself and not drives_itself)
+
     def without_effect(self, *, drives_itself: bool) -> dict[str, list[str]]:
         """Return the given options that have no effect in a search, under what has it in their place.
 

@@ -43,6 +43,7 @@ from pytest_pafot.searching.fitness import before_impact
 from pytest_pafot.support.errors import CorpusError
 from pytest_pafot.testing import check_world
 from pytest_pafot.testing.traces import contacts
+from pytest_pafot.training import training_env
 from pytest_pafot.world import World, WorldError
 from pytest_pafot.world.gym_environment import POLICY_OPTIONS, TRAFFIC_OPTIONS
 from tests.findings.builders import plain_finding
@@ -311,6 +312,29 @@ class Doubled(HighwayEnv):
     def step(self, action):
         seen, *others = super().step(action)
         return (2 * seen, *others)
+
+
+class Unhurried(HighwayEnv):
+    """A straight road whose ``reset`` sets how fast the ego wants to drive."""
+
+    def reset(self, **options):
+        first = super().reset(**options)
+        self.vehicle.target_speed = 12.0
+        return first
+
+
+def test_what_a_custom_reset_does_to_the_ego_holds_in_runs(register):
+    register("mine-v0", entry_point=Unhurried)
+    world = World("mine-v0", duration=8.0)
+    trace = world.rollout(SCENARIO, lambda: lambda seen: 1)
+    assert trace.ego[-1, 3] == pytest.approx(12.0, abs=0.1)
+    assert np.array_equal(trace.states, world.rollout_in_gym(SCENARIO, lambda: lambda seen: 1).states)
+    assert not world.has_lock_step
+    with pytest.raises(WorldError, match="received 'mine-v0', which has its own"):
+        training_env(world)
+    planned = World("mine-v0", duration=2.0, planner_hz=5)
+    assert planned.has_lock_step
+    assert planned.rollout(SCENARIO, lambda: lambda seen: (0.0, 0.0)).ego[-1, 3] == pytest.approx(SCENARIO.ego_speed)
 
 
 class Wet(HighwayEnv):
