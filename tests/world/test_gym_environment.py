@@ -57,6 +57,7 @@ SCENARIO = Scenario(
     seed=11,
     gene_seconds=4.0,
 )
+IDLE = lambda: lambda seen: 1  # noqa: E731
 CONTINUOUS = {"action": {"type": "ContinuousAction"}, "policy_frequency": 5}
 
 
@@ -194,6 +195,49 @@ def test_times_of_decisions_are_those_at_which_the_policy_was_asked(entry_point,
     assert len(trace.decision_ticks) == len(trace.actions) > 1
     assert bool(trace.decided) == (every != trace.physics_hz // trace.ads_hz)
     check_world(world, ads=lambda: lambda seen: 1, npcs=1, runs=4)
+
+
+class Drawn(HighwayEnv):
+    """A straight road whose ``reset`` draws the rate of decisions."""
+
+    def reset(self, **options):
+        first = super().reset(**options)
+        self.config["policy_frequency"] = int(self.np_random.choice((3, 5)))
+        return first
+
+
+def test_drawn_rate_of_decisions_is_that_of_the_run(register):
+    register("mine-v0", entry_point=Drawn)
+    world, rates = World("mine-v0", duration=3.0), set()
+    for seed in range(6):
+        scenario = replace(SCENARIO, seed=seed)
+        trace, again = world.rollout(scenario, IDLE), world.rollout_in_gym(scenario, IDLE)
+        assert list(trace.decision_ticks) == list(range(0, trace.ticks, 15 // trace.ads_hz))
+        assert (trace.decided, trace.ads_hz) == (again.decided, again.ads_hz) == ((), again.ads_hz)
+        assert len(trace.actions) == len(trace.decision_ticks)
+        rates.add(trace.ads_hz)
+    assert rates == {3, 5}
+    check_world(World("mine-v0", duration=8.0), ads=IDLE, npcs=1, runs=4)
+
+
+@pytest.mark.parametrize(
+    ("name", "rates", "message"),
+    [
+        ("policy_frequency", [1, 4], "config.policy_frequency: expected a divisor of config.simulation_frequency=15"),
+        ("simulation_frequency", [15, 30], "expected 15, as after a reset with seed 0, received 30"),
+    ])  # fmt: skip
+def test_drawn_rates_that_fit_no_run_are_refused(name, rates, message, register):
+    class Unfit(HighwayEnv):
+        def reset(self, *, seed=None, options=None):
+            first = super().reset(seed=seed, options=options)
+            self.config[name] = rates[bool(seed)]
+            return first
+
+    register("mine-v0", entry_point=Unfit)
+    world = World("mine-v0", duration=3.0)
+    for run in (world.rollout, world.rollout_in_gym):
+        with pytest.raises(WorldError, match=message):
+            run(SCENARIO, IDLE)
 
 
 @pytest.mark.parametrize("told", [(0, 15, 45), (0, 0, 45, 90), (15, 45, 90), (0, 90, 45)])
@@ -411,7 +455,6 @@ class Roadworks(HighwayEnv):
         self.road.objects += [Obstacle(self.road, [300.0, 4.0]), Landmark(self.road, [300.0, 8.0])]
 
 
-IDLE = lambda: lambda seen: 1  # noqa: E731
 AT_ONCE = [[PositionInstruction(6, 20.0)]]
 
 

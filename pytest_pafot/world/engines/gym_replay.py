@@ -37,6 +37,7 @@ from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.kernel.loop import EgoDriver, PlannerDriver
 from pytest_pafot.world.run_config import Rules
 from pytest_pafot.world.stock import AbstractEnv, RegulatedRoad, RoadNetwork, Vehicle
+from pytest_pafot.world.validation import ADS_HZ, check_divides, whole_within
 
 TRAFFIC_HOOKS = ("_spawn_vehicle", "_clear_vehicles")
 """The methods with which highway-env's intersections change their traffic after each step."""
@@ -278,10 +279,11 @@ class _Loop:
 
     def run(self) -> Trace:
         """Decide and step until the run ends, and return its trace."""
-        driver, loop = self._driver, self._run.loop
+        driver, loop, hz = self._driver, self._run.loop, self._run.rules.ads_hz
         with self._guard:
             if isinstance(driver, StockPolicy):
                 driver.begin(self._run.scenario.seed)
+                hz = self._rate()
             while not self._is_over:
                 tick = loop.tick
                 self._asked.append(tick)
@@ -299,9 +301,28 @@ class _Loop:
                         f"episodes"
                     )
         trace = self._run.trace(driver, self._error)
+        if not isinstance(driver, StockPolicy):
+            return trace
+        trace = replace(trace, ads_hz=hz)
         # A wrapper or the environment's own step may have repeated actions.
-        is_usual = not isinstance(driver, StockPolicy) or self._asked == list(trace.decision_ticks)
-        return trace if is_usual else replace(trace, decided=tuple(self._asked))
+        return trace if self._asked == list(trace.decision_ticks) else replace(trace, decided=tuple(self._asked))
+
+    def _rate(self) -> int:
+        """Return the decisions per second after the reset, which may have changed the environment's configuration.
+
+        Raises:
+            WorldError: if the environment's own steps would not follow the run's ticks.
+        """
+        config, ticks = self._env.config, self._run.rules.physics_hz
+        name, received = "config.simulation_frequency", config["simulation_frequency"]
+        if received != ticks:
+            fix = "let it be the same after every reset"
+            raise WorldError(
+                field=name, expected=f"{ticks}, as after a reset with seed 0", received=f"{received!r:.100}", fix=fix
+            )
+        hz = whole_within("config.policy_frequency", config["policy_frequency"], *ADS_HZ)
+        check_divides((name, ticks), ("config.policy_frequency", hz))
+        return hz
 
     def _act(self) -> None:
         """Control the ego and then the NPCs; this replaces ``Road.act``, which calls each vehicle's ``act``."""
