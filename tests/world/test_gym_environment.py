@@ -39,6 +39,7 @@ from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.scenario import PositionInstruction, Scenario
 from pytest_pafot.model.trace import ACCELERATION, HEADING, SPEED, STEERING, Collision
 from pytest_pafot.oracle.run import Run
+from pytest_pafot.searching.evaluation import ended_at_object
 from pytest_pafot.searching.fitness import before_impact
 from pytest_pafot.support.errors import CorpusError
 from pytest_pafot.testing import check_world
@@ -492,6 +493,7 @@ def test_npc_at_an_obstacle_makes_a_run_invalid(register):
         assert (trace.outcome, trace.collision) == ("invalid", None)
         assert trace.states[-1, 1, 0] + 2.5 > 299.0
         assert "or one touched a fixed object" in Run(trace).explain()
+        assert ended_at_object(trace)
         assert all(is_kept for is_kept, *_ in contacts(trace))
         assert not all(is_kept for is_kept, *_ in contacts(replace(trace, obstacles=())))
 
