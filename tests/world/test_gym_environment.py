@@ -4,6 +4,7 @@ The plain loop here is independent of this package: the environment's own reset 
 controls from the trace.
 """
 
+import re
 from dataclasses import replace
 from functools import partial
 from hashlib import sha256
@@ -36,7 +37,7 @@ from pytest_pafot.findings.finding import Expect, disagreement, is_same_event
 from pytest_pafot.findings.reactions import Reaction
 from pytest_pafot.findings.signature import Failure
 from pytest_pafot.model.grid import Cell
-from pytest_pafot.model.scenario import PositionInstruction, Scenario
+from pytest_pafot.model.scenario import PositionInstruction, Scenario, ScenarioError
 from pytest_pafot.model.trace import ACCELERATION, HEADING, SPEED, STEERING, Collision
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.searching.evaluation import ended_at_object
@@ -496,6 +497,36 @@ def test_npc_at_an_obstacle_makes_a_run_invalid(register):
         assert ended_at_object(trace)
         assert all(is_kept for is_kept, *_ in contacts(trace))
         assert not all(is_kept for is_kept, *_ in contacts(replace(trace, obstacles=())))
+
+
+class Lorry(Vehicle):
+    LENGTH = 16.0
+
+
+def test_ego_does_not_start_at_an_obstacle(register):
+    class Blocked(HighwayEnv):
+        def _create_road(self):
+            super()._create_road()
+            places = [[202.5, 4.0], [244.0, 8.0], [194.0, 0.0], [150.0, 12.0]]
+            self.road.objects += [Obstacle(self.road, each) for each in places]
+
+    register("mine-v0", entry_point=Blocked)
+    world = World("mine-v0", duration=12.0)
+    ahead = (
+        "from the ego's start at (200, 4) m to 2 s ahead of it at 22 m/s, received lane 1, with one at (202.5, 4.0) m"
+    )
+    blocked = Scenario(npcs=AT_ONCE, ego_lane=1, ego_speed=22.0)
+    with pytest.raises(ScenarioError, match=re.escape(f"{ahead}; write ego_lane=0")):
+        world.rollout(blocked, IDLE)
+    with pytest.raises(ScenarioError, match=re.escape("received lane 2, with one at (244.0, 8.0) m")):
+        world.rollout(replace(blocked, ego_lane=2), IDLE)
+    slow = world.rollout(replace(blocked, ego_lane=2, ego_speed=20.0), lambda: lambda seen: 4)
+    assert (slow.collision.npc, slow.ticks > 15) == (None, True)
+    for run in (world.rollout, world.rollout_in_gym):
+        free = replace(blocked, ego_lane=0)
+        assert run(free, IDLE).ticks > 0
+        with pytest.raises(ScenarioError, match=re.escape("received lane 0, with one at (194.0, 0.0) m")):
+            run(free, Lorry)
 
 
 def test_collision_with_an_obstacle_is_checked_in_own_worlds(register):
