@@ -383,6 +383,65 @@ def test_what_a_custom_reset_does_to_the_ego_holds_in_runs(register):
     assert planned.rollout(SCENARIO, lambda: lambda seen: (0.0, 0.0)).ego[-1, 3] == pytest.approx(SCENARIO.ego_speed)
 
 
+class Heading(HighwayEnv):
+    """A straight road whose reset gives its ego a goal, which its step reads, and which keeps its ego."""
+
+    def _reset(self):
+        super()._reset()
+        self.ego, self.vehicle.goal = self.vehicle, 300.0
+
+    def step(self, action):
+        assert self.ego is self.vehicle
+        return super().step(4 if self.ego.position[0] > self.vehicle.goal else action)
+
+
+@pytest.mark.parametrize("wrappers", [None, []])
+def test_ego_of_a_run_is_what_the_environment_keeps_of_its_own(wrappers, register):
+    register("mine-v0", entry_point=Heading)
+    world = World("mine-v0", duration=12.0, wrappers=wrappers)
+    trace = world.rollout(replace(SCENARIO, ego_speed=25.0), IDLE)
+    speed = trace.ego[:, SPEED]
+    assert speed[trace.ego[:, 0] > 350.0].max() < speed[trace.ego[:, 0] < 300.0].min()
+
+
+class Loaded(HighwayEnv):
+    """A straight road whose reset makes an ego of a class of its own."""
+
+    def _create_vehicles(self):
+        super()._create_vehicles()
+        own = type("Truck", (type(self.vehicle),), {"load": lambda self: 1.0})
+        place = self.vehicle.position, self.vehicle.heading, self.vehicle.speed
+        self.controlled_vehicles = [own(self.road, *place)]
+
+
+class Weighing(Loaded):
+    """One whose step asks its ego."""
+
+    def step(self, action):
+        self.vehicle.load()
+        return super().step(action)
+
+
+class Watching(Loaded):
+    """One whose observations ask its ego."""
+
+    def define_spaces(self):
+        super().define_spaces()
+        kind = type("Weight", (type(self.observation_type),), {})
+        kind.observe = lambda seen: (self.vehicle.load(), super(kind, seen).observe())[1]
+        self.observation_type.__class__ = kind
+
+
+@pytest.mark.parametrize(("cls", "wrappers"), [(Weighing, None), (Weighing, []), (Watching, None)])
+def test_environment_that_needs_its_own_ego_is_not_told_as_failure_of_the_ads(cls, wrappers, register):
+    register("mine-v0", entry_point=cls)
+    message = (
+        f"an ego of the class MDPVehicle, which its action type names, received {cls.__name__}, which reads `load`"
+    )
+    with pytest.raises(WorldError, match=message):
+        World("mine-v0", duration=3.0, wrappers=wrappers).rollout(SCENARIO, IDLE)
+
+
 class Wet(HighwayEnv):
     """A straight road with its own simulation."""
 

@@ -30,7 +30,7 @@ from pytest_pafot.world.driving.vehicles import is_regulated
 from pytest_pafot.world.engines.egos import planner_driver, vehicle_of
 from pytest_pafot.world.engines.policies import put_ego
 from pytest_pafot.world.engines.run import VehiclesOfRun
-from pytest_pafot.world.guard.failure import UNFIT, closing, error_of, let_through
+from pytest_pafot.world.guard.failure import UNFIT, closing, ego_replaced, error_of, let_through
 from pytest_pafot.world.guard.hang_guard import HangGuard
 from pytest_pafot.world.gym_environment import GymEnvironment, vehicle_classes_kept, wrapper_names
 from pytest_pafot.world.kernel.bodies import Body
@@ -128,7 +128,10 @@ class StockPolicy(GuardedDriver):
         try:
             self._seen, *_ = call()
         except UNFIT as error:
-            if self._outer is self._outer.unwrapped:
+            plain = self._outer.unwrapped
+            if (failure := ego_replaced(error, plain)) is not error:
+                raise failure from error
+            if self._outer is plain:
                 raise
             let_through(error)
             self.failure = error
