@@ -193,12 +193,7 @@ class GymEnvironment:
     @cached_property
     def obstacles(self) -> tuple[tuple[float, float, float, float, float], ...]:
         """The solid objects on the road: x [m], y [m], heading [rad], length and width [m]."""
-        found = []
-        for each in self.unwrapped.road.objects:
-            if each.solid:
-                x, y = map(float, each.position)
-                found.append((x, y, float(each.heading), float(each.LENGTH), float(each.WIDTH)))
-        return tuple(found)
+        return obstacles_of(self.unwrapped)
 
     @cached_property
     def network(self) -> Any:
@@ -284,6 +279,16 @@ class GymEnvironment:
         """The configuration that overrides the defaults, as in gymnasium: the user's, or else the registered one's."""
         registered: dict[str, Any] = gymnasium.registry[self.env_id].kwargs.get("config") or {}
         return registered if self.config is None else self.config
+
+
+def obstacles_of(env: Any) -> tuple[tuple[float, float, float, float, float], ...]:
+    """Return the solid objects on an environment's road: x [m], y [m], heading [rad], length and width [m]."""
+    found = []
+    for each in env.road.objects:
+        if each.solid:
+            x, y = map(float, each.position)
+            found.append((x, y, float(each.heading), float(each.LENGTH), float(each.WIDTH)))
+    return tuple(found)
 
 
 def has_known_step(cls: Any) -> bool:

@@ -558,6 +558,69 @@ def test_npc_at_an_obstacle_makes_a_run_invalid(register):
         assert not all(is_kept for is_kept, *_ in contacts(replace(trace, obstacles=())))
 
 
+class Falling(Roadworks):
+    """One on which an object falls after 3 s."""
+
+    def step(self, action):
+        if 3.0 <= self.time < 3.1:
+            self.fall()
+        return super().step(action)
+
+    def fall(self):
+        self.road.objects.append(Obstacle(self.road, [500.0, 0.0]))
+
+
+class Rolling(Falling):
+    """One whose object moves."""
+
+    def fall(self):
+        self.road.objects[0].position = np.array([400.0, 4.0])
+
+
+class Clearing(Falling):
+    """One whose object goes."""
+
+    def fall(self):
+        self.road.objects.pop(0)
+
+
+class Strewing(Roadworks):
+    """One whose reset adds an object at random."""
+
+    def reset(self, **options):
+        first = super().reset(**options)
+        self.road.objects.append(Obstacle(self.road, [400.0 + 100 * self.np_random.random(), 0.0]))
+        return first
+
+
+class Marking(Falling):
+    """One on which a mark appears that vehicles can drive over."""
+
+    def fall(self):
+        self.road.objects.append(Landmark(self.road, [500.0, 0.0]))
+
+
+@pytest.mark.parametrize("wrappers", [None, [FlattenObservation]])
+@pytest.mark.parametrize(
+    ("cls", "received"),
+    [
+        (Falling, "with more at 4.0 s, at (500.0, 0.0) m"),
+        (Rolling, "with others at 4.0 s, at (300.0, 4.0) m"),
+        (Clearing, "with fewer at 4.0 s, at (300.0, 4.0) m"),
+        (Strewing, "with more at 0.0 s, at (4"),
+        (Marking, ""),
+    ])  # fmt: skip
+def test_objects_that_do_not_stay_as_they_are_are_refused(cls, received, wrappers, register):
+    register("mine-v0", entry_point=cls)
+    world, scenario = World("mine-v0", duration=6.0, wrappers=wrappers), Scenario(npcs=AT_ONCE, ego_lane=3)
+    if not received:
+        assert world.rollout(scenario, IDLE).outcome == "safe"
+        return
+    for run in (world.rollout, world.rollout_in_gym):
+        with pytest.raises(WorldError, match=re.escape(f"{cls.__name__}, {received}")):
+            run(scenario, IDLE)
+
+
 class Lorry(Vehicle):
     LENGTH = 16.0
 

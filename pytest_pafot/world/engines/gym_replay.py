@@ -32,7 +32,7 @@ from pytest_pafot.world.engines.policies import put_ego
 from pytest_pafot.world.engines.run import VehiclesOfRun
 from pytest_pafot.world.guard.failure import UNFIT, closing, ego_replaced, error_of, let_through
 from pytest_pafot.world.guard.hang_guard import HangGuard
-from pytest_pafot.world.gym_environment import GymEnvironment, vehicle_classes_kept, wrapper_names
+from pytest_pafot.world.gym_environment import GymEnvironment, obstacles_of, vehicle_classes_kept, wrapper_names
 from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.kernel.loop import EgoDriver, PlannerDriver
 from pytest_pafot.world.run_config import Rules
@@ -287,6 +287,7 @@ class _Loop:
             if isinstance(driver, StockPolicy):
                 driver.begin(self._run.scenario.seed)
                 hz = self._rate()
+                self._check_objects()
             while not self._is_over:
                 tick = loop.tick
                 self._asked.append(tick)
@@ -297,6 +298,7 @@ class _Loop:
                     driver.take_step()
                 else:  # the driver has set the ego's controls, and None does not change them
                     AbstractEnv.step(self._env, None)
+                self._check_objects()
                 if loop.tick == tick and self._error is None and getattr(driver, "failure", None) is None:
                     raise WorldError(
                         f"wrappers: expected that a step of the wrappers steps the environment, received a step that "
@@ -326,6 +328,24 @@ class _Loop:
         hz = whole_within("config.policy_frequency", config["policy_frequency"], *ADS_HZ)
         check_divides((name, ticks), ("config.policy_frequency", hz))
         return hz
+
+    def _check_objects(self) -> None:
+        """Refuse objects that appear, move or go, of which reference drivers and verdicts would not know.
+
+        Raises:
+            WorldError: if there are others than at the first reset.
+        """
+        known, found = set(self._run.rules.obstacles), set(obstacles_of(self._env))
+        if known == found:
+            return
+        (x, y, *_), seconds = min(known ^ found), self._run.loop.tick / self._run.rules.physics_hz
+        what = "more" if found > known else "fewer" if found < known else "others"
+        raise WorldError(
+            field="env_id",
+            expected="an environment whose fixed objects are on the road after `_reset` with seed 0, and stay there",
+            received=f"{type(self._env).__name__}, with {what} at {seconds:.1f} s, at ({x:.1f}, {y:.1f}) m",
+            fix="make all of them in `_reset`, or let an NPC be what appears or moves",
+        )
 
     def _act(self) -> None:
         """Control the ego and then the NPCs; this replaces ``Road.act``, which calls each vehicle's ``act``."""
