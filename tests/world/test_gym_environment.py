@@ -8,6 +8,7 @@ import re
 from dataclasses import replace
 from functools import partial
 from hashlib import sha256
+from types import SimpleNamespace
 
 import gymnasium
 import numpy as np
@@ -402,6 +403,23 @@ def test_ego_of_a_run_is_what_the_environment_keeps_of_its_own(wrappers, registe
     trace = world.rollout(replace(SCENARIO, ego_speed=25.0), IDLE)
     speed = trace.ego[:, SPEED]
     assert speed[trace.ego[:, 0] > 350.0].max() < speed[trace.ego[:, 0] < 300.0].min()
+
+
+KEEPERS = [lambda ego: [ego], lambda ego: {"ego": ego}, lambda ego: SimpleNamespace(of=ego)]
+
+
+@pytest.mark.parametrize("wrappers", [None, []])
+@pytest.mark.parametrize("keeper", KEEPERS, ids=["list", "dict", "helper"])
+def test_ego_that_is_kept_where_no_run_replaces_it_is_refused(keeper, wrappers, register):
+    class Keeping(HighwayEnv):
+        def _reset(self):
+            super()._reset()
+            self.shield = keeper(self.vehicle)
+
+    register("mine-v0", entry_point=Keeping)
+    with pytest.raises(WorldError, match="received Keeping, whose `shield` keeps the ego that its reset made"):
+        World("mine-v0", duration=3.0, wrappers=wrappers).rollout(SCENARIO, IDLE)
+    assert World("mine-v0", duration=3.0).rollout(SCENARIO, Vehicle).ticks > 0
 
 
 class Loaded(HighwayEnv):
