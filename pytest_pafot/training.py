@@ -101,8 +101,10 @@ class TrainingEnv(gymnasium.Env[Any, Any]):
             fix = "leave it out: a policy learns from the environment's own observations and actions"
             raise WorldError(field="world.planner_hz", expected="None", received=f"{world.planner_hz:g}", fix=fix)
         world.check()
-        if world.environment.steps_itself(drives_itself=False):
-            expected = "an environment with a `step` and a road of highway-env, so that NPCs can replace its traffic"
+        if world.environment.episodes_itself(drives_itself=False):
+            expected = (
+                "an environment with the `step`, `reset` and road of highway-env, so that NPCs can replace traffic"
+            )
             received = f"{world.env_id!r}, which has its own"
             raise WorldError(field="world", expected=expected, received=received)
         share = checked_number(share, "share", "the share of scenarios among the episodes, 0 to 1", least=0.0, most=1.0)

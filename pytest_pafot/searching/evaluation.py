@@ -6,12 +6,13 @@ import math
 from collections import deque
 from collections.abc import Hashable, Iterable
 from dataclasses import dataclass, field, replace
-from itertools import islice
+from itertools import combinations, islice
 from typing import Any, Self
 
 import numpy as np
 
 from pytest_pafot.criticality import Encounters, passages, time_advantage
+from pytest_pafot.criticality.boxes import overlaps, relate
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.scenario import (
     Chromosome,
@@ -75,6 +76,7 @@ class Evaluation:
         collision: collision of the run; None without one.
         demand: what the run required the ego to do, see :func:`demand_of`.
         crossing: index of the crossing NPC that was nearest to the ego, see :func:`nearest_crossing`.
+        at_object: whether the run is invalid because an NPC touched a fixed object, see :func:`ended_at_object`.
         note: any data that ``evaluate`` adds, to get it back with the evaluation, also if the evaluation is reused.
     """
 
@@ -98,6 +100,7 @@ class Evaluation:
     collision: Collision | None = None
     demand: Demand = (0, 0, False)
     crossing: int | None = None
+    at_object: bool = False
     note: Any = field(default=None, compare=False, repr=False)
     _measured: float | None = field(init=False, repr=False)  # compared for fitness; NaN is not equal to itself
 
@@ -142,6 +145,7 @@ class Evaluation:
             collision=trace.collision,
             demand=demand_of(trace),
             crossing=nearest_crossing(trace),
+            at_object=ended_at_object(trace),
         )
 
     @property
@@ -214,6 +218,15 @@ def nearest_crossing(trace: Trace) -> int | None:
         return None
     expected = time_advantage(trace).min(axis=0)
     return min(times, key=lambda npc: (times[npc], expected[npc]))
+
+
+def ended_at_object(trace: Trace) -> bool:
+    """Return whether a run is invalid because an NPC touched a fixed object: no two NPCs touch at its end."""
+    if trace.outcome is not Outcome.INVALID or not trace.obstacles:
+        return False
+    last = Encounters(trace).boxes.part(slice(1, None), slice(-1, None))
+    npcs = [last.part(slice(npc, npc + 1), slice(None)) for npc in range(len(last.x))]
+    return not any(overlaps(relate(*pair)).any() for pair in combinations(npcs, 2))
 
 
 def barely_moved(trace: Trace) -> bool:

@@ -157,7 +157,8 @@ class Health:
 
     evaluated: int = 0  # scenarios that the algorithm requested
     simulated: int = 0  # those of them that were run; the others were known
-    invalid: int = 0  # runs in which two NPCs touched
+    invalid: int = 0  # runs in which two NPCs, or one and a fixed object, touched
+    at_object: int = 0  # those of them in which no two NPCs touched
     discarded: int = 0  # runs that the user's function declined, or whose process ended
     genes_started: int = 0  # over all NPCs, like the next; without runs that an ADS error cut short
     genes_reached: int = 0
@@ -190,6 +191,7 @@ class Health:
             evaluated=evaluated,
             simulated=len(runs),
             invalid=invalid,
+            at_object=sum([each.at_object for each in runs]),
             discarded=len(runs) - len(valid) - invalid,
             genes_started=sum([each.genes_started for each in whole]),
             genes_reached=sum([each.genes_reached for each in whole]),
@@ -241,16 +243,21 @@ class Health:
         if self.simulated == 0:
             return ["no scenario was simulated, so nothing was tested; give the search generations and time"]
         found = []
+        crash, remedy = "in a crash of NPCs", "use fewer NPCs or more lanes"
+        if self.at_object:
+            where = "where an NPC touched a fixed object"
+            crash = where if self.at_object == self.invalid else f"{crash} or, {self.at_object} of them, {where},"
+            remedy = "NPCs do not avoid objects: use shorter runs (duration= of the world), fewer NPCs or fewer objects"
         if self.vacuous:
             found.append(
-                f"none of {self.simulated} simulated scenarios gave a valid run ({self.invalid} ended in a crash "
-                f"of NPCs, {self.discarded} were rejected, skipped or ended their process), so nothing was "
-                "tested; use fewer NPCs, reject less, or fix what ends the process"
+                f"none of {self.simulated} simulated scenarios gave a valid run ({self.invalid} ended {crash}, "
+                f"{self.discarded} were rejected, skipped or ended their process), so nothing was tested; use fewer "
+                f"NPCs, reject less, or fix what ends the process"
             )
         if _share(self.invalid, self.simulated) > MAX_INVALID_SHARE:
             found.append(
-                f"{_percent(self.invalid, self.simulated)} simulated scenarios ended in a crash of NPCs and "
-                "tested nothing, which should be at most 25 %; use fewer NPCs or more lanes"
+                f"{_percent(self.invalid, self.simulated)} simulated scenarios ended {crash} and "
+                f"tested nothing, which should be at most 25 %; {remedy}"
             )
         kinds = self.goals
         goal = " or ".join(sorted(kinds))
@@ -267,9 +274,9 @@ class Health:
                 "the search; let fitness= return a finite number for every run that it can measure"
             )
         useless = (self.no_interaction, self.outran, self.barely_moved, self.immediate)
-        for count, spared, (what, remedy) in zip(useless, (0, 0, known, known), USELESS, strict=True):
+        for count, spared, (what, advice) in zip(useless, (0, 0, known, known), USELESS, strict=True):
             if _share(count - spared, self.valid) > MAX_USELESS_SHARE:
-                found.append(f"{_percent(count, self.valid)} valid runs {what}; {remedy}")
+                found.append(f"{_percent(count, self.valid)} valid runs {what}; {advice}")
         return found
 
 

@@ -95,6 +95,9 @@ MOST_NUMBERS = 10_000_000
 LEAST_NUMBERS = MOST_NUMBERS // 20
 """The least number of values that is counted for a part of an observation; even a small part takes milliseconds."""
 
+WITH_EGO = ("controlled_vehicles", "road", "action_type", "observation_type")
+"""The attributes of an environment through which highway-env reaches the ego, and in which a run puts its own."""
+
 NEUTRAL = (OrderEnforcing, PassiveEnvChecker, TimeLimit)
 """The wrappers that ``gymnasium.make`` itself puts around any environment.
 
@@ -193,12 +196,7 @@ class GymEnvironment:
     @cached_property
     def obstacles(self) -> tuple[tuple[float, float, float, float, float], ...]:
         """The solid objects on the road: x [m], y [m], heading [rad], length and width [m]."""
-        found = []
-        for each in self.unwrapped.road.objects:
-            if each.solid:
-                x, y = map(float, each.position)
-                found.append((x, y, float(each.heading), float(each.LENGTH), float(each.WIDTH)))
-        return tuple(found)
+        return obstacles_of(self.unwrapped)
 
     @cached_property
     def network(self) -> Any:
@@ -229,6 +227,44 @@ class GymEnvironment:
         env, road = type(self.unwrapped), type(self.unwrapped.road)
         has_own_road = road is not RegulatedRoad and (road.step is not Road.step or road.act is not Road.act)
         return has_own_road or not (drives_itself or has_known_step(env))
+
+    def episodes_itself(self, *, drives_itself: bool) -> bool:
+        """Return whether runs must be episodes of the environment itself: by its own ``step``, or after its own reset.
+
+        What an overridden ``reset`` does to the ego, such as to set its goal or to drive for a second, holds only in
+        an episode of the environment. It has no effect on an ego that drives itself.
+        """
+        resets_itself = type(self.unwrapped).reset is not AbstractEnv.reset
+        return self.steps_itself(drives_itself=drives_itself) or (resets_itself and not drives_itself)
+
+    def check_keeps_no_ego(self) -> None:
+        """Refuse an environment that would read the ego of its reset, which drives in no run of a policy.
+
+        Raises:
+            WorldError: if it keeps that ego where the ego of a run does not replace it.
+        """
+        if self._keeper:
+            raise WorldError(
+                field="env_id",
+                expected="an environment that reads its ego as self.vehicle",
+                received=f"{type(self.unwrapped).__name__}, whose `{self._keeper}` keeps the ego that its reset made",
+                fix="the ego of a run replaces it: let what reads it read self.vehicle each time",
+            )
+
+    @cached_property
+    def _keeper(self) -> str:
+        """The name of an attribute that is a collection or a helper with the environment's own ego in it; or empty.
+
+        The ego of a run replaces that ego only in attributes of the environment itself.
+        """
+        env = self.unwrapped
+        for name, value in vars(env).items():
+            parts = value if isinstance(value, (list, tuple, set)) else getattr(value, "__dict__", value)
+            parts = parts.values() if isinstance(parts, Mapping) else parts
+            is_looked_at = name not in WITH_EGO and value is not env.vehicle and isinstance(parts, Collection)
+            if is_looked_at and any(each is env.vehicle for each in parts):
+                return str(name)
+        return ""
 
     def without_effect(self, *, drives_itself: bool) -> dict[str, list[str]]:
         """Return the given options that have no effect in a search, under what has it in their place.
@@ -275,6 +311,16 @@ class GymEnvironment:
         """The configuration that overrides the defaults, as in gymnasium: the user's, or else the registered one's."""
         registered: dict[str, Any] = gymnasium.registry[self.env_id].kwargs.get("config") or {}
         return registered if self.config is None else self.config
+
+
+def obstacles_of(env: Any) -> tuple[tuple[float, float, float, float, float], ...]:
+    """Return the solid objects on an environment's road: x [m], y [m], heading [rad], length and width [m]."""
+    found = []
+    for each in env.road.objects:
+        if each.solid:
+            x, y = map(float, each.position)
+            found.append((x, y, float(each.heading), float(each.LENGTH), float(each.WIDTH)))
+    return tuple(found)
 
 
 def has_known_step(cls: Any) -> bool:

@@ -209,7 +209,9 @@ class World(BuiltInWorld):
             ads = make_ads(ads_factory)
             ads_factory = ads if is_vehicle_class(ads) else wraps(ads_factory, updated=())(lambda: ads)
         drives_itself = self.planner_hz is not None or is_vehicle_class(ads_factory)
-        if self.wrappers is not None or self.environment.steps_itself(drives_itself=drives_itself):
+        if not drives_itself:
+            self.environment.check_keeps_no_ego()
+        if self.wrappers is not None or self.environment.episodes_itself(drives_itself=drives_itself):
             return self.rollout_in_gym(scenario, ads_factory)
         if self.planner_hz is not None:
             ads = make_ads(ads_factory)
@@ -237,6 +239,7 @@ class World(BuiltInWorld):
     def _begin(self, scenario: Scenario, guard: HangGuard, sight: Sight | None) -> SteppedRun:
         if self.planner_hz is not None:
             return planner_run(self.rules, scenario, lambda: self.network, None, guard, sight=sight)
+        self.environment.check_keeps_no_ego()
         from pytest_pafot.world.engines.policies import begin  # noqa: PLC0415  (imports highway-env)
 
         return begin(self.environment, self.rules, scenario, guard, sight)
@@ -257,9 +260,9 @@ class World(BuiltInWorld):
     def has_lock_step(self) -> bool:
         """True if several runs can proceed in lock step.
 
-        They cannot with wrappers, or if the environment overrides highway-env's ``step``.
+        They cannot with wrappers, or if the environment overrides highway-env's ``step`` or ``reset``.
         """
-        return self.wrappers is None and not self.environment.steps_itself(drives_itself=self.planner_hz is not None)
+        return self.wrappers is None and not self.environment.episodes_itself(drives_itself=self.planner_hz is not None)
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data for a corpus file; :func:`pytest_pafot.world.from_dict` reads it.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NoReturn
 
 from pytest_pafot.model.crossings import Crossings
 from pytest_pafot.model.grid import Cell
@@ -17,7 +17,7 @@ from pytest_pafot.model.scenario import (
     Scenario,
     ScenarioError,
 )
-from pytest_pafot.world.kernel.bodies import NPC_LENGTH, NPC_WIDTH
+from pytest_pafot.world.kernel.bodies import NPC_LENGTH, NPC_WIDTH, Box, overlap
 from pytest_pafot.world.kernel.director import Director
 from pytest_pafot.world.kernel.road_directors import JunctionDirector, NetworkDirector
 from pytest_pafot.world.limits import BEND_SHARE, TOP_SPEED, NpcLimits
@@ -128,6 +128,8 @@ class Rules:
             expected = f"at most {len(cells)} NPCs{kind}, one per cell that exists around lane {scenario.ego_lane}"
             raise ScenarioError(field="npcs", expected=expected, received=str(on_grid))
         self._check_speeds(scenario)
+        if near := self._at_start(scenario.ego_lane, scenario.ego_speed):
+            self.refuse_start(scenario, near)
         self._check_manoeuvres(scenario)
         for npc, instruction in enumerate(crossings):
             if instruction is not None:
@@ -149,6 +151,28 @@ class Rules:
             fix = "lanes are counted from 0 at the left, over all lanes along the ego's way"
         if not does_exist:
             raise ScenarioError(field="ego_lane", expected=expected, received=str(lane), fix=fix)
+
+    def _at_start(self, lane: int, speed: float) -> tuple[float, ...] | None:
+        """Return a fixed object at the ego's start or, on a straight road, within its headway; None if it is free."""
+        gap = max(self.headway * speed, self.clearance) if isinstance(self.road, StraightRoad) else 0.0
+        x, y, heading = self.road.position(self.ego_start, lane)
+        x, y = x + gap / 2 * math.cos(heading), y + gap / 2 * math.sin(heading)
+        place = Box(x, y, heading, NPC_LENGTH + gap, NPC_WIDTH)
+        return next((each for each in self.obstacles if overlap(place, Box(*each))), None)
+
+    def refuse_start(self, scenario: Scenario, near: tuple[float, ...]) -> NoReturn:
+        """Raise the error for a scenario whose ego would start at a fixed object, or too near to stop."""
+        road, speed = self.road, scenario.ego_speed
+        x, y, _ = road.position(self.ego_start, scenario.ego_lane)
+        where, free = f"the ego's start at ({x:.0f}, {y:.0f}) m", list[int]()
+        expected = f"no fixed object at {where}"
+        if isinstance(road, StraightRoad):
+            expected = f"no fixed object from {where} to {self.headway:g} s ahead of it at {speed:g} m/s"
+            others = [lane for lane in range(road.lane_count) if lane != scenario.ego_lane]
+            free = [lane for lane in others if self._at_start(lane, speed) is None]
+        received = f"lane {scenario.ego_lane}, with one at ({near[0]:.1f}, {near[1]:.1f}) m"
+        fix = f"write ego_lane={free[0]}" if free else "put the environment's objects elsewhere"
+        raise ScenarioError(field="ego_lane", expected=expected, received=received, fix=fix)
 
     def _check_crossing(self, place: str, instruction: CrossingInstruction) -> None:
         crossings = self.crossings

@@ -10,9 +10,11 @@ from hypothesis import strategies as st
 from pytest_pafot.model.scenario import CrossingInstruction, LaneInstruction, PositionInstruction, Scenario
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.searching import Health, RandomSearch, run_campaign
+from pytest_pafot.searching.evaluation import ended_at_object
 from pytest_pafot.searching.events import Evaluated
 from pytest_pafot.searching.space import SearchSpace, sample
 from tests.helpers.tables import table
+from tests.helpers.traces import trace_of, vehicle
 
 LANES, CELLS = (LaneInstruction("left", 8.0),), (PositionInstruction(2, 8.0),)
 CROSSES = (CrossingInstruction("o1>o3", 0.0, 8.0),)
@@ -58,6 +60,34 @@ def test_more_than_a_quarter_invalid_runs_warns(make_evaluation):
         "33 % (1) of 3 simulated scenarios ended in a crash of NPCs and tested nothing, which should be at most "
         "25 %; use fewer NPCs or more lanes"
     ]
+
+
+AVOIDED = "NPCs do not avoid objects: use shorter runs (duration= of the world), fewer NPCs or fewer objects"
+
+
+def test_runs_that_end_at_fixed_objects_warn_of_those(make_evaluation):
+    at_object = {"outcome": Outcome.INVALID, "at_object": True}
+    assert health_of(make_evaluation, (2, {}), (1, at_object)).warnings() == [
+        "33 % (1) of 3 simulated scenarios ended where an NPC touched a fixed object and tested nothing, which should "
+        f"be at most 25 %; {AVOIDED}"
+    ]
+    assert health_of(make_evaluation, (2, {}), (1, at_object), (1, {"outcome": Outcome.INVALID})).warnings() == [
+        "50 % (2) of 4 simulated scenarios ended in a crash of NPCs or, 1 of them, where an NPC touched a fixed "
+        f"object, and tested nothing, which should be at most 25 %; {AVOIDED}"
+    ]
+    none = health_of(make_evaluation, (4, at_object)).warnings()
+    assert "(4 ended where an NPC touched a fixed object, 0 were rejected" in none[0]
+
+
+def test_an_npc_at_a_fixed_object_is_told_from_two_npcs_that_touch():
+    def ended(*npcs, outcome=Outcome.INVALID, obstacles=((60.0, 4.0, 0.0, 2.0, 2.0),)):
+        return ended_at_object(trace_of(vehicle(0.0), *npcs, outcome=outcome, obstacles=obstacles))
+
+    assert ended(vehicle(57.0), vehicle(20.0))
+    assert ended(vehicle(57.0))
+    assert not ended(vehicle(57.0), vehicle(54.0))
+    assert not ended(vehicle(57.0), obstacles=())
+    assert not ended(vehicle(57.0), outcome=Outcome.SAFE)
 
 
 def test_genes_that_are_hardly_reached_warn(make_evaluation):

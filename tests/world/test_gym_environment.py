@@ -4,9 +4,11 @@ The plain loop here is independent of this package: the environment's own reset 
 controls from the trace.
 """
 
+import re
 from dataclasses import replace
 from functools import partial
 from hashlib import sha256
+from types import SimpleNamespace
 
 import gymnasium
 import numpy as np
@@ -36,13 +38,15 @@ from pytest_pafot.findings.finding import Expect, disagreement, is_same_event
 from pytest_pafot.findings.reactions import Reaction
 from pytest_pafot.findings.signature import Failure
 from pytest_pafot.model.grid import Cell
-from pytest_pafot.model.scenario import PositionInstruction, Scenario
+from pytest_pafot.model.scenario import PositionInstruction, Scenario, ScenarioError
 from pytest_pafot.model.trace import ACCELERATION, HEADING, SPEED, STEERING, Collision
 from pytest_pafot.oracle.run import Run
+from pytest_pafot.searching.evaluation import ended_at_object
 from pytest_pafot.searching.fitness import before_impact
 from pytest_pafot.support.errors import CorpusError
 from pytest_pafot.testing import check_world
 from pytest_pafot.testing.traces import contacts
+from pytest_pafot.training import training_env
 from pytest_pafot.world import World, WorldError
 from pytest_pafot.world.gym_environment import POLICY_OPTIONS, TRAFFIC_OPTIONS
 from tests.findings.builders import plain_finding
@@ -56,6 +60,7 @@ SCENARIO = Scenario(
     seed=11,
     gene_seconds=4.0,
 )
+IDLE = lambda: lambda seen: 1  # noqa: E731
 CONTINUOUS = {"action": {"type": "ContinuousAction"}, "policy_frequency": 5}
 
 
@@ -195,6 +200,49 @@ def test_times_of_decisions_are_those_at_which_the_policy_was_asked(entry_point,
     check_world(world, ads=lambda: lambda seen: 1, npcs=1, runs=4)
 
 
+class Drawn(HighwayEnv):
+    """A straight road whose ``reset`` draws the rate of decisions."""
+
+    def reset(self, **options):
+        first = super().reset(**options)
+        self.config["policy_frequency"] = int(self.np_random.choice((3, 5)))
+        return first
+
+
+def test_drawn_rate_of_decisions_is_that_of_the_run(register):
+    register("mine-v0", entry_point=Drawn)
+    world, rates = World("mine-v0", duration=3.0), set()
+    for seed in range(6):
+        scenario = replace(SCENARIO, seed=seed)
+        trace, again = world.rollout(scenario, IDLE), world.rollout_in_gym(scenario, IDLE)
+        assert list(trace.decision_ticks) == list(range(0, trace.ticks, 15 // trace.ads_hz))
+        assert (trace.decided, trace.ads_hz) == (again.decided, again.ads_hz) == ((), again.ads_hz)
+        assert len(trace.actions) == len(trace.decision_ticks)
+        rates.add(trace.ads_hz)
+    assert rates == {3, 5}
+    check_world(World("mine-v0", duration=8.0), ads=IDLE, npcs=1, runs=4)
+
+
+@pytest.mark.parametrize(
+    ("name", "rates", "message"),
+    [
+        ("policy_frequency", [1, 4], "config.policy_frequency: expected a divisor of config.simulation_frequency=15"),
+        ("simulation_frequency", [15, 30], "expected 15, as after a reset with seed 0, received 30"),
+    ])  # fmt: skip
+def test_drawn_rates_that_fit_no_run_are_refused(name, rates, message, register):
+    class Unfit(HighwayEnv):
+        def reset(self, *, seed=None, options=None):
+            first = super().reset(seed=seed, options=options)
+            self.config[name] = rates[bool(seed)]
+            return first
+
+    register("mine-v0", entry_point=Unfit)
+    world = World("mine-v0", duration=3.0)
+    for run in (world.rollout, world.rollout_in_gym):
+        with pytest.raises(WorldError, match=message):
+            run(SCENARIO, IDLE)
+
+
 @pytest.mark.parametrize("told", [(0, 15, 45), (0, 0, 45, 90), (15, 45, 90), (0, 90, 45)])
 def test_wrong_times_of_decisions_are_refused(told):
     class Lying(World):
@@ -313,6 +361,105 @@ class Doubled(HighwayEnv):
         return (2 * seen, *others)
 
 
+class Unhurried(HighwayEnv):
+    """A straight road whose ``reset`` sets how fast the ego wants to drive."""
+
+    def reset(self, **options):
+        first = super().reset(**options)
+        self.vehicle.target_speed = 12.0
+        return first
+
+
+def test_what_a_custom_reset_does_to_the_ego_holds_in_runs(register):
+    register("mine-v0", entry_point=Unhurried)
+    world = World("mine-v0", duration=8.0)
+    trace = world.rollout(SCENARIO, lambda: lambda seen: 1)
+    assert trace.ego[-1, 3] == pytest.approx(12.0, abs=0.1)
+    assert np.array_equal(trace.states, world.rollout_in_gym(SCENARIO, lambda: lambda seen: 1).states)
+    assert not world.has_lock_step
+    with pytest.raises(WorldError, match="received 'mine-v0', which has its own"):
+        training_env(world)
+    planned = World("mine-v0", duration=2.0, planner_hz=5)
+    assert planned.has_lock_step
+    assert planned.rollout(SCENARIO, lambda: lambda seen: (0.0, 0.0)).ego[-1, 3] == pytest.approx(SCENARIO.ego_speed)
+
+
+class Heading(HighwayEnv):
+    """A straight road whose reset gives its ego a goal, which its step reads, and which keeps its ego."""
+
+    def _reset(self):
+        super()._reset()
+        self.ego, self.vehicle.goal = self.vehicle, 300.0
+
+    def step(self, action):
+        assert self.ego is self.vehicle
+        return super().step(4 if self.ego.position[0] > self.vehicle.goal else action)
+
+
+@pytest.mark.parametrize("wrappers", [None, []])
+def test_ego_of_a_run_is_what_the_environment_keeps_of_its_own(wrappers, register):
+    register("mine-v0", entry_point=Heading)
+    world = World("mine-v0", duration=12.0, wrappers=wrappers)
+    trace = world.rollout(replace(SCENARIO, ego_speed=25.0), IDLE)
+    speed = trace.ego[:, SPEED]
+    assert speed[trace.ego[:, 0] > 350.0].max() < speed[trace.ego[:, 0] < 300.0].min()
+
+
+KEEPERS = [lambda ego: [ego], lambda ego: {"ego": ego}, lambda ego: SimpleNamespace(of=ego)]
+
+
+@pytest.mark.parametrize("wrappers", [None, []])
+@pytest.mark.parametrize("keeper", KEEPERS, ids=["list", "dict", "helper"])
+def test_ego_that_is_kept_where_no_run_replaces_it_is_refused(keeper, wrappers, register):
+    class Keeping(HighwayEnv):
+        def _reset(self):
+            super()._reset()
+            self.shield = keeper(self.vehicle)
+
+    register("mine-v0", entry_point=Keeping)
+    with pytest.raises(WorldError, match="received Keeping, whose `shield` keeps the ego that its reset made"):
+        World("mine-v0", duration=3.0, wrappers=wrappers).rollout(SCENARIO, IDLE)
+    assert World("mine-v0", duration=3.0).rollout(SCENARIO, Vehicle).ticks > 0
+
+
+class Loaded(HighwayEnv):
+    """A straight road whose reset makes an ego of a class of its own."""
+
+    def _create_vehicles(self):
+        super()._create_vehicles()
+        own = type("Truck", (type(self.vehicle),), {"load": lambda self: 1.0})
+        place = self.vehicle.position, self.vehicle.heading, self.vehicle.speed
+        self.controlled_vehicles = [own(self.road, *place)]
+
+
+class Weighing(Loaded):
+    """One whose step asks its ego."""
+
+    def step(self, action):
+        self.vehicle.load()
+        return super().step(action)
+
+
+class Watching(Loaded):
+    """One whose observations ask its ego."""
+
+    def define_spaces(self):
+        super().define_spaces()
+        kind = type("Weight", (type(self.observation_type),), {})
+        kind.observe = lambda seen: (self.vehicle.load(), super(kind, seen).observe())[1]
+        self.observation_type.__class__ = kind
+
+
+@pytest.mark.parametrize(("cls", "wrappers"), [(Weighing, None), (Weighing, []), (Watching, None)])
+def test_environment_that_needs_its_own_ego_is_not_told_as_failure_of_the_ads(cls, wrappers, register):
+    register("mine-v0", entry_point=cls)
+    message = (
+        f"an ego of the class MDPVehicle, which its action type names, received {cls.__name__}, which reads `load`"
+    )
+    with pytest.raises(WorldError, match=message):
+        World("mine-v0", duration=3.0, wrappers=wrappers).rollout(SCENARIO, IDLE)
+
+
 class Wet(HighwayEnv):
     """A straight road with its own simulation."""
 
@@ -387,7 +534,6 @@ class Roadworks(HighwayEnv):
         self.road.objects += [Obstacle(self.road, [300.0, 4.0]), Landmark(self.road, [300.0, 8.0])]
 
 
-IDLE = lambda: lambda seen: 1  # noqa: E731
 AT_ONCE = [[PositionInstruction(6, 20.0)]]
 
 
@@ -425,8 +571,102 @@ def test_npc_at_an_obstacle_makes_a_run_invalid(register):
         assert (trace.outcome, trace.collision) == ("invalid", None)
         assert trace.states[-1, 1, 0] + 2.5 > 299.0
         assert "or one touched a fixed object" in Run(trace).explain()
+        assert ended_at_object(trace)
         assert all(is_kept for is_kept, *_ in contacts(trace))
         assert not all(is_kept for is_kept, *_ in contacts(replace(trace, obstacles=())))
+
+
+class Falling(Roadworks):
+    """One on which an object falls after 3 s."""
+
+    def step(self, action):
+        if 3.0 <= self.time < 3.1:
+            self.fall()
+        return super().step(action)
+
+    def fall(self):
+        self.road.objects.append(Obstacle(self.road, [500.0, 0.0]))
+
+
+class Rolling(Falling):
+    """One whose object moves."""
+
+    def fall(self):
+        self.road.objects[0].position = np.array([400.0, 4.0])
+
+
+class Clearing(Falling):
+    """One whose object goes."""
+
+    def fall(self):
+        self.road.objects.pop(0)
+
+
+class Strewing(Roadworks):
+    """One whose reset adds an object at random."""
+
+    def reset(self, **options):
+        first = super().reset(**options)
+        self.road.objects.append(Obstacle(self.road, [400.0 + 100 * self.np_random.random(), 0.0]))
+        return first
+
+
+class Marking(Falling):
+    """One on which a mark appears that vehicles can drive over."""
+
+    def fall(self):
+        self.road.objects.append(Landmark(self.road, [500.0, 0.0]))
+
+
+@pytest.mark.parametrize("wrappers", [None, [FlattenObservation]])
+@pytest.mark.parametrize(
+    ("cls", "received"),
+    [
+        (Falling, "with more at 4.0 s, at (500.0, 0.0) m"),
+        (Rolling, "with others at 4.0 s, at (300.0, 4.0) m"),
+        (Clearing, "with fewer at 4.0 s, at (300.0, 4.0) m"),
+        (Strewing, "with more at 0.0 s, at (4"),
+        (Marking, ""),
+    ])  # fmt: skip
+def test_objects_that_do_not_stay_as_they_are_are_refused(cls, received, wrappers, register):
+    register("mine-v0", entry_point=cls)
+    world, scenario = World("mine-v0", duration=6.0, wrappers=wrappers), Scenario(npcs=AT_ONCE, ego_lane=3)
+    if not received:
+        assert world.rollout(scenario, IDLE).outcome == "safe"
+        return
+    for run in (world.rollout, world.rollout_in_gym):
+        with pytest.raises(WorldError, match=re.escape(f"{cls.__name__}, {received}")):
+            run(scenario, IDLE)
+
+
+class Lorry(Vehicle):
+    LENGTH = 16.0
+
+
+def test_ego_does_not_start_at_an_obstacle(register):
+    class Blocked(HighwayEnv):
+        def _create_road(self):
+            super()._create_road()
+            places = [[202.5, 4.0], [244.0, 8.0], [194.0, 0.0], [150.0, 12.0]]
+            self.road.objects += [Obstacle(self.road, each) for each in places]
+
+    register("mine-v0", entry_point=Blocked)
+    world = World("mine-v0", duration=12.0)
+    ahead = (
+        "from the ego's start at (200, 4) m to 2 s ahead of it at 22 m/s, received lane 1, with one at (202.5, 4.0) m"
+    )
+    blocked = Scenario(npcs=AT_ONCE, ego_lane=1, ego_speed=22.0)
+    with pytest.raises(ScenarioError, match=re.escape(f"{ahead}; write ego_lane=0")):
+        world.rollout(blocked, IDLE)
+    with pytest.raises(ScenarioError, match=re.escape("received lane 2, with one at (244.0, 8.0) m")):
+        world.rollout(replace(blocked, ego_lane=2), IDLE)
+    slow = world.rollout(replace(blocked, ego_lane=2, ego_speed=20.0), lambda: lambda seen: 4)
+    assert (slow.collision.npc, slow.ticks > 15) == (None, True)
+    for run in (world.rollout, world.rollout_in_gym):
+        free = replace(blocked, ego_lane=0)
+        assert run(free, IDLE).ticks > 0
+        with pytest.raises(ScenarioError, match=re.escape("received lane 0, with one at (194.0, 0.0) m")):
+            run(free, Lorry)
 
 
 def test_collision_with_an_obstacle_is_checked_in_own_worlds(register):

@@ -30,13 +30,14 @@ from pytest_pafot.world.driving.vehicles import is_regulated
 from pytest_pafot.world.engines.egos import planner_driver, vehicle_of
 from pytest_pafot.world.engines.policies import put_ego
 from pytest_pafot.world.engines.run import VehiclesOfRun
-from pytest_pafot.world.guard.failure import UNFIT, closing, error_of, let_through
+from pytest_pafot.world.guard.failure import UNFIT, closing, ego_replaced, error_of, let_through
 from pytest_pafot.world.guard.hang_guard import HangGuard
-from pytest_pafot.world.gym_environment import GymEnvironment, vehicle_classes_kept, wrapper_names
+from pytest_pafot.world.gym_environment import GymEnvironment, obstacles_of, vehicle_classes_kept, wrapper_names
 from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.kernel.loop import EgoDriver, PlannerDriver
 from pytest_pafot.world.run_config import Rules
 from pytest_pafot.world.stock import AbstractEnv, RegulatedRoad, RoadNetwork, Vehicle
+from pytest_pafot.world.validation import ADS_HZ, check_divides, whole_within
 
 TRAFFIC_HOOKS = ("_spawn_vehicle", "_clear_vehicles")
 """The methods with which highway-env's intersections change their traffic after each step."""
@@ -127,7 +128,10 @@ class StockPolicy(GuardedDriver):
         try:
             self._seen, *_ = call()
         except UNFIT as error:
-            if self._outer is self._outer.unwrapped:
+            plain = self._outer.unwrapped
+            if (failure := ego_replaced(error, plain)) is not error:
+                raise failure from error
+            if self._outer is plain:
                 raise
             let_through(error)
             self.failure = error
@@ -278,10 +282,12 @@ class _Loop:
 
     def run(self) -> Trace:
         """Decide and step until the run ends, and return its trace."""
-        driver, loop = self._driver, self._run.loop
+        driver, loop, hz = self._driver, self._run.loop, self._run.rules.ads_hz
         with self._guard:
             if isinstance(driver, StockPolicy):
                 driver.begin(self._run.scenario.seed)
+                hz = self._rate()
+                self._check_objects()
             while not self._is_over:
                 tick = loop.tick
                 self._asked.append(tick)
@@ -292,6 +298,7 @@ class _Loop:
                     driver.take_step()
                 else:  # the driver has set the ego's controls, and None does not change them
                     AbstractEnv.step(self._env, None)
+                self._check_objects()
                 if loop.tick == tick and self._error is None and getattr(driver, "failure", None) is None:
                     raise WorldError(
                         f"wrappers: expected that a step of the wrappers steps the environment, received a step that "
@@ -299,9 +306,46 @@ class _Loop:
                         f"episodes"
                     )
         trace = self._run.trace(driver, self._error)
+        if not isinstance(driver, StockPolicy):
+            return trace
+        trace = replace(trace, ads_hz=hz)
         # A wrapper or the environment's own step may have repeated actions.
-        is_usual = not isinstance(driver, StockPolicy) or self._asked == list(trace.decision_ticks)
-        return trace if is_usual else replace(trace, decided=tuple(self._asked))
+        return trace if self._asked == list(trace.decision_ticks) else replace(trace, decided=tuple(self._asked))
+
+    def _rate(self) -> int:
+        """Return the decisions per second after the reset, which may have changed the environment's configuration.
+
+        Raises:
+            WorldError: if the environment's own steps would not follow the run's ticks.
+        """
+        config, ticks = self._env.config, self._run.rules.physics_hz
+        name, received = "config.simulation_frequency", config["simulation_frequency"]
+        if received != ticks:
+            fix = "let it be the same after every reset"
+            raise WorldError(
+                field=name, expected=f"{ticks}, as after a reset with seed 0", received=f"{received!r:.100}", fix=fix
+            )
+        hz = whole_within("config.policy_frequency", config["policy_frequency"], *ADS_HZ)
+        check_divides((name, ticks), ("config.policy_frequency", hz))
+        return hz
+
+    def _check_objects(self) -> None:
+        """Refuse objects that appear, move or go, of which reference drivers and verdicts would not know.
+
+        Raises:
+            WorldError: if there are others than at the first reset.
+        """
+        known, found = set(self._run.rules.obstacles), set(obstacles_of(self._env))
+        if known == found:
+            return
+        (x, y, *_), seconds = min(known ^ found), self._run.loop.tick / self._run.rules.physics_hz
+        what = "more" if found > known else "fewer" if found < known else "others"
+        raise WorldError(
+            field="env_id",
+            expected="an environment whose fixed objects are on the road after `_reset` with seed 0, and stay there",
+            received=f"{type(self._env).__name__}, with {what} at {seconds:.1f} s, at ({x:.1f}, {y:.1f}) m",
+            fix="make all of them in `_reset`, or let an NPC be what appears or moves",
+        )
 
     def _act(self) -> None:
         """Control the ego and then the NPCs; this replaces ``Road.act``, which calls each vehicle's ``act``."""

@@ -34,6 +34,14 @@ from pytest_pafot.world.roads.straight import StraightRoad
 from pytest_pafot.world.run_config import Rules
 from pytest_pafot.world.stock import MDPVehicle, RegulatedRoad, Road, Vehicle
 
+OF_HIGHWAY_ENV = frozenset(
+    (
+        *("route", "target_lane_index", "target_speed", "target_speeds", "speed_index", "enable_lane_change", "timer"),
+        *("collecting_data", "data", "is_yielding", "yield_timer"),
+    )
+)
+"""The attributes with which highway-env's classes and roads control some vehicles."""
+
 
 def rollout(environment: GymEnvironment, rules: Rules, scenario: Scenario, ads_factory: AdsFactory) -> Trace:
     """Simulate a scenario, which fits the rules, with a fresh ADS that is a vehicle class or a policy."""
@@ -109,7 +117,17 @@ def _begun(rules: Rules, scenario: Scenario, driver: ObjectDriver, guard: HangGu
 
 
 def put_ego(env: Any, ego: Any) -> None:
-    """Make ``ego`` the only vehicle of an environment."""
+    """Make ``ego`` the only vehicle of an environment, in place of the ego that its reset made.
+
+    What the environment has added to its own ego, such as a goal, is passed on, and its attributes that are its own ego
+    become ``ego``.
+    """
+    own = env.vehicle
+    for name, value in vars(own).items():
+        if name not in OF_HIGHWAY_ENV and not hasattr(ego, name):
+            setattr(ego, name, value)
+    for name in [name for name, value in vars(env).items() if value is own]:
+        setattr(env, name, ego)
     env.road.vehicles = [ego]
     env.controlled_vehicles = [ego]
     env.define_spaces()

@@ -70,6 +70,9 @@ class VehiclesOfRun:
                 ticks=ticks,
             )
         self.places.obstacles = [Box(*each) for each in rules.obstacles]
+        for each, box in zip(rules.obstacles, self.places.obstacles, strict=True):
+            if overlap(ego, box):  # an ego that is longer than the rules know
+                rules.refuse_start(scenario, each)
         self.sizes = [(each.length, each.width) for each in self.vehicles]
         self.rows = array("d", bytes(8 * (ticks + 1) * len(self.sizes) * COLUMNS))
         self.loop = Loop(director, self.places, self.rows, 1 / rules.physics_hz)
