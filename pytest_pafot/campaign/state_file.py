@@ -34,7 +34,7 @@ from pytest_pafot.support.files import hold, open_regular, way_out, write_whole
 from pytest_pafot.support.text import visible
 from pytest_pafot.world import codec
 
-VERSION = 5
+VERSION = 6
 """The version of the state's format. With a state of any other version a search begins anew."""
 
 MAX_BYTES = 1 << 28
