@@ -301,7 +301,7 @@ FAULTS = {
     "no text": (lambda text: b"\xff\xfe\x00", "expected the JSON of a search's state, received UnicodeDecodeError"),
     "another kind": (lambda text: "[1, 2]", "expected a mapping, received"),
     "deep": (lambda text: "[" * 100_000, "expected the JSON of a search's state, received RecursionError"),
-    "NaN": (lambda text: text.replace('"doubt"', "NaN").replace('"version": 5', '"version": NaN'), "NaN, which is not"),
+    "NaN": (lambda text: text.replace('"doubt"', "NaN").replace('"version": 6', '"version": NaN'), "NaN, which is not"),
     "version": (changed(lambda data: data.update(version="2")), "expected a state of version 5, received vers"),
     "extra key": (changed(lambda data: data.update(run="rm")), "expected the keys version, settings"),
     "missing key": (changed(lambda data: data.pop("begun")), "expected the keys version, settings"),
@@ -350,7 +350,7 @@ def test_search_begins_anew_after_an_upgrade(search, begun, upgrade):
 
 @pytest.mark.parametrize(
     "secret",
-    ['{"version": 5, "HUSH": "HUSH"}', '{"version": "HUSH"}', '"HUSH"', '["HUSH"]', "HUSH=1", '{"a": "\\HUSH"}'],
+    ['{"version": 6, "HUSH": "HUSH"}', '{"version": "HUSH"}', '"HUSH"', '["HUSH"]', "HUSH=1", '{"a": "\\HUSH"}'],
 )
 def test_content_of_invalid_state_is_never_printed(search, begun, secret):
     begun.write_text(secret)
