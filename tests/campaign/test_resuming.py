@@ -302,7 +302,7 @@ FAULTS = {
     "another kind": (lambda text: "[1, 2]", "expected a mapping, received"),
     "deep": (lambda text: "[" * 100_000, "expected the JSON of a search's state, received RecursionError"),
     "NaN": (lambda text: text.replace('"doubt"', "NaN").replace('"version": 6', '"version": NaN'), "NaN, which is not"),
-    "version": (changed(lambda data: data.update(version="2")), "expected a state of version 5, received vers"),
+    "version": (changed(lambda data: data.update(version="2")), "expected a state of version 6, received vers"),
     "extra key": (changed(lambda data: data.update(run="rm")), "expected the keys version, settings"),
     "missing key": (changed(lambda data: data.pop("begun")), "expected the keys version, settings"),
     "settings": (changed(lambda data: data.update(settings=3)), "expected settings: a mapping, received 3"),
