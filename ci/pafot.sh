@@ -88,6 +88,9 @@ os.execvp("python", ["python", *sys.argv[1:]])' "$@" <&0 &
 
 # A policy that calls os._exit(0) ends pytest with 0 as well. But then no code, or another one, is in pafot.json.
 session() {
+  case "$* ${PYTEST_ADDOPTS:-}" in
+    *--pafot-json*) fail "expected no --pafot-json: each session leaves pafot.json, which is read here; copy that file" ;;
+  esac
   rm -f pafot.json || fail "expected to replace pafot.json, which is no file; move it away"
   run_python -m pytest --pafot-json=pafot.json --pafot-report=pafot.html --junitxml=pafot.xml "$@"
   [ "$ended" = 0 ] || return "$ended"

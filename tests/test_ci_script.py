@@ -385,6 +385,16 @@ def test_signal_ends_pytest_and_then_the_script(repository, tmp_path, shells, na
     assert not [path for path in (tmp_path / "temporary").iterdir() if not path.name.startswith("pytest-")]
 
 
+@pytest.mark.parametrize("where", ["argument", "variable"])
+def test_a_json_elsewhere_is_refused_because_the_script_reads_its_own(repository, fake, where):
+    option = "--pafot-json=other.json"
+    given, variables = (option, {}) if where == "argument" else ("", {"PYTEST_ADDOPTS": option})
+    code, printed = shell(f"sh {SCRIPT} search {given}", repository, **variables, **fake)
+    assert code == 2
+    assert "expected no --pafot-json" in printed
+    assert not [call for call in calls(fake) if "-m pytest" in call]
+
+
 def test_unknown_task_error_lists_the_known_tasks(repository):
     code, printed = shell(f"sh {SCRIPT} nihgt", repository)
     assert code == 2

@@ -209,6 +209,10 @@ class Collection:
             for given in self._config.getoption(BY_NAME["merge"].key) or ():  # corpora that come from other machines
                 merged = self._config.invocation_params.dir / given
                 met = [each for each in met if not each.is_relative_to(merged)]
+            if not Path(corpus).is_absolute():
+                # A test that was moved into a folder given here may have left its corpus behind, above that folder.
+                above = {each for folder in self._folders_given for each in folder.parents}
+                met += [each / corpus for each in sorted(above) if each.is_relative_to(self._rootpath)]
             roots = dict(_roots_in(met, Path(corpus), self._rootpath)) | roots
         links = {root: layout.link_out(directory, root, self._rootpath) for root, directory in roots.items()}
         for link in sorted(set(filter(None, links.values()))):  # A link is refused before its target is listed.

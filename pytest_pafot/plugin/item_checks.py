@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import inspect
+import os
 import sys
 from collections.abc import Generator, Sequence
 
 import pytest
 
+from pytest_pafot.campaign.options import BY_NAME, is_ci
 from pytest_pafot.campaign.request import Request
 from pytest_pafot.corpus.layout import SEARCH_PART
 from pytest_pafot.execution.crash_records import left_by
+from pytest_pafot.plugin import messages
 from pytest_pafot.plugin.collection import is_search, saved_of
 from pytest_pafot.plugin.marks import (
     ANY_MARK,
@@ -28,7 +31,10 @@ from pytest_pafot.plugin.option_sources import request_of_mark
 from pytest_pafot.plugin.session import SHARED, records_folder
 from pytest_pafot.plugin.tracing import read
 from pytest_pafot.support.errors import RequestError, asserts_run, flag
-from pytest_pafot.support.text import meant, wrapped_to
+from pytest_pafot.support.text import meant, visible, wrapped_to
+
+IDLE = "replay only"
+"""The reason for which a search is skipped that is to run no generations."""
 
 REQUEST: pytest.StashKey[Request] = pytest.StashKey()
 
@@ -70,15 +76,24 @@ class Checks:
         item.stash[REQUEST] = request
         is_idle = is_search(item) and not request.settings.is_search and MERGES not in item.config.stash
         if is_idle and not left_by(base_id(item), records_folder(item, request.settings)):
-            pytest.skip(f"replay only: {flag('generations', 0)}")
+            option = BY_NAME["generations"]
+            if os.environ.get(option.variable) and item.config.getoption(option.key) is None:  # easily forgotten
+                messages.send(item, "note", {"text": f"no search ran: {option.variable}=0 is in the environment"})
+            pytest.skip(f"{IDLE}: {flag('generations', 0)}")
 
     @pytest.hookimpl(wrapper=True)
     def pytest_runtest_makereport(
         self, item: pytest.Item, call: pytest.CallInfo[None]
     ) -> Generator[None, pytest.TestReport, pytest.TestReport]:
-        """Add what to do to the report of an item if the fixture of its ADS does not exist."""
+        """Add what to do to the report of an item without the fixture of its ADS; tell a CI of skipped items."""
         report = yield
         request = item.stash.get(REQUEST, None)
+        is_marked = any(item.get_closest_marker(name) is not None for name in (SEARCH_MARK, CATALOGUE_MARK))
+        if call.when == "setup" and report.outcome == "skipped" and is_marked and is_ci(os.environ):
+            reason = visible(str(getattr(call.excinfo, "value", "")))
+            if not reason.startswith(IDLE) and not hasattr(report, "wasxfail"):
+                text = f"{base_id(item)} was skipped, so its policy did not drive: {reason}"
+                messages.send(item, "warning", {"text": text})
         if request is None or call.when != "setup" or call.excinfo is None:
             return report
         error = call.excinfo.value
@@ -185,7 +200,6 @@ class Execution:
         if request is None:
             return None
         from pytest_pafot.campaign.request import AgainstError  # noqa: PLC0415
-        from pytest_pafot.plugin import messages  # noqa: PLC0415
         from pytest_pafot.plugin.own_session import session_ends_if_stuck  # noqa: PLC0415
         from pytest_pafot.plugin.replay_item import run_replay  # noqa: PLC0415
         from pytest_pafot.plugin.search_item import run_search  # noqa: PLC0415

@@ -216,7 +216,8 @@ def _orphan(folder: Path, root: Path, directory: Path, collected: Collected) -> 
     named = next((name for name in map(_test_of, saved) if _is_folder_of(folder, name)), "")
     name = named.partition("::")[2] or folder.name
     there, is_gone = f"no file {file}", True
-    is_asked_for = any(module.is_relative_to(each) for each in collected.asked_for)
+    # The tests of a module that is gone run in no session, whichever folder this one was asked for.
+    is_asked_for = not os.path.lexists(module) or any(module.is_relative_to(each) for each in collected.asked_for)
     if os.path.lexists(module):
         same_test = [
             each

@@ -32,10 +32,10 @@ from pytest_pafot.execution.runner import must_stay_here
 from pytest_pafot.findings.finding import message_of
 from pytest_pafot.oracle.checks import CheckFailed
 from pytest_pafot.plugin import messages, node_ids
-from pytest_pafot.plugin.allure_results import tell_allure, without_listener
 from pytest_pafot.plugin.collection import COLLECTED, is_search
 from pytest_pafot.plugin.failure_reports import OUTPUT, SUMMARY, explained, is_compact, summarise
 from pytest_pafot.plugin.finding_message import is_on_page, label_of, tell_finding
+from pytest_pafot.plugin.item_followers import tell_followers, without_listener
 from pytest_pafot.plugin.marks import EXECUTOR_FIXTURE, WORLD_FIXTURE, arguments_of
 from pytest_pafot.plugin.messages import OF_ONE_RUN, OfOneRun, of_findings, set_properties
 from pytest_pafot.plugin.option_sources import isolates_by_profile
@@ -325,7 +325,7 @@ class SearchMessages:
             found = of_findings((each.finding, each.find.path, each.find.severity) for each in self.told.values())
             set_properties(self.item.user_properties, **found)
             for each in self.told.values():  # only now, because a finding is told again once it is shrunk
-                tell_allure(self.item, each.find.id, _call(each))
+                tell_followers(self.item, each.find.id, _call(each))
             if self.told:  # otherwise they stay those of the last run
                 self.item.stash[OF_ONE_RUN].show(next(iter(self.told.values())).run)
             messages.send(self.item, "search", {"summary": plain(event), **self._for_page(event)})

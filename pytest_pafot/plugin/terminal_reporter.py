@@ -99,6 +99,7 @@ class Reporter:
         self._session: pytest.Session | None = None
         self._pending: dict[str, dict[str, tuple[dict[str, Any], Any, tuple[float, ...]]]] = {}
         self._expanded: set[str] = set()
+        self._explained: dict[str, list[str]] = {}
         self._running: dict[str, None] = {}
         self._searches: list[SearchSummary] = []
         self._replays: list[Find] = []
@@ -176,7 +177,8 @@ class Reporter:
             if self._searches and os.environ.get("GITHUB_ACTIONS") == "true":
                 from pytest_pafot.report.terminal import annotation_lines  # noqa: PLC0415
 
-                for line in annotation_lines(find for search in self._searches for find in search.finds):
+                finds = (find for search in self._searches for find in search.finds)
+                for line in annotation_lines(finds, self._explained):
                     terminalreporter.line(line)
         for line in own.problems:
             terminalreporter.line(ascii_text(line))
@@ -185,7 +187,7 @@ class Reporter:
         unrun = self._config.stash[UNRUN]
         lines = (self._lines.problems, self._lines.reports)
         told = (unrun.orphans, unrun.strays, unrun.unmerged)
-        if not any((self._searches, self._replays, self._running, self._notes, *told, *lines)):
+        if not any((self._searches, self._replays, self._running, self._notes, self._warnings, *told, *lines)):
             return []
         from pytest_pafot.report import terminal  # noqa: PLC0415
 
@@ -227,6 +229,7 @@ class Reporter:
             case "finding":
                 find = from_plain(Find, data["find"])
                 if find.label == NEW:
+                    self._explained[find.id] = data.get("record", {}).get("sentences", [])
                     self._take_find(report, find, data)
                 else:
                     self._replays.append(find)

@@ -374,20 +374,23 @@ def session_lines(session: SessionSummary, *, verbose: bool = False, width: int 
     return list(map(ascii_text, lines))  # escapes names and texts, so that each stays on one line
 
 
-def annotation_lines(finds: Iterable[Find]) -> list[str]:
-    """Return commands by which GitHub Actions shows each finding at its most telling line.
+def annotation_lines(finds: Iterable[Find], explained: Mapping[str, Sequence[str]]) -> list[str]:
+    """Return commands by which GitHub Actions shows each finding at its most telling line, or else at its test file.
 
-    In the text and the names, what such a command reads as its own marks is escaped.
+    Each has the headline, the sentences that explain the finding, by its id, and the telling line. In all of these, and
+    in names, what such a command reads as its own marks is escaped.
     """
     lines = []
     for find in finds:
-        for line in find.lines[:1]:
-            text = ascii_text(f"{find.headline}: {line}").replace("%", "%25")
-            file, title = (
-                ascii_text(each).replace("%", "%25").replace(":", "%3A").replace(",", "%2C")
-                for each in (line.file, find.id)
-            )
-            lines.append(f"::warning file={file},line={line.number},title={title}::{text}")
+        at = find.lines[0] if find.lines else None
+        told = [find.headline, *explained.get(find.id, ()), *([str(at)] if at else [])]
+        text = "%0A".join(ascii_text(each).replace("%", "%25") for each in told)
+        file, title = (
+            ascii_text(each).replace("%", "%25").replace(":", "%3A").replace(",", "%2C")
+            for each in (find.node_id.partition("::")[0] if at is None else at.file, find.id)
+        )
+        place = f"file={file}" if at is None else f"file={file},line={at.number}"
+        lines.append(f"::error {place},title={title}::{text}")
     return lines
 
 

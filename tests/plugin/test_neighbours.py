@@ -111,7 +111,7 @@ def test_lines_that_tell_failing_neighbours_from_passing_ones_are_told(project, 
     result.stdout.re_match_lines(
         [
             r"line +test_it.py:\d+ in Sleepy.*",
-            rf"::warning file=test_it.py,line={told[0]['number']},title={record['id']}::collision after .*",
+            rf"::error file=test_it.py,line={told[0]['number']},title={record['id']}::collision after .*%0A.*Sleepy.*",
         ]
     )
     _, without, same = run(project)

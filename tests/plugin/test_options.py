@@ -207,3 +207,33 @@ def test_every_option_is_in_the_help(project):
     for option in OPTIONS:
         assert option.flag in result.stdout.str()
         assert re.search(rf"\.\n +{re.escape(option.link)}\n", result.stdout.str()), "a sentence, then the link"
+
+
+SKIPPED = """
+@pytest.fixture
+def ads():
+    pytest.skip("no weights")
+
+@pafot.search(SHORT)
+def test_skipped(run):
+    pass
+"""
+
+
+@pytest.mark.parametrize("is_ci", [False, True])
+def test_ci_is_told_of_a_policy_that_did_not_drive(project, monkeypatch, is_ci):
+    project.write("import pytest\n" + SKIPPED)
+    if is_ci:
+        monkeypatch.setenv("CI", "true")
+    result = project.run(generations=1)
+    result.assert_outcomes(skipped=1)
+    told = "  warning: test_it.py::test_skipped was skipped, so its policy did not drive: no weights"
+    assert (told in result.outlines) == is_ci
+
+
+def test_no_search_because_of_a_variable_is_told(project, monkeypatch):
+    project.write("@pafot.search(SHORT)\ndef test_it(run):\n    pass\n")
+    monkeypatch.setenv("PAFOT_GENERATIONS", "0")
+    told = "  note: no search ran: PAFOT_GENERATIONS=0 is in the environment"
+    assert told in project.run(generations=None).outlines
+    assert told not in project.run(generations=0).outlines

@@ -171,3 +171,17 @@ def test_prune_spares_files_below_a_misplaced_one(project):
         "all/tests/test_low/a.pafot.yaml: it is in no test's folder; "
         "move it to the folder of tests/test_low.py::test_fails, or delete it"
     ]
+
+
+def test_corpus_above_a_folder_given_to_pytest_is_looked_at_too(saved, monkeypatch):
+    """A test that has moved into the folder has left its corpus behind; one that is still there is only left out."""
+    monkeypatch.setenv("CI", "true")
+    (saved.path / "tests").mkdir()
+    (saved.path / "tests" / "test_other.py").write_text("def test_other():\n    pass\n")
+    saved.run("tests", generations=0).assert_outcomes(passed=1)
+    (saved.path / "test_it.py").rename(saved.path / "tests" / "test_it.py")
+    result = saved.run("tests", generations=0)
+    result.assert_outcomes(passed=1, skipped=1, errors=1)
+    result.stdout.fnmatch_lines(
+        ["*the test of 1 saved scenario is gone (CI is set; --pafot-allow-orphans lets it pass):*"]
+    )

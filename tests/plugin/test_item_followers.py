@@ -1,4 +1,4 @@
-"""A listener of the kind of allure-pytest's: it makes results from hooks of items, each by the item's node id."""
+"""Plugins of the kind of allure-pytest's and of VS Code's, which learn of tests from the hooks of items."""
 
 import json
 
@@ -63,3 +63,37 @@ def test_finding_has_a_result_of_its_own_with_the_name_of_its_replay(project, ma
     assert message == replay[found]["call"][0][1]  # that of the shrunk run
     ((told, message),) = new[search]["call"]
     assert (told, message.startswith("Failed: 1 new finding")) == (outcome, True)
+
+
+EDITOR = """
+import json
+import pytest
+
+
+class Editor:
+    def __init__(self):
+        self.files = {}
+
+    @pytest.hookimpl(hookwrapper=True, trylast=True)
+    def pytest_runtest_protocol(self, item, nextitem):
+        self.files[item.nodeid] = item.path.name
+        yield
+
+    def pytest_report_teststatus(self, report):
+        if report.when == "call":
+            with open("shown.json", "a") as file:
+                file.write(json.dumps([report.nodeid, self.files.get(report.nodeid)]) + "\\n")
+
+
+def pytest_configure(config):
+    config.pluginmanager.register(Editor(), "vscode_pytest")
+"""
+
+
+def test_finding_is_shown_in_its_file_by_an_editor_that_knows_the_files_of_items(project):
+    project.write(TEST.format(mark=""))
+    (project.path / "conftest.py").write_text(EDITOR)
+    project.run("--pafot-runs=12", "--pafot-seed=2", generations=None)
+    shown = dict(json.loads(line) for line in (project.path / "shown.json").read_text().splitlines())
+    found = f"test_it.py::test_a[saved-{project.only_id}]"
+    assert shown == {"test_it.py::test_a[search]": "test_it.py", found: "test_it.py"}
