@@ -47,7 +47,14 @@ pytest would slow down the help of commands."""
 LAST_SECONDS = 30
 """The time that an interrupted session has for its summary [s]. After that it is killed."""
 PYTEST = """
-import os, sys, pytest
+import os, signal, sys
+parent = int(sys.argv.pop(1))
+if sys.platform == "linux":  # elsewhere the session goes on if the command is killed
+    import ctypes
+    ctypes.CDLL(None).prctl(1, signal.SIGTERM)  # PR_SET_PDEATHSIG
+    if os.getppid() != parent:  # it was killed before that
+        sys.exit(128 + signal.SIGTERM)
+import pytest
 try:
     code = int(pytest.main())
     sys.stdout.flush()
@@ -57,7 +64,9 @@ except BrokenPipeError:  # as of `| head`; else Python fails to flush the rest w
 from pytest_pafot.support.receipts import with_receipt  # only now: pytest rewrites the assertions of what it imports
 sys.exit(with_receipt(code))
 """
-"""``python -m pytest``, as a process that leaves a receipt: a policy may end it with the exit code 0."""
+"""``python -m pytest``, as a process that leaves a receipt: a policy may end it with the exit code 0.
+
+It ends with the process that started it, whose id is its first argument."""
 NO_TESTS = "[pytest]\n"
 """An empty configuration of pytest, so that the project's settings do not apply to the session."""
 
@@ -146,7 +155,7 @@ def _session(files: Mapping[str, str]) -> Iterator[list[str]]:
         for name, text in {**files, "pytest.ini": NO_TESTS}.items():
             (Path(folder) / name).write_text(text, encoding="utf-8")
         fixed = [f"--rootdir={folder}", "-pno:cacheprovider", "-rN"]
-        yield [sys.executable, "-c", PYTEST, folder, *fixed]
+        yield [sys.executable, "-c", PYTEST, str(os.getpid()), folder, *fixed]
 
 
 def _code_of(session: Sequence[str], environ: Mapping[str, str], output: int | None = None) -> int:

@@ -48,6 +48,7 @@ from pytest_pafot.support.isolation import isolates
 from pytest_pafot.support.text import plural
 from pytest_pafot.world import Highway, protocol
 from pytest_pafot.world.driving.ads import is_vehicle_class, make_ads, wants_env
+from pytest_pafot.world.guard.failure import closing
 from pytest_pafot.world.guard.own_worlds import rollout_of, simulate_batch
 from pytest_pafot.world.protocol import WorldLike, lock_stepping, resumable
 
@@ -713,11 +714,18 @@ def must_stay_here(job: Job) -> str:
     """
     if is_vehicle_class(job.ads) or wants_env(job.ads) or isinstance(job.ads, RevisionPolicy):
         return ""
+    patience = protocol.hang_limit(job.world)
+
+    def asked(_: str, tell: object) -> str:
+        ads = make_ads(job.ads)
+        with closing(ads, patience):  # as at the end of a run: it may have opened what only one can have
+            return "decides for many runs at once" if callable(getattr(ads, "batch", None)) else ""
+
     pool = WorkerPool[str, str](
-        lambda _, tell: "decides for many runs at once" if callable(getattr(make_ads(job.ads), "batch", None)) else "",
+        asked,
         1,
         method=scenario_pool.METHOD,
-        patience=protocol.hang_limit(job.world) + GRACE,
+        patience=patience + GRACE,
     )
     with capture_output(), pool:
         answer = pool.fetch("the factory of the ADS")

@@ -278,6 +278,29 @@ def test_policy_that_decides_for_many_runs_stays_in_the_session_and_that_is_told
     assert session(project, "--pafot-seed=0", *QUICK)[1] == contents
 
 
+OPENS = """
+class Opens:
+    def __init__(self):
+        self.file = open("taken", "x")
+    def __call__(self, observation):
+        return keep(observation)
+    def close(self):
+        self.file.close()
+        os.unlink("taken")
+"""
+
+
+def test_policy_that_is_made_to_ask_whether_it_can_leave_the_session_is_closed(isolated, monkeypatch):
+    project = isolated("Opens()", OPENS)
+    contents = session(project, "--pafot-seed=0", *QUICK, generations=1)[1]
+    monkeypatch.setenv("CI", "true")
+    apart, same = session(project, "--pafot-seed=0", *QUICK, generations=1)
+    assert contents
+    assert same == contents
+    assert not (project.path / "taken").exists()
+    assert "although the profile ci isolates" not in str(apart.stdout)
+
+
 def test_policy_that_works_only_in_the_session_stays_there(isolated, monkeypatch):
     project = isolated("only_here()", "def only_here():\n    assert os.getpid() == SESSION\n    return keep\n")
     monkeypatch.setenv("CI", "true")

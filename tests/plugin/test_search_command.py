@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import pytest
 
@@ -312,6 +313,23 @@ def test_ended_search_leaves_no_session_and_no_copy(here, monkeypatch, tmp_path_
         search.communicate(timeout=60)  # It also waits for the session, which has the same output.
     assert search.returncode == 128 + getattr(signal, name)
     assert not [*places.glob("pafot-*")]
+
+
+@pytest.mark.processes
+@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere a session does not learn that its parent was killed")
+def test_session_of_a_search_that_is_killed_ends(here):
+    command = [sys.executable, "-m", "pytest_pafot", "search", "a_planner:Planner", "--runs", "100000", "--seed", "2"]
+    with begun(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as search:
+        told = ""
+        while "pafot: found" not in told:
+            line = search.stdout.readline()
+            assert line, told
+            told += line
+        children = Path(f"/proc/{search.pid}/task/{search.pid}/children").read_text().split()
+        os.kill(int(children[0]), signal.SIGKILL)
+        _, error = search.communicate(timeout=60)  # It also waits for the session, which has the same output.
+    assert search.returncode == 128 + signal.SIGKILL
+    assert "search: expected the process that drives to finish the command, received an end by SIGKILL" in error
 
 
 @pytest.mark.parametrize(
