@@ -1,8 +1,7 @@
 """Commands that are run without ``pytest``, such as ``python -m pytest_pafot search``.
 
 Commands that a CI takes for a verdict drive policies in a child process. A policy may end its process with the exit
-code 0, which must not be the verdict. So the child ends with a receipt in place of 0, and only if the command came to
-its end.
+code 0, which must not be the verdict. So the child leaves a receipt, and only if the command came to its end.
 """
 
 from __future__ import annotations
@@ -13,21 +12,23 @@ import os
 import signal
 import subprocess
 import sys
+import tempfile
 from contextlib import suppress
 from pathlib import Path
 
-from pytest_pafot.support.receipts import received_code, unfinished, with_receipt
+from pytest_pafot.support.receipts import ended_with, leave_receipt, taken_receipt, unfinished
 
 GATES = ("search", "bisect", "map", "rate", "progress", "compare")
 """The commands whose exit code is a verdict on a policy."""
 
 DRIVES = "PYTEST_PAFOT_DRIVES"
-"""The environment variable that tells a process that it is such a child, and of which process."""
+"""The environment variable that tells a process that it is such a child, of whom, and where its receipt goes."""
 
 
 def main_in_child(arguments: list[str]) -> int:
     """Run a command and return its exit code; one of :data:`GATES` in a child process, which has to leave a receipt."""
-    if parent := os.environ.pop(DRIVES, ""):
+    if told := os.environ.pop(DRIVES, ""):
+        parent, _, folder = told.partition(":")
         if sys.platform == "linux":  # elsewhere it drives on when its parent is killed
             import ctypes  # noqa: PLC0415
 
@@ -35,9 +36,11 @@ def main_in_child(arguments: list[str]) -> int:
             if os.getppid() != int(parent):  # it was killed before that
                 return 128 + signal.SIGTERM
         try:
-            return with_receipt(main(arguments))
+            code = main(arguments)
         except SystemExit as ended:  # after --help, or for wrong arguments; those of a policy are caught
-            return with_receipt(int(ended.code or 0))
+            code = int(ended.code or 0)
+        leave_receipt(folder, code)
+        return code
     if arguments[:1] == [] or arguments[0] not in GATES:
         return main(arguments)
     child: subprocess.Popen[bytes] | None = None
@@ -55,20 +58,21 @@ def main_in_child(arguments: list[str]) -> int:
         number = getattr(signal, name, None)
         if number is not None and signal.getsignal(number) is not signal.SIG_IGN:  # nohup's are ignored in both
             signal.signal(number, pass_on)
-    # The same interpreter with the same options.
-    environ = {**os.environ, DRIVES: str(os.getpid())}
-    child = subprocess.Popen([sys.executable, *sys.orig_argv[1:]], env=environ)  # noqa: S603  (this command)
-    for number in tuple(received):  # before the child was there
-        child.send_signal(number)
-    left = child.wait()
-    code = received_code(left)
-    if code is not None:
-        return code
+    with tempfile.TemporaryDirectory(prefix="pafot-") as folder:
+        # The same interpreter with the same options.
+        environ = {**os.environ, DRIVES: f"{os.getpid()}:{folder}"}
+        child = subprocess.Popen([sys.executable, *sys.orig_argv[1:]], env=environ)  # noqa: S603  (this command)
+        for number in tuple(received):  # before the child was there
+            child.send_signal(number)
+        left = child.wait()
+        received_code = taken_receipt(folder, left)
+    if received_code is not None:
+        return received_code
     if -left in received:
         sys.stderr.write(f"{arguments[0]}: interrupted\n")
     else:
         sys.stderr.write(f"{arguments[0]}: {unfinished(left)}\n")
-    return 128 - left if left < 0 else left or 2
+    return ended_with(left) or 2
 
 
 def _has_terminal() -> bool:

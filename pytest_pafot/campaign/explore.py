@@ -17,11 +17,10 @@ from pytest_pafot.campaign.replays import Replays
 from pytest_pafot.campaign.request import Request, SearchArguments, build_world, check_names, checked_request
 from pytest_pafot.campaign.resuming import check_states
 from pytest_pafot.campaign.run_table import RunTable
-from pytest_pafot.campaign.search import Search, prepared, time_limit
+from pytest_pafot.campaign.search import Search, may_not_leave, prepared, time_limit
 from pytest_pafot.corpus.layout import folder_of_test, link_below
 from pytest_pafot.corpus.saved import refusal
 from pytest_pafot.execution import scenario_pool
-from pytest_pafot.execution.runner import must_stay_here
 from pytest_pafot.findings.finding import Finding
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.support.errors import RequestError, check_asserts, command
@@ -118,7 +117,7 @@ def explore(
         replays = replays_of(request, holds, name, Path(scratch), executor, needs_only_run=on_event is None)
         harness = replays.harness
         may_leave = "isolate" not in settings and executor is None and scenario_pool.METHOD == "fork"
-        if may_leave and isolates() and not must_stay_here(harness.job()):  # as a search of the test that calls this
+        if may_leave and isolates() and not may_not_leave(harness):  # as a search of the test that calls this
             isolated = replace(request, settings=replace(request.settings, isolate=True))
             replays = replace(replays, harness=replace(harness, request=isolated))
         now = time.monotonic()

@@ -14,6 +14,8 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from pytest_pafot.attribution.responsibility import is_ego_responsible
 from pytest_pafot.campaign.beginnings import begun_with
 from pytest_pafot.campaign.events import FindTold, Listener, Progress, SearchStarted, SearchSummary
@@ -29,14 +31,14 @@ from pytest_pafot.campaign.verdict import no_skip, skips
 from pytest_pafot.corpus.saved import Saved, saved_in
 from pytest_pafot.execution import scenario_pool
 from pytest_pafot.execution.crash_records import Leftover
-from pytest_pafot.execution.runner import Retried, retry, runner_for
+from pytest_pafot.execution.runner import Retried, must_stay_here, retry, runner_for
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.sight import Sight
 from pytest_pafot.searching import run_campaign
 from pytest_pafot.searching.ask_tell import Algorithm, draws_ahead
 from pytest_pafot.searching.ask_tell_loop import CheckpointError
 from pytest_pafot.searching.fitness import FitnessError, is_built_in, resolve
-from pytest_pafot.searching.space import SearchSpace
+from pytest_pafot.searching.space import SearchSpace, sample
 from pytest_pafot.support.errors import OutOfTime, RequestError, flag
 from pytest_pafot.world import WorldError, codec, protocol
 from pytest_pafot.world.driving.ads import is_vehicle_class, loading_hint
@@ -574,6 +576,15 @@ class Search:
 def _population(given: int | None) -> dict[str, int]:
     """Return the population as a parameter of the algorithm; nothing for None, so that its default is used."""
     return {} if given is None else {"population": given}
+
+
+def may_not_leave(harness: Harness) -> str:
+    """Return why the ADS of a harness had better stay in this process, see :func:`must_stay_here`; or empty."""
+    try:
+        scenario = sample(build_space(harness.request, harness.world), np.random.default_rng(0))
+    except RequestError:  # which the search reports
+        return ""
+    return must_stay_here(harness.job(), scenario)
 
 
 def isolated_after_a_death(harness: Harness, replays: Replays) -> Harness:

@@ -34,7 +34,7 @@ from pytest_pafot.model.driving_style import STYLES
 from pytest_pafot.support.errors import OF_SEARCH, RequestError, flag, page
 from pytest_pafot.support.files import way_out, write_if_free
 from pytest_pafot.support.interrupts import Ended, undisturbed
-from pytest_pafot.support.receipts import received_code, unfinished
+from pytest_pafot.support.receipts import taken_receipt, unfinished
 from pytest_pafot.support.text import one_line, visible
 
 CONFTEST, TEST = "conftest.py", "test_safety.py"
@@ -48,7 +48,7 @@ LAST_SECONDS = 30
 """The time that an interrupted session has for its summary [s]. After that it is killed."""
 PYTEST = """
 import os, signal, sys
-parent = int(sys.argv.pop(1))
+parent, folder = int(sys.argv.pop(1)), sys.argv[1]
 if sys.platform == "linux":  # elsewhere the session goes on if the command is killed
     import ctypes
     ctypes.CDLL(None).prctl(1, signal.SIGTERM)  # PR_SET_PDEATHSIG
@@ -61,12 +61,16 @@ try:
 except BrokenPipeError:  # as of `| head`; else Python fails to flush the rest when it exits
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     code = 1
-from pytest_pafot.support.receipts import with_receipt  # only now: pytest rewrites the assertions of what it imports
-sys.exit(with_receipt(code))
+from pytest_pafot.support.receipts import leave_receipt  # only now: pytest rewrites the assertions of what it imports
+leave_receipt(folder, code)
+sys.exit(code)
 """
 """``python -m pytest``, as a process that leaves a receipt: a policy may end it with the exit code 0.
 
-It ends with the process that started it, whose id is its first argument."""
+It ends with the process that started it, whose id is its first argument. Its receipt goes into the folder of its tests,
+which is its second one."""
+PLACE = 4
+"""Where in the command of a session the folder of its tests is."""
 NO_TESTS = "[pytest]\n"
 """An empty configuration of pytest, so that the project's settings do not apply to the session."""
 
@@ -185,7 +189,7 @@ def _code_of(session: Sequence[str], environ: Mapping[str, str], output: int | N
                 except subprocess.TimeoutExpired:
                     process.kill()
                     process.wait()
-    code = received_code(left)
+    code = taken_receipt(session[PLACE], left)
     if code is None and left != STUCK:
         raise ChildProcessError(unfinished(left))
     return left if code is None else code

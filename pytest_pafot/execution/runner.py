@@ -706,32 +706,34 @@ def driven_first(world: Any, ads: Callable[..., Any]) -> Iterator[Callable[[Scen
             yield drive
 
 
-def must_stay_here(job: Job) -> str:
+def must_stay_here(job: Job, scenario: Scenario) -> str:
     """Return why runs had better stay in this process although nobody has decided that; empty if they can leave it.
 
-    The ADS may decide for many runs at once, which is faster. Or it works only in the process that has begun, such as
-    one that has loaded a model onto a GPU there. A separate process makes it, since its factory may end its process.
+    The ADS may decide for many runs at once, which is faster. Or it works only in the process that has begun: a model
+    is on a GPU there, or a thread that its decisions wait for. A separate process makes it and drives a scenario, since
+    it may end its process. If it raises or hangs at its first decision, this process judges that.
     """
-    if is_vehicle_class(job.ads) or wants_env(job.ads) or isinstance(job.ads, RevisionPolicy):
+    if is_vehicle_class(job.ads) or isinstance(job.ads, RevisionPolicy):
         return ""
     patience = protocol.hang_limit(job.world)
 
     def asked(_: str, tell: object) -> str:
-        ads = make_ads(job.ads)
-        with closing(ads, patience):  # as at the end of a run: it may have opened what only one can have
-            return "decides for many runs at once" if callable(getattr(ads, "batch", None)) else ""
+        if not wants_env(job.ads):
+            ads = make_ads(job.ads)
+            with closing(ads, patience):  # as at the end of a run: it may have opened what only one can have
+                if callable(getattr(ads, "batch", None)):
+                    return "decides for many runs at once"
+        trace = rollout_of(job.world)(scenario, job.ads)
+        if trace.error is None or trace.actions:
+            return ""
+        return f"{'hangs' if trace.outcome is Outcome.HANG else f'raises {trace.error.kind}'} in another process"
 
-    pool = WorkerPool[str, str](
-        asked,
-        1,
-        method=scenario_pool.METHOD,
-        patience=patience + GRACE,
-    )
+    pool = WorkerPool[str, str](asked, 1, method=scenario_pool.METHOD, patience=patience + GRACE)
     with capture_output(), pool:
-        answer = pool.fetch("the factory of the ADS")
-    if isinstance(answer, str):
-        return answer
-    return "" if isinstance(answer, ProcessLostError) else f"raises {type(answer).__name__} in another process"
+        answer = pool.fetch("the first run of the ADS")
+    if isinstance(answer, ProcessLostError):
+        return "hangs in another process" if answer.is_hang else ""
+    return answer if isinstance(answer, str) else f"raises {type(answer).__name__} in another process"
 
 
 def replay_in_gym_apart(job: Job, record: CrashRecord, scenario: Scenario) -> Trace:

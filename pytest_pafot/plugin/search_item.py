@@ -22,13 +22,19 @@ from pytest_pafot.campaign.options import Settings
 from pytest_pafot.campaign.replays import Replays
 from pytest_pafot.campaign.request import Request, build_world
 from pytest_pafot.campaign.resuming import check_states
-from pytest_pafot.campaign.search import AFTER_A_DEATH, Search, isolated_after_a_death, prepared, time_limit
+from pytest_pafot.campaign.search import (
+    AFTER_A_DEATH,
+    Search,
+    isolated_after_a_death,
+    may_not_leave,
+    prepared,
+    time_limit,
+)
 from pytest_pafot.campaign.search_loop import NOT_REPEATED
 from pytest_pafot.campaign.verdict import PlainFailure, Test
 from pytest_pafot.corpus.layout import SUFFIX, chosen_folder, files_in, folder_of_test, link_below
 from pytest_pafot.corpus.saved import refusal
 from pytest_pafot.execution import scenario_pool
-from pytest_pafot.execution.runner import must_stay_here
 from pytest_pafot.findings.finding import message_of
 from pytest_pafot.oracle.checks import CheckFailed
 from pytest_pafot.plugin import messages, node_ids
@@ -137,7 +143,7 @@ def harness_of(item: pytest.Function, request: Request, *, writes: bool = True) 
     known = item.config.stash.setdefault(HERE, {})
     if scenario_pool.METHOD == "fork" and harness.executor is None:
         if harness.node_id not in known:
-            known[harness.node_id] = must_stay_here(harness.job())
+            known[harness.node_id] = may_not_leave(harness)
             if known[harness.node_id]:
                 messages.send(item, "note", {"text": f"{NOT_ISOLATED}: it {known[harness.node_id]}"})
         if not known[harness.node_id]:

@@ -1,4 +1,4 @@
-"""The receipt of a process that drives: an exit code that says that its command came to its end, and with which code.
+"""The receipt of a process that drives: a file that says that its command came to its end, and with which exit code.
 
 A policy may end its process, also with the exit code 0, which must not be the verdict on it.
 """
@@ -6,19 +6,34 @@ A policy may end its process, also with the exit code 0, which must not be the v
 from __future__ import annotations
 
 import signal
+from pathlib import Path
 
-RECEIPT = 93
-"""The exit code in place of 0. In place of 1 it is 94, and so on. By convention no other program ends with 93."""
-
-
-def with_receipt(code: int) -> int:
-    """Return the exit code of a process whose command has ended with a code, negative for a signal."""
-    return RECEIPT + min(code if code >= 0 else 128 - code, 255 - RECEIPT)
+NAME = "receipt"
+"""The name of the file, in a temporary folder of the process that waits for it."""
 
 
-def received_code(code: int) -> int | None:
-    """Return the code with which the command of a process has ended, or None if the process left no receipt."""
-    return code - RECEIPT if RECEIPT <= code <= 255 else None
+def leave_receipt(folder: str, code: int) -> None:
+    """Say that the command of this process has ended with an exit code."""
+    (Path(folder) / NAME).write_text(str(code), encoding="ascii")
+
+
+def taken_receipt(folder: str, left: int) -> int | None:
+    """Return the exit code of the command of a process, and remove its receipt; None if it left none.
+
+    ``left`` is the exit code of the process. It counts if the command ended well, and the process then did not.
+    """
+    file = Path(folder) / NAME
+    try:
+        code = int(file.read_text(encoding="ascii"))
+        file.unlink()
+    except (OSError, ValueError):
+        return None
+    return code or ended_with(left)
+
+
+def ended_with(left: int) -> int:
+    """Return the exit code that a shell reports for a process, which is negative for a signal."""
+    return left if left >= 0 else 128 - left
 
 
 def unfinished(code: int) -> str:

@@ -312,6 +312,29 @@ def test_policy_that_works_only_in_the_session_stays_there(isolated, monkeypatch
     assert contents == {}
 
 
+THREADS = """
+from concurrent.futures import ThreadPoolExecutor
+
+POOL = ThreadPoolExecutor(1)
+POOL.submit(int).result()
+
+def waits(observation):
+    return POOL.submit(keep, observation).result(timeout=SECONDS)
+"""
+
+
+@pytest.mark.parametrize(("seconds", "why"), [("0.2", "raises TimeoutError"), ("None", "hangs")])
+def test_policy_that_waits_for_a_thread_of_the_session_stays_there(isolated, monkeypatch, seconds, why):
+    """A copy of a process has none of its threads, so the policy would hang in it."""
+    world = "@pafot.search(world=pafot.Highway(hang_limit=1.0), "
+    project = isolated("waits", THREADS.replace("SECONDS", seconds), MANY.replace("@pafot.search(", world))
+    _, contents = session(project, "--pafot-seed=0", *QUICK, generations=1)
+    monkeypatch.setenv("CI", "true")
+    result, same = session(project, "--pafot-seed=0", *QUICK, generations=1)
+    result.stdout.fnmatch_lines([f"  note: *although the profile ci isolates*: it {why} in another process"])
+    assert same == contents != {}
+
+
 EXITS = """
 import os
 
