@@ -17,14 +17,12 @@ from pytest_pafot.campaign.replays import Replays
 from pytest_pafot.campaign.request import Request, SearchArguments, build_world, check_names, checked_request
 from pytest_pafot.campaign.resuming import check_states
 from pytest_pafot.campaign.run_table import RunTable
-from pytest_pafot.campaign.search import Search, may_not_leave, prepared, time_limit
+from pytest_pafot.campaign.search import Search, prepared, time_limit
 from pytest_pafot.corpus.layout import folder_of_test, link_below
 from pytest_pafot.corpus.saved import refusal
-from pytest_pafot.execution import scenario_pool
 from pytest_pafot.findings.finding import Finding
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.support.errors import RequestError, check_asserts, command
-from pytest_pafot.support.isolation import isolates
 from pytest_pafot.support.shown import Shown
 from pytest_pafot.support.versions import installed_versions
 from pytest_pafot.world import Highway
@@ -115,11 +113,6 @@ def explore(
 
     with tempfile.TemporaryDirectory(prefix="pafot-") as scratch:
         replays = replays_of(request, holds, name, Path(scratch), executor, needs_only_run=on_event is None)
-        harness = replays.harness
-        may_leave = "isolate" not in settings and executor is None and scenario_pool.METHOD == "fork"
-        if may_leave and isolates() and not may_not_leave(harness):  # as a search of the test that calls this
-            isolated = replace(request, settings=replace(request.settings, isolate=True))
-            replays = replace(replays, harness=replace(harness, request=isolated))
         now = time.monotonic()
         with prepared(replays.harness, listen, has_table=True) as sessions:
             limit = time_limit(request.settings, now=now, began=now, left=1)

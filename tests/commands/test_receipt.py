@@ -63,6 +63,20 @@ def ended(folder, command, *, options=(), **parts):
     return done.returncode, done.stderr + done.stdout
 
 
+@pytest.fixture(autouse=True)
+def outside_of_ci(monkeypatch):
+    """In CI a search isolates its policy, so that its end is a finding and needs no receipt."""
+    monkeypatch.delenv("CI", raising=False)
+
+
+def test_in_ci_the_end_of_a_process_is_a_finding_of_a_search(tmp_path, monkeypatch):
+    monkeypatch.setenv("CI", "true")
+    code, told = ended(tmp_path, "search", IN_DECISION="os._exit(0)")
+    assert code == 1
+    assert re.search(r"1 new finding in \d+ runs", told)
+    assert " crash-" in told
+
+
 @pytest.mark.parametrize("command", COMMANDS)
 @pytest.mark.parametrize(("place", "how"), [(place, how) for place, ways in ENDINGS.items() for how in ways])
 def test_a_policy_that_ends_its_process_is_no_success(tmp_path, command, place, how):
