@@ -26,7 +26,7 @@ from pytest_pafot.model.trace import AdsError, Outcome
 from pytest_pafot.support.errors import AdsFactoryError, WorldError
 from pytest_pafot.world.driving.ads import AdsFactory, is_vehicle_class, make_ads, wants_env
 from pytest_pafot.world.driving.compiled_vehicle import CompiledRoad, obstacles_on, road_rules
-from pytest_pafot.world.driving.idm_model import idm_model
+from pytest_pafot.world.driving.idm_model import idm_model, is_patched, shadowed
 from pytest_pafot.world.driving.object_driver import body_of
 from pytest_pafot.world.driving.observations import observe_fast, observer
 from pytest_pafot.world.driving.perception import ads_and_sight
@@ -38,10 +38,8 @@ from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.kernel.loop import PlannerDriver
 from pytest_pafot.world.kernel.observation import COLUMNS
 from pytest_pafot.world.kernel.traffic import OrdinaryTraffic
+from pytest_pafot.world.limits import TOP_SPEED
 from pytest_pafot.world.stock import ControlledVehicle, MDPVehicle, RegulatedRoad, Road, RoadNetwork, Vehicle, action
-
-OWN = {"act", "step"}
-"""The attributes of a road or vehicle that moves in its own way, instead of that of its class."""
 
 
 def why_not(start: Start) -> str:
@@ -55,8 +53,10 @@ def why_not(start: Start) -> str:
         return f"{cls.__name__} has its own steps"
     if type(road) not in (Road, RegulatedRoad) or type(road.network) is not RoadNetwork:
         return f"the road is a {type(road).__name__} with a {type(road.network).__name__}"
-    if vars(road).keys() & OWN:
+    if is_patched(type(road)) or shadowed(road):
         return "the road has its own steps"
+    if any(map(shadowed, road.network.lanes_list())):
+        return "the road has lanes with functions of their own"
     if start.compiled_lanes is None:
         has_limits = all(lane.speed_limit is not None for lane in road.network.lanes_list())
         return f"the road has lanes {'of a class of its own' if has_limits else 'without a speed limit'}"
@@ -85,11 +85,11 @@ def _unknown(vehicles: list[Any], objects: list[Any], ego: Any = None) -> str:
             return f"there is a {name} on the road"
         if is_vehicle and each is not ego and idm_model(type(each)) is None:
             return f"the traffic has a {name}, not only IDM and MOBIL"
-        if is_vehicle and (each.MIN_SPEED, each.MAX_SPEED) != (Vehicle.MIN_SPEED, Vehicle.MAX_SPEED):
+        if is_vehicle and (each.MIN_SPEED, each.MAX_SPEED) != (-TOP_SPEED, TOP_SPEED):
             return f"a {name} has its own speed limits"
         if not (each.solid and each.collidable):
             return f"nothing crashes with a {name}"
-        if vars(each).keys() & OWN:
+        if shadowed(each):
             return f"a {name} has its own steps"
     return ""
 
@@ -146,7 +146,7 @@ class Steps:
     def _stepped(self, env: Any, action: Any) -> Any:
         """Return the result of ``env.step``, while ``act`` and ``step`` of the road note or do the episode's ticks."""
         attributes = vars(self._road_itself)
-        own = {name: attributes[name] for name in OWN if name in attributes}
+        own = {name: attributes[name] for name in ("act", "step") if name in attributes}
         attributes.update(self._methods)
         try:
             return env.step(action)

@@ -32,6 +32,52 @@ def idle():
     return lambda observation: (0.0, 0.0)
 
 
+class Own(IDMVehicle):
+    """A class that only sets constants, before one of the ways below gives it code."""
+
+    TIME_WANTED = 1.0
+
+
+class Steers:
+    def steering_control(self, target_lane_index):
+        return 0.0
+
+
+class Behind(IDMVehicle, Steers):
+    """A base that stands behind IDMVehicle."""
+
+
+class Described:
+    def __get__(self, instance, owner):
+        return 1.5 if instance is None else 9.0
+
+
+class Descriptor(IDMVehicle):
+    TIME_WANTED = Described()
+
+
+class Meta(type(IDMVehicle)):
+    def __call__(cls, *given, **named):
+        made = super().__call__(*given, **named)
+        made.acceleration = lambda **_: -1.0
+        return made
+
+
+class Made(IDMVehicle, metaclass=Meta):
+    """A class whose metaclass gives each vehicle a function of its own."""
+
+
+def test_class_with_code_of_its_own_is_not_driven_by_the_model(monkeypatch):
+    assert idm_model(IDMVehicle) is not None
+    assert idm_model(Own).constants["TIME_WANTED"] == 1.0
+    assert [idm_model(each) for each in (Behind, Descriptor, Made)] == [None] * 3
+    for cls, name in ((IDMVehicle, "acceleration"), (MDPVehicle.__base__, "steering_control"), (Vehicle, "step")):
+        with monkeypatch.context() as patch:
+            patch.setattr(cls, name, lambda *_, **__: 0.0)
+            assert idm_model(Own) is None
+    assert idm_model(Own) is not None
+
+
 # --- the same results
 
 
