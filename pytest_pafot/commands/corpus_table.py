@@ -203,9 +203,8 @@ def labels_in(results: Iterable[Path]) -> dict[str, list[tuple[str, str]]]:
             file = entry.get("file")
             label = entry.get("status", "")
             if entry.get("result") in ("failed", "error") and entry.get("headline") and "failing" not in label:
-                label = (
-                    f"failing, {label}"  # such as a crash that is harder than the one in the file, which has drifted
-                )
+                # such as a crash that is harder than the one in the file, which has drifted
+                label = f"failing, {label}"
             if file:
                 found.setdefault(file.rpartition("/")[2], []).append((file, label))
     return found

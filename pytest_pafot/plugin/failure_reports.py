@@ -21,7 +21,7 @@ from pytest_pafot.corpus.saved import Saved
 from pytest_pafot.oracle.checks import CheckFailed
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.plugin.collection import saved_of
-from pytest_pafot.plugin.marks import CATALOGUE_MARK, SEARCH_MARK
+from pytest_pafot.plugin.marks import is_driven
 from pytest_pafot.plugin.messages import AS_SAVED
 from pytest_pafot.plugin.node_ids import base_id
 from pytest_pafot.plugin.session import SHARED
@@ -106,7 +106,7 @@ class Failures:
     @pytest.hookimpl(wrapper=True)
     def pytest_pyfunc_call(self, pyfuncitem: pytest.Function) -> Generator[None, object, object]:
         """Keep only the beginning and the end of what a marked item prints."""
-        if not _is_marked(pyfuncitem):
+        if not is_driven(pyfuncitem):
             return (yield)
         output = pyfuncitem.stash[OUTPUT] = KeptOutput(pyfuncitem)
         try:
@@ -117,7 +117,7 @@ class Failures:
     @pytest.hookimpl(wrapper=True)
     def pytest_runtest_makereport(self, item: pytest.Item, call: pytest.CallInfo[None]) -> Generator[None, Any, Any]:
         """Shorten the report of a search, a replay or a named scenario that fails; name the requirement it breaks."""
-        marked = _is_marked(item)
+        marked = is_driven(item)
         if call.excinfo is None or not marked:
             report = yield
             if marked:
@@ -145,10 +145,6 @@ class Failures:
         _fit(report.longrepr, item.config.stash[SHARED].width, is_brief=is_brief)
         summarise(report, item.stash.get(SUMMARY, ""))
         return report
-
-
-def _is_marked(item: pytest.Item) -> bool:
-    return any(item.get_closest_marker(name) is not None for name in (SEARCH_MARK, CATALOGUE_MARK))
 
 
 def _shorten_output(report: pytest.TestReport) -> None:

@@ -23,6 +23,7 @@ from pytest_pafot.plugin.marks import (
     SEARCH_MARK,
     WORLD_FIXTURE,
     arguments_of,
+    is_driven,
 )
 from pytest_pafot.plugin.merge_item import MERGES, run_merge
 from pytest_pafot.plugin.messages import set_of_saved
@@ -88,8 +89,7 @@ class Checks:
         """Add what to do to the report of an item without the fixture of its ADS; tell a CI of skipped items."""
         report = yield
         request = item.stash.get(REQUEST, None)
-        is_marked = any(item.get_closest_marker(name) is not None for name in (SEARCH_MARK, CATALOGUE_MARK))
-        if call.when == "setup" and report.outcome == "skipped" and is_marked and is_ci(os.environ):
+        if call.when == "setup" and report.outcome == "skipped" and is_driven(item) and is_ci(os.environ):
             reason = visible(str(getattr(call.excinfo, "value", "")))
             if not reason.startswith(IDLE) and not hasattr(report, "wasxfail"):
                 text = f"{base_id(item)} was skipped, so its policy did not drive: {reason}"

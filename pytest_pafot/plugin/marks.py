@@ -101,6 +101,11 @@ def _parted(arguments: Mapping[str, object]) -> tuple[dict[str, object], dict[st
     return own, {name: value for name, value in arguments.items() if name in TRACING}
 
 
+def is_driven(item: pytest.Item) -> bool:
+    """Return whether the item of a test drives its policy: a search, a replay or a named scenario."""
+    return any(item.get_closest_marker(name) is not None for name in (SEARCH_MARK, CATALOGUE_MARK))
+
+
 def arguments_of(item: pytest.Item | pytest.Collector) -> dict[str, Any] | None:
     """Return the arguments of all search marks of an item, merged; None if the item has no search mark.
 

@@ -274,16 +274,20 @@ def test_a_wrong_option_is_told_by_its_name_here(here, capsys, arguments, told):
     assert error.startswith("usage: python -m pytest_pafot search ADS")
 
 
+def wait_for_a_finding(search):
+    told = ""
+    while "pafot: found" not in told:
+        line = search.stdout.readline()
+        assert line, told
+        told += line
+
+
 @pytest.mark.processes
 @pytest.mark.skipif(os.name == "nt", reason="a group of processes has no signals there")
 def test_an_interrupted_search_ends_with_its_summary_and_its_page(here):
     command = [*INTERRUPTIBLE, "search", "a_planner:Planner", "--runs", "100000", "--seed", "2"]
     with begun(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as search:
-        told = ""
-        while "pafot: found" not in told:
-            line = search.stdout.readline()
-            assert line, told
-            told += line
+        wait_for_a_finding(search)
         os.killpg(search.pid, signal.SIGINT)
         rest, error = search.communicate(timeout=60)
     assert search.returncode == 130
@@ -320,11 +324,7 @@ def test_ended_search_leaves_no_session_and_no_copy(here, monkeypatch, tmp_path_
 def test_session_of_a_search_that_is_killed_ends(here):
     command = [sys.executable, "-m", "pytest_pafot", "search", "a_planner:Planner", "--runs", "100000", "--seed", "2"]
     with begun(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as search:
-        told = ""
-        while "pafot: found" not in told:
-            line = search.stdout.readline()
-            assert line, told
-            told += line
+        wait_for_a_finding(search)
         children = Path(f"/proc/{search.pid}/task/{search.pid}/children").read_text().split()
         os.kill(int(children[0]), signal.SIGKILL)
         _, error = search.communicate(timeout=60)  # It also waits for the session, which has the same output.
