@@ -161,7 +161,7 @@ look() {
     git fetch -q --no-tags --no-recurse-submodules -- "$remote" "+refs/heads/$BRANCH:$FINDS" || fail "$expected"
     tip=$(git rev-parse "$FINDS")
     # Where it left lies beyond what a shallow clone has.
-    [ "$(git rev-parse --is-shallow-repository)" = false ] || git fetch -q --unshallow -- "$remote" ||
+    [ "$(git rev-parse --is-shallow-repository)" = false ] || git fetch -q --no-tags --unshallow -- "$remote" ||
       fail "$expected"
   fi
 }

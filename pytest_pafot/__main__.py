@@ -27,6 +27,9 @@ DRIVES = "PYTEST_PAFOT_DRIVES"
 
 def main_in_child(arguments: list[str]) -> int:
     """Run a command and return its exit code; one of :data:`GATES` in a child process, which has to leave a receipt."""
+    for name in ("stdout", "stderr"):
+        if getattr(sys, name) is None:  # it was closed, as `>&-` does
+            setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: PTH123, SIM115  (a device, for ever)
     if told := os.environ.pop(DRIVES, ""):
         parent, _, folder = told.partition(":")
         if sys.platform == "linux":  # elsewhere it drives on when its parent is killed
@@ -39,10 +42,15 @@ def main_in_child(arguments: list[str]) -> int:
             code = main(arguments)
         except SystemExit as ended:  # after --help, or for wrong arguments; those of a policy are caught
             code = int(ended.code or 0)
+        except KeyboardInterrupt:  # while modules are imported
+            code = _interrupted(arguments)
         leave_receipt(folder, code)
         return code
     if arguments[:1] == [] or arguments[0] not in GATES:
-        return main(arguments)
+        try:
+            return main(arguments)
+        except KeyboardInterrupt:
+            return _interrupted(arguments)
     child: subprocess.Popen[bytes] | None = None
     received: list[int] = []
 
@@ -73,6 +81,11 @@ def main_in_child(arguments: list[str]) -> int:
     else:
         sys.stderr.write(f"{arguments[0]}: {unfinished(left)}\n")
     return ended_with(left) or 2
+
+
+def _interrupted(arguments: list[str]) -> int:
+    sys.stderr.write(f"\n{' '.join(arguments[:1])}: interrupted\n")
+    return 128 + signal.SIGINT
 
 
 def _has_terminal() -> bool:

@@ -52,8 +52,8 @@ def collected(arguments: Sequence[str] = ()) -> Inventory:
         output = "\n".join(ended.stdout.decode(errors="replace").splitlines()[-SHOWN:])
         if not told.is_file():
             raise RequestError(
-                f"expected pytest to collect the tests here, received exit code {ended.returncode} and:\n"
-                f"{visible_lines(output)}"
+                f"expected pytest to collect the tests here, received exit code {ended.returncode} and"
+                + (f":\n{visible_lines(output)}" if output else " no output; a conftest.py or a test file may end it")
             )
         data = json.loads(told.read_text(encoding="ascii"))
     # In the order of their names, since a plugin may shuffle the tests of each session anew.

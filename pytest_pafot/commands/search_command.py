@@ -54,10 +54,12 @@ if sys.platform == "linux":  # elsewhere the session goes on if the command is k
     ctypes.CDLL(None).prctl(1, signal.SIGTERM)  # PR_SET_PDEATHSIG
     if os.getppid() != parent:  # it was killed before that
         sys.exit(128 + signal.SIGTERM)
-import pytest
 try:
+    import pytest
     code = int(pytest.main())
     sys.stdout.flush()
+except KeyboardInterrupt:  # before there was a session; the command says so
+    code = 2
 except BrokenPipeError:  # as of `| head`; else Python fails to flush the rest when it exits
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     code = 1
@@ -129,6 +131,9 @@ class _ForPytest(argparse.Action):
 def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
     """Run the search, or with ``--write-test`` write the test that runs it. Return the exit code."""
     here = Path.cwd()
+    begin = arguments.begin_with
+    if begin not in (None, "others") and not (begin and Path(begin).exists()):
+        raise RequestError(f"--begin-with: expected others, a saved scenario or a folder with some, received {begin!r}")
     files = {CONFTEST: _conftest(arguments), TEST: _test(arguments)}
     if arguments.write_test:
         return _write_test(here, files, arguments.ads)

@@ -9,8 +9,9 @@ import hashlib
 import os
 import re
 import string
+from bisect import bisect_left
 from collections.abc import Iterable
-from itertools import groupby
+from itertools import groupby, islice, takewhile
 from pathlib import Path
 
 SUFFIX = ".pafot.yaml"
@@ -194,6 +195,26 @@ def _runs_of_case(text: str) -> str:
     runs = [(is_capital, len(list(run))) for is_capital, run in groupby(filter(str.isalpha, text), str.isupper)]
     lengths = [0] * runs[0][0] + [length for _, length in runs[: None if runs[-1][0] else -1]]
     return "".join("z0" * (length // 35) + _DIGITS[length % 35] for length in lengths)
+
+
+class TestFolders:
+    """The folders in a module's folder, listed once; a test's are found without looking at all of them."""
+
+    __test__ = False  # for pytest, which collects classes whose names begin with Test
+
+    def __init__(self, module_folder: Path) -> None:
+        self._sorted = sorted(entries_of(module_folder), key=_beginning)
+
+    def of(self, test: str) -> list[Path]:
+        """Return the folders that may belong to a test, see :func:`may_be_of`, sorted by name."""
+        prefix = _readable(test).removeprefix("_")
+        start = bisect_left(self._sorted, prefix, key=_beginning)
+        begins = takewhile(lambda path: _beginning(path).startswith(prefix), islice(self._sorted, start, None))
+        return sorted(path for path in begins if may_be_of(path.name, test))
+
+
+def _beginning(folder: Path) -> str:
+    return folder.name.removeprefix("_")  # safe_name may put one before the name of a test
 
 
 def may_be_of(folder: str, test: str) -> bool:

@@ -5,8 +5,9 @@ otherwise the environment takes its own steps. Both give the same outcome at the
 to rounding, because numpy rounds some functions differently from the C library: less than 1e-9 m on straight roads, and
 more where a vehicle crawls, because highway-env's steering is unstable at such speeds (8e-3 m in u-turn-v0).
 
-Compiled code does not see changes that a user's environment makes to the vehicles on its road between two steps, such
-as in ``_is_truncated``, except for added and removed vehicles and objects.
+If a user's environment changes the road or the vehicles on it between two steps, such as in ``_is_truncated``, the road
+moves its vehicles itself from then on. Compiled code does not see changes that a vehicle class makes to other vehicles
+while it acts.
 """
 
 from __future__ import annotations
@@ -25,8 +26,8 @@ from pytest_pafot.episodes.episode import Episode, EpisodeRecording, Kind, Start
 from pytest_pafot.model.trace import AdsError, Outcome
 from pytest_pafot.support.errors import AdsFactoryError, WorldError
 from pytest_pafot.world.driving.ads import AdsFactory, is_vehicle_class, make_ads, wants_env
-from pytest_pafot.world.driving.compiled_vehicle import CompiledRoad, obstacles_on, road_rules
-from pytest_pafot.world.driving.idm_model import idm_model, is_patched, shadowed
+from pytest_pafot.world.driving.compiled_vehicle import CompiledRoad, constants_of, obstacles_on, road_rules
+from pytest_pafot.world.driving.idm_model import CONSTANTS, ORDINARY, idm_model, is_patched, shadowed, takes
 from pytest_pafot.world.driving.object_driver import body_of
 from pytest_pafot.world.driving.observations import observe_fast, observer
 from pytest_pafot.world.driving.perception import ads_and_sight
@@ -40,6 +41,18 @@ from pytest_pafot.world.kernel.observation import COLUMNS
 from pytest_pafot.world.kernel.traffic import OrdinaryTraffic
 from pytest_pafot.world.limits import TOP_SPEED
 from pytest_pafot.world.stock import ControlledVehicle, MDPVehicle, RegulatedRoad, Road, RoadNetwork, Vehicle, action
+
+PACKAGES = ("highway_env", "gymnasium", "builtins", "abc", "typing", "pytest_pafot")
+AT_THE_START = frozenset({
+    "default_config", "_reset", "define_spaces", "_make_road", "_make_vehicles", "_create_road", "_create_vehicles",
+})  # fmt: skip
+"""The functions of environments that are called in a reset alone."""
+
+
+def has_own_code(env: Any) -> bool:
+    """Return whether an environment has functions, other than those for its start, that are not highway-env's."""
+    own = [cls for cls in type(env).__mro__ if cls.__module__.partition(".")[0] not in PACKAGES]
+    return bool(shadowed(env)) or any(set(vars(cls)) - ORDINARY - AT_THE_START for cls in own)
 
 
 def why_not(start: Start) -> str:
@@ -77,6 +90,30 @@ def why_not(start: Start) -> str:
     return "the ego is not the first vehicle on its road" if decides_itself and road.vehicles[0] is not ego else ""
 
 
+def _shown(start: Start) -> dict[int, Any]:
+    """Return what compiled code relies on of an environment's lanes, vehicles and objects, each by its identity."""
+    road, ego = start.env.road, start.env.vehicle
+    found: dict[int, Any] = {id(lane): lane.speed_limit for lane in road.network.lanes_list()}
+    for each in (*road.vehicles, *road.objects):
+        names = [
+            "heading",
+            "speed",
+            "crashed",
+            "lane_index",
+            "solid",
+            "collidable",
+            "check_collisions",
+            "timer",
+            "route",
+        ]
+        names += ["MAX_SPEED", "MIN_SPEED", "enable_lane_change", "is_yielding", *CONSTANTS]
+        if each is not ego or start.kind != "policy":  # whose action sets the goal, which compiled code takes
+            names += ["target_lane_index", "target_speed"]
+        held = [getattr(each, name, None) for name in names]
+        found[id(each)] = (tuple(map(float, each.position)), each.impact is None, shadowed(each), held)
+    return found
+
+
 def _unknown(vehicles: list[Any], objects: list[Any], ego: Any = None) -> str:
     """Return the reason why compiled code does not know something on a road; empty if it knows everything."""
     for each, is_vehicle in (*((each, True) for each in vehicles), *((each, False) for each in objects)):
@@ -85,6 +122,10 @@ def _unknown(vehicles: list[Any], objects: list[Any], ego: Any = None) -> str:
             return f"there is a {name} on the road"
         if is_vehicle and each is not ego and idm_model(type(each)) is None:
             return f"the traffic has a {name}, not only IDM and MOBIL"
+        if "__eq__" in {name for cls in type(each).__mro__[:-1] for name in vars(cls)}:
+            return f"a {name} says itself which vehicles are equal to it"
+        if is_vehicle and each is not ego and not takes(constants_of(each)):
+            return f"a {name} has constants with which IDM and MOBIL have no answer"
         if is_vehicle and (each.MIN_SPEED, each.MAX_SPEED) != (-TOP_SPEED, TOP_SPEED):
             return f"a {name} has its own speed limits"
         if not (each.solid and each.collidable):
@@ -254,6 +295,8 @@ class CompiledSteps(Steps):
             self._record,
             road_rules(env.road, start.compiled_lanes, start.physics_hz),
         )
+        self._is_watched = has_own_code(env)
+        self._left: dict[int, Any] | None = None  # the road as the last step left it
         if start.kind == "policy" and start.eyes is None:
             env.observation_type.observe = observer(env)
 
@@ -267,6 +310,10 @@ class CompiledSteps(Steps):
     def _act(self) -> None:
         """Let the ego decide, unless its model does; the environment has interpreted the action of a policy."""
         start, ego, road = self._start, self._start.env.vehicle, self._road_itself
+        if self._left is not None and not self.reason and self.tick % start.every == 0:
+            now = _shown(start)
+            if any(now.get(each, held) != held for each, held in self._left.items()):
+                self._leave("the environment changes its vehicles or their road")
         if start.kind == "policy" and not self.reason and self.tick % start.every == 0:
             self._road.take(ego, self._ego)
         if not self.reason and (road.vehicles != list(self._bodies) or road.objects != self._objects):
@@ -301,25 +348,33 @@ class CompiledSteps(Steps):
         self._traffic.step()
         if self._start.kind == "vehicle" and not self._ego.drives_itself:  # its own step may have set these too
             self._guarded(self._road.take, self._start.env.vehicle, self._ego)
-        if self._ego.crashed or self._frames is not None or (self.tick + 1) % self._start.every == 0:
+        is_last = (self.tick + 1) % self._start.every == 0
+        if self._ego.crashed or self._frames is not None or is_last:
             self._show()
+        if is_last and self._is_watched:
+            self._left = _shown(self._start)
 
     def _follow_changes(self) -> None:
         """Drive the vehicles that the environment has added after its last step too, or let the road move them all."""
         road, bodies = self._road_itself, self._bodies
         is_strange = road.objects != self._objects or self._driver is not None  # a planner's record has a fixed size
         changed = "the environment changes what is on its road" if is_strange else ""
-        self.reason = _unknown([each for each in road.vehicles if each not in bodies], []) or changed
-        if self.reason:
+        reason = _unknown([each for each in road.vehicles if each not in bodies], []) or changed
+        if reason:
             self._show()
-            for vehicle, body in bodies.items():
-                if body.is_pushed:
-                    vehicle.impact = np.array([body.push_x, body.push_y])
-            if isinstance(road, RegulatedRoad):
-                road.steps += self.tick  # it has not counted the ticks of compiled code
+            self._leave(reason)
             return
         self._bodies = {each: bodies[each] if each in bodies else self._road.vehicle(each) for each in road.vehicles}
         self._traffic.vehicles = list(self._bodies.values())
+
+    def _leave(self, reason: str) -> None:
+        """Let the road move its vehicles itself from now on; they are where compiled code has moved them."""
+        self.reason = reason
+        for vehicle, body in self._bodies.items():
+            if body.is_pushed and vehicle.impact is None:
+                vehicle.impact = np.array([body.push_x, body.push_y])
+        if isinstance(self._road_itself, RegulatedRoad):
+            self._road_itself.steps += self.tick  # it has not counted the ticks of compiled code
 
     def _show(self) -> None:
         """Move the environment's vehicles to the places of the compiled ones."""
@@ -362,6 +417,7 @@ def drive(
         AdsFactoryError: if the factory returns an object that cannot drive.
         WorldError: if the environment cannot be used, or its road is not straight and the ADS is a planner.
     """
+    environment.unwrapped  # noqa: B018  (it imports the user's module, whose changes to classes are not undone)
     with vehicle_classes_kept(), HangGuard(hang_limit) as guard:
         outer = environment.with_traffic()
         observe_fast(outer.unwrapped)
@@ -387,8 +443,7 @@ def drive(
             steps = Steps(start, reason) if reason else CompiledSteps(start)
             if kind != "policy":
                 start.env.observation_type.observe = lambda: 0.0
-            rewards = type(start.env)._reward, type(start.env)._rewards, type(start.env)._info
-            # A wrapper may read rewards, and a user's environment may end an episode by its own.
-            if kind != "policy" or (not reason and all(each.__module__.startswith("highway_env.") for each in rewards)):
+            # A wrapper may read rewards, and a user's environment may end an episode by them.
+            if not has_own_code(start.env) and (kind != "policy" or not reason):
                 at_the_end.enter_context(_unrewarded(start.env))
             return steps.run(seed, is_recorded=is_recorded)

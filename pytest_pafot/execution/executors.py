@@ -74,7 +74,7 @@ class ExecutorPool:
 
     If a worker dies in a task, any of the task's scenarios may be the cause, so each scenario is run again by itself.
     If a worker dies again, the answer to that scenario is a ``ProcessLostError``. If the connection to the workers
-    fails twice, the executor is not used any more.
+    fails twice, or what distributes the tasks drops one twice, the executor is not used any more.
 
     Raises:
         ExecutionError: if world and ADS cannot be packed; :meth:`fetch` raises it if workers cannot unpack them.
@@ -137,12 +137,12 @@ class ExecutorPool:
         if error is not None and not self.failure:
             self._submit([scenario])
             again = self._gather(scenario)
-            # These errors say that a worker or the connection was lost; KilledWorker is Dask's. After a first
-            # failure of any other kind there is a second try as well, because Dask's executor raises a ValueError if a
-            # worker dies while its answer is read.
-            is_lost = isinstance(again, (BrokenExecutor, CancelledError, OSError))
-            if isinstance(again, OSError):
-                self.failure = f"{type(again).__name__}: {again}"
+            # These errors say that a worker or the connection was lost; KilledWorker is Dask's, and its tasks are
+            # cancelled where the scheduler is gone. After a first failure of any other kind there is a second try as
+            # well, because Dask's executor raises a ValueError if a worker dies while its answer is read.
+            is_lost = isinstance(again, BrokenExecutor)
+            if isinstance(again, (OSError, CancelledError)):
+                self.failure = _named(again)
             elif again is not None and not is_lost and type(again).__name__ != "KilledWorker":
                 expected = "workers that can run scenarios, with the same packages as this session"
                 received = f"received {type(again).__name__}: {again}"
@@ -177,8 +177,8 @@ class ExecutorPool:
             named = {"key": f"pafot-{ids}-{self._parcel.digest}-{next(self._numbers)}", "pure": False}
         try:
             future = self._executor.submit(pickle.loads, pickle.dumps(_Call(_run_task, parcel, scenarios)), **named)
-        except (RuntimeError, OSError) as error:  # the executor is broken, or was shut down
-            self.failure = f"{type(error).__name__}: {error}"
+        except Exception as error:  # noqa: BLE001  (the executor is broken, or was shut down; Dask's errors have no base)
+            self.failure = _named(error)
         else:
             self._under_way |= dict.fromkeys(scenarios, (scenarios, future))
 
@@ -384,6 +384,11 @@ def _is_below(root: Path, module: ModuleType) -> bool:
         return False
     path = Path(file)
     return path.suffix == ".py" and path.is_relative_to(root) and "site-packages" not in path.parts
+
+
+def _named(error: Exception) -> str:
+    text = str(error) or ("the tasks were dropped, as by a scheduler that ended" * isinstance(error, CancelledError))
+    return f"{type(error).__name__}: {text}" if text else type(error).__name__
 
 
 def _lost(scenario: Scenario, error: Exception) -> LostRun:

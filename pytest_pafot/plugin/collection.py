@@ -58,6 +58,7 @@ class Collection:
         self._collected = Collected(rootpath=config.rootpath)
         self._corpora: set[Path] = set()  # the corpora found while pytest looked for test files
         self._saved = config.stash.setdefault(COLLECTED, {})
+        self._listed: dict[Path, layout.TestFolders] = {}
         config.stash[UNRUN] = Unrun({}, {}, {})
 
     def pytest_ignore_collect(self, collection_path: Path) -> bool | None:
@@ -123,17 +124,18 @@ class Collection:
         chosen = layout.chosen_folder(definition.path, corpus)
         link = layout.link_out(chosen, module_folder.parent, self._rootpath)
         found: dict[str, Saved] = {}
-        for folder in layout.entries_of(module_folder):
-            if layout.may_be_of(folder.name, name):
-                if folder not in self._saved:
-                    if link is not None:
-                        read = refused_in(folder, link)
-                    elif self._config.stash.get(NAMES_ONLY, False):
-                        read = list(map(Saved, layout.files_in(folder)))
-                    else:
-                        read = saved_in(folder)
-                    self._saved[folder] = {saved.path.name: saved for saved in read}
-                found |= {saved.id: saved for saved in self._saved[folder].values()}
+        if module_folder not in self._listed:
+            self._listed[module_folder] = layout.TestFolders(module_folder)
+        for folder in self._listed[module_folder].of(name):
+            if folder not in self._saved:
+                if link is not None:
+                    read = refused_in(folder, link)
+                elif self._config.stash.get(NAMES_ONLY, False):
+                    read = list(map(Saved, layout.files_in(folder)))
+                else:
+                    read = saved_in(folder)
+                self._saved[folder] = {saved.path.name: saved for saved in read}
+            found |= {saved.id: saved for saved in self._saved[folder].values()}
         return found.values()
 
     @pytest.hookimpl(wrapper=True)

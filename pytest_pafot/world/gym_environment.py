@@ -10,7 +10,7 @@ import inspect
 import math
 import warnings
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass
 from functools import cached_property
 from types import MappingProxyType
@@ -135,7 +135,8 @@ class GymEnvironment:
             _check_base(self.env_id, creator)
         _check_sizes(given, creator)
         try:
-            with vehicle_classes_kept():
+            # What an environment sets in classes, such as in its __init__, holds in an episode of its own traffic.
+            with nullcontext() if has_traffic else vehicle_classes_kept():
                 env = _made(self.env_id, creator, self._given_config, has_traffic=has_traffic)
         except Exception as error:
             if not has_traffic and _may_begin_in_traffic(creator, given):

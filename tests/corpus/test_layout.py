@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 
 from pytest_pafot.corpus.layout import (
     CORPUS,
+    TestFolders,
     corpus_root,
     files_below,
     files_in,
@@ -216,6 +217,15 @@ IDENTIFIERS = st.from_regex(r"[^\W\d]\w{0,70}", fullmatch=True, alphabet=CHARACT
 def test_folder_of_a_test_matches_its_name(test, parameters):
     assert may_be_of(safe_name(test), test)
     assert may_be_of(safe_name(f"{test}[{parameters}]"), test)
+
+
+@given(st.lists(st.tuples(IDENTIFIERS, st.none() | st.text(CHARACTERS, max_size=4)), max_size=9), IDENTIFIERS)
+def test_folders_of_a_test_are_found_among_all(tmp_path_factory, others, test):
+    module = tmp_path_factory.mktemp("module")
+    for name, parameters in [*others, (test, None), (test, "1")]:
+        (module / safe_name(name if parameters is None else f"{name}[{parameters}]")).mkdir(exist_ok=True)
+    for name in (test, *(name for name, _ in others)):
+        assert TestFolders(module).of(name) == [each for each in sorted(module.iterdir()) if may_be_of(each.name, name)]
 
 
 def test_unreadable_name_ending_still_matches_folder_with_parameters():

@@ -545,6 +545,83 @@ class EnoughReward(HighwayEnvFast):
         return super()._is_terminated() or self.total > 3.0
 
 
+class EndsByReward(HighwayEnvFast):
+    """An episode ends by highway-env's own reward."""
+
+    def _is_terminated(self):
+        return super()._is_terminated() or (self.steps > 6 and self._reward(1) < 2.0)
+
+
+class Braked(HighwayEnvFast):
+    """Another vehicle is slowed down between two steps."""
+
+    def _is_truncated(self):
+        if self.steps == 10:
+            self.road.vehicles[1].speed *= 0.5
+        return super()._is_truncated()
+
+
+class Impatient(HighwayEnvFast):
+    """The constants of one vehicle change between two steps, which a reward looks at."""
+
+    def _rewards(self, action):
+        if self.steps == 10:
+            self.road.vehicles[2].TIME_WANTED = 0.3
+        return super()._rewards(action)
+
+
+class WetRoad(HighwayEnvFast):
+    """The speed limit falls between two steps."""
+
+    def _info(self, seen, action=None):
+        if self.steps == 10:
+            for lane in self.road.network.lanes_list():
+                lane.speed_limit = 12.0
+        return super()._info(seen, action)
+
+
+class Pushed(HighwayEnvFast):
+    """A vehicle is pushed aside between two steps."""
+
+    def _is_truncated(self):
+        if self.steps == 10:
+            self.road.vehicles[1].impact = np.array([0.0, 0.5])
+        return super()._is_truncated()
+
+
+class Undelayed(HighwayEnvFast):
+    """A vehicle has constants with which MOBIL has no answer."""
+
+    def _create_vehicles(self):
+        super()._create_vehicles()
+        self.road.vehicles[1].LANE_CHANGE_DELAY = 0.0
+
+
+class Alike(IDMVehicle):
+    """A vehicle that is equal to all others of its class."""
+
+    def __eq__(self, other):
+        return isinstance(other, Alike)
+
+    __hash__ = IDMVehicle.__hash__
+
+
+class AllAlike(HighwayEnvFast):
+    """An environment with vehicles that say themselves what they are equal to."""
+
+    def _create_vehicles(self):
+        super()._create_vehicles()
+        self.road.vehicles[1].__class__ = Alike
+
+
+class Hurried(HighwayEnvFast):
+    """An environment that sets the constants of all vehicles when it is made."""
+
+    def __init__(self, *arguments, **options):
+        super().__init__(*arguments, **options)
+        IDMVehicle.TIME_WANTED = 0.4
+
+
 @pytest.fixture
 def world_of():
     """Return a function that makes the world of an environment's class, which is registered for one test."""
@@ -558,6 +635,9 @@ def world_of():
     yield make
     for name in names:
         del gymnasium.registry[name]
+
+
+CHANGES = "the environment changes its vehicles or their road"
 
 
 @pytest.mark.parametrize(
@@ -574,6 +654,14 @@ def world_of():
         (AddsObstacle, "the environment changes what is on its road"),
         (AddsVehicles, "the traffic has a Vehicle, not only IDM and MOBIL"),
         (EnoughReward, ""),
+        (EndsByReward, ""),
+        (Braked, CHANGES),
+        (Impatient, CHANGES),
+        (WetRoad, CHANGES),
+        (Pushed, CHANGES),
+        (Undelayed, "a IDMVehicle has constants with which IDM and MOBIL have no answer"),
+        (AllAlike, "the traffic has a Alike, not only IDM and MOBIL"),
+        (Hurried, ""),
     ],
 )
 def test_changed_environment_drives_as_by_its_own_steps(world_of, cls, reason):

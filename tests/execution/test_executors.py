@@ -6,7 +6,7 @@ import pickle
 import sys
 import threading
 import time
-from concurrent.futures import BrokenExecutor, Executor, Future, ThreadPoolExecutor
+from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future, ThreadPoolExecutor
 from types import ModuleType
 
 import numpy as np
@@ -207,6 +207,27 @@ def test_executor_with_failing_connections_is_not_used_again(pool_of):
     fetched(pool, SCENARIOS[3:6])
     assert len(executor.sizes) == 4
     assert pool.notes == ["pafot_executor: this process ran the scenarios; the executor failed: OSError: pafot-1"]
+
+
+def test_executor_that_drops_a_task_twice_is_not_used_again(pool_of):
+    pool = pool_of(Inline(lost=range(1, 99), error=CancelledError))
+    assert [type(answer) for answer in fetched(pool, SCENARIOS[:3])] == [tuple, RuntimeError, RuntimeError]
+    assert pool.notes[0].endswith("the executor failed: CancelledError: pafot-1")
+
+
+def test_executor_that_refuses_tasks_is_not_used_again(pool_of):
+    class ClosedClientError(Exception):
+        """Dask's, which is neither a RuntimeError nor an OSError."""
+
+    class Closed(Inline):
+        def submit(self, run, task):
+            if self.sizes:
+                raise ClosedClientError("the client is closed")
+            return super().submit(run, task)
+
+    pool = pool_of(Closed())
+    assert [type(answer) for answer in fetched(pool, SCENARIOS[:3])] == [RuntimeError] * 3
+    assert pool.notes[0].endswith("the executor failed: ClosedClientError: the client is closed")
 
 
 def test_worker_with_different_package_versions_is_refused(pool_of, monkeypatch):

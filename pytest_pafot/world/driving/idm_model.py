@@ -19,6 +19,8 @@ CONSTANTS = (
 """The constants of ``IDMVehicle`` that a subclass may set."""
 POSITIVE = ("LENGTH", "WIDTH", "COMFORT_ACC_MAX", "DELTA", "LANE_CHANGE_DELAY")
 """Those that must be positive for the model; with others, highway-env's code runs and gets NaN or worse."""
+PURSUIT = 0.1
+"""The time constant of highway-env's steering [s], which is also the kernel's."""
 ORDINARY = frozenset({
     "__module__", "__qualname__", "__doc__", "__annotations__", "__annotate__", "__annotate_func__",
     "__firstlineno__", "__static_attributes__", "__abstractmethods__", "_abc_impl",
@@ -48,6 +50,13 @@ def shadowed(thing: object) -> list[str]:
     return [name for name in vars(thing) if isinstance(inspect.getattr_static(type(thing), name, None), FunctionType)]
 
 
+def takes(constants: Mapping[str, Any]) -> bool:
+    """Return whether the model has an answer with these constants, of a class or of one vehicle."""
+    if not all(isinstance(value, (int, float)) and math.isfinite(value) for value in constants.values()):
+        return False
+    return constants["COMFORT_ACC_MIN"] < 0 and all(constants[name] > 0 for name in POSITIVE)
+
+
 def idm_model(ads: Any) -> IdmModel | None:
     """Return the model of a vehicle class or a ``functools.partial`` of one; None if the class has its own code."""
     whole = ads if isinstance(ads, functools.partial) else functools.partial(ads)
@@ -59,11 +68,9 @@ def idm_model(ads: Any) -> IdmModel | None:
     only_sets_constants = all(set(vars(base)) <= ORDINARY | set(CONSTANTS) for base in own)
     if whole.args or set(options) - {"enable_lane_change"} or not only_sets_constants:
         return None
-    if type(cls).__call__ is not type.__call__ or any(map(is_patched, stock.__mro__)):
+    if type(cls).__call__ is not type.__call__ or any(map(is_patched, stock.__mro__)) or stock.TAU_PURSUIT != PURSUIT:
         return None
     constants = {name: inspect.getattr_static(cls, name) for name in CONSTANTS}  # a descriptor is no constant
-    if not all(isinstance(value, (int, float)) and math.isfinite(value) for value in constants.values()):
-        return None
-    if constants["COMFORT_ACC_MIN"] >= 0 or any(constants[name] <= 0 for name in POSITIVE):
+    if not takes(constants):
         return None
     return IdmModel(constants=constants, changes_lanes=bool(options.get("enable_lane_change", True)))
