@@ -361,6 +361,9 @@ that time, its braking is assumed to continue."""
 SPARE = 0.2
 """The additional delay of a response to a cut-in [s]. An ego that brakes for a cut-in is responsible only if even a
 response with this additional delay would have avoided the collision."""
+ANSWERS_BY, ANSWERS_FOR = 1.2, 0.5
+"""The time from a cut-in until which the ego may drive on before its answer counts, and the least time up to the impact
+for which it counts [s]."""
 BLOCKED = 0.3
 AT_ONCE = 2.0
 """The headway and the time [s] of a cut-in to which no driver can respond: the NPC moves in with a headway below
@@ -706,7 +709,7 @@ class Conflict:
         at_once = tick + round(AT_ONCE * self._hz) + math.ceil(HARD_SECONDS * self._hz)
         is_close = self._gap(tick) < BLOCKED * self._frame.speed[0, tick]
         if is_close and self._npc_braked_hard(tick, min(at_once, self._end)):
-            return self._excused_behind(tick, late, pursuit, change, seen)
+            return self._excused_if_answered(tick, late, pursuit, change, seen)
         in_time = slice(seen + 1, seen + 1 + round((CUT_OFF.delay + SPARE) * self._hz))
         spare = SPARE if (braking(self._trace)[in_time] >= BRAKES).any() else 0.0
         since = None if self._is_too_late(seen) else pursuit.avoided_from(seen, CUT_OFF, EMERGENCY, spare)
@@ -714,7 +717,24 @@ class Conflict:
             return self._unanswered(tick, crossed, self._answer(0, since, tick, CUT_OFF), "cut-in-unanswered", change)
         has_answered = pursuit.is_no_further(seen, CUT_OFF, EMERGENCY)
         passed = None if has_answered else self._duty_passed(change, tick, pursuit)
-        return self._excused_behind(tick, late, pursuit, change, seen) if passed is None else passed
+        return self._excused_if_answered(tick, late, pursuit, change, seen) if passed is None else passed
+
+    def _excused_if_answered(
+        self, tick: int, late: Reason, pursuit: Pursuit, change: LaneChange, seen: int
+    ) -> Attribution:
+        """Attribute a cut-in at a tick to the NPC, or to both if the ego did not answer it but could have."""
+        excused = self._excused_behind(tick, late, pursuit, change, seen)
+        judged = tick + round(ANSWERS_BY * self._hz)
+        if excused.responsibility != "npc" or self._stands or self._end < judged + round(ANSWERS_FOR * self._hz):
+            return excused
+        since, lasting = tick + round(FOLLOWING.delay * self._hz), (self._end - judged) / self._hz
+        lost = float(self._frame.speed[0, judged] - self._frame.speed[0, self._end])
+        if lost / lasting >= CUT_OFF.deceleration or pursuit.avoided_from(since, HELD) is None:
+            return excused
+        has_braked = bool((braking(self._trace)[judged + 1 : self._end + 1] >= BRAKES).any())
+        ignored = Fact(What.IGNORED, 0, self._at(tick), self._npc + 1, self._at(judged), self._at(since))
+        ignored = ignored._replace(has_braked=has_braked, braking_m_per_s2=lost / lasting)
+        return self._attributed("both", tick, (late[0], ignored), "cut-in-unanswered")
 
     def _pushed_in(self, change: LaneChange | None) -> bool:
         """Return whether the NPC changed lanes ahead of the ego in the last 5 s without giving way to a driving ego."""

@@ -39,6 +39,8 @@ class What(Enum):
     NONE_FORESAW = "Neither could have foreseen the other in time, by the rules."
     TOUCHED_ELSEWHERE = "{who} touched {whom} at {at}, outside the zone where their ways meet."
     HAD_NO_TIME = "{who} had too little time to respond, by the rules."
+    IGNORED = "{who} {braked}. By the rules, 6 m/s^2 from {due} on avoids it."
+    HARDLY_BRAKED = "{who} {braked}."
     SPED_UP = "{who} should not have sped up to {it.speed_m_per_s:.1f} m/s after {at}."
     LET_BRAKES_GO = "{who} should have kept braking but released the brakes at {at}."
     BRAKED_LESS = "{who} already braked and should have kept braking, but braked less from {at} on."
@@ -172,6 +174,8 @@ def due_by(reason: Reason, latest: float) -> Reason:
     """
 
     def changed(fact: Fact) -> Fact:
+        if fact.what is What.IGNORED and fact.due_s is not None and fact.due_s > latest:
+            return fact._replace(what=What.HARDLY_BRAKED)  # the rules foresee no reactions of others
         if fact.vehicle or fact.what not in ANSWERS or fact.due_s is None or fact.due_s <= latest:
             return fact
         if latest < fact.time_s:
@@ -215,6 +219,10 @@ def _sentence(fact: Fact) -> str:
         whom=_name(fact.other),
         into="a lane line" if fact.lane is None else f"into lane {fact.lane}",
         over="over a lane line" if fact.lane is None else f"into lane {fact.lane}",
+        due=f"{fact.due_s or 0.0:.1f} s",
+        braked=f"braked with a mean of {max(fact.braking_m_per_s2, 0.0):.1f} m/s^2"
+        if fact.has_braked
+        else "did not brake",
         place=_place(fact),
         entered=_entered(fact),
     )

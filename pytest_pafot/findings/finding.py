@@ -40,6 +40,7 @@ from pytest_pafot.oracle.run import ReferenceOutcome, Run, preventing
 from pytest_pafot.support.errors import plain_number
 from pytest_pafot.support.shown import Shown
 from pytest_pafot.support.text import visible
+from pytest_pafot.support.versions import RULES
 
 # Error texts are cleaned of everything that differs between processes, so that the same seed writes the same files.
 
@@ -582,7 +583,10 @@ def _statements(tb: TracebackType | None) -> Iterator[tuple[str, str]]:
 
 # The meaning of a replay: whether a saved finding is fixed, still fails or has drifted.
 
-Label = Literal["fixed", "still failing", "drifted"]
+Label = Literal["fixed", "still failing", "drifted", "judged otherwise"]
+
+JUDGED_OTHERWISE: Literal["judged otherwise"] = "judged otherwise"
+"""The label of a replay with the file's collision that passes because rules of another version excuse the ego."""
 
 NEARBY = "still failing, nearby"
 """The label of a replay that passes while a neighbour of its scenario fails as the file says."""
@@ -614,6 +618,8 @@ def replay_label(finding: Finding, run: Run, failure: Failure | None, versions: 
     ``drifted``: something other than the saved event happens, or the run passes under different versions, or it passes
     without the situation from which the failure arose. The file may then no longer test what it was saved for.
 
+    ``judged otherwise``: the run passes with the saved collision, because rules of another version judge it otherwise.
+
     ``fixed``: the run passes under the same versions, and the situation came up. If a collision that is no failure ends
     the run, it must occur more than 2 s after the situation, and later after it than the saved failure did. For a file
     about a collision, it must also be with a different NPC. For a file without a situation, no other event may end the
@@ -631,6 +637,9 @@ def replay_label(finding: Finding, run: Run, failure: Failure | None, versions: 
     expect, is_same = finding.expect, is_same_event(finding.expect, run, failure)
     if failure is not None:
         return "still failing" if is_same and failure.kind == expect.failure else "drifted"
+    has_other_rules = versions.get(RULES) != finding.found.versions.get(RULES)
+    if has_other_rules and is_same and run.collision is not None and run.responsibility != expect.responsibility:
+        return JUDGED_OTHERWISE
     if any(versions.get(name) != version for name, version in finding.found.versions.items()):
         return "drifted"
     # A run that was cut short did not drive the rest of the scenario.

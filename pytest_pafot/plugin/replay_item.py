@@ -21,7 +21,7 @@ from pytest_pafot.corpus.saved import Saved
 from pytest_pafot.corpus.writer import scenario_lines
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.execution.scenario_pool import LostRun
-from pytest_pafot.findings.finding import NEARBY, Finding, of_failure, unhandled
+from pytest_pafot.findings.finding import JUDGED_OTHERWISE, NEARBY, Finding, of_failure, unhandled
 from pytest_pafot.findings.severity import worsening
 from pytest_pafot.oracle.checks import CheckFailed
 from pytest_pafot.oracle.run import Run
@@ -77,7 +77,7 @@ def run_replay(item: pytest.Function, request: Request, saved: Saved) -> None:
     told += replays.setting_changes(finding)
     detail = "; ".join(filter(None, told))
     item.stash[REPLAYED] = label, run, verdict, note
-    if label in ("drifted", FLAKY):
+    if label in ("drifted", JUDGED_OTHERWISE, FLAKY):
         missed = unhandled(finding, run) if label == "drifted" and not verdict.failed else ""
         told = [missed, replays.changes(finding, happened(finding, run, verdict.failure)), note]
         detail = "; ".join(filter(None, told))
@@ -276,9 +276,9 @@ def _conclude(
         raise shown(verdict.exception)
     if verdict.kind == "skipped" and verdict.exception is not None:
         raise verdict.exception
-    if label == "drifted" and is_strict:
+    if label in ("drifted", JUDGED_OTHERWISE) and is_strict:
         pytest.fail(
-            f"the saved scenario passes, but drifted: {visible(detail)} ({flag('strict_drift')})", pytrace=False
+            f"the saved scenario passes, but {label}: {visible(detail)} ({flag('strict_drift')})", pytrace=False
         )
     if verdict.kind == "rejected":
         pytest.skip("the test function rejected the saved scenario with pafot.reject()")

@@ -28,6 +28,7 @@ from urllib.parse import quote
 from pytest_pafot.campaign.events import NEW, Find
 from pytest_pafot.campaign.options import is_page_file
 from pytest_pafot.corpus.layout import SUFFIX
+from pytest_pafot.findings.finding import JUDGED_OTHERWISE
 from pytest_pafot.findings.severity import worst_first
 from pytest_pafot.model.crossings import SLOTS
 from pytest_pafot.model.grid import Cell
@@ -589,7 +590,7 @@ class Draft:
             self.seeds[base_seed] = None
         if find is not None and find.label != NEW:
             self.replayed[find.label] += 1
-            if find.label == "drifted":
+            if find.label in ("drifted", JUDGED_OTHERWISE):
                 self.drifted[find.node_id] = find.detail
 
     def report(

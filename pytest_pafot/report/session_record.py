@@ -16,7 +16,7 @@ from types import MappingProxyType
 from typing import Any, Self
 
 from pytest_pafot.campaign.events import NEW, Find, SearchSummary
-from pytest_pafot.findings.finding import NEARBY, Finding, portable
+from pytest_pafot.findings.finding import JUDGED_OTHERWISE, NEARBY, Finding, portable
 from pytest_pafot.findings.lines import TellingLine
 from pytest_pafot.findings.neighbours import Breadth
 from pytest_pafot.findings.severity import Severity, worsening, worst_first
@@ -310,6 +310,7 @@ _GROUPS: Mapping[str, str] = MappingProxyType(
         "still failing": "Known, still failing",
         NEARBY: "Still failing nearby: the saved scenario passes, a neighbour of it does not",
         "drifted": "Drifted: the run differs from the file, so this is no fix",
+        JUDGED_OTHERWISE: "Judged otherwise, by other rules than when it was saved: this is no fix",
         "flaky": "Flaky",
         "common": "Known, and also failing in the reference",
         ACCEPTED: "Accepted for now",

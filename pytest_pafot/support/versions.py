@@ -7,10 +7,14 @@ from importlib import metadata
 
 PACKAGES = ("pytest-pafot", "highway-env", "numpy")
 
+RULES = "verdict-rules"
+RULES_VERSION = "2"
+"""The version of the rules of docs/explanation/verdicts.md. It goes up with each change of a verdict."""
+
 
 def installed_versions() -> dict[str, str]:
-    """Return the installed version of each package by its name; ``unknown`` if it has no installed metadata."""
-    return {package: _version_of(package) for package in PACKAGES}
+    """Return the version of each package by its name, ``unknown`` if it has no installed metadata; and of the rules."""
+    return {**{package: _version_of(package) for package in PACKAGES}, RULES: RULES_VERSION}
 
 
 @cache  # A loaded package does not change, and reading its metadata takes as long as replaying a file.

@@ -7,6 +7,7 @@ from tests.helpers.readings import load, packed, unpacked
 from tests.helpers.stages import mostly_oracle
 
 NOT_DEFENDED = {
+    141,
     144,
     264,
     283,
@@ -31,6 +32,7 @@ NOT_DEFENDED = {
     1005,
     1010,
     1037,
+    1062,
     1066,
     1218,
     1222,

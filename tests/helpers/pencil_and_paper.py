@@ -551,7 +551,7 @@ class Crash:
         while seen > change.start and self.is_seen(seen - 1, change) and self.is_seen(at, change):
             seen -= 1
         if gap(self.ego, self.npc, at) < 0.3 * self.ego.speed[at] and self.npc_brakes_hard(at, within=2.0):
-            return self.npc_unless_second_chance(at, at, seen)
+            return self.npc_unless_it_was_ignored(at, seen)
         dv = self.ego.speed[seen] - self.npc.speed[seen]
         nobody_can = dv > 0 and gap(self.ego, self.npc, seen) <= dv * (1.4 + dv / (2 * 6.0))
         steps = range(seen + 1, min(self.impact, seen + round(1.6 * self.hz)) + 1)
@@ -562,7 +562,18 @@ class Crash:
         passed = None if self.is_as_far_back_as_asked(seen) else self.duty_passes(self.npc, self.ego, at)
         if passed is not None:
             return self.opinion(self.ego_or_both(at), "leader-unanswered", passed.kept)
-        return self.npc_unless_second_chance(at, at, seen)
+        return self.npc_unless_it_was_ignored(at, seen)
+
+    def npc_unless_it_was_ignored(self, at, seen):
+        """Return the opinion on a cut-in that excuses the ego, unless it hardly slowed down and braking hard helped."""
+        opinion = self.npc_unless_second_chance(at, at, seen)
+        counts_from = at + round(1.2 * self.hz)
+        if opinion.responsibility != "npc" or self.stands() or self.impact < counts_from + round(0.5 * self.hz):
+            return opinion
+        mean = (self.ego.speed[counts_from] - self.ego.speed[self.impact]) / self.seconds(self.impact - counts_from)
+        if mean < 3.0 and self.could_have_braked_on(self.ego, self.npc, at + round(1.0 * self.hz)):
+            return self.opinion("both", "cut-in-unanswered", at)
+        return opinion
 
     def npc_brakes_hard(self, at, *, within=math.inf):
         """Return whether the NPC begins to brake hard, for at least 0.4 s, within a time after a tick."""

@@ -144,6 +144,16 @@ class Reading:
         ticks = range(self.tick, self.crash.rests[self.tick] + 1)
         return [max(map(self.ego.deceleration, ticks)), self.time(self.tick)]
 
+    def ignored(self, said):
+        """Return the ego's mean braking from 1.2 s after the moment, if it braked, and when 6 m/s^2 is due."""
+        crash, hz = self.crash, self.crash.hz
+        first = self.tick + round(1.2 * hz)
+        has_braked = any(self.ego.deceleration(tick) >= 0.5 for tick in range(first + 1, crash.impact + 1))
+        assert has_braked == ("did not" not in said)
+        lost = self.ego.speed[first] - self.ego.speed[crash.impact]
+        mean = [max(lost * hz / (crash.impact - first), 0.0)] if has_braked else []
+        return [*mean, self.time(self.tick + round(1.0 * hz))]
+
     def stood(self, said):
         return [self.time(self.tick), (self.crash.impact - self.crash.ticks["stood"]) / self.crash.hz]
 
@@ -165,6 +175,8 @@ SENTENCES = {
         reading.time(reading.crash.joined)
     ],
     rf"The ego was standing when NPC # touched it at {NUMBER} s\.": Reading.ended,
+    rf"The ego (?:did not brake|braked with a mean of {NUMBER} m/s\^2)\. "
+    rf"By the rules, 6 m/s\^2 from {NUMBER} s on avoids it\.": Reading.ignored,
     rf"{WHO} braked at up to {NUMBER} m/s\^2 from {NUMBER} s on, with nothing in its way\.": Reading.hard_braking,
     rf"The ego kept braking at up to {NUMBER} m/s\^2 from {NUMBER} s on, with nothing in its way any more\.": (
         Reading.braked_on

@@ -424,8 +424,15 @@ SITUATIONS = {
         ),
         Situation(
             "cut-in-20-m-slower",
-            "An NPC that is 10 m/s slower moves in 20 m ahead of the ego. By the rules, no driver can avoid it.",
+            "An NPC that is 10 m/s slower moves in 20 m ahead of the ego. Nobody has to master that, but the ego does "
+            "not even brake.",
             lambda: cut_in(20.0, slower=10.0),
+            "both", "cut-in-unanswered", "5", "The ego did not brake. By the rules, 6 m/s^2 from 3.3 s on avoids it.",
+        ),
+        Situation(
+            "cut-in-20-m-slower-answered",
+            "The same, but the ego brakes with 4 m/s^2 from 1.0 s after the moment on.",
+            lambda: cut_in(20.0, slower=10.0, ego_brakes=[(3.3, 4.0, 8.0)]),
             "npc", None, "5", "too little time to respond",
         ),
         Situation(
@@ -487,8 +494,21 @@ SITUATIONS = {
         ),
         Situation(
             "npc-brake-checks",
-            "A faster NPC overtakes the ego and moves in 3 m ahead. 1.5 s later, 10 m ahead, it brakes with 8 m/s^2.",
+            "A faster NPC overtakes the ego and moves in 3 m ahead. 1.5 s later, 10 m ahead, it brakes with 8 m/s^2. "
+            "The ego does not brake.",
             lambda: cut_in(2.0, slower=-5.0, brakes=[(3.9, 8.0, 0.0)]),
+            "both", "cut-in-unanswered", "5", "The ego did not brake",
+        ),
+        Situation(
+            "npc-brake-checks-an-ego-that-brakes-gently",
+            "The same, but the ego brakes with 2 m/s^2 from 1.8 s after the moment on.",
+            lambda: cut_in(2.0, slower=-5.0, brakes=[(3.9, 8.0, 0.0)], ego_brakes=[(4.3, 2.0, 8.0)]),
+            "both", "cut-in-unanswered", "5", "braked with a mean of 1.6 m/s^2",
+        ),
+        Situation(
+            "npc-brake-checks-an-ego-that-brakes-hard-but-late",
+            "The same, but the ego brakes with 8 m/s^2 from 2.7 s after the moment on.",
+            lambda: cut_in(2.0, slower=-5.0, brakes=[(3.9, 8.0, 0.0)], ego_brakes=[(5.2, 8.0, 8.0)]),
             "npc", None, "5", "too little time to respond",
         ),
         Situation(
