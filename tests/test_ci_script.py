@@ -14,9 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from pytest_pafot.findings.lines import TellingLine
 from pytest_pafot.findings.neighbours import Breadth
-from pytest_pafot.support.markup import plain
 from tests.helpers.actions import SCRIPT, environment, git, inputs_of, run_action, shell
 from tests.helpers.processes import begun
 from tests.helpers.sessions import read_record
@@ -145,14 +143,13 @@ class TestAPullRequest:
         assert re.fullmatch(
             rf"- rev:{base[:7]} and now \({head}\): 1 of \d+ files of the policy differ: planner.py\n", compared
         )
-        line = "".join(f"; {plain(str(TellingLine(**each)))}" for each in find.lines[:1])
         assert told == (
             "### pafot: 1 new\n\n"
             "1 search, 150 runs; repeat with `--pafot-runs=150 --pafot-seed=5`.\n"
             f"A run counts as a failure only if `{against}` passes it.\n\n"
             "**New**\n\n"
             f"- `test_safety.py::test_never_at_fault`: {find.headline}; delta-v {find.severity['delta_v']:.1f} m/s; "
-            f"{Breadth(**find.breadth)}{line}\n"
+            f"{Breadth(**find.breadth)}\n"
             f"  <br>`python -m pytest {file}`\n"
         )
         assert find.headline.startswith("collision after ")

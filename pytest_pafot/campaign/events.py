@@ -9,7 +9,6 @@ from typing import Any, Self
 
 from pytest_pafot.campaign.verdict import Verdict
 from pytest_pafot.findings.finding import Finding
-from pytest_pafot.findings.lines import TellingLine
 from pytest_pafot.findings.neighbours import Breadth
 from pytest_pafot.findings.reactions import Reaction
 from pytest_pafot.findings.severity import Severity
@@ -44,25 +43,6 @@ NEW = "new"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class SecondPlace:
-    """A run that fails as a finding does, but not through the finding's most telling line.
-
-    Attributes:
-        scenario: its scenario, shrunk a little.
-        lines: the lines that tell its neighbours that fail from those that pass.
-        path: path of its file; empty if none was asked for.
-    """
-
-    scenario: Scenario
-    lines: tuple[TellingLine, ...]
-    path: str = ""
-
-    def __str__(self) -> str:
-        saved = f"saved as {self.path}" if self.path else f"{flag('save', 'causes')} saves one"
-        return f"other runs fail the same way from another place, {self.lines[0]}; {saved}"
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class Find:
     """A finding as this session saw it, new or replayed: all that the controller needs for terminal and summary.
 
@@ -78,8 +58,6 @@ class Find:
         is_timed: True if the failure depends on wall-clock time.
         unshrunk: why a new finding is not yet fully shrunk; empty if it is.
         breadth: how many neighbours of a new finding fail in the same way; None if that was not examined.
-        lines: the lines of the policy that tell the neighbours that fail from those that pass, the most telling first.
-        second: a run that fails in the same way from another place of the policy; None if none is known.
         reactions: for each NPC of a new finding, the decision of the ADS that first is another one with the NPC hidden.
         rests_on: number of neighbours of a replayed scenario that pass.
         severity: severity of the failure; None if it passes, nothing measures it, or there is no run.
@@ -101,8 +79,6 @@ class Find:
     is_timed: bool = False
     unshrunk: str = ""
     breadth: Breadth | None = None
-    lines: tuple[TellingLine, ...] = ()
-    second: SecondPlace | None = None
     reactions: tuple[Reaction, ...] = ()
     rests_on: int = 0
     severity: Severity | None = None

@@ -217,16 +217,10 @@ class Settings:
         "Number of neighbours of each new finding that are run to say how broad the failure is; 0 for none.",
         "A neighbour differs from the shrunk scenario a little: in speeds, in one instruction, or in the start. If "
         "none of them fails in the same way, as many with smaller steps are run, up to three times. Neighbours are run "
-        "after all findings are shrunk, of each finding all or none. If some fail and others pass, the report names up "
-        "to three lines of a planner in Python [that tell them apart](../explanation/findings.md#how-broad-it-is).",
+        "after all findings are shrunk, of each finding all or none: [how broad a finding "
+        "is](../explanation/findings.md#how-broad-it-is).",
         default=40,
         most=MOST_NEIGHBOURS,
-    )
-    lines: str | None = option(
-        "text",
-        "Installed packages and folders whose lines are told as well, such as a planner from an index.",
-        "With spaces between them, quoted as in a shell. Lines of the project, and of packages that are installed in "
-        "editable form, are told in any case.",
     )
     replay_neighbours: int = option(
         "integer",
@@ -251,11 +245,9 @@ class Settings:
     )
     save: str = option(
         "text",
-        "Which findings are written to the corpus: the new ones, these and a run of a second cause, or none.",
-        "With `causes`, a finding whose runs come from [two places of the "
-        "policy](../explanation/findings.md#two-places) has a second file.",
+        "Which findings are written to the corpus: the new ones, or none.",
         default="new",
-        choices=("new", "causes", "none"),
+        choices=("new", "none"),
     )
     workers: int = option(
         "workers",

@@ -11,7 +11,6 @@ from typing import Any, TypedDict
 
 import numpy as np
 
-from pytest_pafot.campaign.line_trace import places_of
 from pytest_pafot.campaign.options import BY_NAME, Settings
 from pytest_pafot.model.driving_style import PAPERS, Traffic
 from pytest_pafot.model.scenario import EGO_LANE, EGO_SPEED, Manoeuvre, Scenario, ScenarioError
@@ -90,7 +89,6 @@ class SearchArguments(TypedDict, total=False):
     stop_after: int
     shrink_rollouts: int
     neighbours: int
-    lines: str
     replay_neighbours: int
     max_saved: int
     corpus: str
@@ -159,10 +157,6 @@ def checked_request(arguments: Mapping[str, Any], settings: Settings, *, place: 
         place=place,
         **own,
     )
-    try:
-        places_of(settings.lines)
-    except RequestError as error:
-        raise RequestError(f"{place}({error})" if place.startswith("@") else str(error)) from None
     world, limit, goal = request.world, request.decision_limit, request.fitness
     if world is not None and request.road:
         part = next(iter(request.road))

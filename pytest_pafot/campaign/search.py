@@ -49,9 +49,9 @@ from pytest_pafot.world.guard.hang_guard import runs_end_in
 DONE, ALL_RUN = "all generations done", "all runs done"
 FOR_SIMPLIFYING = 1 / 3
 """The largest share of a search's time limit that is reserved to shrink findings and to look at their neighbours."""
-RUNS_A_NEIGHBOUR = 10
-"""The time for one of a finding's neighbours, as a number of runs: more are run with other steps, and for their lines,
-which slow a run down."""
+RUNS_A_NEIGHBOUR = 4
+"""The time for one of a finding's neighbours, as a number of runs: as many are run with smaller steps, up to three
+times."""
 
 RUNS_TO_CONFIRM = 4
 """The time to find and confirm a failure, as a number of runs.

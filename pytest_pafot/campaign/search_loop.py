@@ -92,9 +92,6 @@ def fails_by_ego(run: Run, verdict: Verdict) -> bool:
     return not verdict.is_ads and is_ego_responsible(run.trace)
 
 
-MOST_OTHERS = 8
-"""The number of other runs of a search with the failure of a finding whose scenarios are remembered, the first ones."""
-
 UNREMARKABLE = ("passed", "npc", "invalid", "rejected")
 """The kinds of verdicts for which a digest is enough. All other runs are judged in the session, with their traces."""
 
@@ -161,7 +158,6 @@ class Tally:
         health: the figures on the search's health.
         verdicts, caught, responsibilities, outcomes: numbers of runs by kind of verdict, check, responsible, outcome.
         failed: numbers of runs by their known failures.
-        again: the first scenarios with known failures, :data:`MOST_OTHERS` of each failure.
         fitness: the finite fitness of each eligible run.
         failing: the number of failing runs.
         random: the counts of :class:`~pytest_pafot.campaign.resuming.RandomBeginning`, in the order of its ``counts``.
@@ -178,7 +174,6 @@ class Tally:
     responsibilities: Counter[str]
     outcomes: Counter[str]
     failed: Counter[Signature]
-    again: Mapping[Signature, tuple[Scenario, ...]]
     fitness: tuple[float, ...]
     failing: int
     random: tuple[int, int, int, int]
@@ -228,10 +223,6 @@ class Counting:
         failed = sum(each.kind in FAILING for each in valid)
         at_fault = sum(each.is_at_fault for each in at_random)
         has_rows = digests[0].event.columns is not None and not self.wants_each
-        again: dict[Signature, list[Scenario]] = {}
-        for each in digests:
-            if each.signature is not None:
-                again.setdefault(each.signature, []).append(each.event.executed)
         return Tally(
             runs=len(digests),
             news=tuple(each for each in evaluations if drawer.matters(generation, each)),
@@ -241,8 +232,7 @@ class Counting:
             caught=Counter(name for each in digests for name in each.caught),
             responsibilities=Counter(each.event.responsibility or "none" for each in digests),
             outcomes=Counter(str(each.outcome) for each in evaluations),
-            failed=Counter({signature: len(scenarios) for signature, scenarios in again.items()}),
-            again={signature: tuple(scenarios[:MOST_OTHERS]) for signature, scenarios in again.items()},
+            failed=Counter(each.signature for each in digests if each.signature is not None),
             fitness=tuple(each.fitness for each in evaluations if each.eligible and math.isfinite(each.fitness)),
             failing=sum(each.failing for each in evaluations),
             random=(len(at_random), len(valid), at_fault, failed - at_fault),
@@ -296,7 +286,6 @@ class SearchLoop:
     shown: Mapping[Signature, str] = field(default_factory=dict)  # ids of saved scenarios by the failure they show now
     finds: dict[Signature, str] = field(default_factory=dict)  # ids of new findings by signature
     repeats: Counter[str] = field(default_factory=Counter)  # number of other runs that show a new finding, by id
-    others: dict[str, list[Scenario]] = field(default_factory=dict)  # scenarios of the first of these runs, as driven
     known: Counter[str] = field(default_factory=Counter)  # number of failing runs by the file that covers them
     verdicts: Counter[str] = field(default_factory=Counter)  # number of verdicts by kind
     caught: Counter[str] = field(default_factory=Counter)  # number of passed runs by a check that failed in them
@@ -429,10 +418,7 @@ class SearchLoop:
         self.fatal.add(lost.task)
         if self.simulation.is_common(lost.task):
             return False
-        number = self.runs + 1
-        self._count(
-            expectation(lost).signature, lost.task, lambda: self.recorder.keep_lost(lost, self.generation, number)
-        )
+        self._count(expectation(lost).signature, lambda: self.recorder.keep_lost(lost, self.generation, self.runs + 1))
         return True
 
     # The search as a :class:`~pytest_pafot.searching.ask_tell_loop.Team`: other processes draw and count scenarios.
@@ -464,7 +450,7 @@ class SearchLoop:
         if not self.first.is_alike:
             self.recorder.release()
         for signature, runs in tally.failed.items():
-            self._count_known(signature, tally.again[signature], runs)
+            self._count_known(signature, runs)
         each = None if tally.judged is None else tuple(evaluation for evaluation, _ in tally.judged)
         return Group(runs=tally.runs, news=tally.news, counts=tally, each=each)
 
@@ -482,7 +468,7 @@ class SearchLoop:
         self.listener(passed.event)
         self._count_run(None, passed.event.verdict, passed.caught, passed.doubt)
         if passed.signature is not None:
-            self._count_known(passed.signature, (passed.event.executed,))
+            self._count_known(passed.signature)
         return passed.evaluation
 
     def _count_run(self, run: Run | None, verdict: Verdict, caught: Iterable[str], doubt: str) -> None:
@@ -512,8 +498,7 @@ class SearchLoop:
         signature, failure = None, verdict.failure if verdict.failed else None
         if failure is not None:
             signature = of_failure(run, failure)
-            executed = run.scenario
-            self._count(signature, executed, lambda: self.recorder.keep(run, verdict, self.generation, self.runs))
+            self._count(signature, lambda: self.recorder.keep(run, verdict, self.generation, self.runs))
         if verdict.kind == "skipped":
             self.skip = verdict.exception
         if verdict.reference is not None and self.broken != "":
@@ -521,25 +506,19 @@ class SearchLoop:
             self.broken = "" if broken is None else self.broken or f"{broken.kind}: {broken.message}"
         return _evaluated(run.trace, verdict, signature, self.fitness, self.is_steered_by_checks)
 
-    def _count(self, signature: Signature, scenario: Scenario, keep: Callable[[], str]) -> None:
+    def _count(self, signature: Signature, keep: Callable[[], str]) -> None:
         """Count a failure as known, as a repetition in this search, or as new; ``keep`` records a new failure."""
         if signature in self.shown or signature in self.finds:
-            self._count_known(signature, (scenario,))
+            self._count_known(signature)
         else:
             self.finds[signature] = keep()
 
-    def _count_known(self, signature: Signature, scenarios: Sequence[Scenario], runs: int = 1) -> None:
-        """Count runs with a failure that a saved scenario shows, or that this search has found before.
-
-        ``scenarios`` are those of the first of these runs.
-        """
+    def _count_known(self, signature: Signature, runs: int = 1) -> None:
+        """Count runs with a failure that a saved scenario shows, or that this search has found before."""
         if signature in self.shown:
             self.known[self.shown[signature]] += runs
         else:
-            find_id = self.finds[signature]
-            self.repeats[find_id] += runs
-            others = self.others.setdefault(find_id, [])
-            others += scenarios[: MOST_OTHERS - len(others)]
+            self.repeats[self.finds[signature]] += runs
 
 
 # The recorder of new findings: it saves each finding, confirms it, and reports it. To confirm a finding, its run is

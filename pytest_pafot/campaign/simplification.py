@@ -9,29 +9,24 @@ from __future__ import annotations
 
 import math
 import pickle
-from bisect import bisect_left, bisect_right
-from collections.abc import Callable, Mapping
+from bisect import bisect_right
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
-from itertools import islice
-from pathlib import Path
+from itertools import count
 from typing import Any, TypeVar
 
-from pytest_pafot.campaign.events import FindTold, SecondPlace
+from pytest_pafot.campaign.events import FindTold
 from pytest_pafot.campaign.harness import Harness, begins_alike, limits_of, refusals
-from pytest_pafot.campaign.line_trace import LineTrace, places_of, text_of, why_not
 from pytest_pafot.campaign.search_loop import SearchLoop
 from pytest_pafot.campaign.state_file import Answer, Shown
 from pytest_pafot.campaign.verdict import Verdict, headline
-from pytest_pafot.corpus.layout import relative
-from pytest_pafot.corpus.writer import CorpusWriteError, free_path, write
 from pytest_pafot.execution import scenario_pool
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.execution.runner import call_apart, runner_for
 from pytest_pafot.findings.finding import Expect, Perceived, ending, of_failure
-from pytest_pafot.findings.lines import MOST_LINES, Line, TellingLine, ranked
-from pytest_pafot.findings.neighbours import Breadth, breadth_of, neighbours
+from pytest_pafot.findings.neighbours import Breadth, breadth_of
 from pytest_pafot.findings.reactions import Reaction
 from pytest_pafot.findings.shrink import OutOfBudget, Shrunk, Start, shrink
 from pytest_pafot.model.scenario import Scenario, ScenarioError
@@ -155,11 +150,6 @@ class Simplification:
     runs: int = field(default=0, init=False)
     neighbour_runs: int = field(default=0, init=False)
     notes: list[str] = field(default_factory=list, init=False)
-    _trace: LineTrace = field(init=False)
-    _ran: dict[tuple[Scenario, range], Mapping[Line, int]] = field(default_factory=dict, init=False)  # of one finding
-
-    def __post_init__(self) -> None:
-        self._trace = LineTrace(places_of(self.loop.simulation.harness.request.settings.lines))
 
     def run_all(self, way_on: str) -> None:
         """Simplify the findings in the order of discovery, except those that cannot be shrunk.
@@ -191,13 +181,11 @@ class Simplification:
         No error ends the search here, because a user's world may not expect scenarios other than those of a search.
         """
         __tracebackhide__ = True
-        deeds: dict[Scenario, range | None] = {}  # of each neighbour that fails, the decisions that may be the cause
         find, told, found = kept.find, "neighbours", kept.run
-        self._ran.clear()
         try:
             self._check_time()
             with runs_end_in(self.until - self.clock()):
-                breadth = self._breadth(kept, deeds)
+                breadth = self._breadth(kept)
                 find = replace(find, breadth=breadth)
                 if breadth is not None:
                     labelled = replace(kept.finding, neighbours=breadth.at_full_steps)
@@ -206,14 +194,6 @@ class Simplification:
                 if found is not None:
                     told = "reactions"
                     find = replace(find, reactions=self._reactions(find.id, found))
-                    self.loop.recorder.tell(replace(kept, find=find, is_new=False))
-                if breadth is not None and found is not None and breadth.failing:
-                    told = "lines"
-                    find = replace(find, lines=self._telling_lines(kept, deeds, breadth))
-                    self.loop.recorder.tell(replace(kept, find=find, is_new=False))
-                if find.lines and found is not None:
-                    told = "second place"
-                    find = replace(find, second=self._second_place(replace(kept, find=find), found, deeds))
                     self.loop.recorder.tell(replace(kept, find=find, is_new=False))
         except OutOfTime:
             self.notes.append(f"no {told} of saved-{find.id}: out of time")
@@ -226,26 +206,21 @@ class Simplification:
         if self.clock() >= self.until:
             raise OutOfTime
 
-    def _breadth(self, kept: FindTold, deeds: dict[Scenario, range | None]) -> Breadth | None:
-        """Run the neighbours of a finding; see :meth:`_examine` for ``deeds``, which this function fills."""
+    def _breadth(self, kept: FindTold) -> Breadth | None:
+        """Run the neighbours of a finding, and return how many fail in the same way; None if it has none."""
+        numbers = count(1)
+
+        def fails(scenario: Scenario) -> bool | None:
+            self._check_time()
+            self.tell(f"running neighbour {next(numbers)} of {kept.find.id}")
+            self.neighbour_runs += 1
+            run = self._showing(kept.find.id, scenario)
+            if run is not None and kept.run is not None and begins_alike(kept.run, run):
+                return None  # its run is that of the finding, so it is no neighbour
+            return run is not None
+
         limits = limits_of(self.loop.simulation.harness.world)
-        fails = partial(self._neighbour, kept, deeds)
         return breadth_of(kept.finding.scenario, self.neighbours, fails=fails, limits=limits)
-
-    def _neighbour(self, kept: FindTold, deeds: dict[Scenario, range | None], scenario: Scenario) -> bool | None:
-        """Run a neighbour of a finding, add it to ``deeds``, and return whether it fails in the same way.
-
-        Return None, and add nothing, if its run is that of the finding, so that it is no neighbour.
-        """
-        self._check_time()
-        self.tell(f"running neighbour {len(deeds) + 1} of {kept.find.id}")
-        self.neighbour_runs += 1
-        run = self._showing(kept.find.id, scenario)
-        deeds.pop(scenario, None)  # larger steps may have made it, too; the last ones made are read
-        if run is not None and kept.run is not None and begins_alike(kept.run, run):
-            return None
-        deeds[scenario] = None if run is None else decisions_before_deed(run)
-        return run is not None
 
     def _reactions(self, find_id: str, found: Run) -> tuple[Reaction, ...]:
         """Run a finding again with each NPC hidden from the ADS, and return how its decisions differ.
@@ -309,156 +284,6 @@ class Simplification:
     def _is_out_of_reach(self) -> bool:
         """True if the ADS is called in processes that are no copies of this one: nothing in them can be read."""
         return self.loop.simulation.harness.request.settings.isolate and scenario_pool.METHOD != "fork"
-
-    @property
-    def _has_lines(self) -> bool:
-        """True if lines of the ADS can be recorded: it is called within reach, and is code in Python."""
-        ads = self.loop.simulation.harness.ads
-        return not (self._is_out_of_reach or is_vehicle_class(ads) or isinstance(ads, Perception))
-
-    def _telling_lines(
-        self, kept: FindTold, deeds: Mapping[Scenario, range | None], breadth: Breadth
-    ) -> tuple[TellingLine, ...]:
-        """Run neighbours again, and return the lines that tell those that fail from those that pass.
-
-        If few pass, others with larger steps are added, because lines are told by the difference.
-
-        Args:
-            kept: the finding, with its run.
-            deeds: of each neighbour that fails, the decisions whose lines count; None for one that passes.
-            breadth: how many of the last ones fail, which are those with the steps with which some fail.
-        """
-        harness, find_id = self.loop.simulation.harness, kept.find.id
-        if not self._has_lines or kept.run is None:
-            return ()
-        if held := why_not():
-            self.notes.append(f"no lines are told of saved-{find_id}, because {held}")
-            return ()
-        limits = limits_of(harness.world)
-        otherwise, last = decisions_before_deed(kept.run), dict(list(deeds.items())[-breadth.of :])
-        for share in WIDER:
-            if sum(deed is None for deed in last.values()) >= LEAST_PASSING * self.neighbours:
-                break
-            for scenario in islice(neighbours(kept.finding.scenario, share, limits), self.neighbours):
-                self._neighbour(kept, last, scenario)
-        that_fail = [(scenario, deed) for scenario, deed in last.items() if deed is not None][:MOST_READ]
-        that_pass = [(scenario, otherwise) for scenario, deed in last.items() if deed is None][:MOST_READ]
-        self.tell(f"reading the lines of {find_id}, {len(that_fail) + len(that_pass)} runs")
-        read = self._lines_in(*that_fail, *that_pass)
-        failing, passing = read[: len(that_fail)], read[len(that_fail) :]
-        return tuple(
-            TellingLine(
-                file=_shown_path(each.line.file, harness.root),
-                number=each.line.number,
-                function=each.line.function,
-                text=text_of(each.line),
-                failing=each.failing,
-                of_failing=len(failing),
-                passing=each.passing,
-                of_passing=len(passing),
-            )
-            for each in ranked(failing, passing)[:MOST_LINES]
-        )
-
-    def _lines_in(self, *runs: tuple[Scenario, range]) -> list[Mapping[Line, int]]:
-        """Run scenarios, and return the lines that ran in some decisions of each, and in how many."""
-        harness = self.loop.simulation.harness
-        new = [key for key in runs if key not in self._ran]
-
-        def lines(_: Scenario, ads: Callable[..., Any]) -> list[Mapping[Line, int]]:
-            found: list[Mapping[Line, int]] = []
-            for scenario, decisions in new:
-                self._check_time()
-                run = partial(rollout_of(harness.world), scenario, self._trace.watched(ads))
-                found.append(self._trace.lines_in(run, decisions))
-            return found
-
-        if new:
-            self.neighbour_runs += len(new)
-            first, isolate = new[0][0], harness.request.settings.isolate
-            read = call_apart(harness.job(), first, lines) if isolate else lines(first, harness.ads)
-            self._ran |= dict(zip(new, read, strict=True))
-        return [self._ran[key] for key in runs]
-
-    def _second_place(self, kept: FindTold, found: Run, deeds: Mapping[Scenario, range | None]) -> SecondPlace | None:
-        """Return a run that fails as a finding does, but from another place of the policy, or None.
-
-        It is a neighbour, or one of the first runs of the search that fail in this way, which is shrunk a little. The
-        most telling line of the finding does not run in it. Its own most telling line is not among those of the finding
-        and does not run in the finding's own run.
-        """
-        find, root = kept.find, self.loop.simulation.harness.root
-
-        def is_in(line: TellingLine, scenario: Scenario, decisions: range) -> bool:
-            (ran,) = self._lines_in((scenario, decisions))
-            return any((_shown_path(each.file, root), each.number) == (line.file, line.number) for each in ran)
-
-        def runs_in(run: Run, line: TellingLine) -> bool:
-            return is_in(line, run.trace.scenario, decisions_before_deed(run))
-
-        def elsewhere(candidate: Scenario) -> Run | None:
-            self._check_time()
-            self.tell(f"looking for a second place of {find.id}")
-            self.neighbour_runs += 1
-            run = self._showing(find.id, candidate)
-            return None if run is None or runs_in(run, find.lines[0]) else run
-
-        read = islice(((each, deed) for each, deed in deeds.items() if deed is not None), MOST_READ)
-        near = next((each for each, deed in read if not is_in(find.lines[0], each, deed)), None)
-        others = (each for each in self.loop.others.get(find.id, ()) if elsewhere(each) is not None)
-        scenario = next(others, None) if near is None else near
-        if scenario is None:
-            return None
-        runs: dict[Scenario, Run] = {}
-
-        def attempt(candidate: Scenario) -> Scenario | None:
-            run = elsewhere(candidate)
-            if run is None:
-                return None
-            runs[driven(run)] = run
-            return driven(run)
-
-        top_speed, simple = float(self.loop.simulation.harness.world.speed_limit), scenario
-        if near is None:
-            simple, _ = shrink(
-                scenario,
-                attempt,
-                rollouts=SECOND_ROLLOUTS,
-                top_speed=top_speed,
-                starts=lambda each: starts_of(runs[each], top_speed) if each in runs else (),
-                plain=self.plain,
-                plain_seconds=self.plain_seconds,
-            )
-        run = elsewhere(simple)
-        if run is None:
-            return None
-        its_deeds: dict[Scenario, range | None] = {}
-        like = replace(kept, finding=replace(kept.finding, scenario=simple, original=None, shrunk=None), run=run)
-        breadth = self._breadth(like, its_deeds)
-        if breadth is None or not breadth.failing:
-            return None
-        lines = self._telling_lines(like, its_deeds, breadth)
-        known = {(line.file, line.number) for line in find.lines}
-        if not lines or (lines[0].file, lines[0].number) in known or runs_in(found, lines[0]):
-            return None
-        labelled = replace(like, finding=replace(like.finding, neighbours=breadth.at_full_steps))
-        return SecondPlace(scenario=simple, lines=lines, path=self._saved_beside(labelled, run))
-
-    def _saved_beside(self, kept: FindTold, run: Run) -> str:
-        """Save a run of a second place, if that is asked for, and return the path of its file; otherwise empty."""
-        harness = self.loop.simulation.harness
-        verdict = harness.judge(run)
-        if harness.request.settings.save != "causes" or verdict.failure is None:
-            return ""
-        expect = Expect.of(run, verdict.failure, against=kept.finding.expect.against, root=str(harness.root))
-        id_ = f"{kept.finding.signature.slug}-{kept.finding.scenario.id}"
-        path, finding = free_path(harness.folder, replace(kept.finding, id=id_, expect=expect))
-        try:
-            write(path, finding)
-        except CorpusWriteError as error:
-            self.notes.append(f"the second place of saved-{kept.find.id} is not saved: {error}")
-            return ""
-        return relative(path, harness.root)
 
     def _have_turn(self, find_id: str, sharing: int) -> None:
         """Simplify a finding in its share of the remaining time; ``sharing`` is the number of equal shares."""
@@ -668,36 +493,6 @@ def rollouts_for(harness: Harness) -> int:
     if given is not None:
         return given
     return ROLLOUTS_IN_KERNEL if protocol.runs_in_kernel(harness.world, harness.ads) else ROLLOUTS
-
-
-WIDER, LEAST_PASSING = (2.0, 4.0), 0.25
-"""The shares of the full steps with which more neighbours are made to tell lines, while less than a quarter pass."""
-
-SECOND_ROLLOUTS = 60
-"""The largest number of runs that shrink a run of a second place."""
-
-MOST_READ = 20
-"""The largest number of failing and of passing neighbours whose lines are read. More would hardly tell more, and a run
-whose lines are read takes up to ten times as long."""
-
-CAUSE = 6.0
-"""The lines of the last decisions before the ego's mistake count, in this time [s]."""
-
-
-def decisions_before_deed(run: Run) -> range:
-    """Return the numbers of the decisions up to the ego's mistake or, if it is unknown, up to the run's event."""
-    trace = run.trace
-    tick = run.attribution.tick if run.collision is not None else None
-    tick = round(run.event_time * trace.physics_hz) if tick is None else tick
-    ticks = trace.decision_ticks
-    last = bisect_right(ticks, tick)
-    return range(min(bisect_left(ticks, tick - round(CAUSE * trace.physics_hz)), last - 1), last)
-
-
-def _shown_path(file: str, root: Path) -> str:
-    """Return the path of a source file relative to the project; of a file outside of it, the path itself."""
-    path = Path(file)
-    return str(path.relative_to(root)) if path.is_relative_to(root) else file
 
 
 def driven(run: Run) -> Scenario:

@@ -357,8 +357,6 @@ class SearchMessages:
         explanation = "" if kept.run is None else explained(kept.run, kept.exception, config)
         details = [f"against    {kept.finding.expect.against}, which passes"] if kept.finding.expect.against else []
         details += [] if kept.is_new else terminal.simplified_lines(kept.finding)
-        details += [f"line       {line}" for line in kept.find.lines]
-        details += [f"second     {kept.find.second}"] if kept.find.second is not None else []
         details += [f"answers    {reaction}" for reaction in kept.find.reactions]
         if not is_compact(config):
             details += [f"scenario   {kept.finding.scenario}", f"found by   {kept.origin}"]
@@ -402,9 +400,8 @@ def _report(item: pytest.Item, kept: FindTold, section: str) -> dict[str, Any]:
     report.location = (path, line, node_ids.saved_name(item, find.id))
     report.sections.append(("pafot", section))
     item.stash[OF_ONE_RUN].show(kept.run, report.user_properties)
-    set_properties(report.user_properties, **of_findings([(kept.finding, find.path, find.severity)]))
-    lines = ",".join(f"{line.file}:{line.number}" for line in find.lines)
-    set_properties(report.user_properties, neighbours=find.breadth, lines=lines)
+    properties = of_findings([(kept.finding, find.path, find.severity)])
+    set_properties(report.user_properties, **properties, neighbours=find.breadth)
     data: dict[str, Any] = item.config.hook.pytest_report_to_serializable(config=item.config, report=report)
     return data
 

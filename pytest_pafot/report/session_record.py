@@ -17,7 +17,6 @@ from typing import Any, Self
 
 from pytest_pafot.campaign.events import NEW, Find, SearchSummary
 from pytest_pafot.findings.finding import JUDGED_OTHERWISE, NEARBY, Finding, portable
-from pytest_pafot.findings.lines import TellingLine
 from pytest_pafot.findings.neighbours import Breadth
 from pytest_pafot.findings.severity import Severity, worsening, worst_first
 from pytest_pafot.findings.shrink import size_of
@@ -72,10 +71,6 @@ class FindingRecord:
         unshrunk: that no time was left to confirm a new finding, or to shrink it fully; otherwise empty.
         breadth: how many neighbours of a new finding fail in the same way: `failing`, `of`, and `share`, the size of
             their steps as a share of the full ones, which `full` neighbours had. Null if that was not examined.
-        lines: the lines of the policy that tell the neighbours that fail from those that pass: `file`, `number`,
-            `function`, `text`, and in how many it ran: `failing` `of_failing`, `passing` `of_passing`.
-        second: another run that fails in the same way, but from another place of the policy: `scenario`, `lines` as
-            above, and the `path` of its file, which is empty without `--pafot-save=causes`. Null if none is known.
         reactions: for each NPC the decision that is first another one with the NPC hidden: `npc`; `time` [s], null if
             there is none until the event; `before`, the time from then to the event [s]; `action`, and `hidden`, the
             one with the NPC hidden; `unseen`, true if the NPC was in none of the observations.
@@ -118,8 +113,6 @@ class FindingRecord:
     flaky: str | None = None
     unshrunk: str = ""
     breadth: Mapping[str, Any] | None = None
-    lines: list[Mapping[str, Any]] = field(default_factory=list)
-    second: Mapping[str, Any] | None = None
     reactions: list[Mapping[str, Any]] = field(default_factory=list)
     rests_on: int = 0
     severity: Mapping[str, Any] | None = None
@@ -168,8 +161,6 @@ class FindingRecord:
             flaky=finding.flaky,
             unshrunk=find.unshrunk,
             breadth=None if find.breadth is None else asdict(find.breadth),
-            lines=list(map(asdict, find.lines)),
-            second=None if find.second is None else {**asdict(find.second), "scenario": find.second.scenario.plain()},
             reactions=list(map(asdict, find.reactions)),
             rests_on=find.rests_on,
             severity=None if find.severity is None else find.severity.data(),
@@ -390,7 +381,6 @@ def _finding_lines(finding: FindingRecord) -> Iterator[str]:
     told += [f"flaky: {plain(finding.flaky)}"] if finding.flaky else []
     told += [plain(finding.unshrunk)] if finding.unshrunk else []
     told += [] if finding.breadth is None else [str(Breadth(**finding.breadth))]
-    told += [plain(str(TellingLine(**line))) for line in finding.lines[:1]]
     if finding.xfail is not None and finding.result == "xfailed":
         until = finding.xfail["until"]
         flaky = " as flaky" if finding.xfail.get("flaky") else ""

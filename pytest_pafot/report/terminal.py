@@ -375,22 +375,20 @@ def session_lines(session: SessionSummary, *, verbose: bool = False, width: int 
 
 
 def annotation_lines(finds: Iterable[Find], explained: Mapping[str, Sequence[str]]) -> list[str]:
-    """Return commands by which GitHub Actions shows each finding at its most telling line, or else at its test file.
+    """Return commands by which GitHub Actions shows each finding at its test file.
 
-    Each has the headline, the sentences that explain the finding, by its id, and the telling line. In all of these, and
-    in names, what such a command reads as its own marks is escaped.
+    Each has the headline, and the sentences that explain the finding, by its id. In all of these, and in names, what
+    such a command reads as its own marks is escaped.
     """
     lines = []
     for find in finds:
-        at = find.lines[0] if find.lines else None
-        told = [find.headline, *explained.get(find.id, ()), *([str(at)] if at else [])]
+        told = [find.headline, *explained.get(find.id, ())]
         text = "%0A".join(ascii_text(each).replace("%", "%25") for each in told)
         file, title = (
             ascii_text(each).replace("%", "%25").replace(":", "%3A").replace(",", "%2C")
-            for each in (find.node_id.partition("::")[0] if at is None else at.file, find.id)
+            for each in (find.node_id.partition("::")[0], find.id)
         )
-        place = f"file={file}" if at is None else f"file={file},line={at.number}"
-        lines.append(f"::error {place},title={title}::{text}")
+        lines.append(f"::error file={file},title={title}::{text}")
     return lines
 
 

@@ -324,8 +324,7 @@ def finding_view(
 
 def with_neighbours(view: FindingView, find: Find) -> FindingView:
     """Return a view with what the neighbours of the finding say, and with what the ADS answers to."""
-    told = [*find.lines, *([] if find.second is None else [find.second]), *find.reactions]
-    explanation = "\n".join(filter(None, [view.explanation, *map(str, told)]))
+    explanation = "\n".join(filter(None, [view.explanation, *map(str, find.reactions)]))
     return replace(view, breadth=find.breadth, explanation=explanation)
 
 

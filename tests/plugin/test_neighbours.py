@@ -1,9 +1,10 @@
 """The option `neighbours`: how broad each new finding is."""
 
-import html
 import json
 
 import pytest
+
+from pytest_pafot.findings.neighbours import Breadth
 
 COLLIDES = """
 @pafot.search(SHORT, stop_after=1)
@@ -57,93 +58,15 @@ def test_it_is_the_same_with_workers_and_on_each_run(collides):
     assert "neighbours: {failing: " in str(told[0][1])
 
 
-PLANNER = """
-class Sleepy:
-    '''Brake for whatever is ahead, except for a vehicle that is nearly standing, in each half of the road by a line.'''
-
-    def __call__(self, observation):
-        ego = observation.ego
-        ahead = [other for other in observation.others if other.lane == ego.lane and 0 < other.x - ego.x < 80]
-        return (self.braking(ego, min(ahead)) if ahead else 0.0), 0.0
-
-    def braking(self, ego, leader):
-        if leader.x - ego.x - 11.0 > 2.0 * ego.speed:
-            return 0.0
-        if leader.speed < 5.0 and ego.lane < 2:
-            return self.on_the_left()
-        if leader.speed < 5.0:
-            return self.on_the_right()
-        return -6.0 if ego.speed > leader.speed - 1.0 else 0.0
-
-    def on_the_left(self):
-        return 0.0
-
-    def on_the_right(self):
-        return 0.0
-
-@pafot.search(ads=Sleepy, ALSO)
-def test_collides(run):
-    assert not run.collision
-"""
-ONE = PLANNER.replace("ALSO", "npcs=2, genes=2, gene_seconds=8, ego_lane=1, ego_speed=22, stop_after=1")
-TWO = PLANNER.replace("ALSO", 'algorithm="random", blame="ego", stop_after=None')
-
-
-def test_lines_that_tell_failing_neighbours_from_passing_ones_are_told(project, monkeypatch):
-    project.write(ONE)
-    monkeypatch.setenv("GITHUB_STEP_SUMMARY", str(project.path / "summary.md"))
+def test_what_is_found_out_about_a_finding_is_on_the_page_in_junit_and_in_a_job(collides, monkeypatch):
+    monkeypatch.setenv("GITHUB_STEP_SUMMARY", str(collides.path / "summary.md"))
     monkeypatch.setenv("GITHUB_ACTIONS", "true")
-    result, record, contents = run(project, "--pafot-neighbours=40", "--pafot-report=out.html", "--junitxml=out.xml")
-    assert 0 < record["breadth"]["failing"] < 40
-    told = record["lines"]
-    assert 1 <= len(told) <= 3
-    assert {each["file"] for each in told} == {"test_it.py"}
-    assert all(each["failing"] * each["of_passing"] > each["passing"] * each["of_failing"] for each in told)
-    assert {each["function"] for each in told} <= {"Sleepy.__call__", "Sleepy.braking", "Sleepy.on_the_left"}
-    source = (project.path / "test_it.py").read_text().splitlines()
-    assert all(source[each["number"] - 1].strip() == each["text"] for each in told)
-    first = f"test_it.py:{told[0]['number']} in {told[0]['function']}"
-    junit = (project.path / "out.xml").read_text()
-    assert f'name="pafot_neighbours" value="{record["breadth"]["failing"]} of 40 neighbours fail' in junit
-    assert f'name="pafot_lines" value="test_it.py:{told[0]["number"]}' in junit
+    result, record, _ = run(collides, "--pafot-neighbours=8", "--pafot-report=out.html", "--junitxml=out.xml")
+    breadth = str(Breadth(**record["breadth"]))
+    assert f'name="pafot_neighbours" value="{breadth}' in (collides.path / "out.xml").read_text()
     for name in ("out.html", "summary.md"):
-        assert first in html.unescape((project.path / name).read_text()).replace("\\", "")
-    result.stdout.re_match_lines(
-        [
-            r"line +test_it.py:\d+ in Sleepy.*",
-            rf"::error file=test_it.py,line={told[0]['number']},title={record['id']}::collision after .*%0A.*Sleepy.*",
-        ]
-    )
-    _, without, same = run(project)
-    assert without["lines"] == []
-    assert contents == labelled(same, record)
-
-
-def test_a_second_place_is_told_and_saved_only_if_asked_for(project):
-    project.write(TWO)
-    result, record, contents = run(project, "--pafot-neighbours=40", seed=3)
-    assert len(contents) == 1
-    assert record["lines"][0]["function"] != record["second"]["lines"][0]["function"]
-    assert record["second"]["path"] == ""
-    result.stdout.re_match_lines([r"second +other runs fail the same way from another place, test_it.py:.* saves one"])
-    _, again, both = run(project, "--pafot-neighbours=40", "--pafot-save=causes", "--pafot-workers=2", seed=3)
-    (path,) = both.keys() - contents.keys()
-    assert again == record | {"second": record["second"] | {"path": path}}
-    assert {name: text for name, text in both.items() if name != path} == contents
-    assert "\nneighbours: {failing: " in both[path]
-    replayed = project.run("--pafot-json=out.json", generations=0)
-    replayed.assert_outcomes(failed=2, skipped=1)
-    found = json.loads((project.path / "out.json").read_text())["findings"]
-    assert {(each["status"], each["signature"]) for each in found} == {("still failing", record["signature"])}
-
-
-def test_an_isolated_ads_has_the_same_lines(project):
-    project.write(ONE)
-    _, record, _ = run(project, "--pafot-neighbours=10")
-    _, apart, _ = run(project, "--pafot-neighbours=10", "--pafot-isolate")
-    assert apart["breadth"]["of"] == 10
-    assert apart["lines"] == record["lines"] != []
-    assert apart["second"] == record["second"]
+        assert breadth in (collides.path / name).read_text()
+    result.stdout.re_match_lines([rf"::error file=test_it.py,title={record['id']}::collision after .*%0A.*"])
 
 
 @pytest.mark.parametrize("source", ["marker", "ini"])

@@ -154,7 +154,7 @@ def test_native_toml_takes_native_types(project):
         ({"marker": {"strict_drift": "perhaps"}}, "expected true or false, received 'perhaps'"),
         ({"environ": {"PAFOT_SEED": "x"}}, "environment variable PAFOT_SEED: expected a whole number"),
         ({"environ": {"PAFOT_MAX_TIME": "nan"}}, "PAFOT_MAX_TIME: expected seconds"),
-        ({"ini": "pafot_save = some"}, "ini key pafot_save: expected new, causes or none, received 'some'"),
+        ({"ini": "pafot_save = some"}, "ini key pafot_save: expected new or none, received 'some'"),
         (
             {"ini": "pafot_generations = as many"},
             "^ini key pafot_generations: expected a whole number, at least 0, received 'as many'$",
