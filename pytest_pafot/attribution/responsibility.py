@@ -407,6 +407,8 @@ class Attribution:
             collision.
         fault: fault of the ego; None if the ego is not responsible.
         facts: facts that explain the verdict.
+        avoidable: whether the rules excuse the ego for want of time, although braking with 6 m/s^2 from 1.4 s after
+            ``time`` on would have avoided the collision, by the rules' computation.
     """
 
     responsibility: Responsibility
@@ -414,6 +416,7 @@ class Attribution:
     time: float | None
     fault: Fault | None = None
     facts: Reason = ()
+    avoidable: bool = False
 
     @property
     def sentences(self) -> tuple[str, ...]:
@@ -438,7 +441,7 @@ class Attribution:
     def __reduce__(self) -> tuple[Callable[[], Attribution], tuple[()]]:
         facts = tuple(fact.in_full for fact in self.facts)  # what is still unread needs the trace
         whole = partial(Attribution, responsibility=self.responsibility, tick=self.tick, time=self.time)
-        return partial(whole, fault=self.fault, facts=facts), ()
+        return partial(whole, fault=self.fault, facts=facts, avoidable=self.avoidable), ()
 
     @property
     def _said(self) -> tuple[object, ...]:
@@ -723,7 +726,7 @@ class Conflict:
         self, tick: int, late: Reason, pursuit: Pursuit, change: LaneChange, seen: int
     ) -> Attribution:
         """Attribute a cut-in at a tick to the NPC, or to both if the ego did not answer it but could have."""
-        excused = self._excused_behind(tick, late, pursuit, change, seen)
+        excused = self._unless_avoidable(self._excused_behind(tick, late, pursuit, change, seen), tick, pursuit)
         judged = tick + round(ANSWERS_BY * self._hz)
         if excused.responsibility != "npc" or self._stands or self._end < judged + round(ANSWERS_FOR * self._hz):
             return excused
@@ -735,6 +738,13 @@ class Conflict:
         ignored = Fact(What.IGNORED, 0, self._at(tick), self._npc + 1, self._at(judged), self._at(since))
         ignored = ignored._replace(has_braked=has_braked, braking_m_per_s2=lost / lasting)
         return self._attributed("both", tick, (late[0], ignored), "cut-in-unanswered")
+
+    def _unless_avoidable(self, found: Attribution, tick: int, pursuit: Pursuit) -> Attribution:
+        """Return an attribution, marked if it excuses the ego from a danger that it could have avoided late."""
+        if found.responsibility != "npc" or self._stands:
+            return found
+        since = tick + round(CUT_OFF.delay * self._hz)
+        return replace(found, avoidable=pursuit.avoided_from(since, HELD) is not None)
 
     def _pushed_in(self, change: LaneChange | None) -> bool:
         """Return whether the NPC changed lanes ahead of the ego in the last 5 s without giving way to a driving ego."""
@@ -845,7 +855,8 @@ class Conflict:
         if since is not None:
             return self._unanswered(self._start, close, self._answer(0, since, self._start), "leader-unanswered")
         late = close, self._had_no_time(0, self._start, self._before)
-        return self._excused_behind(self._start, late, pursuit, seen=self._before)
+        found = self._excused_behind(self._start, late, pursuit, seen=self._before)
+        return self._unless_avoidable(found, self._start, pursuit)
 
     @property
     def _steered_behind(self) -> bool:

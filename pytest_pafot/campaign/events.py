@@ -126,8 +126,9 @@ class SearchSummary:
         shrink_runs: number of runs that simplified the findings, in addition to `runs`.
         neighbour_runs: number of runs of the findings' neighbours, likewise.
         known_runs: number of scenarios that were not run again.
-        failing, invalid, npc, unpreventable, common, rejected, skipped, no_interaction: numbers of runs, as in the
-            summary; there `npc` is npc at fault, `unpreventable` is not preventable, `common` is failing with both.
+        failing, invalid, npc, avoidable, unpreventable, common, rejected, skipped, no_interaction: numbers of runs, as
+            in the summary; there `npc` is npc at fault, `unpreventable` is not preventable, `common` is failing with
+            both. `avoidable` counts those of `npc` that braking late, but hard, would have avoided.
         reached: share of instructions whose cell, lane or zone was reached; null if no run shows it.
         finds: ids of its new findings.
         unsaved: number of runs by id of further findings, beyond `--pafot-max-saved`.
@@ -161,6 +162,7 @@ class SearchSummary:
     failing: int = 0
     invalid: int = 0
     npc: int = 0
+    avoidable: int = 0
     unpreventable: int = 0
     common: int = 0
     rejected: int = 0

@@ -49,7 +49,7 @@ SLICE = 3.0
 """The duration of a gene on roads that are not straight, if NPCs may have Lane-Instructions [s]."""
 SLOWEST_START = 12.0
 """The lowest start speed of the ego in a random scenario [m/s], or half of the speed limit if that is lower."""
-BLAMES = ("any", "ego", "preventable")
+BLAMES = ("any", "ego", "preventable", "avoidable")
 
 
 class AgainstError(RequestError):
@@ -115,6 +115,7 @@ class Request:
     arg: str = "run"  # the parameter of the test function that receives the run
     # ``any``: the test function is called for every run. ``ego``: not if only an NPC is responsible for the collision.
     # ``preventable``: as ``ego``, and a failure counts only if a reference driver would have prevented it.
+    # ``avoidable``: as ``ego``, and also for collisions that the rules excuse although braking late avoids them.
     blame: str = "any"
     decision_limit: float | None = None  # the longest decision of the ADS that is not a finding [s]
     fitness: str | Weights | Callable[[Trace], float] = "default"

@@ -311,6 +311,7 @@ class Sessions:
             verdicts=loop.verdicts,
             caught=loop.caught,
             doubt=loop.doubt,
+            avoidable=loop.avoidable,
             broken=loop.broken,
             fatal=tuple(sorted(loop.fatal, key=Scenario.canonical)),
             random=self.beginning.counts,
@@ -324,6 +325,7 @@ def restore(counts: Counts, loop: SearchLoop, beginning: RandomBeginning) -> Non
     loop.repeats = Counter({each.id: each.repeats for each in counts.finds})
     loop.known, loop.verdicts, loop.caught = map(Counter, (counts.known, counts.verdicts, counts.caught))
     loop.doubt, loop.broken, loop.counted = counts.doubt, counts.broken, counts.health
+    loop.avoidable = counts.avoidable
     loop.fatal |= set(counts.fatal)
     beginning.restore(*counts.random)
 

@@ -36,8 +36,8 @@ COLUMNS: Mapping[str, str] = {
     "genes": "JSON: each NPC's instructions: cell or lane and speed [m/s], or zone, speed, slot [s], act; or "
     "`manoeuvre`, speed, lanes beside the ego, gap to it [m], steps",
     "outcome": "how the run ended, such as `collision`",
-    "verdict": "verdict of the test: passed, failed, npc (an NPC's fault, which blame excludes), unpreventable, "
-    "common (the reference fails, too), invalid, rejected or skipped",
+    "verdict": "verdict of the test: passed, failed, npc or avoidable (an NPC's fault, which blame excludes), "
+    "unpreventable, common (the reference fails, too), invalid, rejected or skipped",
     "failing": "True if the run counts as a failure",
     "fitness": "number that the search maximises; higher is worse for the ego",
     "duration": "simulated time [s]",

@@ -40,6 +40,7 @@ from pytest_pafot.searching.ask_tell_loop import CheckpointError
 from pytest_pafot.searching.fitness import FitnessError, is_built_in, resolve
 from pytest_pafot.searching.space import SearchSpace, sample
 from pytest_pafot.support.errors import OutOfTime, RequestError, flag
+from pytest_pafot.support.text import plural
 from pytest_pafot.world import WorldError, codec, protocol
 from pytest_pafot.world.driving.ads import is_vehicle_class, loading_hint
 from pytest_pafot.world.driving.perception import sight_of
@@ -463,6 +464,7 @@ class Search:
         finds = [kept.find for kept in loop.recorder.kept.values()]
         notes = (
             loop.doubt,
+            self._excused_late,
             loop.known_alone,
             self._unused,
             self._without_effect,
@@ -487,7 +489,8 @@ class Search:
             runs=loop.runs,
             known_runs=health.reused,
             invalid=loop.verdicts["invalid"],
-            npc=loop.verdicts["npc"],
+            npc=loop.verdicts["npc"] + loop.verdicts["avoidable"],
+            avoidable=loop.verdicts["avoidable"],
             unpreventable=loop.verdicts["unpreventable"],
             common=loop.verdicts["common"],
             rejected=loop.verdicts["rejected"],
@@ -510,6 +513,17 @@ class Search:
             given=0 if loop.space is None else min(len(loop.space.first), loop.runs),
             drawn="" if self.loop.space is None else self.loop.space.described,
             coverage=health.coverage.describe(float(self.harness.world.speed_limit), ways) if loop.runs else "",
+        )
+
+    @property
+    def _excused_late(self) -> str:
+        """A note on collisions that the rules excuse, although braking late, but hard, would have avoided them."""
+        count = self.loop.verdicts["avoidable"]
+        if not count:
+            return ""
+        return (
+            f"the rules excuse {plural(count, 'collision')} that 6 m/s^2 from 1.4 s after the danger began would have "
+            f'avoided, such as: {self.loop.avoidable} blame="avoidable" counts them as failures'
         )
 
     @property

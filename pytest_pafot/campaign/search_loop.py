@@ -92,7 +92,7 @@ def fails_by_ego(run: Run, verdict: Verdict) -> bool:
     return not verdict.is_ads and is_ego_responsible(run.trace)
 
 
-UNREMARKABLE = ("passed", "npc", "invalid", "rejected")
+UNREMARKABLE = ("passed", "npc", "avoidable", "invalid", "rejected")
 """The kinds of verdicts for which a digest is enough. All other runs are judged in the session, with their traces."""
 
 
@@ -163,6 +163,7 @@ class Tally:
         random: the counts of :class:`~pytest_pafot.campaign.resuming.RandomBeginning`, in the order of its ``counts``.
         rows: rows for the table of runs.
         doubt: see :func:`unit_doubt`.
+        avoidable: see :class:`SearchLoop`.
     """
 
     runs: int
@@ -179,6 +180,7 @@ class Tally:
     random: tuple[int, int, int, int]
     rows: tuple[dict[str, Any], ...]
     doubt: str
+    avoidable: str
 
 
 @dataclass(slots=True, kw_only=True)
@@ -240,6 +242,7 @@ class Counting:
                 row_of(each.evaluation, generation) | dict(each.event.columns or {}) for each in digests if has_rows
             ),
             doubt=next((each.doubt for each in digests if each.doubt), ""),
+            avoidable=next((each.event.verdict.told for each in digests if each.event.verdict.told), ""),
         )
 
 
@@ -295,6 +298,7 @@ class SearchLoop:
     finished: events.CampaignFinished | None = None  # the last event, once the campaign is over
     skip: BaseException | None = None  # the last skip of the test function
     first: FirstGeneration = field(default_factory=FirstGeneration)
+    avoidable: str = ""  # what happened in the first run that is excused though braking late avoids the collision
     doubt: str = ""  # a doubt about the units of the ADS's actions, if any
     # how the reference itself failed in all its runs so far; empty if it did not in one of them, None before the first
     broken: str | None = None
@@ -325,7 +329,7 @@ class SearchLoop:
     def warnings(self) -> tuple[str, ...]:
         """Warnings about the search's health, and about a test function or reference with which nothing can fail."""
         warnings = self.health.warnings(self.known.total())
-        excused = self.verdicts["npc"] + self.verdicts["unpreventable"]
+        excused = sum(self.verdicts[kind] for kind in ("npc", "avoidable", "unpreventable"))
         if excused and not self.verdicts["passed"] and not self.verdicts["failed"]:
             blame, what = self.simulation.harness.request.blame, "collisions that an NPC is responsible for"
             if self.verdicts["unpreventable"]:
@@ -445,6 +449,7 @@ class SearchLoop:
         self.verdicts.update(tally.verdicts)
         self.caught.update(tally.caught)
         self.doubt = self.doubt or tally.doubt
+        self.avoidable = self.avoidable or tally.avoidable
         if self.first.is_alike:
             self.first.see_others(tally.verdicts)
         if not self.first.is_alike:
@@ -478,6 +483,7 @@ class SearchLoop:
         # soon as two runs differ, the findings that were held back are no fault of the set-up.
         self.caught.update(caught)
         self.doubt = self.doubt or doubt
+        self.avoidable = self.avoidable or verdict.told
         if self.first.is_alike:
             self.first.see(run, verdict)
         if not self.first.is_alike:

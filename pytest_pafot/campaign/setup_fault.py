@@ -93,7 +93,7 @@ class FirstGeneration:
 
     def see(self, run: Run | None, verdict: Verdict) -> None:
         """Record how a run of the first generation ended; ``run`` is None if another process judged that it passes."""
-        if verdict.kind in ("npc", "invalid"):  # The test function was not called.
+        if verdict.kind in ("npc", "avoidable", "invalid"):  # The test function was not called.
             self.unjudged += 1
             return
         if run is None:
@@ -105,7 +105,7 @@ class FirstGeneration:
 
     def see_others(self, verdicts: Counter[str]) -> None:
         """Record the verdicts on runs of the first generation that other processes have judged."""
-        unjudged = verdicts["npc"] + verdicts["invalid"]
+        unjudged = verdicts["npc"] + verdicts["avoidable"] + verdicts["invalid"]
         self.unjudged += unjudged
         self.is_alike &= verdicts.total() == unjudged
 

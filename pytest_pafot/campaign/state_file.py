@@ -108,6 +108,7 @@ class Counts:
     verdicts: Counter[str]
     caught: Counter[str]
     doubt: str
+    avoidable: str
     broken: str | None
     fatal: tuple[Scenario, ...]
     random: tuple[int, int, int, int]

@@ -31,16 +31,18 @@ class Verdict:
     """The verdict of the test function, the oracle, on a run."""
 
     # ``failed`` is a finding. ``rejected`` and ``skipped`` are no judgement. ``npc`` is a collision for which an NPC is
-    # responsible, unless ``blame="any"``. ``unpreventable`` is a failure that no reference driver would have prevented,
+    # responsible, unless ``blame="any"``, and ``avoidable`` one that braking late, but hard, would have avoided, unless
+    # ``blame="avoidable"``. ``unpreventable`` is a failure that no reference driver would have prevented,
     # with ``blame="preventable"``. ``common`` is a failure that the reference does not pass either. ``invalid`` is a
     # crash between NPCs.
-    kind: Literal["passed", "failed", "rejected", "skipped", "npc", "unpreventable", "common", "invalid"]
+    kind: Literal["passed", "failed", "rejected", "skipped", "npc", "avoidable", "unpreventable", "common", "invalid"]
     exception: BaseException | None = None  # the exception of the function, if it failed or skipped
     failure: Failure | None = None
     checks: tuple[Check, ...] = ()  # the checks that the function made, in order, up to one that failed
     is_timed: bool = False  # True if it depends on wall-clock time
     is_ads: bool = False  # True if the ADS itself failed, whatever the function asserts
     severity: Severity | None = None  # severity of the failure; None if there is none, or if nothing measures it
+    told: str = ""  # what happened in a run that is ``avoidable``
     reference: Verdict | None = None  # verdict on the reference in the same scenario; None if it was not run
 
     @property
@@ -51,7 +53,7 @@ class Verdict:
     @property
     def passes(self) -> bool:
         """True if the test passes in the run, or if ``blame`` excludes the run's failure."""
-        return self.kind in ("passed", "npc", "unpreventable")
+        return self.kind in ("passed", "npc", "avoidable", "unpreventable")
 
     @property
     def discarded(self) -> bool:
@@ -69,9 +71,10 @@ class Verdict:
 def judge(run: Run, test: Test, *, blame: str, test_file: str) -> Verdict:
     """Judge a run by the test function, unless the ADS itself failed or NPCs touched.
 
-    Unless ``blame`` is ``any``, the function is not called for collisions for which only an NPC is responsible. With
-    ``preventable``, a failing assertion counts only if a reference driver would have prevented the failure. Any other
-    exception is an error of the function. A failure is identified by the line in ``test_file`` that failed.
+    Unless ``blame`` is ``any``, the function is not called for collisions for which only an NPC is responsible; with
+    ``avoidable``, it is called for those of them that braking late, but hard, would have avoided. With ``preventable``,
+    a failing assertion counts only if a reference driver would have prevented the failure. Any other exception is an
+    error of the function. A failure is identified by the line in ``test_file`` that failed.
 
     Raises:
         BaseException: any exception that says nothing about the run, such as an interrupt, the end of the session, a
@@ -83,8 +86,13 @@ def judge(run: Run, test: Test, *, blame: str, test_file: str) -> Verdict:
         return Verdict(kind="invalid")
     broken = ads_failure(run)
     if broken is None or run.ads_error is None:
-        is_excused = blame != "any" and run.responsibility == "npc"
-        verdict = Verdict(kind="npc") if is_excused else _asked(run, test, test_file)
+        is_excused, avoidable = blame != "any" and run.responsibility == "npc", run.attribution.avoidable
+        if is_excused and avoidable and blame != "avoidable":
+            verdict = Verdict(kind="avoidable", told=" ".join(run.attribution.sentences[:1]))
+        elif is_excused and not avoidable:
+            verdict = Verdict(kind="npc")
+        else:
+            verdict = _asked(run, test, test_file)
         if blame == "preventable" and isinstance(verdict.exception, assertions()):
             outcomes = reference_outcomes(run, test, blame=blame, test_file=test_file)
             try:
@@ -114,7 +122,7 @@ def reference_outcomes(
     blame = "any" if blame == "any" else "ego"
     for name, other in run.by_reference_drivers(names):
         verdict = judge(other, test, blame=blame, test_file=test_file)
-        if verdict.kind in ("passed", "failed", "npc"):
+        if verdict.kind in ("passed", "failed", "npc", "avoidable"):
             yield name, reference_outcome(other, fails=verdict.kind != "passed")
 
 

@@ -61,7 +61,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         choices=BLAMES,
         default="any",
         help="ego: search for collisions that the ego is responsible for; preventable: only for those in which a "
-        "reference driver is not at fault (default: %(default)s, as in the paper)",
+        "reference driver is not at fault; avoidable: also for those that the rules excuse although braking late, but "
+        "hard, avoids them (default: %(default)s, as in the paper)",
     )
     parser.add_argument(
         "--fitness",

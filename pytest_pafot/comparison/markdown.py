@@ -89,6 +89,8 @@ HITS = {
     "ego": "collisions that the ego is responsible for (`--blame ego`)",
     "preventable": "collisions that the ego is responsible for and a reference driver in its place is not (`--blame "
     "preventable`)",
+    "avoidable": "collisions that the ego is responsible for, or that braking late, but hard, avoids (`--blame "
+    "avoidable`)",
 }
 """Descriptions of the collisions that count as failures, by the blame of the comparison."""
 
