@@ -136,8 +136,7 @@ def simplified_lines(finding: Finding) -> list[str]:
             lines.append(f"shrunk     {how}{'' if is_minimal else ', and could be simpler'}")
     prevention = prevention_text(finding.expect)
     lines += [prevention] if prevention else []
-    told = finding.expect.avoided_by, finding.perception, finding.expect.last_chance
-    escaped = finding.expect.escaped_by
+    told, escaped = (finding.expect.avoided_by, finding.perception), finding.expect.escaped_by
     lines += [] if escaped is None else escaped.sentences
     return [*lines, *(each.sentence for each in told if each is not None)]
 
