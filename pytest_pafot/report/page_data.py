@@ -255,7 +255,8 @@ class FindingView:
         instructions: instructions to all NPCs, ordered by NPC and gene.
         yaml, path: text and path of its file; empty for a run without a file.
         check: the check that failed; None if something else failed.
-        prevention: which reference drivers would have prevented the failure and which not; empty if none was tried.
+        prevention: which reference drivers would have prevented the failure and which not; empty if none would
+            have failed.
         perception: which imperfections of the ADS's perception the failure needs; empty for perfect sight.
         traffic: how the NPCs drive; empty for the paper's traffic.
         drive: all states of the run, which the page can save as a table; None without a recorded run or without a file.
