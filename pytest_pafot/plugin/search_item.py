@@ -404,7 +404,8 @@ def _report(item: pytest.Item, kept: FindTold, section: str) -> dict[str, Any]:
     item.stash[OF_ONE_RUN].show(kept.run, report.user_properties)
     set_properties(report.user_properties, **of_findings([(kept.finding, find.path, find.severity)]))
     lines = ",".join(f"{line.file}:{line.number}" for line in find.lines)
-    set_properties(report.user_properties, neighbours=find.breadth, lines=lines)
+    breadth = None if find.breadth is None else find.breadth.word
+    set_properties(report.user_properties, breadth=breadth, lines=lines)
     data: dict[str, Any] = item.config.hook.pytest_report_to_serializable(config=item.config, report=report)
     return data
 

@@ -5,12 +5,14 @@ import json
 
 import pytest
 
+from pytest_pafot.findings.neighbours import Breadth
+
 COLLIDES = """
 @pafot.search(SHORT, stop_after=1)
 def test_collides(run):
     assert not run.collision
 """
-TEXT = r"note +(.*; )?(a knife edge: 0|[1-9]\d?) of 8 neighbours fail the same way"
+TEXT = r"note +(.*; )?(broad|narrow|knife edge): \D* scenarios fail the same way\D*"
 
 
 @pytest.fixture
@@ -104,7 +106,7 @@ def test_lines_that_tell_failing_neighbours_from_passing_ones_are_told(project, 
     assert all(source[each["number"] - 1].strip() == each["text"] for each in told)
     first = f"test_it.py:{told[0]['number']} in {told[0]['function']}"
     junit = (project.path / "out.xml").read_text()
-    assert f'name="pafot_neighbours" value="{record["breadth"]["failing"]} of 40 neighbours fail' in junit
+    assert f'name="pafot_breadth" value="{Breadth(**record["breadth"]).word}"' in junit
     assert f'name="pafot_lines" value="test_it.py:{told[0]["number"]}' in junit
     for name in ("out.html", "summary.md"):
         assert first in html.unescape((project.path / name).read_text()).replace("\\", "")
