@@ -13,7 +13,6 @@ if TYPE_CHECKING:
     from pytest_pafot import policies as policies
     from pytest_pafot import properties as properties
     from pytest_pafot import strategies as strategies
-    from pytest_pafot.attribution.last_chance import LastChance as LastChance
     from pytest_pafot.campaign.explore import Exploration as Exploration
     from pytest_pafot.campaign.explore import explore as explore
     from pytest_pafot.campaign.saved_scenario import SavedScenario as SavedScenario
@@ -73,7 +72,6 @@ _HOMES = {
     "Exploration": "campaign.explore",
     "Highway": "world",
     "LaneInstruction": "model.scenario",
-    "LastChance": "attribution.last_chance",
     "Manoeuvre": "model.scenario",
     "Measure": "criticality.signals",
     "NpcLimits": "world",

@@ -140,8 +140,6 @@ FILE_TEXTS: Mapping[str, str] = {
     "`npc_speed` [m/s]; of a leader ahead in the ego's lane, `npc_speed` is the lowest speed from then to the failure. "
     "Where ways meet, the times to the zone `npc_enters` and `ego_enters` [s] replace `ahead` and "
     "`lane`.",
-    "expect.last_chance": "[The last chance](../explanation/findings.md#who-could-have-prevented-it): `time` [s], the "
-    "`driver`, and its `action` and the ego's, `ego_action`: acceleration [m/s^2] and steering [rad].",
     "expect.avoided_by": "The last decision from which `braking` [m/s^2] avoids the collision, and its `time` [s].",
     "expect.escaped_by": "How a `driver` that takes over at `time` avoids a collision for which the ego is excused: "
     "its hardest `braking` [m/s^2], and `braking_from` when it brakes [s]; and what the rules would require: "

@@ -108,7 +108,7 @@ def answer(
             the collision; None if only what the vehicle did is to be told.
         response: proper response, whose time of perception counts from that tick.
         entry: tick at which the vehicle entered a zone; None if no zone matters.
-        danger: tick at which the danger began, if the vehicle's last chance came later.
+        danger: tick at which the danger began, if the vehicle could respond later, too.
     """
     conduct = Conduct(
         trace=trace,

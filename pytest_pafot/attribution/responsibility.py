@@ -65,7 +65,7 @@ OUTSIDE = 1.0
 """The distance outside its stretch of a zone at which a vehicle still counts as in the zone [m]. The stretches assume
 vehicles in the middle of their ways, and a vehicle may have moved back a little."""
 LOOK = 0.6
-"""The time, up to its last chance to stop, in which a vehicle that has to give way observes the other vehicle [s]. One
+"""The time, up to its chance to stop, in which a vehicle that has to give way observes the other vehicle [s]. One
 tick would be too short."""
 
 
@@ -132,12 +132,12 @@ class Passing:
         return self.entry
 
     def chances(self) -> list[Chance]:
-        """Return the last chances to stop before the zone; a vehicle that was too fast had its chance at tick 0."""
+        """Return the chances to stop before the zone; a vehicle that was too fast had its chance at tick 0."""
         found = self.stops(self.entered(), self.begins)
         return found if found and found[0].response is FOLLOWING else [Chance(0, FOLLOWING), *found]
 
     def stops(self, before: int, place: float) -> list[Chance]:
-        """Return the last chances, before the tick ``before``, to stop before a place [m].
+        """Return the chances, before the tick ``before``, to stop before a place [m].
 
         The first one is the last tick at which the proper response stops the vehicle. If the vehicle visibly brakes at
         a later tick, it has a second one, because it then needs only the time to perceive.

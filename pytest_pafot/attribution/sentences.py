@@ -327,14 +327,3 @@ def escape_sentences(
         f"The rules require braking {', and '.join(limits)}." if limits else "It needs no more than the rules require."
     )
     return f"{avoids}: it brakes at up to {braking:.1f} m/s^2 from {braking_from:.1f} s on.", needed
-
-
-def last_chance_sentence(time: float, driver: str, acceleration: float, of_ego: float) -> str:
-    """Return the line with the time of the last chance [s] and the accelerations of driver and ego then [m/s^2]."""
-    return f"Last chance at {time:.1f} s: {driver} {_doing(acceleration)}, the ego {_doing(of_ego)}"
-
-
-def _doing(acceleration: float) -> str:
-    if abs(acceleration) < 0.05:
-        return "keeps its speed"
-    return f"{'brakes' if acceleration < 0 else 'accelerates'} at {abs(acceleration):.1f} m/s^2"

@@ -14,7 +14,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from pytest_pafot.attribution.last_chance import Avoidance, Escape, LastChance, avoidance, last_decision
+from pytest_pafot.attribution.takeovers import Avoidance, Escape, avoidance
 from pytest_pafot.campaign.options import REVISION
 from pytest_pafot.campaign.request import AgainstError, Request
 from pytest_pafot.campaign.verdict import Test, Verdict, judge, no_skip, reference_outcomes, skips
@@ -221,33 +221,6 @@ class Harness:
     def against_name(self) -> str:
         """The name of the reference in the summary; empty if the search has no reference."""
         return "" if self.against is None else self.against.shown
-
-    def last_chance(self, run: Run, verdict: Verdict) -> LastChance | None:
-        """Find by simulation the last decision at which a reference driver could still have prevented the failure.
-
-        For a collision, the result is the last chance of the run. For a failed check, it is the last decision before
-        the check's worst moment at which a reference driver could take over and still satisfy the check to the end of
-        the run. For other failures, and for a check that does not state its worst moment, the result is None.
-        """
-        take_over = run.take_over
-        if take_over is None or verdict.failure is None or verdict.severity is None:
-            return None
-        check = verdict.failure.check
-        if check is None:
-            return run.last_chance
-        if check.time is None:
-            return None
-
-        until = min(round(check.time * run.trace.physics_hz), run.trace.ticks)
-
-        def keeps(taken: Trace) -> bool:
-            # blame="any", so that the function is called even after a collision that an NPC is responsible for. A run
-            # that ends before the worst moment shows nothing.
-            asked = judge(self.seen(taken), self.test, blame="any", test_file=self.test_file)
-            made = [each for each in asked.checks if each.name == check.name]
-            return taken.ticks >= until and bool(made) and all(each.holds for each in made)
-
-        return last_decision(run.trace, until, take_over, keeps)
 
     def avoidance(self, run: Run, verdict: Verdict) -> Avoidance | None:
         """Find by simulation the last moment at which braking avoids the collision; None for any other failure."""

@@ -440,7 +440,6 @@ class Simplification:
                 run,
                 verdict.failure,
                 reference_drivers=outcomes,
-                last_chance=self._claimed(lambda: harness.last_chance(run, verdict)),
                 avoided_by=avoided,
                 escaped_by=self._claimed(lambda: harness.escape(run, verdict)),
                 against=before.expect.against,

@@ -68,7 +68,7 @@ class Row:
             "id": self.saved.id,
             "what": self.saved.error if finding is None else finding.expect.brief,
             "severity": "" if self.severity is None else str(self.severity),
-            "breadth": "" if broad is None else f"{broad.failing} of {broad.of}",
+            "breadth": "" if broad is None else broad.word,
             "who": "" if finding is None else finding.expect.responsibility,
             "requirement": self.traced.ids,
             "owner": self.traced.owner,

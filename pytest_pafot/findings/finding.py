@@ -15,9 +15,9 @@ from typing import Any, Literal
 
 import numpy as np
 
-from pytest_pafot.attribution.last_chance import Avoidance, Escape, LastChance
 from pytest_pafot.attribution.mistakes import Manoeuvre, Mistake, manoeuvre_before, mistake_of
 from pytest_pafot.attribution.responsibility import Fault, Responsibility
+from pytest_pafot.attribution.takeovers import Avoidance, Escape
 from pytest_pafot.findings.neighbours import Breadth
 from pytest_pafot.findings.shrink import Shrunk
 from pytest_pafot.findings.signature import (
@@ -124,7 +124,6 @@ class Expect:
         mistake: for the fault ``entered-lane``, what the ego did wrong, by the place of the other vehicle.
         npc_manoeuvre, ego_manoeuvre: manoeuvres shortly before the collision.
         reference_drivers: outcome of each reference driver in the ego's place; empty if the comparison makes no sense.
-        last_chance: the last time from which a reference driver would have stayed free of fault; None if there is none.
         avoided_by: the last decision from which braking avoids the collision in simulation; None if there is none.
         escaped_by: how a reference driver avoids a collision for which the rules left the ego too little time; None if
             it does not, and for any other failure.
@@ -153,7 +152,6 @@ class Expect:
     ego_manoeuvre: Manoeuvre | None = None
     situation: Situation | ZoneSituation | None = None
     reference_drivers: Mapping[str, ReferenceOutcome] = field(default_factory=dict)
-    last_chance: LastChance | None = None
     avoided_by: Avoidance | None = None
     escaped_by: Escape | None = None
     against: str = ""
@@ -226,7 +224,6 @@ class Expect:
         failure: Failure,
         *,
         reference_drivers: Mapping[str, ReferenceOutcome] | None = None,
-        last_chance: LastChance | None = None,
         avoided_by: Avoidance | None = None,
         escaped_by: Escape | None = None,
         against: str = "",
@@ -267,7 +264,6 @@ class Expect:
             else manoeuvre_before(trace, hit.npc + 1, hit.tick),
             ego_manoeuvre=None if hit is None else manoeuvre_before(trace, 0, hit.tick),
             reference_drivers=dict(reference_drivers or {}),
-            last_chance=last_chance,
             avoided_by=avoided_by,
             escaped_by=escaped_by,
             against=against,

@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import math
 import random
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain as in_turn
 from itertools import islice, zip_longest
-from types import MappingProxyType
+from typing import Literal
 
 from pytest_pafot.model.scenario import (
     ALONE,
@@ -31,9 +31,8 @@ from pytest_pafot.model.scenario import (
     Step,
 )
 
-SHARES: Mapping[float, str] = MappingProxyType({1.0: "all", 0.5: "half", 0.25: "a quarter of", 0.125: "an eighth of"})
-"""The shares of the steps below with which neighbours are made, in words. A smaller share is used if no neighbour fails
-before."""
+SHARES = (1.0, 0.5, 0.25, 0.125)
+"""The shares of the steps below with which neighbours are made. If no neighbour fails, a smaller share is used."""
 SPEED = 1.5
 """The largest step of a single speed [m/s]."""
 ALL_SPEEDS, DURATION = 0.1, 0.1
@@ -81,14 +80,24 @@ class Breadth:
         """The numbers of neighbours with the full steps, as a file stores them."""
         return Breadth(failing=self.failing if self.share == 1 else 0, of=self.full, full=self.full)
 
+    @property
+    def word(self) -> Literal["broad", "narrow", "knife edge"]:
+        """How broad the failure is, in a word.
+
+        It is broad if most of the neighbours with the full steps fail, narrow if fewer do, and a knife edge if none do.
+        """
+        if self.rank == 0:
+            return "knife edge"
+        return "broad" if self.rank > 1 / 2 else "narrow"
+
     def __str__(self) -> str:
-        if self.share == 1 and self.failing:
-            return f"{self.failing} of {self.of} neighbours fail the same way"
-        text = f"a knife edge: 0 of {self.full} neighbours fail the same way"
-        if self.share == 1:
-            return text
-        smaller = f"with steps of {SHARES[self.share]} the size"
-        return f"{text}, {self.failing} of {self.of} {smaller}" if self.failing else f"{text}, nor any {smaller}"
+        # Without numbers, because neighbours with other steps would give other numbers.
+        how = {
+            "broad": "most similar scenarios fail the same way",
+            "narrow": "some similar scenarios fail the same way, but not most",
+            "knife edge": f"{'only almost equal' if self.failing else 'no similar'} scenarios fail the same way",
+        }
+        return f"{self.word}: {how[self.word]}"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -15,9 +15,9 @@ import numpy as np
 import numpy.typing as npt
 
 from pytest_pafot import criticality
-from pytest_pafot.attribution.last_chance import Avoidance, Escape, LastChance, TakeOver, escape, last_chance
 from pytest_pafot.attribution.responsibility import Attribution, position_rule, rss_rule
 from pytest_pafot.attribution.sentences import due_by, responsible_sentence
+from pytest_pafot.attribution.takeovers import Avoidance, Escape, TakeOver, escape
 from pytest_pafot.criticality import Passage, passages
 from pytest_pafot.criticality.asked import Asked, asked
 from pytest_pafot.criticality.signals import (
@@ -361,21 +361,6 @@ class Run(Shown):
                 if not isinstance(trace, Trace):
                     raise TypeError(f"expected a pafot.Trace, received {trace!r:.100}")
             yield name, Run(trace, world=self.world)
-
-    @cached_property
-    def last_chance(self) -> LastChance | None:
-        """The last decision from which a careful driver in the ego's place would have stayed free of fault.
-
-        The driver is ``careful-human``, or in a world that does not declare it the first driver that the world
-        declares. It is simulated. None without a collision that the ego is responsible for, if the ego entered another
-        vehicle's lane, and if there was no such chance in the last 10 s before the impact.
-
-        Raises:
-            NoReferenceDriversError: for a run that was made without its world, or in one without these drivers.
-        """
-        if self.take_over is None:
-            raise _no_world("last_chance", "take_over=world.take_over")
-        return last_chance(self.trace, self.attribution.fault, self.take_over)
 
     @cached_property
     def escape(self) -> Escape | None:

@@ -401,7 +401,8 @@ def _report(item: pytest.Item, kept: FindTold, section: str) -> dict[str, Any]:
     report.sections.append(("pafot", section))
     item.stash[OF_ONE_RUN].show(kept.run, report.user_properties)
     properties = of_findings([(kept.finding, find.path, find.severity)])
-    set_properties(report.user_properties, **properties, neighbours=find.breadth)
+    breadth = None if find.breadth is None else find.breadth.word
+    set_properties(report.user_properties, **properties, breadth=breadth)
     data: dict[str, Any] = item.config.hook.pytest_report_to_serializable(config=item.config, report=report)
     return data
 

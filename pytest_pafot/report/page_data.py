@@ -218,14 +218,6 @@ class DriveView:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ChanceView:
-    """The last chance to avoid a failure: its time, and a sentence on it."""
-
-    time: float
-    sentence: str
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class ShrinkView:
     """The result of shrinking: the chains before and after it, one line per NPC, their sizes, and the number of runs.
 
@@ -263,10 +255,10 @@ class FindingView:
         instructions: instructions to all NPCs, ordered by NPC and gene.
         yaml, path: text and path of its file; empty for a run without a file.
         check: the check that failed; None if something else failed.
-        prevention: which reference drivers would have prevented the failure and which not; empty if none was tried.
+        prevention: which reference drivers would have prevented the failure and which not; empty if none would
+            have failed.
         perception: which imperfections of the ADS's perception the failure needs; empty for perfect sight.
         traffic: how the NPCs drive; empty for the paper's traffic.
-        last_chance: the last chance to avoid the failure; None if there is none.
         drive: all states of the run, which the page can save as a table; None without a recorded run or without a file.
         grid: poses of the eight cells at each frame of a bent road, None for a cell without a lane. Empty if all NPCs
             cross, because these use no cells.
@@ -298,7 +290,6 @@ class FindingView:
     prevention: str = ""
     perception: str = ""
     traffic: str = ""
-    last_chance: ChanceView | None = None
     shrink: ShrinkView | None = None
     drive: DriveView | None = None
     grid: tuple[tuple[Pose | None, ...], ...] = ()

@@ -136,19 +136,21 @@ def simplified_lines(finding: Finding) -> list[str]:
             lines.append(f"shrunk     {how}{'' if is_minimal else ', and could be simpler'}")
     prevention = prevention_text(finding.expect)
     lines += [prevention] if prevention else []
-    told = finding.expect.avoided_by, finding.perception, finding.expect.last_chance
-    escaped = finding.expect.escaped_by
+    told, escaped = (finding.expect.avoided_by, finding.perception), finding.expect.escaped_by
     lines += [] if escaped is None else escaped.sentences
     return [*lines, *(each.sentence for each in told if each is not None)]
 
 
 def prevention_text(expect: Expect) -> str:
-    """Say which reference drivers would have prevented a finding and which not; empty if no driver was tried."""
+    """Say which reference drivers would have prevented a finding and which not; empty if none would have failed."""
+    drivers, preventing = expect.reference_drivers, expect.preventable_by
+    if len(preventing) == len(drivers):
+        return ""  # true of nearly all findings, so it would distinguish none
     clauses: list[str] = []
     for outcome, beside in _BESIDE.items():
-        names = [name for name, became in expect.reference_drivers.items() if became == outcome]
+        names = [name for name, became in drivers.items() if became == outcome]
         if names:
-            negation = "" if names[0] in expect.preventable_by else "not "
+            negation = "" if names[0] in preventing else "not "
             clauses.append(f"{negation}{'' if clauses else 'preventable '}by {', '.join(names)}{beside}")
     return "; ".join(clauses)
 

@@ -42,7 +42,6 @@ from pytest_pafot.oracle.checks import Check
 from pytest_pafot.oracle.run import Run, arrival, crossing_text, lane_text
 from pytest_pafot.report.page_data import (
     CampaignView,
-    ChanceView,
     CheckView,
     CoverageRow,
     DriveView,
@@ -292,13 +291,12 @@ def finding_view(
     sentences = () if trace is None else expect.sentences_on(Run(trace))
     explanation = "" if trace is None else _explanation(expect.known_of(Run(trace)), sentences)
     first, _, rest = explanation.partition("\n")
-    chance, rest = expect.last_chance, (rest if check is None else explanation) or expect.message
     view = FindingView(
         id=finding.id,
         node_id=node_id,
         test=finding.test,
         headline=headline or first or expect.message or expect.failure,
-        explanation=rest if chance is None else f"{rest}\n  {chance.sentence}",
+        explanation=(rest if check is None else explanation) or expect.message,
         sentences=sentences,
         assertion=_assertion(expect),
         responsibility=expect.responsibility,
@@ -310,7 +308,6 @@ def finding_view(
         event=EventView(kind=str(expect.outcome), time=expect.time),
         yaml=text_of(finding),
         command=f"pytest {shlex.quote(node_id)}",
-        last_chance=None if chance is None else ChanceView(time=chance.time, sentence=chance.sentence),
         prevention=prevention_text(expect),
         perception="" if finding.perception is None else finding.perception.sentence,
         traffic=finding.scenario.traffic.described,

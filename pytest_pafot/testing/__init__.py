@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from pytest_pafot.attribution.last_chance import STEADY_BRAKING, brakes_untouched
+from pytest_pafot.attribution.takeovers import STEADY_BRAKING, brakes_untouched
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.scenario import Gene, LaneInstruction, PositionInstruction, Scenario
 from pytest_pafot.model.trace import SPEED, Outcome, Trace, X, Y

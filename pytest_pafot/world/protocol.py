@@ -16,8 +16,8 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from pytest_pafot.attribution.last_chance import STEADY_BRAKING
 from pytest_pafot.attribution.responses import FOLLOWING
+from pytest_pafot.attribution.takeovers import STEADY_BRAKING
 from pytest_pafot.model.crossings import Crossings
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.scenario import PositionInstruction, Scenario, ScenarioError

@@ -28,9 +28,9 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
 
-from pytest_pafot.attribution.last_chance import STEADY_BRAKING
 from pytest_pafot.attribution.manoeuvres import KEEPING
 from pytest_pafot.attribution.responses import EMERGENCY, FOLLOWING
+from pytest_pafot.attribution.takeovers import STEADY_BRAKING
 from pytest_pafot.model.crossings import CrossingVehicle, Kind
 from pytest_pafot.world.kernel.observation import Observation, VehicleState
 

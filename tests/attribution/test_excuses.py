@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pytest_pafot.attribution.last_chance import Escape, escape
 from pytest_pafot.attribution.responsibility import rss_rule
+from pytest_pafot.attribution.takeovers import Escape, escape
 from pytest_pafot.model.trace import SPEED, Outcome
 from tests.helpers.situations import cut_in
 

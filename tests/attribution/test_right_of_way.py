@@ -80,7 +80,7 @@ def test_reason_says_what_happened_before_what_was_due():
     assert 0.0 <= to_spare - speed / 30 < speed / 15  # one tick later it would be too late
 
 
-def test_braking_at_last_chance_stops_before_the_zone():
+def test_braking_at_chance_to_stop_suffices():
     passing = Passing(ignored(), 0, ignored().zones[0])
     last = passing.chances()[0].tick
     left = [passing.begins - passing.places[tick] for tick in (last, last + 1)]
@@ -94,7 +94,7 @@ def test_contact_outside_zone_and_ways_blames_neither_vehicle():
     assert found.reason == "The ego touched NPC 0 at 6.4 s, outside the zone where their ways meet."
 
 
-def test_late_start_has_last_chance_at_first_tick():
+def test_late_start_has_chance_to_stop_at_first_tick():
     trace = ignored(priority="ego")
     late = replace(
         trace,

@@ -238,22 +238,6 @@ def test_each_broken_rule_is_reported_at_its_place(path, old, new, line, field):
 
 
 @table(
-    ("chance", "field"),
-    [
-        ("none", ""),
-        ("{time: 11.6, driver: idm-aeb, action: [-4.0, 0.0]}", ""),
-        ("{time: -1.0, driver: idm-aeb, action: [-4.0, 0.0], ego_action: [0.8, 0.0]}", ".time"),
-        ("{time: 11.6, driver: idm-aeb, action: -4.0, ego_action: [0.8, 0.0]}", ".action"),
-        ("{time: 11.6, driver: idm-aeb, action: [-4.0], ego_action: [0.8, 0.0]}", ".action"),
-        ("{time: 11.6, driver: idm-aeb, action: [-4.0, 0.0], ego_action: [0.8, .nan]}", ".ego_action[1]"),
-    ],
-)
-def test_last_chance_requires_time_driver_and_two_actions(path, chance, field):
-    error = fault(path, swapped(DRIVERS, f"{DRIVERS}, last_chance: {chance}"))
-    assert (error.line, error.field) == (14, f"expect.last_chance{field}")
-
-
-@table(
     "fault_and_mistake", ["fault: entered-lane, mistake: moved", "fault: braked-for-nothing, mistake: moved-in-front"]
 )
 def test_mistake_is_one_of_those_of_a_lane_change(path, fault_and_mistake):

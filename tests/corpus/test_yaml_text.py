@@ -6,7 +6,7 @@ import pytest
 import yaml
 from hypothesis import given, settings
 
-from pytest_pafot.attribution.last_chance import Avoidance, Escape, LastChance
+from pytest_pafot.attribution.takeovers import Avoidance, Escape
 from pytest_pafot.corpus.reader import load, parsed
 from pytest_pafot.corpus.writer import text_of, write
 from pytest_pafot.corpus.yaml_document import parse
@@ -131,20 +131,10 @@ def test_ads_traceback_is_written_as_literal_block():
     assert f"  responsibility: none\n  traceback: |\n{block}found:" in text
 
 
-CHANCE = LastChance(time=11.6, driver="careful-human", action=(-4.0, 0.0), ego_action=(0.8, -0.001))
-
-
 def test_the_situation_is_written_in_one_line():
     situation = Situation(npc=0, time=6.6, ahead=-15.0, lane=-1, ego_speed=6.7, npc_speed=0.8)
     text = text_of(plain_finding(expect=replace(plain_finding().expect, situation=situation)))
     assert "situation: {npc: 0, time: 6.6, ahead: -15.0, lane: -1, ego_speed: 6.7, npc_speed: 0.8}}\n" in text
-
-
-def test_last_chance_contains_actions_of_driver_and_ego():
-    text = text_of(plain_finding(expect=replace(plain_finding().expect, last_chance=CHANCE)))
-    assert (
-        "         last_chance: {time: 11.6, driver: careful-human, action: [-4.0, 0.0], ego_action: [0.8, -0.001]}}\n"
-    ) in text
 
 
 def test_avoidance_contains_its_time_and_braking():

@@ -5,8 +5,8 @@ from typing import get_args
 
 from hypothesis import strategies as st
 
-from pytest_pafot.attribution.last_chance import Avoidance, Escape, LastChance
 from pytest_pafot.attribution.mistakes import LANE_CHANGES, Manoeuvre
+from pytest_pafot.attribution.takeovers import Avoidance, Escape
 from pytest_pafot.corpus.reader import LIMITS, WORLDS
 from pytest_pafot.findings.finding import MAX_KEY, MAX_NUMBER, Bounded, Expect, Finding, Found, Perceived
 from pytest_pafot.findings.neighbours import Breadth
@@ -148,12 +148,6 @@ def scenarios(draw):
     )
 
 
-def chances():
-    numbers = st.floats(-1e9, 1e9)
-    actions = st.tuples(numbers, numbers)
-    return st.builds(LastChance, time=st.floats(0, 1e6), driver=texts(), action=actions, ego_action=actions)
-
-
 def avoidances():
     return st.builds(Avoidance, time=st.floats(0, 1e6), braking=st.floats(0, 1e3))
 
@@ -188,7 +182,6 @@ def expectations(draw, npcs):
         npc_manoeuvre=draw(st.sampled_from([None, *get_args(Manoeuvre)])),
         ego_manoeuvre=draw(st.sampled_from([None, *get_args(Manoeuvre)])),
         reference_drivers=draw(st.dictionaries(keys(), st.sampled_from(get_args(ReferenceOutcome)), max_size=3)),
-        last_chance=draw(st.none() | chances()),
         avoided_by=draw(st.none() | avoidances()),
         escaped_by=draw(st.none() | escapes()),
         against=draw(texts()),

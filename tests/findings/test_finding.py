@@ -5,7 +5,7 @@ from datetime import date
 import numpy as np
 import pytest
 
-from pytest_pafot.attribution.last_chance import Avoidance, LastChance
+from pytest_pafot.attribution.takeovers import Avoidance
 from pytest_pafot.findings.finding import Expect, Finding, Found, ads_failure, of_failure, portable, raised_failure
 from pytest_pafot.findings.signature import Failure, normalised
 from pytest_pafot.findings.situation import Situation
@@ -40,12 +40,7 @@ def test_new_finding_is_named_by_signature_and_scenario():
 
 
 def test_it_expects_what_the_run_showed():
-    chance = LastChance(time=1.2, driver="careful-human", action=(-4.0, 0.0), ego_action=(0.0, 0.0))
-    told = {
-        "reference_drivers": {"idm-aeb": "avoids"},
-        "last_chance": chance,
-        "avoided_by": Avoidance(time=0.8, braking=6.0),
-    }
+    told = {"reference_drivers": {"idm-aeb": "avoids"}, "avoided_by": Avoidance(time=0.8, braking=6.0)}
     expect = Expect.of(run_of(outcome=Outcome.COLLISION), COLLIDES, **told)
     assert expect == Expect(
         failure="AssertionError",

@@ -235,22 +235,26 @@ def test_no_neighbour_lasts_longer_than_the_world():
 @table(
     ("found", "text", "rank"),
     [
-        (Breadth(failing=28, of=40, full=40), "28 of 40 neighbours fail the same way", 0.7),
+        (Breadth(failing=40, of=40, full=40), "broad: most similar scenarios fail the same way", 1.0),
+        (Breadth(failing=21, of=40, full=40), "broad: most similar scenarios fail the same way", 0.525),
+        (Breadth(failing=20, of=40, full=40), "narrow: some similar scenarios fail the same way, but not most", 0.5),
+        (Breadth(failing=1, of=40, full=40), "narrow: some similar scenarios fail the same way, but not most", 0.025),
         (
-            Breadth(failing=6, of=24, share=0.25, full=40),
-            "a knife edge: 0 of 40 neighbours fail the same way, 6 of 24 with steps of a quarter of the size",
+            Breadth(failing=24, of=24, share=0.25, full=40),
+            "knife edge: only almost equal scenarios fail the same way",
             0.0,
         ),
         (
             Breadth(failing=0, of=8, share=0.125, full=40),
-            "a knife edge: 0 of 40 neighbours fail the same way, nor any with steps of an eighth of the size",
+            "knife edge: no similar scenarios fail the same way",
             0.0,
         ),
-        (Breadth(failing=0, of=40, full=40), "a knife edge: 0 of 40 neighbours fail the same way", 0.0),
+        (Breadth(failing=0, of=40, full=40), "knife edge: no similar scenarios fail the same way", 0.0),
     ],
 )
 def test_breadth_in_words_and_as_a_rank(found, text, rank):
     assert (str(found), found.rank) == (text, rank)
+    assert found.word == text.partition(":")[0]
 
 
 def test_neighbours_of_a_real_finding_fail_around_it():

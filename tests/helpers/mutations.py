@@ -10,7 +10,6 @@ from typing import Any
 
 import yaml
 
-from pytest_pafot.attribution.last_chance import LastChance
 from pytest_pafot.findings.finding import Finding
 from pytest_pafot.model.scenario import CrossingInstruction, Manoeuvre, Scenario, Step
 
@@ -209,7 +208,7 @@ def holds(finding: Finding) -> dict[str, Any]:
         "scenario": _scenario(finding.scenario),
         "original": None if finding.original is None else _scenario(finding.original),
         "expect": {name: getattr(expect, name) for name in expect.__slots__}
-        | {"reference_drivers": dict(expect.reference_drivers), "last_chance": _chance(expect.last_chance)}
+        | {"reference_drivers": dict(expect.reference_drivers)}
         | {name: None if (part := getattr(expect, name)) is None else asdict(part) for name in PARTS},
         "found": {name: getattr(found, name) for name in found.__slots__} | {"versions": dict(found.versions)},
         "perception": finding.perception,  # no damaged file has it
@@ -232,12 +231,6 @@ def _accepted(finding: Finding) -> Any:
     until = finding.xfail_until
     is_flaky = {"flaky": True} if finding.xfail_flaky else {}
     return finding.xfail if until is None else {"reason": finding.xfail, "until": until.isoformat(), **is_flaky}
-
-
-def _chance(chance: LastChance | None) -> dict[str, Any] | None:
-    if chance is None:
-        return None
-    return asdict(chance) | {"action": [*chance.action], "ego_action": [*chance.ego_action]}
 
 
 def _scenario(scenario: Scenario) -> dict[str, Any]:

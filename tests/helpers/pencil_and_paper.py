@@ -1016,7 +1016,7 @@ class Comer:
         """Return the distance to the end of its stretch [m]."""
         return self.last - self.place[tick]
 
-    def last_chance(self):
+    def chance_to_stop(self):
         found = self.last_to_stop_before(self.first, self.enters)
         return 0 if found is None else found
 
@@ -1114,8 +1114,8 @@ class Crossing:
         return self.chance_not_taken(one) is not None
 
     def chance_not_taken(self, one):
-        """Return the last chance at which it foresaw the other and did not give way, or None."""
-        chances, braking = [one.last_chance()], one.braking_chance()
+        """Return the first of its chances at which it foresaw the other and did not give way, or None."""
+        chances, braking = [one.chance_to_stop()], one.braking_chance()
         if braking is not None and braking > chances[0]:
             chances.append(braking)
         return next((chance for chance in chances if self.foresaw_the_other(one, chance)), None)

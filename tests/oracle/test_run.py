@@ -66,24 +66,6 @@ def test_run_without_world_explains_how_to_try_drivers():
         _ = Run(closing()).preventable_by
 
 
-def test_last_chance_is_computed_once_on_request():
-    asked = []
-
-    def take_over(trace, tick, name):
-        asked.append((tick, name))
-        return replace(trace, outcome=Outcome.SAFE, collision=None)
-
-    run = Run(crash().trace, take_over=take_over)
-    assert asked == []
-    assert run.last_chance == run.last_chance
-    assert len(asked) == 1
-
-
-def test_missing_world_error_explains_the_last_chance():
-    with pytest.raises(NoReferenceDriversError, match=r"run\.last_chance: .*take_over=world\.take_over"):
-        _ = crash().last_chance
-
-
 def test_its_measures_are_those_of_the_criticality_functions():
     rng = np.random.default_rng(7)
     states = random_states(rng, 40, 3)

@@ -6,7 +6,7 @@ from importlib import metadata
 
 import pytest
 
-from pytest_pafot.attribution.last_chance import avoidance
+from pytest_pafot.attribution.takeovers import avoidance
 from pytest_pafot.corpus.reader import load
 from pytest_pafot.world import Highway
 from pytest_pafot.world.codec import GROUP
@@ -429,13 +429,12 @@ def driven(project, text=DRIVERS, given="", passed=""):
     write(project, RING + text, DATA="{'lanes': self.lanes}", GIVEN=given, PASSED=passed)
 
 
-def test_first_driver_that_own_world_declares_takes_over(shrinking, project):
+def test_drivers_that_own_world_declares_are_tried(shrinking, project):
     driven(project)
     result = project.run("--pafot-runs=60", generations=None)
     expect = load(project.only_file).expect
-    assert (expect.last_chance.driver, expect.avoided_by) == ("calm", None)
     assert set(expect.reference_drivers) == {"calm", "idm-aeb"}
-    result.stdout.fnmatch_lines(["Last chance at * s: calm *"])
+    assert expect.avoided_by is None
     result.stdout.no_fnmatch_line("*note: the world*")
 
 
@@ -462,14 +461,18 @@ def test_preventable_needs_drivers_that_drive(project):
 
 
 @pytest.mark.parametrize(
-    ("method", "error"), [("take_over", "raise KeyError(name)"), ("rollout_reference", "raise pafot.WorldError(name)")]
+    ("method", "error", "driver", "kept"),
+    [
+        ("take_over", "raise KeyError(name)", "steady-braking", "avoided_by"),
+        ("rollout_reference", "raise pafot.WorldError(name)", "calm", "reference_drivers"),
+    ],
 )
-def test_driver_that_own_world_cannot_run_is_one_note(shrinking, project, method, error):
-    kept = {"take_over": "last_chance", "rollout_reference": "reference_drivers"}[method]
+def test_driver_that_own_world_cannot_run_is_one_note(shrinking, project, method, error, driver, kept):
     body = f"def {method}(self, *given):\n        name = given[-1]\n        {error}\n\n    def unused(self, "
-    driven(project, DRIVERS.replace(f"def {method}(self, ", body))
+    brakes = 'takes_over = ("steady-braking",)\n\n    def take_over(self, '
+    driven(project, DRIVERS.replace("def take_over(self, ", brakes).replace(f"def {method}(self, ", body))
     result = project.run("--pafot-runs=60", generations=None)
-    result.stdout.fnmatch_lines([f"*note: the world Driven could not run {method} with the driver 'calm'*"])
+    result.stdout.fnmatch_lines([f"*note: the world Driven could not run {method} with the driver '{driver}'*"])
     finding = load(project.only_file)
     assert not getattr(finding.expect, kept)
     assert finding.shrunk is not None

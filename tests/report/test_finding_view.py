@@ -6,13 +6,12 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from pytest_pafot.attribution.last_chance import Avoidance, Escape, LastChance
+from pytest_pafot.attribution.takeovers import Avoidance, Escape
 from pytest_pafot.criticality import gap, ttc
 from pytest_pafot.findings.signature import Failure
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.trace import ACCELERATION, Outcome
 from pytest_pafot.oracle.run import Run
-from pytest_pafot.report.page_data import ChanceView
 from pytest_pafot.report.views import finding_view, frame_ticks, shrink_view
 from tests.helpers.tables import table
 from tests.helpers.traces import collision_at, straight_lanes, trace_of, vehicle
@@ -155,16 +154,6 @@ def test_escape_follows_the_excuse_that_it_tests():
     assert finding_view(trace, escaped, node_id="n").sentences == (*excuse, *escape.sentences, responsible)
     assert finding_view(trace, other, node_id="n").sentences == (*excuse, responsible)  # it is from a different run
     assert escape.sentences[0].startswith("<mine>, taking over at 1.0 s, avoids it")
-
-
-def test_last_chance_is_in_explanation_and_time_line():
-    trace = cut_in_trace()
-    finding = finding_of(trace)
-    chance = LastChance(time=11.2, driver="careful-human", action=(-4.0, 0.0), ego_action=(0.8, 0.0))
-    view = finding_view(trace, replace(finding, expect=replace(finding.expect, last_chance=chance)), node_id="n")
-    assert view.last_chance == ChanceView(time=11.2, sentence=chance.sentence)
-    assert view.explanation.splitlines()[-1] == f"  {chance.sentence}"
-    assert view_of(trace).last_chance is None
 
 
 def test_the_command_survives_a_shell():

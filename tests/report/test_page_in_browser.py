@@ -14,7 +14,7 @@ from pytest_pafot.commands.policy_reference import ads_factory
 from pytest_pafot.export.exporter import exporter
 from pytest_pafot.model.trace import LANE, SPEED
 from pytest_pafot.report.page import render_frame, render_page
-from pytest_pafot.report.page_data import ChanceView, CheckView, Report
+from pytest_pafot.report.page_data import CheckView, Report
 from pytest_pafot.report.views import drive_view, finding_view
 from tests.helpers.browser import Browser, find_chromium
 from tests.helpers.picture import picture_at
@@ -143,18 +143,6 @@ def test_time_outside_of_run_is_clamped_into_it(opened, time):
     finding = real_report().findings[0]
     shown = opened(f"#finding={finding.id}&t={time}").evaluate(TIME)
     assert 0 <= shown <= finding.duration + 0.001
-
-
-def test_last_chance_is_marked_on_the_time_line(browser, tmp_path):
-    finding = replace(real_report().findings[0], last_chance=ChanceView(time=3.0, sentence="last chance 3.0 s: ..."))
-    path = tmp_path / "report.html"
-    path.write_text(render_page(Report(title="t", findings=(finding,))), encoding="utf-8")
-    page = browser.open(path.as_uri())
-    at = "Number(document.querySelector('article.current line.{}').getAttribute('x1'))"
-    assert 0 < page.evaluate(at.format("chance")) < page.evaluate(at.format("event"))
-    assert page.evaluate("document.querySelector('.chance-mark title').textContent") == "last chance 3.0 s: ..."
-    assert page.complaints == []
-    page.close()
 
 
 def test_keys_move_through_time(page):

@@ -73,7 +73,7 @@ def test_article_on_shrunk_unseen_finding_matches_its_snapshot(snapshot):
     shrunk = shrink_view(scenario([(1, 25.0), (2, 8.0)], [(4, 20.0)]), scenario([(2, 8.0), (2, 8.0)]), rollouts=41)
     finding = replace(
         hand_made_finding(), shrink=shrunk, label="new", runs=3, path="corpus/a.pafot.yaml", instructions=(),
-        prevention="preventable by idm-aeb", explanation="", times=(), vehicles=(),
+        prevention="preventable by idm-aeb; not by fuzzy-safety (at fault)", explanation="", times=(), vehicles=(),
     )  # fmt: skip
     assert lines_of(finding_article(finding, 1)) == snapshot
 

@@ -196,7 +196,10 @@ def test_the_section_of_a_find_reads_so(snapshot):
 @table(
     ("responsibility", "outcomes", "text"),
     [
-        ("ego", "avoids avoids", "preventable by A, B"),
+        ("ego", "avoids avoids", ""),
+        ("ego", "avoids hit", ""),
+        ("npc", "avoids hit", "preventable by A; not by B (hit, not at fault)"),
+        ("none", "avoids fails", "preventable by A; not by B (fails too)"),
         ("ego", "hit avoids at-fault", "preventable by B; by A (hit, not at fault); not by C (at fault)"),
         ("npc", "hit avoids hit", "preventable by B; not by A, C (hit, not at fault)"),
         ("npc", "hit hit", "not preventable by A, B (hit, not at fault)"),
@@ -204,7 +207,7 @@ def test_the_section_of_a_find_reads_so(snapshot):
         ("none", "", ""),
     ],
 )
-def test_finding_says_which_drivers_would_have_prevented_it(responsibility, outcomes, text):
+def test_finding_names_drivers_if_one_does_not_prevent_it(responsibility, outcomes, text):
     expect = Expect(
         failure="AssertionError", outcome=Outcome.COLLISION, time=1.0, responsibility=responsibility,
         reference_drivers=dict(zip("ABC", outcomes.split(), strict=False)),

@@ -9,8 +9,8 @@ from gymnasium.wrappers import FlattenObservation
 from highway_env.vehicle.behavior import IDMVehicle, LinearVehicle
 from highway_env.vehicle.controller import ControlledVehicle
 
-from pytest_pafot.attribution.last_chance import avoidance, last_chance
 from pytest_pafot.attribution.responsibility import Passing, rss_rule
+from pytest_pafot.attribution.takeovers import avoidance
 from pytest_pafot.model.scenario import CrossingInstruction, PositionInstruction, Scenario
 from pytest_pafot.model.trace import ACCELERATION, LANE, SPEED
 from pytest_pafot.support.errors import DriverError
@@ -124,7 +124,7 @@ def test_what_cannot_be_taken_over_is_refused(tick, name, world, message):
         world.take_over(trace, tick, name)
 
 
-def test_last_chance_is_between_rules_and_zone_entry():
+def test_braking_avoids_between_rules_and_zone_entry():
     """The rules let it respond for a second before it brakes."""
     world = World("roundabout-v0")
     scenario = Scenario(npcs=[[CrossingInstruction("wer>wxr", 0.0, 5.0)]], ego_lane=1, ego_speed=8.0)
@@ -132,10 +132,8 @@ def test_last_chance_is_between_rules_and_zone_entry():
     fault = rss_rule(trace).fault
     assert fault == "did-not-give-way"
     passing, hz = Passing(trace, 0, trace.zones[0]), trace.physics_hz
-    careful, braking = (found(trace, fault, world.take_over) for found in (last_chance, avoidance))
+    braking = avoidance(trace, fault, world.take_over)
     assert passing.chances()[0].tick / hz <= braking.time < passing.entered() / hz
-    assert passing.chances()[0].tick / hz <= careful.time < passing.entered() / hz
-    assert careful.action[0] < -2.0
 
 
 class Own:

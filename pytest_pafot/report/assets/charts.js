@@ -189,8 +189,7 @@ class Charts {
     for (const start of new Set(this.finding.instructions.filter((row) => row.started && row.gene).map((row) => row.start))) {
       if (start < this.duration) this.parts.unshift(svg("line", { x1: px(this.x(start)), x2: px(this.x(start)), y1: 32, y2: px(y), class: "gene" }));
     }
-    const { event, last_chance: chance } = this.finding;
-    if (chance) this.mark("chance", chance.time, y, chance.sentence);
+    const { event } = this.finding;
     const moment = momentOf(this.finding);
     this.mark("event", moment, y, `the event, ${fixed(moment, 2)} s`);
     if (moment !== event.time && event.kind === "collision") this.mark("event", event.time, y, `the collision, ${fixed(event.time, 2)} s`);

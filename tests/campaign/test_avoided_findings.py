@@ -1,14 +1,11 @@
-"""The last chance of a finding is about what failed: a check, and not the collision in the same run.
-
-The same is true of the drivers that avoid it.
-"""
+"""What a finding says on drivers that take over is about what failed: a check, or the collision in the same run."""
 
 import numpy as np
 import pytest
 
 import pytest_pafot as pafot
 from example_ads import constant_speed
-from pytest_pafot.attribution.last_chance import Avoidance
+from pytest_pafot.attribution.takeovers import Avoidance
 from pytest_pafot.model.trace import SPEED
 from pytest_pafot.oracle.run import NoReferenceDriversError
 from pytest_pafot.report.terminal import simplified_lines
@@ -16,10 +13,6 @@ from pytest_pafot.world import Highway
 from tests.helpers.traces import trace_of, vehicle
 
 WORLD = Highway(duration=20.0)
-
-
-def keeps_headway(run):
-    pafot.check(run.headway, name="headway", at_least=0.4)
 
 
 def covers_ground(run):
@@ -42,24 +35,10 @@ def first(holds):
     return next(told for told in found.told if told.run.responsibility == "ego")
 
 
-def test_last_chance_is_last_decision_that_passes_check():
-    told = first(keeps_headway)
-    chance, trace = told.finding.expect.last_chance, told.run.trace
-    every = trace.physics_hz // trace.ads_hz
-    kept = [
-        tick
-        for tick in range(0, trace.ticks, every)
-        if np.min(pafot.Run(WORLD.take_over(trace, tick, "careful-human")).headway) >= 0.4
-    ]
-    assert chance.time == pytest.approx(max(kept) / trace.physics_hz, abs=1e-3)
-    assert chance.time < told.run.last_chance.time  # keeping away takes longer than not touching
-
-
 @pytest.mark.parametrize("holds", [covers_ground, has_headway])
-def test_check_without_moment_has_no_last_chance(holds):
+def test_braking_is_only_told_of_collisions(holds):
     told = first(holds)
-    assert told.run.last_chance is not None
-    assert told.finding.expect.last_chance is None
+    assert told.run.collision is not None
     assert told.finding.expect.avoided_by is None
 
 

@@ -1,10 +1,10 @@
-"""The last chance: the last time at which a driver in the ego's place would have prevented a failure, by simulation."""
+"""Runs in which a driver takes over from the ego: whether braking, or a reference driver, avoids a collision."""
 
 from __future__ import annotations
 
 import math
 from bisect import bisect_left, bisect_right
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -12,14 +12,14 @@ import numpy as np
 
 from pytest_pafot.attribution.manoeuvres import braking
 from pytest_pafot.attribution.responses import FOLLOWING
-from pytest_pafot.attribution.responsibility import Fault, is_ego_responsible, rss_rule
-from pytest_pafot.attribution.sentences import BRAKES, What, avoidance_sentence, escape_sentences, last_chance_sentence
+from pytest_pafot.attribution.responsibility import Fault, rss_rule
+from pytest_pafot.attribution.sentences import BRAKES, What, avoidance_sentence, escape_sentences
 from pytest_pafot.criticality.boxes import depth
 from pytest_pafot.criticality.measures import Encounters
-from pytest_pafot.model.trace import ACCELERATION, HEADING, LANE, SPEED, STEERING, Outcome, Trace, X, Y
+from pytest_pafot.model.trace import HEADING, LANE, SPEED, Outcome, Trace, X, Y
 
 DRIVER = "careful-human"
-"""The reference driver that takes over from the ego to find its last chance, in worlds that declare it."""
+"""The reference driver that takes over from an excused ego, in worlds that declare it."""
 
 STEADY_BRAKING = "steady-braking"
 """The driver that brakes with 6 m/s^2 down to a standstill, and keeps its lane."""
@@ -36,11 +36,7 @@ FREE_FOR = 12.0
 """The time after the ego begins to brake in which it must not touch a vehicle [s]; a stop from 60 m/s takes less."""
 
 SCANNED = 10.0
-"""The time before the impact in which the last chance is searched [s]."""
-
-SAME_IMPACT = 0.5
-"""An impact with the same NPC at most this long after the recorded impact counts as the same impact [s]. Otherwise a
-driver that only delays the impact a little could be free of fault because of the time limit of a rule."""
+"""The time before the impact in which the ego's decisions are tried [s]."""
 
 ROUNDING = 1e-6
 """The largest difference between the states of a run and of its repetition. They may differ because some environments
@@ -72,36 +68,12 @@ def drivers_of(take_over: TakeOver) -> tuple[str, ...]:
 
 
 def relief_of(drivers: Sequence[str]) -> str | None:
-    """Return the driver that takes over to find a last chance: ``careful-human`` if it is there, else the first.
+    """Return the driver that takes over from an excused ego: ``careful-human`` if it is there, else the first.
 
     None if there is no reference driver; ``steady-braking`` is none, because it does not look at the traffic.
     """
     looking = [name for name in drivers if name != STEADY_BRAKING]
     return DRIVER if DRIVER in looking else next(iter(looking), None)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LastChance:
-    """The last decision of the ego at which a reference driver in its place would still have prevented a failure.
-
-    The driver prevents a collision if it stays free of fault, and a failed check if it keeps the check.
-
-    Attributes:
-        time: time of the decision [s], to milliseconds.
-        driver: name of the reference driver.
-        action: acceleration [m/s^2] and steering [rad] with which the driver begins, to three digits.
-        ego_action: acceleration [m/s^2] and steering [rad] of the ego at that time.
-    """
-
-    time: float
-    driver: str
-    action: tuple[float, float]
-    ego_action: tuple[float, float]
-
-    @property
-    def sentence(self) -> str:
-        """A line with the time of the last chance, and the actions of the driver and the ego at that time."""
-        return last_chance_sentence(self.time, self.driver, self.action[0], self.ego_action[0])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -122,57 +94,6 @@ class Avoidance:
         return avoidance_sentence(self.time, self.braking)
 
 
-def last_chance(trace: Trace, fault: Fault | None, take_over: TakeOver) -> LastChance | None:
-    """Return the last of the ego's decisions from which a reference driver stays free of fault to the end of the run.
-
-    The driver is free of fault if it does not collide, or is not responsible for its collision by
-    :func:`~pytest_pafot.attribution.responsibility.rss_rule`. It is not free of fault if it only delays the impact by
-    at most 0.5 s, or if two NPCs touch in its run. The driver may fail from an earlier decision and succeed from a
-    later one, so all decisions of the last 10 s before the impact are tried, the latest first.
-
-    Args:
-        trace: trace of the run.
-        fault: fault of the ego in the run.
-        take_over: function that simulates the run again with a driver that takes over, see
-            :meth:`pytest_pafot.world.built_in.BuiltInWorld.take_over`.
-
-    Returns:
-        The last chance, or None. It is None without a collision that the ego is responsible for; if the ego entered a
-        lane, because the driver keeps its lane and cannot undo that; if no decision is such a chance; and if a
-        repetition of the run differs from the trace.
-    """
-    if trace.collision is None or fault is None or fault == "entered-lane":
-        return None
-    impact = trace.collision
-
-    def is_free(taken: Trace) -> bool:
-        hit = taken.collision
-        is_same = hit is not None and hit.npc == impact.npc and hit.time <= impact.time + SAME_IMPACT
-        return taken.outcome not in UNSAID and not is_same and not is_ego_responsible(taken)
-
-    return last_decision(trace, trace.ticks, take_over, is_free)
-
-
-def last_decision(
-    trace: Trace, until: int, take_over: TakeOver, prevents: Callable[[Trace], bool]
-) -> LastChance | None:
-    """Return the last of the ego's decisions from which a careful driver prevents a failure.
-
-    The driver is ``careful-human`` if ``take_over`` knows it, else the first driver that it knows. The decisions of the
-    last 10 s before the tick ``until`` are tried, the latest first. ``prevents`` evaluates the run with the driver.
-    None if no decision is such a chance, if there is no driver, or if a repetition of the run differs from the trace.
-    See :func:`last_chance` for the other arguments.
-    """
-    driver = relief_of(drivers_of(take_over))
-    if driver is None:
-        return None
-    for tick, taken in _taken_over(trace, until, take_over, driver):
-        if taken.ticks > tick and prevents(taken):
-            time = round(tick / trace.physics_hz, 3)
-            return LastChance(time=time, driver=driver, action=_action(taken, tick), ego_action=_action(trace, tick))
-    return None
-
-
 def avoidance(trace: Trace, fault: Fault | None, take_over: TakeOver) -> Avoidance | None:
     """Return the last of the ego's decisions from which braking with 6 m/s^2 in its lane avoids the collision.
 
@@ -181,11 +102,21 @@ def avoidance(trace: Trace, fault: Fault | None, take_over: TakeOver) -> Avoidan
     on: the ego brakes on, and an NPC keeps its speed, or its braking. The decisions of the last 10 s before the impact
     are tried, the latest first. None if braking from none of them avoids the collision, if the fault is not
     a missing response to a vehicle ahead or crossing, if ``take_over`` does not know ``steady-braking``, or if a
-    repetition of the run differs from the trace. See :func:`last_chance` for the arguments.
+    repetition of the run differs from the trace.
+
+    Args:
+        trace: trace of the run.
+        fault: fault of the ego in the run.
+        take_over: function that simulates the run again with a driver that takes over, see
+            :meth:`pytest_pafot.world.built_in.BuiltInWorld.take_over`.
     """
     if trace.collision is None or fault not in ANSWERED_BY_BRAKING or STEADY_BRAKING not in drivers_of(take_over):
         return None
-    for tick, taken in _taken_over(trace, trace.ticks, take_over, STEADY_BRAKING):
+    first, ticks = max(trace.ticks - round(SCANNED * trace.physics_hz), 0), trace.decision_ticks
+    for tick in reversed(ticks[bisect_left(ticks, first) : bisect_left(ticks, trace.ticks)]):
+        taken = take_over(trace, tick, STEADY_BRAKING)
+        if not repeats(taken, trace, tick):
+            return None
         is_long = taken.ticks > tick + FREE_FOR * taken.physics_hz
         is_free = is_long or taken.outcome not in (Outcome.COLLISION, *UNSAID)
         # A run that ends before the impact, such as at the end of a road, does not show that the impact is avoided.
@@ -223,30 +154,10 @@ def _driven_on(trace: Trace) -> Trace:
     return replace(trace, states=np.concatenate((trace.states, states)), track=track, on_way=None)
 
 
-def _taken_over(trace: Trace, until: int, take_over: TakeOver, driver: str) -> Iterator[tuple[int, Trace]]:
-    """Yield the ticks of the decisions in the last 10 s before a tick, the latest first, each with a new run.
-
-    In that run a driver takes over at the decision. The iteration stops if a repetition of the run differs from the
-    trace.
-    """
-    first, ticks = max(until - round(SCANNED * trace.physics_hz), 0), trace.decision_ticks
-    for tick in reversed(ticks[bisect_left(ticks, first) : bisect_left(ticks, until)]):
-        taken = take_over(trace, tick, driver)
-        if not repeats(taken, trace, tick):
-            return
-        yield tick, taken
-
-
 def repeats(taken: Trace, trace: Trace, tick: int) -> bool:
     """Return whether a run in which a driver takes over at a tick is the same as the recorded run up to that tick."""
     repeated, recorded = taken.states[: tick + 1], trace.states[: tick + 1]
     return repeated.shape == recorded.shape and bool((np.abs(repeated - recorded) <= ROUNDING).all())
-
-
-def _action(trace: Trace, tick: int) -> tuple[float, float]:
-    """Return the ego's acceleration and steering in the step after a tick, to three digits."""
-    acceleration, steering = trace.ego[tick + 1, [ACCELERATION, STEERING]].round(3).tolist()
-    return acceleration + 0.0, steering + 0.0  # never -0.0
 
 
 # The excuse "too little time to respond", put to the test: a driver takes over at that time, in simulation.

@@ -1,0 +1,173 @@
+"""Braking that avoids a collision: from which of the ego's decisions; by hand, and by closed form in the world."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pytest_pafot.attribution.takeovers import Avoidance, avoidance, drivers_of, relief_of
+from pytest_pafot.model.grid import Cell
+from pytest_pafot.model.scenario import PositionInstruction, Scenario
+from pytest_pafot.model.trace import LANE, SPEED, Outcome, X
+from pytest_pafot.world import Highway
+from tests.helpers.tables import table
+from tests.helpers.traces import LENGTH, collision_at, trace_of, vehicle
+
+
+def crash(ticks=30, outcome=Outcome.COLLISION):
+    """Return a run with the ego at 20 m/s behind an NPC at 10 m/s, which it hits at the last of the ticks."""
+    gap = ticks / 15 * 10.0
+    ego, npc = vehicle(0.0, 4.0, speed=20.0, ticks=ticks), vehicle(gap + LENGTH, 4.0, speed=10.0, ticks=ticks)
+    return trace_of(ego, npc, outcome=outcome)
+
+
+def braked(hit=None, outcome=Outcome.SAFE, ticks=300, rate=6.0, since=None, lane=1, trace=None, tick=27):
+    """Return a run that begins like that of :func:`crash`, in which the ego brakes; with its contact at a tick."""
+    trace, since = trace or crash(), since or tick
+    states = np.concatenate([trace.states, np.repeat(trace.states[-1:], ticks - trace.ticks, axis=0)])
+    states[since:, 0, SPEED] = np.maximum(20.0 - rate / 15 * np.arange(ticks + 1 - since), 0.0)
+    states[tick + 1 :, :, X] = states[tick, :, X]  # nobody is nearer than at the decision
+    states[40:, 0, LANE] = lane
+    states = states[:-1] if outcome is Outcome.END_OF_ROAD else states
+    collision = None if hit is None else collision_at(hit, side="rear", cell=Cell.REAR)
+    states = states if hit is None else states[: hit + 1]
+    return replace(trace, states=states, outcome=outcome if hit is None else Outcome.COLLISION, collision=collision)
+
+
+def scanned(trace, successes, otherwise=None):
+    """Return the avoidance if braking from these ticks avoids the collision, and the ticks that were tried."""
+    tried = []
+
+    def take_over(given, tick, name):
+        assert given is trace
+        assert name == "steady-braking"
+        tried.append(tick)
+        return braked(trace=trace, tick=tick, ticks=600) if tick in successes else otherwise or trace
+
+    return avoidance(trace, "leader-unanswered", take_over), tried
+
+
+def test_latest_decision_that_avoids_the_collision_counts():
+    found, tried = scanned(crash(), {3, 12})
+    assert found.time == 0.8
+    assert tried == [27, 24, 21, 18, 15, 12]
+
+
+def test_between_two_decisions_nobody_takes_over():
+    found, tried = scanned(crash(), {13, 14})
+    assert found is None
+    assert tried == [27, 24, 21, 18, 15, 12, 9, 6, 3, 0]
+
+
+def test_search_stops_ten_seconds_before_the_impact():
+    found, tried = scanned(crash(ticks=300), {147})
+    assert found is None
+    assert (tried[0], tried[-1]) == (297, 150)
+
+
+@pytest.mark.parametrize("ticks", [30, 20], ids=["elsewhere", "over before"])
+def test_a_run_that_does_not_repeat_has_none(ticks):
+    other = trace_of(vehicle(1.0, 4.0, speed=20.0, ticks=ticks), vehicle(90.0, 4.0, speed=10.0, ticks=ticks))
+    found, tried = scanned(crash(), {24}, otherwise=other)
+    assert found is None
+    assert tried == [27]
+
+
+@table(
+    ("taken", "is_free"),
+    [
+        (braked(), True),
+        (braked(hit=27 + 180), False),
+        (braked(hit=27 + 181), True),
+        (braked(outcome=Outcome.INVALID, ticks=60), False),
+        (braked(outcome=Outcome.INVALID), True),
+        (braked(outcome=Outcome.ADS_ERROR, ticks=60), False),
+        (braked(outcome=Outcome.HANG, ticks=60), False),
+        (braked(outcome=Outcome.END_OF_ROAD, ticks=30), False),
+        (braked(outcome=Outcome.END_OF_ROAD, ticks=60), True),
+        (braked(rate=8.0), False),
+        (braked(rate=4.5), False),
+        (braked(rate=6.3), True),
+        (braked(since=29), True),
+        (braked(since=60), False),
+        (braked(lane=0), False),
+    ],
+)
+def test_braking_avoids_only_if_ego_brakes_untouched(taken, is_free):
+    """A contact from behind counts, too. A run that ends before the impact, or without its driver, shows nothing."""
+    names = []
+
+    def take_over(trace, tick, name):
+        names.append(name)
+        return taken if tick == 27 else trace
+
+    found = avoidance(crash(), "leader-unanswered", take_over)
+    assert found == (Avoidance(time=1.8, braking=6.0) if is_free else None)
+    assert {*names} == {"steady-braking"}
+
+
+@table(("npc_speed", "is_free"), [(10.0, False), (17.0, True)])
+def test_run_that_ends_before_ego_stands_is_driven_on(npc_speed, is_free):
+    """At its end the ego is 2 m behind the NPC with 17.6 m/s, and brakes."""
+    taken = braked(ticks=33)
+    states = taken.states.copy()
+    states[28:, 1, SPEED] = npc_speed
+    taken = replace(taken, states=states)
+    found = avoidance(crash(), "leader-unanswered", lambda trace, tick, name: taken if tick == 27 else trace)
+    assert (found is not None) == is_free
+
+
+def test_braking_through_another_vehicle_avoids_nothing():
+    through = braked()
+    states = through.states.copy()
+    states[90:100, 0, X] = states[90:100, 1, X]
+    taken = replace(through, states=states)
+    assert avoidance(crash(), "leader-unanswered", lambda trace, tick, name: taken if tick == 27 else trace) is None
+
+
+class Declares:
+    """A world in which each driver avoids the collision, and which refuses names that it does not declare."""
+
+    def __init__(self, *drivers, also=()):
+        self.reference_drivers, self.takes_over = drivers, also
+
+    def take_over(self, trace, tick, name):
+        assert name in (*self.reference_drivers, *self.takes_over)
+        return braked() if tick == 27 else trace
+
+
+@table(
+    ("world", "relief", "brakes"),
+    [
+        (Declares("calm", "careful-human", also=("steady-braking",)), "careful-human", True),
+        (Declares("calm", "quick"), "calm", False),
+        (Declares("steady-braking", "calm"), "calm", True),
+        (Declares(also=("steady-braking",)), None, True),
+    ],
+)
+def test_only_drivers_that_world_declares_take_over(world, relief, brakes):
+    assert relief_of(drivers_of(world.take_over)) == relief
+    assert (avoidance(crash(), "leader-unanswered", world.take_over) is not None) is brakes
+
+
+@table("fault", [None, "entered-lane", "braked-for-nothing", "stopped-for-nothing"])
+def test_braking_is_not_tried_for_other_faults(fault):
+    assert avoidance(crash(), fault, lambda *_: pytest.fail("simulated")) is None
+
+
+def test_braking_is_not_tried_without_collision():
+    safe = crash(outcome=Outcome.SAFE)
+    assert avoidance(safe, "leader-unanswered", lambda *_: pytest.fail("simulated")) is None
+
+
+@pytest.mark.parametrize("closing", [3.0, 5.0])
+def test_braking_avoids_while_the_distance_suffices(closing):
+    """The leader has arrived ahead and keeps its speed, so the textbook formula gives the distance."""
+    world = Highway(clearance=30.0)  # at that gap the leader has arrived
+    scenario = Scenario(npcs=[[PositionInstruction(2, 22.0 - closing)]], ego_speed=22.0, gene_seconds=20.0)
+    trace = world.rollout(scenario, lambda: lambda observation: (0.0, 0.0))
+    gap = trace.npcs[:, 0, X] - trace.ego[:, X] - LENGTH
+    needed = closing**2 / (2 * 6.0) + closing * trace.dt / 2  # a tick's speed is the one at its beginning
+    assert trace.npcs[-45:, 0, SPEED] == pytest.approx(22.0 - closing, abs=0.01)
+    expected = max(tick for tick in range(0, trace.ticks, 3) if gap[tick] > needed)
+    assert avoidance(trace, "leader-unanswered", world.take_over).time == round(expected / 15, 3)
