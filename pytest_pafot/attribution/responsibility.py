@@ -730,13 +730,14 @@ class Conflict:
         judged = tick + round(ANSWERS_BY * self._hz)
         if excused.responsibility != "npc" or self._stands or self._end < judged + round(ANSWERS_FOR * self._hz):
             return excused
-        since, lasting = tick + round(FOLLOWING.delay * self._hz), (self._end - judged) / self._hz
+        since, due = (tick + round(response.delay * self._hz) for response in (FOLLOWING, CUT_OFF))
         lost = float(self._frame.speed[0, judged] - self._frame.speed[0, self._end])
-        if lost / lasting >= CUT_OFF.deceleration or pursuit.avoided_from(since, HELD) is None:
+        calmly = CUT_OFF.deceleration * (self._end - due) / self._hz
+        if lost >= calmly or pursuit.avoided_from(since, HELD) is None:
             return excused
         has_braked = bool((braking(self._trace)[judged + 1 : self._end + 1] >= BRAKES).any())
         ignored = Fact(What.IGNORED, 0, self._at(tick), self._npc + 1, self._at(judged), self._at(since))
-        ignored = ignored._replace(has_braked=has_braked, braking_m_per_s2=lost / lasting)
+        ignored = ignored._replace(has_braked=has_braked, braking_m_per_s2=lost * self._hz / (self._end - judged))
         return self._attributed("both", tick, (late[0], ignored), "cut-in-unanswered")
 
     def _unless_avoidable(self, found: Attribution, tick: int, pursuit: Pursuit) -> Attribution:

@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any, Self
 
 from pytest_pafot.campaign.verdict import Verdict
+from pytest_pafot.findings.decisions import Answers, Moment
 from pytest_pafot.findings.finding import Finding
 from pytest_pafot.findings.neighbours import Breadth
-from pytest_pafot.findings.reactions import Reaction
 from pytest_pafot.findings.severity import Severity
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.oracle.run import Run
@@ -58,7 +58,8 @@ class Find:
         is_timed: True if the failure depends on wall-clock time.
         unshrunk: why a new finding is not yet fully shrunk; empty if it is.
         breadth: how many neighbours of a new finding fail in the same way; None if that was not examined.
-        reactions: for each NPC of a new finding, the decision of the ADS that first is another one with the NPC hidden.
+        answers: how many decisions depend on the vehicle of a new finding; None if that was not examined.
+        moment: the last decision that could have avoided it; None if that was not examined, or none is known.
         rests_on: number of neighbours of a replayed scenario that pass.
         severity: severity of the failure; None if it passes, nothing measures it, or there is no run.
         severity_before: severity with the reference of a replay; None if there is none.
@@ -79,7 +80,8 @@ class Find:
     is_timed: bool = False
     unshrunk: str = ""
     breadth: Breadth | None = None
-    reactions: tuple[Reaction, ...] = ()
+    answers: Answers | None = None
+    moment: Moment | None = None
     rests_on: int = 0
     severity: Severity | None = None
     severity_before: Severity | None = None
@@ -101,6 +103,12 @@ class Find:
         timed = "depends on wall-clock time" if self.is_timed else ""
         breadth = "" if self.breadth is None else str(self.breadth)
         return "; ".join(filter(None, [flaky, timed, self.unshrunk, breadth]))
+
+    @property
+    def on_decisions(self) -> list[str]:
+        """What is told of the policy's decisions, each with a title of ten letters at most."""
+        told = [f"answers    {self.answers}"] if self.answers is not None else []
+        return [*told, f"moment     {self.moment}"] if self.moment is not None else told
 
     @property
     def summary(self) -> str:

@@ -29,7 +29,7 @@ from pytest_pafot.world import Highway
 from pytest_pafot.world.driving.ads import AdsFactory
 
 PLACE = "pafot.explore"
-OF_TESTS = ("arg", "profile", "report", "save", "strict_drift", "strict_health")
+OF_TESTS = ("arg", "debug", "profile", "report", "save", "strict_drift", "strict_health")
 """Arguments of ``@pafot.search`` that :func:`explore` refuses, because they have no meaning without pytest."""
 
 

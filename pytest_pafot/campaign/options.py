@@ -326,6 +326,13 @@ class Settings:
         "Set of defaults: ci (400 runs, seed 0) or local (40 runs, random seed).",
         choices=tuple(PROFILES),
     )
+    debug: bool = option(
+        "switch",
+        "In each replay, open the debugger in the policy's last decision that could have avoided the failure.",
+        "It is the [moment](../explanation/findings.md#the-moment) of the finding. Step into the policy with `s`. Only "
+        "for replays of `pytest FILE` in one process: the policy is not isolated, and has any time to decide.",
+        default=False,
+    )
     strict_drift: bool = option(
         "switch",
         "Fail saved scenarios that pass, but may no longer test what they were saved for.",

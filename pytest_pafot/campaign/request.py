@@ -98,6 +98,7 @@ class SearchArguments(TypedDict, total=False):
     memory: int
     report: str
     profile: str
+    debug: bool
     strict_drift: bool
     strict_health: bool
     requirement: str | Sequence[str]

@@ -8,26 +8,36 @@ then makes the same attempts in the same order, so it has the same result.
 from __future__ import annotations
 
 import math
-import pickle
-from bisect import bisect_right
 from collections.abc import Callable
-from contextlib import suppress
+from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import count
-from typing import Any, TypeVar
+from typing import TypeVar
 
 from pytest_pafot.campaign.events import FindTold
 from pytest_pafot.campaign.harness import Harness, begins_alike, limits_of, refusals
 from pytest_pafot.campaign.search_loop import SearchLoop
 from pytest_pafot.campaign.state_file import Answer, Shown
 from pytest_pafot.campaign.verdict import Verdict, headline
-from pytest_pafot.execution import scenario_pool
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.execution.runner import call_apart, runner_for
+from pytest_pafot.findings.decisions import (
+    HARDER,
+    Answers,
+    Moment,
+    braking_of,
+    counted,
+    deciding,
+    differ,
+    moment_of,
+    text_of,
+    tried,
+    vehicle_of,
+    window,
+)
 from pytest_pafot.findings.finding import Expect, Perceived, ending, of_failure
 from pytest_pafot.findings.neighbours import Breadth, breadth_of
-from pytest_pafot.findings.reactions import Reaction
 from pytest_pafot.findings.shrink import OutOfBudget, Shrunk, Start, shrink
 from pytest_pafot.model.scenario import Scenario, ScenarioError
 from pytest_pafot.model.sight import Sight
@@ -37,10 +47,13 @@ from pytest_pafot.support.errors import DriverError, OutOfTime, RequestError
 from pytest_pafot.support.text import one_line
 from pytest_pafot.world import codec, protocol
 from pytest_pafot.world.driving.ads import is_vehicle_class, wants_env
-from pytest_pafot.world.driving.perception import Perception, sight_of, without
+from pytest_pafot.world.driving.perception import Perception, without
+from pytest_pafot.world.driving.policy import checked_action
+from pytest_pafot.world.driving.shadow import Aside, Question, beside
 from pytest_pafot.world.guard.failure import is_interruption
 from pytest_pafot.world.guard.hang_guard import runs_end_in
 from pytest_pafot.world.guard.own_worlds import rollout_of
+from pytest_pafot.world.kernel.action import checked_si_action
 
 ClaimT = TypeVar("ClaimT")
 
@@ -74,6 +87,9 @@ ROLLOUTS, ROLLOUTS_IN_KERNEL = 300, 3000
 The larger limit is for an ADS that is a vehicle class of highway-env, because the kernel runs it quickly.
 """
 
+
+MANY = 1_000_000
+"""More lanes than there are, for actions that a run has checked before."""
 
 RUNS_TO_CONCLUDE = 3
 """The approximate time for the work after shrinking, except confirmation, as a number of runs.
@@ -192,8 +208,9 @@ class Simplification:
                     kept = self.loop.recorder.rewritten(kept, labelled)
                 self.loop.recorder.tell(replace(kept, find=find, is_new=False))
                 if found is not None:
-                    told = "reactions"
-                    find = replace(find, reactions=self._reactions(find.id, found))
+                    told = "decisions"
+                    answers, moment = self._decisions(kept, found)
+                    find = replace(find, answers=answers, moment=moment)
                     self.loop.recorder.tell(replace(kept, find=find, is_new=False))
         except OutOfTime:
             self.notes.append(f"no {told} of saved-{find.id}: out of time")
@@ -222,68 +239,94 @@ class Simplification:
         limits = limits_of(self.loop.simulation.harness.world)
         return breadth_of(kept.finding.scenario, self.neighbours, fails=fails, limits=limits)
 
-    def _reactions(self, find_id: str, found: Run) -> tuple[Reaction, ...]:
-        """Run a finding again with each NPC hidden from the ADS, and return how its decisions differ.
+    def _decisions(self, kept: FindTold, found: Run) -> tuple[Answers | None, Moment | None]:
+        """Return how many decisions depend on the vehicle of a failure, and the last that could have avoided it.
 
-        Nothing can be hidden from a vehicle class, which reads the road itself, or in a world that is not built in.
+        The finding's run is driven again by its recorded actions. Fresh policies decide beside it, with all that the
+        policy saw and without a vehicle. Nothing can be hidden from a vehicle class, which reads the road itself, from
+        a policy that has the environment, or in a world that is not built in. Nothing is said of a policy that decides
+        otherwise when it sees the same.
         """
-        harness, trace = self.loop.simulation.harness, found.trace
-        if is_vehicle_class(harness.ads) or not codec.is_built_in(harness.world):
-            return ()
-        # An ADS that never reacts to a vehicle may not have seen it. Its observations are then the same without it.
-        # An ADS with the environment sees more than its observations. A planner with perfect sight sees everybody.
-        sees_all = sight_of(harness.ads) is None and getattr(harness.world, "planner_hz", 1) is not None
-        is_noted = not (sees_all or self._is_out_of_reach or wants_env(harness.ads))
-        told: list[Reaction] = []
-        without_it: list[list[bytes]] = []  # for each NPC, the observations until the event with it hidden
-        until, times = found.event_time, [tick / trace.physics_hz for tick in trace.decision_ticks]
-        decisions = bisect_right(times, until + 1e-9)
-        for npc in range(len(found.scenario.npcs)):
-            self.tell(f"hiding NPC {npc} of {find_id}")
-            seen: list[bytes] = []
-            hidden = self._driven(found.scenario, npc, seen if is_noted else None)
-            if hidden is None:
-                return ()
-            told.append(Reaction.of(npc, trace.actions, hidden.actions, times=times, until=until))
-            without_it.append(seen[:decisions])
-        if is_noted and any(each.time is None for each in told):
-            self.tell(f"driving {find_id} again")
-            whole: list[bytes] = []
-            self._driven(found.scenario, None, whole)
-            told = [
-                replace(each, unseen=each.time is None and bool(seen) and seen == whole[:decisions])
-                for each, seen in zip(told, without_it, strict=True)
-            ]
-        return tuple(told) if trace.actions else ()
+        harness, expect, trace = self.loop.simulation.harness, kept.finding.expect, found.trace
+        if is_vehicle_class(harness.ads) or wants_env(harness.ads) or not codec.is_built_in(harness.world):
+            return None, None
+        moment = None if harness.against is None else self._first_difference(trace)
+        npc = vehicle_of(found, expect)
+        if npc is None or not trace.actions:
+            return None, moment
+        number = None if moment is not None else deciding(found, expect)
+        question = None if number is None else Question(number=number)
+        without_it = self._beside(found, npc, question)
+        if without_it is None:
+            return None, moment
+        if question is not None:
+            question = replace(question, changed=partial(tried, npc, without_it.at))
+        whole = self._beside(found, None, question)
+        if whole is None or any(map(differ, trace.actions, whole.answers)):
+            return None, None
+        since, until = window(found, expect)
+        numbers = counted(trace, since, until)
+        answers = Answers(
+            npc=npc,
+            since=round(since, 3),
+            decisions=len(numbers),
+            depending=sum(differ(whole.answers[each], without_it.of(each)) for each in numbers),
+            unseen=bool(whole.seen) and whole.seen[: numbers.stop] == without_it.seen[: numbers.stop],
+        )
+        if not answers.depending:
+            # Another vehicle may mask it: without that one the policy brakes harder.
+            for other in [each for each in range(len(found.scenario.npcs)) if each != npc]:
+                told = self._beside(found, other, None)
+                hardest = max((braking_of(told.of(each)) for each in numbers), default=0.0) if told else 0.0
+                if hardest >= max(braking_of(whole.answers[each]) for each in numbers) + HARDER + answers.masked:
+                    answers = replace(answers, masking=other, masked=round(hardest, 3))
+        if number is not None:
+            moment = moment_of(trace, npc, number, whole, without_it)
+        return answers, moment
 
-    def _driven(self, scenario: Scenario, npc: int | None, seen: list[bytes] | None) -> Trace | None:
-        """Run a scenario with an NPC hidden from the ADS, and add its observations to a list, if there is one.
-
-        Returns:
-            The run; None if nothing can be hidden in an observation, such as a picture.
-        """
+    def _first_difference(self, trace: Trace) -> Moment | None:
+        """Return the first decision that differs from the one of the reference in the same scenario."""
+        simulation = self.loop.simulation
+        harness, record, isolate = simulation.harness, simulation.record, simulation.harness.request.settings.isolate
         self._check_time()
         self.neighbour_runs += 1
+        with harness.reference_runner(harness.job(), record, isolate=isolate) or nullcontext() as runner:
+            run = None if runner is None else harness.run_reference(runner, trace.scenario)[0]
+        record.clear()
+        for number, actions in enumerate(zip(trace.actions, () if run is None else run.trace.actions, strict=False)):
+            if differ(*actions):
+                time = round(trace.decision_ticks[number] / trace.physics_hz, 3)
+                own, other = text_of(*actions), text_of(*actions[::-1])
+                return Moment(time=time, npc=None, action=own, reference=other)
+        return None
+
+    def _beside(self, found: Run, npc: int | None, question: Question | None) -> Aside | None:
+        """Drive a finding by its recorded actions, with an NPC hidden from a policy that decides beside the run.
+
+        Returns:
+            What the policy decided; None if nothing can be hidden in an observation, such as a picture.
+        """
+        self._check_time()
+        self.tell(f"asking the policy of {found.scenario.id} again")
+        self.neighbour_runs += 1
         harness, record = self.loop.simulation.harness, self.loop.simulation.record
-        job = replace(harness.job(), ads=without(harness.ads, npc, None if seen is None else partial(_note, seen)))
+        space = harness.world.action_space
+        check = partial(checked_si_action, lanes=MANY) if space is None else partial(checked_action, space=space)
+        aside = Aside()
+        job = replace(harness.job(), ads=beside(harness.ads, found.trace.actions, check, aside, question))
+        job = job if npc is None else replace(job, ads=without(job.ads, npc))
         isolate = harness.request.settings.isolate
         try:
             with refusals():
-                if isolate and seen is not None:  # the other process notes what it sees in a copy of the list
-                    trace, noted = call_apart(job, scenario, lambda *run: (rollout_of(job.world)(*run), seen))
-                    seen += noted
-                    return trace
-                with runner_for(job, record, isolate=isolate) as runner:
-                    return runner.run(scenario, afresh=True)
+                if isolate:  # the other process notes what is decided in a copy
+                    return call_apart(job, found.scenario, lambda *run: (rollout_of(job.world)(*run), aside)[1])
+                with runner_for(job, record, isolate=False) as runner:
+                    runner.run(found.scenario, afresh=True)
+                    return aside
         except RequestError:
             return None
         finally:
             record.clear()
-
-    @property
-    def _is_out_of_reach(self) -> bool:
-        """True if the ADS is called in processes that are no copies of this one: nothing in them can be read."""
-        return self.loop.simulation.harness.request.settings.isolate and scenario_pool.METHOD != "fork"
 
     def _have_turn(self, find_id: str, sharing: int) -> None:
         """Simplify a finding in its share of the remaining time; ``sharing`` is the number of equal shares."""
@@ -510,9 +553,3 @@ def starts_of(run: Run, top_speed: float) -> tuple[Start, ...]:
     if trace.track is not None or (rows[:, LANE] < 0).any():
         return ()  # on a road that is not straight, a later start would be on a different part of the road
     return tuple((int(row[LANE]), float(min(max(round(row[SPEED], 1), 0.0), top_speed))) for row in rows)
-
-
-def _note(seen: list[bytes], observation: Any) -> None:
-    """Add an observation to a list, if it can be compared: the bytes of equal arrays, tuples and mappings are equal."""
-    with suppress(Exception):  # A class of the user's own may not be picklable, and the ADS must not notice.
-        seen.append(pickle.dumps(observation))

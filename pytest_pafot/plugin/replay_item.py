@@ -26,6 +26,7 @@ from pytest_pafot.findings.severity import worsening
 from pytest_pafot.oracle.checks import CheckFailed
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.plugin import messages, node_ids
+from pytest_pafot.plugin.debugging import stop_in_replay
 from pytest_pafot.plugin.failure_reports import NOT_ACCEPTED, REPLAYED, SUMMARY, explained
 from pytest_pafot.plugin.finding_message import tell_finding
 from pytest_pafot.plugin.messages import OF_ONE_RUN, set_properties, severity_text
@@ -51,6 +52,8 @@ def run_replay(item: pytest.Function, request: Request, saved: Saved) -> None:
     harness = harness_of(item, request, writes=False)
     today = date.fromisoformat(item.config.stash[SHARED].today)
     replays = Replays(harness=harness, in_own_session=partial(replay_in_own_session, item), today=today)
+    if request.settings.debug:
+        stop_in_replay(item, replays, saved)
     path, lost = relative(saved.path, harness.root), None
     if NOT_ACCEPTED in item.stash:  # left by the first try of an item that is tried again
         del item.stash[NOT_ACCEPTED]

@@ -357,7 +357,6 @@ class SearchMessages:
         explanation = "" if kept.run is None else explained(kept.run, kept.exception, config)
         details = [f"against    {kept.finding.expect.against}, which passes"] if kept.finding.expect.against else []
         details += [] if kept.is_new else terminal.simplified_lines(kept.finding)
-        details += [f"answers    {reaction}" for reaction in kept.find.reactions]
         if not is_compact(config):
             details += [f"scenario   {kept.finding.scenario}", f"found by   {kept.origin}"]
             details += terminal.effort_lines(kept.finding)
@@ -368,6 +367,7 @@ class SearchMessages:
             kept.find,
             explanation="" if explanation.partition("\n")[0] in message_of(kept.exception) else explanation,
             content=kept.content,
+            first=[] if kept.is_new else terminal.avoided_lines(kept.finding),
             details=details,
             advice=advice,
             width=width,

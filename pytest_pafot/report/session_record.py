@@ -71,9 +71,14 @@ class FindingRecord:
         unshrunk: that no time was left to confirm a new finding, or to shrink it fully; otherwise empty.
         breadth: how many neighbours of a new finding fail in the same way: `failing`, `of`, and `share`, the size of
             their steps as a share of the full ones, which `full` neighbours had. Null if that was not examined.
-        reactions: for each NPC the decision that is first another one with the NPC hidden: `npc`; `time` [s], null if
-            there is none until the event; `before`, the time from then to the event [s]; `action`, and `hidden`, the
-            one with the NPC hidden; `unseen`, true if the NPC was in none of the observations.
+        answers: how many decisions depend on the vehicle of a new finding, when they are made again beside the run:
+            `npc`; `since`, when the danger began [s]; `decisions` from then to the failure, and `depending`; `unseen`,
+            true if it was in no observation; `masking`, another NPC with which hidden the policy brakes harder, at
+            `masked` [m/s^2]. Null if that was not examined.
+        moment: the last decision that could have avoided it: `time` [s]; `npc`; `seen`, `action`, `hidden`, `otherwise`
+            and `reference`, in words: where the policy saw the NPC, what it answered, what it answers with the NPC
+            hidden (empty for the same, null if unknown), with the smallest change of it that changes the answer, and
+            what the reference answered. Null if none is known.
         rests_on: the number of neighbours of a replayed scenario that pass.
         severity: how bad the failure is now: `kind`, which is `collision` or `check`; `value`, the closing speed at the
             impact [m/s], or by how much the check is broken [`unit`], null if it measured no number; `delta_v` of a
@@ -113,7 +118,8 @@ class FindingRecord:
     flaky: str | None = None
     unshrunk: str = ""
     breadth: Mapping[str, Any] | None = None
-    reactions: list[Mapping[str, Any]] = field(default_factory=list)
+    answers: Mapping[str, Any] | None = None
+    moment: Mapping[str, Any] | None = None
     rests_on: int = 0
     severity: Mapping[str, Any] | None = None
     severity_before: Mapping[str, Any] | None = None
@@ -161,7 +167,8 @@ class FindingRecord:
             flaky=finding.flaky,
             unshrunk=find.unshrunk,
             breadth=None if find.breadth is None else asdict(find.breadth),
-            reactions=list(map(asdict, find.reactions)),
+            answers=None if find.answers is None else asdict(find.answers),
+            moment=None if find.moment is None else asdict(find.moment),
             rests_on=find.rests_on,
             severity=None if find.severity is None else find.severity.data(),
             severity_before=None if find.severity_before is None else find.severity_before.data(),

@@ -101,7 +101,14 @@ def found_lines(find: Find, width: int = WIDTH) -> list[str]:
 
 
 def find_section(
-    find: Find, *, explanation: str, content: str, details: Sequence[str] = (), advice: str = "", width: int = WIDTH
+    find: Find,
+    *,
+    explanation: str,
+    content: str,
+    first: Sequence[str] = (),
+    details: Sequence[str] = (),
+    advice: str = "",
+    width: int = WIDTH,
 ) -> str:
     """Return the section on a new finding in its failure report, without what the failure message says already.
 
@@ -109,21 +116,31 @@ def find_section(
         find: the finding.
         explanation: the explanation of the run; empty if the failure message contains it.
         content: the content of the finding's file if it could not be written; otherwise empty.
+        first: lines that come before those on the policy's decisions.
         details: further lines, each of which begins with a title of at most ten letters.
         advice: a text that follows the finding's remark.
         width: the width of the terminal in columns.
     """
-    lines = [*explanation.splitlines(), *details]
-    lines += [f"note       {'; '.join(filter(None, (find.remark, advice)))}"] if find.remark else []
-    fitted = fitted_lines(map(ascii_text, lines if find.path else [*lines, f"not saved  {find.detail}"]), width)
+    fitted = fitted_lines(map(ascii_text, [*explanation.splitlines(), *first, *find.on_decisions]), width)
+    # A path is not wrapped, so that it can be copied.
     fitted += [ascii_text(f"saved as   {find.path}")] if find.path else []
+    stop = f"; {flag('debug')} stops in the decision at {find.moment.time:.1f} s" if find.moment is not None else ""
+    rest = [f"run it     pytest FILE{stop}"] if find.path else [f"not saved  {find.detail}"]
+    rest += [*details, f"note       {'; '.join(filter(None, (find.remark, advice)))}"] if find.remark else details
+    fitted += fitted_lines(map(ascii_text, rest), width)
     if content:
         fitted += ["the file would be:", *(ascii_text(f"  {line}") for line in content.rstrip().splitlines())]
     return "\n".join(fitted)
 
 
+def avoided_lines(finding: Finding) -> list[str]:
+    """Return the sentences on what avoids a new finding's collision in simulation."""
+    avoided, escaped = finding.expect.avoided_by, finding.expect.escaped_by
+    return [*([] if avoided is None else [avoided.sentence]), *([] if escaped is None else escaped.sentences)]
+
+
 def simplified_lines(finding: Finding) -> list[str]:
-    """Describe how a new finding shrank, how it can be prevented, and which imperfect perception it needs."""
+    """Describe how a new finding shrank, who does not prevent it, and which imperfect perception it needs."""
     lines: list[str] = []
     if finding.shrunk is not None:
         found, is_minimal = finding.original, finding.shrunk.is_minimal
@@ -136,9 +153,7 @@ def simplified_lines(finding: Finding) -> list[str]:
             lines.append(f"shrunk     {how}{'' if is_minimal else ', and could be simpler'}")
     prevention = prevention_text(finding.expect)
     lines += [prevention] if prevention else []
-    told, escaped = (finding.expect.avoided_by, finding.perception), finding.expect.escaped_by
-    lines += [] if escaped is None else escaped.sentences
-    return [*lines, *(each.sentence for each in told if each is not None)]
+    return lines if finding.perception is None else [*lines, finding.perception.sentence]
 
 
 def prevention_text(expect: Expect) -> str:

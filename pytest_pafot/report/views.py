@@ -321,7 +321,7 @@ def finding_view(
 
 def with_neighbours(view: FindingView, find: Find) -> FindingView:
     """Return a view with what the neighbours of the finding say, and with what the ADS answers to."""
-    explanation = "\n".join(filter(None, [view.explanation, *map(str, find.reactions)]))
+    explanation = "\n".join(filter(None, [view.explanation, *find.on_decisions]))
     return replace(view, breadth=find.breadth, explanation=explanation)
 
 

@@ -570,8 +570,9 @@ class Crash:
         counts_from = at + round(1.2 * self.hz)
         if opinion.responsibility != "npc" or self.stands() or self.impact < counts_from + round(0.5 * self.hz):
             return opinion
-        mean = (self.ego.speed[counts_from] - self.ego.speed[self.impact]) / self.seconds(self.impact - counts_from)
-        if mean < 3.0 and self.could_have_braked_on(self.ego, self.npc, at + round(1.0 * self.hz)):
+        lost = self.ego.speed[counts_from] - self.ego.speed[self.impact]
+        calmly = 3.0 * self.seconds(self.impact - at - round(1.4 * self.hz))
+        if lost < calmly and self.could_have_braked_on(self.ego, self.npc, at + round(1.0 * self.hz)):
             return self.opinion("both", "cut-in-unanswered", at)
         return opinion
 

@@ -128,35 +128,57 @@ def test_a_wrong_number_is_a_usage_error(collides, value):
     result.stderr.fnmatch_lines([f"*--pafot-neighbours*expected a whole number*received '{value}'*"])
 
 
-def test_a_vehicle_that_the_environment_does_not_show_is_told_apart(project):
+HIDES = """
+CONFIG = {"observation": {"type": "Kinematics", "vehicles_count": 2, "see_behind": True}}  # the ego, and the nearest
+ADS
+
+@pafot.search(npcs=1, genes=2, gene_seconds=5, stop_after=1, ads=make, world=pafot.World("highway-v0", CONFIG))
+def test_collides(run):
+    assert not run.collision
+"""
+
+
+def test_what_a_policy_answers_to_is_told_also_if_it_is_isolated(project):
+    project.write(HIDES.replace("ADS", "def make():\n    return lambda seen: 1"))
+    result, record, _ = run(project, "--pafot-neighbours=8", "--pafot-shrink-rollouts=0")
+    answers, moment = record["answers"], record["moment"]
+    assert (answers["npc"], answers["depending"], answers["unseen"]) == (0, 0, False)
+    assert answers["decisions"] > 0
+    if moment is not None:
+        assert (moment["action"], moment["hidden"], moment["otherwise"]) == ("1", "", None)
+    result.stdout.re_match_lines([r"answers +0 of its \d+ decisions from \d+\.\d s on depend on NPC 0"])
+    apart = run(project, "--pafot-neighbours=8", "--pafot-shrink-rollouts=0", "--pafot-isolate")[1]
+    assert (apart["answers"], apart["moment"]) == (answers, moment)
+
+
+@pytest.mark.parametrize(
+    "ads",
+    [
+        "def make(env):\n    return lambda seen: 1",
+        "import random\n\ndef make():\n    return lambda seen: 1 if random.random() < 0.5 else 1",
+    ],
+    ids=["has the environment", "draws"],
+)
+def test_nothing_is_said_of_a_policy_that_sees_more(project, ads):
+    project.write(HIDES.replace("ADS", ads))
+    answers = run(project, "--pafot-neighbours=8", "--pafot-shrink-rollouts=0")[1]["answers"]
+    assert (answers is None) == ("env" in ads)
+
+
+def test_with_a_reference_the_first_decision_that_differs_is_told(project):
     project.write(
         """
-CONFIG = {"observation": {"type": "Kinematics", "vehicles_count": 2, "see_behind": True}}  # the ego, and the nearest
+class Braking:
+    def __call__(self, seen):
+        ahead = [o.x - seen.ego.x for o in seen.others if o.lane == seen.ego.lane and o.x > seen.ego.x]
+        return (-6.0 if min(ahead, default=99.0) < 45.0 else 0.0), 0.0
 
-@pafot.search(npcs=2, SHORT_CHAINS, stop_after=1, ads=lambda: lambda seen: 1, world=pafot.World("highway-v0", CONFIG))
+@pafot.search(npcs=1, genes=1, gene_seconds=20, ego_speed=22, stop_after=1, against=Braking, instructions="cells")
 def test_collides(run):
     assert not run.collision
-""".replace("SHORT_CHAINS", "genes=2, gene_seconds=5")
+"""
     )
-    result, record, _ = run(project, "--pafot-neighbours=8", "--pafot-shrink-rollouts=0")
-    reactions = record["reactions"]
-    result.stdout.fnmatch_lines(["  note: the environment's actions keep 20 m/s or more, and what braking avoids *"])
-    assert [each["time"] for each in reactions] == [None, None]
-    assert sorted(each["unseen"] for each in reactions) == [False, True]
-    apart = run(project, "--pafot-neighbours=8", "--pafot-shrink-rollouts=0", "--pafot-isolate")[1]["reactions"]
-    assert apart == reactions
-
-
-def test_an_ads_with_the_environment_may_see_more_than_its_observations(project):
-    project.write("""
-CONFIG = {"observation": {"type": "Kinematics", "vehicles_count": 2, "see_behind": True}}
-
-def make(env):
-    return lambda seen: 1
-
-@pafot.search(npcs=2, genes=2, gene_seconds=5, stop_after=1, ads=make, world=pafot.World("highway-v0", CONFIG))
-def test_collides(run):
-    assert not run.collision
-""")
-    reactions = run(project, "--pafot-neighbours=8", "--pafot-shrink-rollouts=0")[1]["reactions"]
-    assert [(each["time"], each["unseen"]) for each in reactions] == [(None, False)] * 2
+    result, record, _ = run(project, "--pafot-neighbours=8", "--pafot-runs=60")
+    moment = record["moment"]
+    assert (moment["action"], moment["reference"]) == ("acceleration 0.0 m/s^2", "acceleration -6.0 m/s^2")
+    result.stdout.re_match_lines([r"moment +\d+\.\d s, the first that differs: acceleration 0\.0 m/s\^2; .*"])

@@ -1,0 +1,332 @@
+"""What the decisions of an ADS rest on: how many of them depend on a vehicle, and the one that could have mattered."""
+
+from __future__ import annotations
+
+import pickle
+from bisect import bisect_left, bisect_right
+from dataclasses import dataclass, fields, is_dataclass
+from typing import Any
+
+import numpy as np
+
+from pytest_pafot.attribution.manoeuvres import DRIFTING
+from pytest_pafot.attribution.sentences import BRAKES, What
+from pytest_pafot.findings.finding import Expect
+from pytest_pafot.model.trace import ACCELERATION, HEADING, SPEED, Trace, X, Y
+from pytest_pafot.oracle.run import Run
+from pytest_pafot.world.driving.shadow import Aside, changed
+from pytest_pafot.world.kernel.observation import Observation
+
+PARTS = {
+    "acceleration": (0.2, "{:.1f} m/s^2"),
+    "steering": (0.02, "{:.2f} rad"),
+    "speed": (0.2, "{:.1f} m/s"),
+    "lateral_acceleration": (0.2, "{:.1f} m/s^2"),
+    "lateral_jerk": (0.2, "{:.1f} m/s^3"),
+}
+"""The parts of a planner's decision: the smallest difference that counts, and how each is shown."""
+SHARE = 0.05
+"""The smallest difference between two values of an action in an environment's own units."""
+BEFORE_CHECK = 5.0
+"""The time before a failed check from which on decisions count if no situation led to it [s]."""
+CENTRED = 0.25
+"""The largest distance from the centre of a lane at which the ego drives along it [m]."""
+OTHER_STEERING = 0.05
+"""The least difference between two steering angles with which one is another decision [rad]."""
+HARDER = 1.0
+"""The least difference between two accelerations with which one decision brakes harder than another [m/s^2]."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Answers:
+    """How many decisions depend on the vehicle of a failure.
+
+    They were made again by two fresh policies, one with all that was seen in the failing run, one without the vehicle.
+
+    Attributes:
+        npc: the vehicle's index in the scenario.
+        since: time from which on decisions count, which is when the danger began [s].
+        decisions: number of decisions from then to the failure.
+        depending: number of them that are others without the vehicle.
+        unseen: True if what the policy saw until the failure is the same without the vehicle.
+        masking: another NPC with which hidden the policy brakes harder, if no decision depends on this one; else None.
+        masked: the hardest braking with that one hidden [m/s^2]; 0 without one.
+    """
+
+    npc: int
+    since: float
+    decisions: int
+    depending: int
+    unseen: bool = False
+    masking: int | None = None
+    masked: float = 0.0
+
+    def __str__(self) -> str:
+        its = f"{self.decisions} decisions from {self.since:.1f} s on"
+        if self.unseen:
+            return f"NPC {self.npc} is in none of the observations of its {its}"
+        told = f"{self.depending} of its {its} depend on NPC {self.npc}"
+        return (
+            told
+            if self.masking is None
+            else f"{told}; with NPC {self.masking} hidden it brakes at {self.masked:.1f} m/s^2"
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Moment:
+    """The last decision that could have avoided a failure: what the policy saw and answered, and what would change it.
+
+    Attributes:
+        time: time of the decision [s].
+        npc: the vehicle that it is about, as an index in the scenario; None for none.
+        seen: where the policy saw the vehicle; empty if that is unknown.
+        action: what it answered.
+        hidden: what it answers with the vehicle hidden in this one decision: empty for the same, None if unknown.
+        otherwise: the smallest change of the vehicle, of those tried, with which it answers otherwise, and that answer;
+            empty if none of them changes the answer, None if none was tried.
+        reference: what the reference answered, if the test has one and this is the first decision that differs.
+    """
+
+    time: float
+    npc: int | None
+    seen: str = ""
+    action: str = ""
+    hidden: str | None = None
+    otherwise: str | None = None
+    reference: str = ""
+
+    def __str__(self) -> str:
+        if self.reference:
+            return f"{self.time:.1f} s, the first that differs: {self.action}; the reference {self.reference}"
+        whom = f"NPC {self.npc}"
+        told = [f"{self.time:.1f} s: it saw {whom} {self.seen}" if self.seen else f"{self.time:.1f} s"]
+        told[0] += f"{', and answered' if self.seen else ':'} {self.action}"
+        if self.hidden is not None:
+            told.append(f"with {whom} hidden {self.hidden or 'the same'}")
+        if self.otherwise is not None:
+            told.append(
+                f"with {whom} {self.otherwise}" if self.otherwise else f"no change of {whom} that was tried changes it"
+            )
+        return "; ".join(told)
+
+
+def vehicle_of(run: Run, expect: Expect) -> int | None:
+    """Return the NPC that a failure is about: the one that was hit, that a check names, or that was nearest then.
+
+    None without such a vehicle, such as for a collision with a fixed object, or a failure that is no check.
+    """
+    if run.collision is not None and expect.check is None:
+        return run.collision.npc
+    if expect.npc is not None or expect.check is None:
+        return expect.npc
+    tick = min(round(expect.time * run.trace.physics_hz), run.trace.ticks)
+    away = np.hypot(*(run.trace.states[tick, 1:, [X, Y]] - run.trace.ego[tick, [X, Y], None]))
+    return None if np.isnan(away).all() or not away.size else int(np.nanargmin(away))
+
+
+def window(run: Run, expect: Expect) -> tuple[float, float]:
+    """Return when the danger of a failure began and when the failure occurred [s]."""
+    if run.collision is not None and expect.check is None:
+        began = run.attribution.time
+        return (run.event_time if began is None else began), run.event_time
+    if expect.situation is not None:
+        return expect.situation.time, expect.time
+    return max(expect.time - BEFORE_CHECK, 0.0), expect.time
+
+
+def counted(trace: Trace, since: float, until: float) -> range:
+    """Return the numbers of the decisions between two times [s]; at least that of the last one before the second."""
+    times = [tick / trace.physics_hz for tick in trace.decision_ticks]
+    last = max(bisect_right(times, until + 1e-9), 1)
+    return range(min(bisect_left(times, since - 1e-9), last - 1), last)
+
+
+def deciding(run: Run, expect: Expect) -> int | None:
+    """Return the number of the last decision that could have avoided a failure; None if none is known.
+
+    For a collision that braking avoids, it is the last decision from which braking avoids it, by simulation if that was
+    tried, else by the rules. If the ego already brakes there, it is the last one before at which it did not. For a
+    change of lanes it is the one that began the motion, and for braking for nothing the one that began to brake. For a
+    failed check it is the last one up to the check.
+    """
+    trace, attribution = run.trace, run.attribution
+    ticks, hz = trace.decision_ticks, trace.physics_hz
+
+    def at(time: float) -> int:
+        return max(bisect_right([tick / hz for tick in ticks], time + 1e-6) - 1, 0)
+
+    if not ticks:
+        return None
+    if run.collision is None or expect.check is not None:
+        return None if expect.check is None else at(expect.time)
+    if attribution.fault == "entered-lane":
+        return _begun(trace, at(attribution.time or 0.0))
+    if attribution.fault in ("braked-for-nothing", "stopped-for-nothing"):
+        return at(attribution.time or 0.0)
+    facts = [fact.in_full for fact in attribution.facts if not fact.vehicle]
+    due = [fact.due_s for fact in facts if fact.due_s is not None and fact.what is not What.HAD_NO_TIME]
+    if expect.avoided_by is not None:
+        due = [expect.avoided_by.time]
+    elif expect.escaped_by is not None:
+        due = [expect.escaped_by.time]
+    if not due:
+        return None
+    number = at(max(due))
+    while number and trace.ego[min(ticks[number] + 1, trace.ticks), ACCELERATION] <= -BRAKES:
+        number -= 1
+    return number
+
+
+def _begun(trace: Trace, number: int) -> int:
+    """Return the number of the decision that began a motion across the road: the first after driving along a lane."""
+    ticks = trace.decision_ticks
+    if trace.track is not None:
+        return number
+    ego, centres = trace.ego, [lane.y for lane in trace.lanes]
+    while number:
+        row = ego[ticks[number]]
+        is_along = abs(row[SPEED] * np.sin(row[HEADING])) < DRIFTING / 10
+        if is_along and min((abs(row[Y] - centre) for centre in centres), default=0.0) < CENTRED:
+            return number
+        number -= 1
+    return number
+
+
+def seen_of(trace: Trace, npc: int, number: int) -> str:
+    """Return where a vehicle was at a decision, relative to the ego."""
+    tick = trace.decision_ticks[number]
+    x, y, heading, speed = trace.ego[tick, [X, Y, HEADING, SPEED]]
+    other = trace.states[tick, npc + 1]
+    dx, dy = other[X] - x, other[Y] - y
+    ahead, right = dx * np.cos(heading) + dy * np.sin(heading), dy * np.cos(heading) - dx * np.sin(heading)
+    return placed(float(ahead), float(right), float(other[SPEED] - speed))
+
+
+def placed(ahead: float, right: float, faster: float) -> str:
+    """Return a place relative to the ego in words: distances between centres [m] and a difference in speed [m/s]."""
+    words = [f"{abs(ahead):.1f} m {'ahead' if ahead >= 0 else 'behind'}"]
+    words += [f"{abs(right):.1f} m to the {'right' if right > 0 else 'left'}"] if abs(right) >= 0.05 else []
+    pace = f"{abs(faster):.1f} m/s {'faster' if faster > 0 else 'slower'}" if abs(faster) >= 0.05 else "as fast"
+    return ", ".join([*words, pace])
+
+
+def differ(action: Any, other: Any) -> bool:
+    """Return whether two actions differ by more than a vehicle far away changes in the output of a network."""
+    if other is None or type(action) is not type(other):
+        return action is not other
+    if is_si(action) or is_dataclass(action):
+        return bool(_told(action, other))
+    if isinstance(action, (float, np.ndarray, np.floating)) and np.asarray(action).dtype.kind == "f":
+        is_like = np.shape(action) == np.shape(other)
+        return not is_like or bool(np.max(np.abs(np.subtract(action, other)), initial=0) >= SHARE)
+    return not bool(np.array_equal(action, other)) if isinstance(action, np.ndarray) else repr(action) != repr(other)
+
+
+def braking_of(action: Any) -> float:
+    """Return the deceleration of a planner's decision [m/s^2]; 0 if it has none."""
+    value = action[0] if is_si(action) else getattr(action, "acceleration", None)
+    return max(0.0, -value) if isinstance(value, float) else 0.0
+
+
+def is_si(action: Any) -> bool:
+    """Return whether an action is a pair of acceleration [m/s^2] and steering angle [rad], as planners return it."""
+    return type(action) is tuple and len(action) == 2 and all(isinstance(each, float) for each in action)
+
+
+def _parts(action: Any) -> dict[str, Any]:
+    """Return the named parts of a planner's decision, which is a pair or a :class:`pytest_pafot.Drive`."""
+    if is_si(action):
+        return dict(zip(("acceleration", "steering"), action, strict=True))
+    return {field.name: getattr(action, field.name) for field in fields(action)}
+
+
+def _told(action: Any, other: Any) -> list[str]:
+    """Return the names of the parts in which a planner's decision differs from another one; all if that is None."""
+    parts = _parts(action)
+    if type(action) is not type(other) or is_si(action) is not is_si(other):
+        return list(parts)
+    names = []
+    for name, there in _parts(other).items():
+        here, (least, _) = parts[name], PARTS.get(name, (0.0, ""))
+        is_number = isinstance(here, float) and isinstance(there, float)
+        if abs(here - there) >= least if is_number else here != there:
+            names.append(name)
+    return names
+
+
+def text_of(action: Any, other: Any = None) -> str:
+    """Describe an action; of a planner's, only the parts in which it differs from another action, if there is one."""
+    if action is None:
+        return "no decision"
+    if not (is_si(action) or is_dataclass(action)):
+        return f"{action.tolist() if isinstance(action, (np.ndarray, np.generic)) else action!r}"[:80]
+    parts, shown = _parts(action), []
+    for name in _told(action, other):
+        least, form = PARTS.get(name, (0.0, "{}"))
+        if parts[name] is None or (other is None and name == "steering" and abs(parts[name]) < least):
+            continue
+        shown.append(f"{name.replace('_', ' ')} {form.format(parts[name])}")
+    return ", ".join(shown)
+
+
+def tried(npc: int, hidden: Any, seen: Any) -> list[Any]:
+    """Return what a policy is asked about instead of what it saw: the same without a vehicle, then with it elsewhere.
+
+    ``hidden`` is what it would have seen without the vehicle. Only in the observation of a planner can the vehicle be
+    elsewhere.
+    """
+    if not isinstance(seen, Observation):
+        return [] if hidden is None else [hidden]
+    if npc not in seen.ids:
+        return []
+    return [changed(seen, npc, by) for by in (None, *(by for _, by in _changes(seen, npc)))]
+
+
+def moment_of(trace: Trace, npc: int, number: int, whole: Aside, without_it: Aside) -> Moment:
+    """Return what a policy saw, answered and would have answered at a decision; ``whole`` was asked :func:`tried`."""
+    seen, action, answers = whole.at, whole.of(number), whole.probed
+    is_planner = isinstance(seen, Observation)
+    where = ""
+    if is_planner and npc in seen.ids:
+        other = seen.others[seen.ids.index(npc)]
+        where = placed(other.x - seen.ego.x, other.y - seen.ego.y, other.speed - seen.ego.speed)
+    elif is_planner or pickle.dumps(seen) == pickle.dumps(without_it.at):
+        where = "nowhere"
+    else:
+        where = seen_of(trace, npc, number)
+    hidden = otherwise = None
+    if answers:
+        hidden = text_of(answers[0], action) if differ(action, answers[0]) else ""
+    if is_planner and len(answers) > 1:
+        words = [word for word, _ in _changes(seen, npc)]
+        flips = ((word, each) for word, each in zip(words, answers[1:], strict=True) if _is_other(action, each))
+        otherwise = next((f"{word} {text_of(each, action)}" for word, each in flips), "")
+    time = round(trace.decision_ticks[number] / trace.physics_hz, 3)
+    return Moment(time=time, npc=npc, seen=where, action=text_of(action), hidden=hidden, otherwise=otherwise)
+
+
+def _is_other(action: Any, other: Any) -> bool:
+    """Return whether an action is another decision, and not a little more or less of the same."""
+    if is_si(action) and is_si(other):
+        return bool(abs(action[0] - other[0]) >= HARDER or abs(action[1] - other[1]) >= OTHER_STEERING)
+    return differ(action, other)
+
+
+def _changes(seen: Observation, npc: int) -> list[tuple[str, tuple[float, float, float]]]:
+    """Return the changes of a vehicle that are tried, the smallest first: words, and additions to x, y and speed."""
+    other = seen.others[seen.ids.index(npc)]
+    gap, found = other.x - seen.ego.x, []
+    away, outwards = (1.0 if gap >= 0 else -1.0), (1.0 if other.y >= seen.ego.y else -1.0)
+    for size in (0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0):
+        found.append((size, f"{size:g} m further away", (away * size, 0.0, 0.0)))
+        if size < abs(gap):
+            found.append((size, f"{size:g} m nearer", (-away * size, 0.0, 0.0)))
+    for size in (0.25, 0.5, 1.0, 2.0, 4.0):
+        found.append((4 * size, f"{size:g} m further to the side", (0.0, outwards * size, 0.0)))
+        found.append((4 * size, f"{size:g} m less to the side", (0.0, -outwards * size, 0.0)))
+    for size in (0.5, 1.0, 2.0, 4.0, 8.0, 16.0):
+        found.append((2 * size, f"{size:g} m/s faster", (0.0, 0.0, size)))
+        if size <= other.speed:
+            found.append((2 * size, f"{size:g} m/s slower", (0.0, 0.0, -size)))
+    return [(words, by) for _, words, by in sorted(found, key=lambda each: each[0])]

@@ -1,0 +1,148 @@
+"""An ADS that decides beside a run that is driven again by its recorded actions, and so sees what the run's ADS saw."""
+
+from __future__ import annotations
+
+import copy
+import functools
+import hashlib
+import pickle
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from typing import Any
+
+from pytest_pafot.support.errors import AdsFactoryError
+from pytest_pafot.world.driving.ads import AdsFactory, is_vehicle_class
+from pytest_pafot.world.driving.perception import DRIVES_ITSELF, ads_and_sight
+from pytest_pafot.world.driving.seeing import SeeingAds
+from pytest_pafot.world.kernel.observation import Observation
+
+Check = Callable[[Any], Any]
+"""A function that returns an action as a run stores it, and raises an error for anything else."""
+
+
+@dataclass(slots=True, kw_only=True)
+class Aside:
+    """What an ADS decided beside a run.
+
+    Attributes:
+        answers: its actions, one per decision; None where it raised an error.
+        seen: digests of its observations; those that cannot be pickled are left out.
+        at: what it saw at the decision that was asked for; None without one.
+        probed: what it answers there to each of the changed observations, None where it raised an error; empty if it
+            could not be asked again.
+    """
+
+    answers: list[Any] = field(default_factory=list)
+    seen: list[bytes] = field(default_factory=list)
+    at: Any = None
+    probed: list[Any] = field(default_factory=list)
+
+    def of(self, number: int) -> Any:
+        """Return the action of a decision; None without one."""
+        return self.answers[number] if number < len(self.answers) else None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Question:
+    """A decision at which an ADS is asked again, with changed observations.
+
+    Attributes:
+        number: the number of the decision.
+        changed: returns the changed observations.
+    """
+
+    number: int
+    changed: Callable[[Any], Sequence[Any]] = lambda _: ()
+
+
+class Shadow:
+    """An ADS of whose decisions a run is told nothing: the run gets the recorded actions."""
+
+    def __init__(self, ads: Any, actions: Sequence[Any], check: Check, aside: Aside, question: Question | None) -> None:
+        self._ads, self._actions, self._check = ads, actions, check
+        self._aside, self._question = aside, question
+        if hasattr(ads, "close"):
+            self.close = ads.close
+
+    def __call__(self, observation: Any) -> Any:
+        """Decide, note the decision, and return the recorded one."""
+        aside, number = self._aside, len(self._aside.answers)
+        with suppress(Exception):  # a class of the user's own may not be picklable
+            aside.seen.append(hashlib.blake2b(pickle.dumps(observation), digest_size=16).digest())
+        if self._question is not None and number == self._question.number:
+            aside.at = observation
+            with suppress(Exception):  # an ADS that cannot be copied is not asked
+                aside.probed = self._probed(observation, self._question)
+        answer = self._asked(self._ads, observation)
+        aside.answers.append(answer)
+        return self._actions[number] if number < len(self._actions) else answer
+
+    def _probed(self, observation: Any, question: Question) -> list[Any]:
+        """Return the answers to changed observations, each of a copy of the ADS; none if a copy answers otherwise."""
+        whole = self._asked(copy.deepcopy(self._ads), observation)
+        answers = [self._asked(copy.deepcopy(self._ads), each) for each in question.changed(observation)]
+        return answers if repr(whole) == repr(self._asked(copy.deepcopy(self._ads), observation)) else []
+
+    def _asked(self, ads: Any, observation: Any) -> Any:
+        try:
+            return self._check(ads(observation))
+        except Exception:  # noqa: BLE001  (an ADS may raise anything about an observation that it never had)
+            return None
+
+
+def beside(
+    factory: AdsFactory, actions: Sequence[Any], check: Check, aside: Aside, question: Question | None = None
+) -> AdsFactory:
+    """Return a factory of ADSs that decide beside a run, which gets the recorded actions.
+
+    Raises:
+        AdsFactoryError: when it makes an ADS, if that is a vehicle class.
+    """
+    return wrapped(factory, lambda ads: Shadow(ads, actions, check, aside, question))
+
+
+def wrapped(factory: AdsFactory, wrap: Callable[[Any], Any]) -> AdsFactory:
+    """Return a factory whose ADSs are wrapped, each in what ``wrap`` makes of it; they see what they see without.
+
+    Raises:
+        AdsFactoryError: when it makes an ADS, if that is a vehicle class.
+    """
+
+    def make(*observations: Any, **arguments: Any) -> Any:
+        ads, sight = ads_and_sight(factory(*observations, **arguments))
+        if is_vehicle_class(ads):
+            raise AdsFactoryError(f"ads: {DRIVES_ITSELF}")
+        return wrap(ads) if sight is None else SeeingAds(wrap(ads), sight)
+
+    return functools.wraps(factory, updated=())(make)
+
+
+def changed(observation: Observation, npc: int, by: tuple[float, float, float] | None) -> Observation:
+    """Return an observation in which a vehicle is elsewhere, or hidden; it must be among the ``others``.
+
+    ``by`` is what is added to its x and y [m] and to its speed [m/s]; None hides it.
+    """
+    place, others = observation.ids.index(npc), list(observation.others)
+    ids, lateral = list(observation.ids), list(observation.lateral_velocities)
+    if by is None:
+        del others[place], ids[place], lateral[place + 1]
+    else:
+        was, (x, y, speed) = others[place], by
+        lane = min(range(observation.lanes), key=lambda each: abs(observation.lane_centres[each] - (was.y + y)))
+        others[place] = was._replace(x=was.x + x, y=was.y + y, speed=was.speed + speed, lane=lane)
+    return Observation(
+        observation.time,
+        observation.ego,
+        tuple(others),
+        observation.lanes,
+        observation.lane_width,
+        observation.speed_limit,
+        decision_period=observation.decision_period,
+        acceleration=observation.acceleration,
+        steering=observation.steering,
+        lateral_velocities=tuple(lateral),
+        ids=tuple(ids),
+        road_length=observation.road_length,
+        crossing=observation.crossing,
+    )

@@ -1,0 +1,232 @@
+"""What decisions rest on: how many depend on a vehicle, and the last that could have avoided a failure."""
+
+from dataclasses import replace
+from functools import partial
+from typing import ClassVar
+
+import numpy as np
+import pytest
+
+import pytest_pafot as pafot
+from pytest_pafot.attribution.takeovers import Avoidance
+from pytest_pafot.findings.decisions import (
+    Answers,
+    Moment,
+    counted,
+    deciding,
+    differ,
+    moment_of,
+    placed,
+    text_of,
+    tried,
+    vehicle_of,
+    window,
+)
+from pytest_pafot.findings.finding import Bounded, Expect
+from pytest_pafot.world.driving.perception import without
+from pytest_pafot.world.driving.shadow import Aside, Question, beside, changed
+from pytest_pafot.world.kernel.action import checked_si_action
+
+KEEPS, BRAKES = (0.0, 0.0), (-4.0, 0.0)
+SI = partial(checked_si_action, lanes=9)
+SCENARIO = pafot.Scenario(
+    npcs=[[pafot.PositionInstruction(2, 5.0)], [pafot.PositionInstruction(6, 20.0)]], gene_seconds=10.0
+)
+WORLD = pafot.Highway()
+
+
+class Listing:
+    """Brakes for the nearest vehicle ahead that is nearer than 25 m, and lists which vehicles it saw."""
+
+    seen: ClassVar[set] = set()
+
+    def __call__(self, observation):
+        self.seen.update(observation.ids)
+        ahead = [other.x - observation.ego.x for other in observation.others if other.x > observation.ego.x]
+        return (-3.0 if min(ahead, default=99.0) < 25.0 else 0.0), 0.0
+
+
+def asked(factory, trace, npc=None, question=None, world=WORLD, check=SI):
+    aside = Aside()
+    ads = beside(factory, trace.actions, check, aside, question)
+    again = world.rollout(trace.scenario, ads if npc is None else without(ads, npc))
+    assert np.array_equal(again.states, trace.states)  # the run is driven by the recorded actions
+    return aside
+
+
+@pytest.mark.parametrize(
+    ("action", "other", "expected"),
+    [
+        (KEEPS, (0.19, 0.019), False),
+        (KEEPS, BRAKES, True),
+        (3, 3, False),
+        (3, 1, True),
+        (None, None, False),
+        (KEEPS, None, True),
+        (np.array([0.5]), np.array([0.54]), False),
+        (np.array([0.5]), np.array([0.6]), True),
+        (pafot.Drive(lane=1, speed=2.0), pafot.Drive(lane=1, speed=2.19), False),
+        (pafot.Drive(lane=1, speed=2.0), pafot.Drive(lane=0, speed=2.0), True),
+    ],
+)
+def test_decisions_that_hardly_differ_are_the_same(action, other, expected):
+    assert differ(action, other) is differ(other, action) is expected
+
+
+@pytest.mark.parametrize(
+    ("action", "other", "text"),
+    [
+        ((0.0, 0.0), None, "acceleration 0.0 m/s^2"),
+        ((-0.0, 0.03), (0.0, 0.0), "steering 0.03 rad"),
+        (3, 1, "3"),
+        (pafot.Drive(lane=0, speed=5.0), pafot.Drive(lane=1, acceleration=-4.0), "lane 0, speed 5.0 m/s"),
+        (np.array([0.5]), np.array([0.1]), "[0.5]"),
+        (None, KEEPS, "no decision"),
+    ],
+)
+def test_each_kind_of_action_has_its_words(action, other, text):
+    assert text_of(action, other) == text
+
+
+def test_answers_are_told_in_one_line():
+    answers = Answers(npc=0, since=12.8, decisions=11, depending=0)
+    assert str(answers) == "0 of its 11 decisions from 12.8 s on depend on NPC 0"
+    assert str(replace(answers, masking=2, masked=8.5)).endswith("NPC 0; with NPC 2 hidden it brakes at 8.5 m/s^2")
+    assert (
+        str(replace(answers, unseen=True)) == "NPC 0 is in none of the observations of its 11 decisions from 12.8 s on"
+    )
+
+
+def test_a_moment_is_told_in_one_line():
+    moment = Moment(time=4.9, npc=0, seen=placed(12.3, -0.2, -6.1), action="acceleration 0.0 m/s^2")
+    start = "4.9 s: it saw NPC 0 12.3 m ahead, 0.2 m to the left, 6.1 m/s slower, and answered acceleration 0.0 m/s^2"
+    assert str(moment) == start
+    probed = replace(moment, hidden="", otherwise="2 m nearer acceleration -4.0 m/s^2")
+    assert str(probed) == f"{start}; with NPC 0 hidden the same; with NPC 0 2 m nearer acceleration -4.0 m/s^2"
+    assert str(replace(moment, otherwise="")).endswith("; no change of NPC 0 that was tried changes it")
+    other = Moment(time=3.0, npc=None, action="1", reference="0")
+    assert str(other) == "3.0 s, the first that differs: 1; the reference 0"
+
+
+@pytest.mark.parametrize("factory", [Listing, pafot.Perception(Listing, latency=0.2)], ids=["perfect", "late"])
+def test_a_policy_decides_beside_its_run_with_a_vehicle_hidden(factory):
+    trace = WORLD.rollout(SCENARIO, factory)
+    whole = asked(factory, trace)
+    assert whole.answers == list(trace.actions)
+    Listing.seen.clear()
+    hidden = asked(factory, trace, npc=0)
+    assert Listing.seen == {1}
+    assert any(map(differ, whole.answers, hidden.answers))
+    other = asked(factory, trace, npc=1)  # it is behind
+    assert not any(map(differ, whole.answers, other.answers))
+    assert whole.seen != other.seen
+
+
+def test_an_environments_observation_is_without_the_vehicle():
+    world, seen = pafot.World("highway-v0"), []
+
+    def make():
+        return lambda observation: seen.append(int(observation[1:, 0].sum())) or 1
+
+    trace = world.rollout(SCENARIO, make)
+    assert seen[0] == 1  # the other one is behind
+    seen.clear()
+    aside = asked(make, trace, npc=0, world=world, check=int, question=Question(number=0))
+    assert set(seen) == {0}
+    assert aside.at[1, 0] == 0
+
+
+def test_a_policy_that_raises_without_a_vehicle_has_no_decision_there():
+    def make():
+        return lambda observation: (-1.0, {2: 0.0}[len(observation.others)])
+
+    trace = WORLD.rollout(SCENARIO, make)
+    assert set(asked(make, trace, npc=0).answers) == {None}
+
+
+def test_the_smallest_change_that_flips_an_answer_is_found():
+    trace = WORLD.rollout(SCENARIO, Listing)
+    number = trace.actions.index((-3.0, 0.0)) - 1
+    without_it = asked(Listing, trace, npc=0, question=Question(number=number))
+    question = Question(number=number, changed=partial(tried, 0, without_it.at))
+    moment = moment_of(trace, 0, number, asked(Listing, trace, question=question), without_it)
+    assert moment.time == trace.decision_ticks[number] / trace.physics_hz
+    assert moment.action == "acceleration 0.0 m/s^2"
+    assert moment.hidden == ""
+    assert moment.otherwise.endswith("m nearer acceleration -3.0 m/s^2")
+    first = float(moment.seen.partition(" m ahead")[0])
+    assert first >= 25.0 >= first - float(moment.otherwise.partition(" m nearer")[0])
+
+
+def test_a_changed_observation_differs_in_that_vehicle_alone():
+    seen = []
+    WORLD.rollout(SCENARIO, lambda: lambda observation: seen.append(observation) or KEEPS)
+    one = seen[3]
+    moved = changed(one, 1, (1.0, -4.0, 2.0))
+    assert moved.others[0] == one.others[0]
+    assert (moved.others[1].x, moved.others[1].speed) == (one.others[1].x + 1.0, one.others[1].speed + 2.0)
+    assert moved.others[1].lane == one.others[1].lane - 1
+    gone = changed(one, 0, None)
+    assert (gone.ids, gone.others, gone.ego) == ((1,), one.others[1:], one.ego)
+    assert gone.lateral_velocities == (one.lateral_velocities[0], one.lateral_velocities[2])
+
+
+class Stateful:
+    """Brakes from its third observation on; it cannot be copied."""
+
+    def __init__(self):
+        self.calls = 0
+
+    def __deepcopy__(self, memo):
+        raise TypeError
+
+    def __call__(self, observation):
+        self.calls += 1
+        return (-3.0 if self.calls > 2 else 0.0), 0.0
+
+
+def test_a_policy_that_cannot_be_copied_is_not_asked_otherwise():
+    trace = WORLD.rollout(SCENARIO, Stateful)
+    question = Question(number=1, changed=partial(tried, 0, None))
+    assert asked(Stateful, trace, question=question).probed == []
+
+
+def crash(ads):
+    scenario = pafot.Scenario(npcs=[[pafot.PositionInstruction(2, 0.0)]], gene_seconds=20.0, ego_speed=22)
+    trace = WORLD.rollout(scenario, ads)
+    return pafot.Run(trace)
+
+
+def expecting(run, **options):
+    return Expect(failure="AssertionError", outcome=run.outcome, time=run.event_time, npc=0, **options)
+
+
+def test_the_deciding_moment_of_a_missing_response_is_the_last_that_avoids_it():
+    run = crash(lambda: lambda seen: KEEPS)
+    hz = run.trace.ads_hz
+    due = run.attribution.facts[-1].in_full.due_s
+    assert deciding(run, expecting(run)) == int(due * hz + 1e-6)
+    avoided = Avoidance(time=3.0, braking=6.0)
+    assert deciding(run, expecting(run, avoided_by=avoided)) == round(3.0 * hz)
+    assert vehicle_of(run, expecting(run)) == 0
+    since, until = window(run, expecting(run))
+    assert (since, until) == (run.attribution.time, run.event_time)
+    numbers = counted(run.trace, since, until)
+    assert run.trace.decision_ticks[numbers[0]] / run.trace.physics_hz >= since
+    assert numbers.stop == len(run.trace.decision_ticks)
+
+
+def test_where_the_ego_brakes_already_the_decision_before_it_counts():
+    run = crash(lambda: lambda seen: (-2.0 if seen.time >= 3.0 else 0.0, 0.0))
+    number = deciding(run, expecting(run, avoided_by=Avoidance(time=4.0, braking=6.0)))
+    assert 2.7 < number / run.trace.ads_hz < 3.0
+
+
+def test_a_failed_check_has_the_last_decision_up_to_it():
+    run = pafot.Run(WORLD.rollout(SCENARIO, Listing))
+    expect = Expect(
+        failure="CheckFailed", outcome=run.outcome, time=2.05, check=Bounded(value=1.0, unit="m", at_most=0.5)
+    )
+    assert deciding(run, expect) == int(2.05 * run.trace.ads_hz)
+    assert vehicle_of(run, expect) in (0, 1)
+    assert window(run, expect) == (0.0, 2.05)
