@@ -17,6 +17,7 @@ from typing import TypeVar
 
 from pytest_pafot.campaign.events import FindTold
 from pytest_pafot.campaign.harness import Harness, begins_alike, limits_of, refusals
+from pytest_pafot.campaign.moments import moment_of, tried
 from pytest_pafot.campaign.search_loop import SearchLoop
 from pytest_pafot.campaign.state_file import Answer, Shown
 from pytest_pafot.campaign.verdict import Verdict, headline
@@ -30,9 +31,7 @@ from pytest_pafot.findings.decisions import (
     counted,
     deciding,
     differ,
-    moment_of,
     text_of,
-    tried,
     vehicle_of,
     window,
 )

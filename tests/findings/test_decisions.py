@@ -9,16 +9,15 @@ import pytest
 
 import pytest_pafot as pafot
 from pytest_pafot.attribution.takeovers import Avoidance
+from pytest_pafot.campaign.moments import moment_of, tried
 from pytest_pafot.findings.decisions import (
     Answers,
     Moment,
     counted,
     deciding,
     differ,
-    moment_of,
     placed,
     text_of,
-    tried,
     vehicle_of,
     window,
 )

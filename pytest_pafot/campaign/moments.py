@@ -1,0 +1,76 @@
+"""The moment of a finding: what a policy that was asked again says of the decision that could have avoided it."""
+
+from __future__ import annotations
+
+import pickle
+from typing import Any
+
+from pytest_pafot.findings.decisions import HARDER, Moment, differ, is_si, placed, seen_of, text_of
+from pytest_pafot.model.trace import Trace
+from pytest_pafot.world.driving.shadow import Aside, changed
+from pytest_pafot.world.kernel.observation import Observation
+
+OTHER_STEERING = 0.05
+"""The least difference between two steering angles with which one is another decision [rad]."""
+
+
+def tried(npc: int, hidden: Any, seen: Any) -> list[Any]:
+    """Return what a policy is asked about instead of what it saw: the same without a vehicle, then with it elsewhere.
+
+    ``hidden`` is what it would have seen without the vehicle. Only in the observation of a planner can the vehicle be
+    elsewhere.
+    """
+    if not isinstance(seen, Observation):
+        return [] if hidden is None else [hidden]
+    if npc not in seen.ids:
+        return []
+    return [changed(seen, npc, by) for by in (None, *(by for _, by in _changes(seen, npc)))]
+
+
+def moment_of(trace: Trace, npc: int, number: int, whole: Aside, without_it: Aside) -> Moment:
+    """Return what a policy saw, answered and would have answered at a decision; ``whole`` was asked :func:`tried`."""
+    seen, action, answers = whole.at, whole.of(number), whole.probed
+    is_planner = isinstance(seen, Observation)
+    where = ""
+    if is_planner and npc in seen.ids:
+        other = seen.others[seen.ids.index(npc)]
+        where = placed(other.x - seen.ego.x, other.y - seen.ego.y, other.speed - seen.ego.speed)
+    elif is_planner or pickle.dumps(seen) == pickle.dumps(without_it.at):
+        where = "nowhere"
+    else:
+        where = seen_of(trace, npc, number)
+    hidden = otherwise = None
+    if answers:
+        hidden = text_of(answers[0], action) if differ(action, answers[0]) else ""
+    if is_planner and len(answers) > 1:
+        words = [word for word, _ in _changes(seen, npc)]
+        flips = ((word, each) for word, each in zip(words, answers[1:], strict=True) if _is_other(action, each))
+        otherwise = next((f"{word} {text_of(each, action)}" for word, each in flips), "")
+    time = round(trace.decision_ticks[number] / trace.physics_hz, 3)
+    return Moment(time=time, npc=npc, seen=where, action=text_of(action), hidden=hidden, otherwise=otherwise)
+
+
+def _is_other(action: Any, other: Any) -> bool:
+    """Return whether an action is another decision, and not a little more or less of the same."""
+    if is_si(action) and is_si(other):
+        return bool(abs(action[0] - other[0]) >= HARDER or abs(action[1] - other[1]) >= OTHER_STEERING)
+    return differ(action, other)
+
+
+def _changes(seen: Observation, npc: int) -> list[tuple[str, tuple[float, float, float]]]:
+    """Return the changes of a vehicle that are tried, the smallest first: words, and additions to x, y and speed."""
+    other = seen.others[seen.ids.index(npc)]
+    gap, found = other.x - seen.ego.x, []
+    away, outwards = (1.0 if gap >= 0 else -1.0), (1.0 if other.y >= seen.ego.y else -1.0)
+    for size in (0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0):
+        found.append((size, f"{size:g} m further away", (away * size, 0.0, 0.0)))
+        if size < abs(gap):
+            found.append((size, f"{size:g} m nearer", (-away * size, 0.0, 0.0)))
+    for size in (0.25, 0.5, 1.0, 2.0, 4.0):
+        found.append((4 * size, f"{size:g} m further to the side", (0.0, outwards * size, 0.0)))
+        found.append((4 * size, f"{size:g} m less to the side", (0.0, -outwards * size, 0.0)))
+    for size in (0.5, 1.0, 2.0, 4.0, 8.0, 16.0):
+        found.append((2 * size, f"{size:g} m/s faster", (0.0, 0.0, size)))
+        if size <= other.speed:
+            found.append((2 * size, f"{size:g} m/s slower", (0.0, 0.0, -size)))
+    return [(words, by) for _, words, by in sorted(found, key=lambda each: each[0])]
