@@ -226,7 +226,7 @@ class Settings:
         "integer",
         "Number of neighbours of each saved scenario that passes to run, to see whether a fix holds; 0 for none.",
         "They end at the first that fails as the file says: the replay is then "
-        "[still failing, nearby](../explanation/findings.md#what-a-fix-rests-on). If the ego drives faster or slower "
+        "[still failing, nearby](../explanation/findings.md#what-else-a-replay-drives). If the ego drives faster or slower "
         "than the one in the file, the first neighbours are the scenario re-timed for it.",
         default=10,
         most=MOST_NEIGHBOURS,

@@ -18,7 +18,15 @@ import numpy as np
 
 from pytest_pafot.attribution.responsibility import is_ego_responsible
 from pytest_pafot.campaign.beginnings import begun_with
-from pytest_pafot.campaign.events import FindTold, Listener, Progress, SearchStarted, SearchSummary
+from pytest_pafot.campaign.events import (
+    ALL_RUN,
+    DONE,
+    FindTold,
+    Listener,
+    Progress,
+    SearchStarted,
+    SearchSummary,
+)
 from pytest_pafot.campaign.harness import Harness, Simulation, refusals
 from pytest_pafot.campaign.options import FULL, LOCAL, PROFILES, Settings
 from pytest_pafot.campaign.replays import Replays
@@ -47,7 +55,6 @@ from pytest_pafot.world.driving.perception import sight_of
 from pytest_pafot.world.guard.failure import is_interruption
 from pytest_pafot.world.guard.hang_guard import runs_end_in
 
-DONE, ALL_RUN = "all generations done", "all runs done"
 FOR_SIMPLIFYING = 1 / 3
 """The largest share of a search's time limit that is reserved to shrink findings and to look at their neighbours."""
 RUNS_A_NEIGHBOUR = 4
@@ -275,6 +282,7 @@ class Search:
             reason, fault = "error", error
             recorder.withdraw()
             loop.known.clear()  # The same error ends the saved scenarios now, but was not what they were saved for.
+            loop.failures.clear()
             loop.finds.clear()  # They are withdrawn, and must not count as findings of earlier sessions.
         except BaseException as error:
             reason = "interrupted" if is_interruption(error) else "error"
@@ -503,6 +511,7 @@ class Search:
             shrink_runs=self._shrink_runs,
             neighbour_runs=self._neighbour_runs,
             known=dict(loop.known + self.sessions.found_before),
+            failures={signature.text: id_ for signature, id_ in loop.failures.items()},
             warnings=loop.warnings if reason in (DONE, ALL_RUN, self.limit.flag) else (),
             notes=(*self.sessions.notes, *self.driver_notes, *filter(None, notes), *cut, *self._left_undone(reason)),
             process_notes=tuple(self.process_notes),

@@ -290,6 +290,7 @@ class SearchLoop:
     finds: dict[Signature, str] = field(default_factory=dict)  # ids of new findings by signature
     repeats: Counter[str] = field(default_factory=Counter)  # number of other runs that show a new finding, by id
     known: Counter[str] = field(default_factory=Counter)  # number of failing runs by the file that covers them
+    failures: dict[Signature, str] = field(default_factory=dict)  # ids by the failures that runs of this session showed
     verdicts: Counter[str] = field(default_factory=Counter)  # number of verdicts by kind
     caught: Counter[str] = field(default_factory=Counter)  # number of passed runs by a check that failed in them
     counted: Health = field(default_factory=Health)  # health of the evaluations that were counted
@@ -517,14 +518,12 @@ class SearchLoop:
         if signature in self.shown or signature in self.finds:
             self._count_known(signature)
         else:
-            self.finds[signature] = keep()
+            self.finds[signature] = self.failures[signature] = keep()
 
     def _count_known(self, signature: Signature, runs: int = 1) -> None:
         """Count runs with a failure that a saved scenario shows, or that this search has found before."""
-        if signature in self.shown:
-            self.known[self.shown[signature]] += runs
-        else:
-            self.repeats[self.finds[signature]] += runs
+        id_ = self.failures[signature] = self.shown.get(signature) or self.finds[signature]
+        (self.known if signature in self.shown else self.repeats)[id_] += runs
 
 
 # The recorder of new findings: it saves each finding, confirms it, and reports it. To confirm a finding, its run is

@@ -285,16 +285,17 @@ def replay_lines(replays: Sequence[Find], width: int = WIDTH, *, seconds: float 
     """
     if not replays:
         return []
-    counts = sorted(Counter(replay.label for replay in replays).items())
-    figures = ", ".join(f"{count} {label}" for label, count in counts)
-    several = sum(replay.rests_on for replay in replays)
+    counts = sorted(Counter(replay.result for replay in replays).items())
+    figures = ", ".join(f"{count} {result}" for result, count in counts)
+    several = sum(replay.neighbours for replay in replays)
     lines = wrapped_to(f"replayed {plural(len(replays), 'saved scenario')}: {figures}", width)
     if several:
         lines.append(f"  {plural(several, 'neighbour')} passed, in {seconds:.1f} s ({flag('replay_neighbours')})")
     shown = [replay for replay in replays if replay.may_pass or replay.label not in ("still failing", "common")]
     for replay in shown[:MAX_REPLAYS]:
-        lines.append(f"  {replay.label}: {replay.node_id}")
-        lines += [f"  {line}" for line in _wrapped(replay.detail, width - 2)] if replay.detail else []
+        lines.append(f"  {replay.heading}: {replay.node_id}")
+        told = "; ".join(filter(None, ["" if replay.driven == replay.heading else replay.driven, replay.detail]))
+        lines += [f"  {line}" for line in _wrapped(told, width - 2)] if told else []
     return [*lines, f"  ... and {len(shown) - MAX_REPLAYS} more"] if len(shown) > MAX_REPLAYS else lines
 
 
