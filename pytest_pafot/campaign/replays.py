@@ -39,7 +39,7 @@ from pytest_pafot.findings.finding import (
     replay_label,
     unhandled,
 )
-from pytest_pafot.findings.neighbours import around
+from pytest_pafot.findings.neighbours import FEWEST, around
 from pytest_pafot.findings.signature import SLOW_DECISION, Failure, Signature
 from pytest_pafot.model.driving_style import Traffic
 from pytest_pafot.model.scenario import Scenario, ScenarioError
@@ -473,7 +473,7 @@ class Replays:
         __tracebackhide__ = True
         finding, began = _finding(saved), self.clock()
         is_firm = finding.flaky is None and not finding.expect.is_crash and finding.signature.failure != SLOW_DECISION
-        is_asked = self.harness.request.settings.replay_neighbours and not self.sight_change(finding)
+        is_asked = self._number(finding) and not self.sight_change(finding)
         if now.label == FLAKY or not now.verdict.passes or not is_firm or not is_asked:
             return now
         note, is_lost, passing, failing = "", now.is_lost, 0, None
@@ -515,9 +515,16 @@ class Replays:
             record = stack.enter_context(harness.recording(job))
             runner = stack.enter_context(runner_for(job, record, isolate=isolate))
             reference = harness.reference_runner(job, record, isolate=isolate)
+    def _number(self, finding: Finding) -> int:
+        """Return how many neighbours of a file's scenario are run: the more, the narrower its failure was."""
+        asked, breadth = self.harness.request.settings.replay_neighbours, finding.neighbours
+        if asked is not None:
+            return asked
+        return FEWEST if breadth is None else breadth.needed
+
             if reference is not None:
                 stack.enter_context(reference)
-            for scenario in islice(drawn, harness.request.settings.replay_neighbours):
+            for scenario in islice(drawn, self._number(finding)):
                 run = harness.seen(runner.run(scenario, afresh=True), world)
                 verdict = harness.judge(run)
                 failure = verdict.failure

@@ -334,7 +334,7 @@ class Finding(Shown):
         original: the scenario as first found, if shrinking has replaced it by a simpler scenario; otherwise None.
         shrunk: the result of shrinking; None if the scenario was not shrunk.
         neighbours: how many neighbours of the scenario failed in the same way when it was found; None if that was not
-            examined. It is only a label.
+            examined. A replay takes from it how many neighbours it drives.
         flaky: what differed when the scenario was run again, or None; a flaky finding is never reported as fixed.
         xfail: the user's reason to accept the failure, or None.
         xfail_until: the last day on which the failure is accepted; None for no end.

@@ -85,6 +85,16 @@ def test_the_number_is_an_option(saved, number, neighbours):
     assert (record["status"], record["neighbours"]) == ("passes", neighbours)
 
 
+@pytest.mark.parametrize(("failing", "number"), [(40, 10), (3, 27), (0, 30)])
+def test_a_narrow_failure_has_more_neighbours(saved, failing, number):
+    file = saved.path / saved.files[0]
+    file.write_text(file.read_text().replace("# xfail:", f"neighbours: {{failing: {failing}, of: 40}}\n# xfail:"))
+    result, record = replay(saved)
+    assert record["neighbours"] == number
+    result.stdout.fnmatch_lines([f"  passes, and so do {number} neighbours: *"])
+    assert replay(saved, "--pafot-replay-neighbours=4")[1]["neighbours"] == 4
+
+
 def test_a_neighbour_that_fails_by_the_same_mistake_fails_the_replay(project):
     fixed(project, "braking")
     result, record = replay(project)
