@@ -41,6 +41,10 @@ def raising():
     drive = braking()
     return lambda seen: drive(seen) if seen.time < 8.0 else 1 / 0
 
+def nudging():  # brakes, and hits the NPC more than two seconds after the end of the file
+    drive = braking()
+    return lambda seen: drive(seen) if seen.time < 9.0 else (4.0, 0.0)
+
 def dicing():  # accelerates by chance after the end of the file
     drive = braking()
     return lambda seen: drive(seen) if seen.time < 7.0 else (2.0 + random.random(), 0.0)
@@ -126,6 +130,22 @@ def test_braking_ego_is_fixed_and_drives_on_unseen(saved):
     result.assert_outcomes(passed=1, skipped=1)
     result.stdout.fnmatch_lines(["*PASSED (passes*)*", "replayed 1 saved scenario: 1 passes"])
     result.stdout.no_fnmatch_line("*driven on*")
+
+
+ACCEPTS_LATER = TEST.replace("not run.collision", "not run.collision or run.collision.time > 6")
+"""A test that accepts a collision after the end of the file, as if another party were responsible for it."""
+
+
+@pytest.mark.parametrize("against", [(), ("--pafot-against=policies:fast",)], ids=["", "reference"])
+@pytest.mark.parametrize(("policy", "label"), [("slow", "drifted"), ("nudging", "passes"), ("braking", "passes")])
+def test_a_pass_is_no_fix_if_the_same_npc_hits_the_ego_soon_after_the_end(saved, policy, label, against):
+    saved.write(ACCEPTS_LATER.replace("WORLD", WORLD))
+    result = replay(saved, policy, *against)
+    result.assert_outcomes(passed=1, skipped=1)
+    expected = "fixed" if against and label == "passes" else label
+    result.stdout.fnmatch_lines([f"replayed 1 saved scenario: 1 {expected}"])
+    told = "driven on past the file's end: the same NPC still hits the ego: collision after 6.5 s"
+    assert (label == "drifted") == (told in " ".join(result.stdout.str().split()))
 
 
 def test_other_failure_after_the_end_is_only_reported(saved):
