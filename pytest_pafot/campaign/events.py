@@ -181,6 +181,8 @@ class SearchSummary:
         finds: ids of its new findings.
         unsaved: number of runs by id of further findings, beyond `--pafot-max-saved`.
         known: number of failing runs by id of the saved scenario with the same failure.
+        unlike: up to three of these runs by id of the saved scenario, each with the id of its scenario and what differs
+            from the file: the fault, a manoeuvre or the place. The others were not looked at.
         failures: failures that its runs in this session showed: the id of a finding by the text of the signature.
         random_failing, random_otherwise, random_runs: numbers of random scenarios at the beginning: those that failed
             by the ego's fault, those that failed in any other way, and all.
@@ -221,6 +223,7 @@ class SearchSummary:
     finds: tuple[Find, ...] = ()
     unsaved: Mapping[str, int] = field(default_factory=dict)
     known: Mapping[str, int] = field(default_factory=dict)
+    unlike: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     failures: Mapping[str, str] = field(default_factory=dict)
     random_failing: int = 0
     random_otherwise: int = 0

@@ -231,7 +231,10 @@ def search_lines(
         others = f"; {search.random_otherwise} failed in other ways" if search.random_otherwise else ""
         texts.append(f"{what}: {failing} of {counted} failed by the ego's fault{share and ', '}{share}{others}")
     texts += [f"coverage: {search.coverage}"] if verbose and search.coverage else []
-    texts += [f"known: {plural(count, 'run')} covered by saved-{id_}" for id_, count in sorted(search.known.items())]
+    for id_, count in sorted(search.known.items()):
+        texts.append(f"{plural(count, 'run')} {'fails' if count == 1 else 'fail'} like saved-{id_}, not looked at")
+        unlike = search.unlike.get(id_, ())
+        texts += [f"of them, unlike saved-{id_}: {', '.join(unlike)}"] if unlike else []
     texts += [f"warning: {warning}" for warning in search.warnings]
     texts += [f"note: {note}" for note in (*search.process_notes, *search.notes)]
     texts = [traced.described, *texts] if traced else texts

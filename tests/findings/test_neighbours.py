@@ -304,7 +304,7 @@ def test_a_replay_has_slower_and_faster_egos_and_easier_traffic():
     first = {each.npcs[0][0].speed for each in several}
     assert min(first) < 7
     assert max(first) > 13
-    assert {each.gene_seconds for each in several} > {10.0, 12.0}
+    assert len({each.gene_seconds for each in several}) > 3
 
 
 @table(("failing", "needed"), [(40, 10), (20, 10), (15, 15), (3, 27), (0, 30)])

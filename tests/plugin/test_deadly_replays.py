@@ -85,7 +85,7 @@ def test_search_after_a_saved_crash_runs_isolated(crash):
     result.stdout.fnmatch_lines(
         [
             "*ended: all generations done*",
-            "*covered by saved-crash-*",
+            "*like saved-crash-*",
             "*note: ran as with --pafot-isolate, since a process died in this search before*",
             "*1 saved scenario: 1 still failing*",
         ]

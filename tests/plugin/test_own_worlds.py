@@ -98,7 +98,7 @@ def test_finding_in_own_world_replays_in_named_world(saved):
 
 def test_later_search_in_own_world_knows_the_finding(saved):
     known = saved.only_id
-    saved.run(generations=5).stdout.fnmatch_lines([f"  known: * covered by saved-{known}"])
+    saved.run(generations=5).stdout.fnmatch_lines([f"  * like saved-{known}, not looked at"])
 
 
 def test_passing_replay_in_a_changed_world_has_drifted(saved):

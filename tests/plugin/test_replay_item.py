@@ -61,7 +61,7 @@ def test_a_search_counts_a_known_failure_and_passes(saved):
     before = saved.contents
     result = saved.run(generations=5)
     result.assert_outcomes(failed=1, passed=1)
-    result.stdout.fnmatch_lines([f"  known: * covered by saved-{saved.only_id}"])
+    result.stdout.fnmatch_lines([f"  * like saved-{saved.only_id}, not looked at"])
     assert saved.contents == before
 
 
@@ -76,7 +76,7 @@ def test_accepted_failure_lets_the_session_pass(saved):
     result = saved.run(generations=5)
     assert result.ret == 0
     result.assert_outcomes(passed=1, xfailed=1)
-    result.stdout.fnmatch_lines([f"  known: * covered by saved-{saved.only_id}"])
+    result.stdout.fnmatch_lines([f"  * like saved-{saved.only_id}, not looked at"])
 
 
 def test_accepted_file_that_passes_fails_until_line_removed(saved):
@@ -402,7 +402,7 @@ def test_a_search_finds_no_accepted_flaky_failure_again(project, by_chance, line
     by_chance("4")  # The replay passes, and later runs of the search fail in the same way.
     result = project.run("--pafot-today=2027-01-31", "test_it.py::test_brakes[search]", generations=2)
     result.assert_outcomes(passed=1)
-    result.stdout.fnmatch_lines([f"  known: * covered by saved-{project.only_id}"])
+    result.stdout.fnmatch_lines([f"  * like saved-{project.only_id}, not looked at"])
     assert project.contents == before
     over = project.run("--pafot-today=2027-02-01", "test_it.py::test_brakes[search]", generations=2)
     assert over.ret == pytest.ExitCode.TESTS_FAILED

@@ -53,6 +53,7 @@ SEARCH = SearchSummary(
     failing=18,
     finds=(FIND,),
     known={"rear-6-abcdef": 4},
+    unlike={"rear-6-abcdef": ("1a2b3c (ego's lane-change, not lane-keeping)",)},
     warnings=(
         "NPCs reached the cell of only 12 % (1) of 8 Position-Instructions that they started; give them more time",
     ),
