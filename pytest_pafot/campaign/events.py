@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Self
 
 from pytest_pafot.campaign.verdict import Verdict
+from pytest_pafot.corpus.layout import SEARCH_PART, name_without
 from pytest_pafot.findings.decisions import Answers, Moment
 from pytest_pafot.findings.finding import Finding
 from pytest_pafot.findings.neighbours import Breadth
@@ -16,7 +17,7 @@ from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.searching.events import Event
 from pytest_pafot.support.errors import flag
-from pytest_pafot.support.text import ascii_text
+from pytest_pafot.support.text import ascii_text, plural
 
 # Reports of a search: its progress, each new finding, and its summary.
 #
@@ -41,6 +42,18 @@ class Progress:
 NEW = "new"
 """The label of a finding that was not known before this session."""
 
+ELSEWHERE = "still failing elsewhere"
+"""The label of a replay that passes while the search of its test finds the same failure in other scenarios."""
+
+PASSING = ("fixed", "fixed before", ELSEWHERE)
+"""The labels of replays that pass with the situation of the failure."""
+
+PASSES = "passes"
+"""The result of a replay with the label ``fixed`` that no search confirms, see :attr:`Find.result`."""
+
+DONE, ALL_RUN = "all generations done", "all runs done"
+"""The reasons for which a search ends that ran to its end."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Find:
@@ -49,8 +62,11 @@ class Find:
     Attributes:
         id: name of its file without the suffix.
         node_id: node id of the item that replays it, in this session or, if it is new, from the next one on.
+        test: node id of the test of a replayed one, as it is in this session.
+        signature: text of the signature of a replayed one, as its file says.
         label: ``new``, or of a replay ``fixed``, ``still failing``, ``still failing, nearby``, ``drifted``, ``flaky``;
-            in a comparison with a reference also ``introduced``, ``common`` or ``fixed before``.
+            in a comparison with a reference also ``introduced``, ``common`` or ``fixed before``. The search of the test
+            may make it ``still failing elsewhere``, see :func:`concluded`.
         headline: how the run failed; empty if it passes.
         path: path of its file; empty if a new finding has none.
         detail: why a new finding has no file, or what differs from the file of a replayed one; may be empty.
@@ -60,7 +76,10 @@ class Find:
         breadth: how many neighbours of a new finding fail in the same way; None if that was not examined.
         answers: how many decisions depend on the vehicle of a new finding; None if that was not examined.
         moment: the last decision that could have avoided it; None if that was not examined, or none is known.
-        rests_on: number of neighbours of a replayed scenario that pass.
+        neighbours: number of neighbours of a replayed scenario that were driven and pass.
+        searched: number of runs of the search of its test that found no such failure, if a replay passes and that
+            search ran to its end in this session; otherwise 0.
+        elsewhere: id of the finding that this search shows and that fails as the file says; empty if there is none.
         severity: severity of the failure; None if it passes, nothing measures it, or there is no run.
         severity_before: severity with the reference of a replay; None if there is none.
         responsible: who is responsible for the collision, as in its file.
@@ -72,6 +91,8 @@ class Find:
 
     id: str
     node_id: str
+    test: str = ""
+    signature: str = ""
     label: str = NEW
     headline: str = ""
     path: str = ""
@@ -82,7 +103,9 @@ class Find:
     breadth: Breadth | None = None
     answers: Answers | None = None
     moment: Moment | None = None
-    rests_on: int = 0
+    neighbours: int = 0
+    searched: int = 0
+    elsewhere: str = ""
     severity: Severity | None = None
     severity_before: Severity | None = None
     responsible: str = "none"
@@ -95,6 +118,31 @@ class Find:
     def is_flaky(self) -> bool:
         """True if running the scenario again gave a different run."""
         return bool(self.difference)
+
+    @property
+    def result(self) -> str:
+        """The label, but ``passes`` if no search of the session confirms that the failure is fixed.
+
+        With a reference the label compares two policies in one scenario, so no search has to confirm it.
+        """
+        return PASSES if self.label == "fixed" and not (self.searched or self.against) else self.label
+
+    @property
+    def heading(self) -> str:
+        """What a replay shows, in a few words that claim no more than what was driven."""
+        if self.result == PASSES:
+            return self.driven
+        return f"{self.label}: {self.elsewhere}" if self.elsewhere else self.label
+
+    @property
+    def driven(self) -> str:
+        """What a replay that passes has driven, and the search of its test; empty for any other replay."""
+        if self.label not in PASSING:
+            return ""
+        verb = "does" if self.neighbours == 1 else "do"
+        others = f", and so {verb} {plural(self.neighbours, 'neighbour')}" if self.neighbours else ""
+        searched = f"; no such failure in {plural(self.searched, 'run')} of the search" if self.searched else ""
+        return f"{PASSES}{others}{searched}"
 
     @property
     def remark(self) -> str:
@@ -141,6 +189,9 @@ class SearchSummary:
         finds: ids of its new findings.
         unsaved: number of runs by id of further findings, beyond `--pafot-max-saved`.
         known: number of failing runs by id of the saved scenario with the same failure.
+        unlike: up to three of these runs by id of the saved scenario, each with the id of its scenario and what differs
+            from the file: the fault, a manoeuvre or the place. The others were not looked at.
+        failures: failures that its runs in this session showed: the id of a finding by the text of the signature.
         random_failing, random_otherwise, random_runs: numbers of random scenarios at the beginning: those that failed
             by the ego's fault, those that failed in any other way, and all.
         given: number of saved scenarios with which the search began. If it is not 0, `random_failing`,
@@ -180,6 +231,8 @@ class SearchSummary:
     finds: tuple[Find, ...] = ()
     unsaved: Mapping[str, int] = field(default_factory=dict)
     known: Mapping[str, int] = field(default_factory=dict)
+    unlike: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    failures: Mapping[str, str] = field(default_factory=dict)
     random_failing: int = 0
     random_otherwise: int = 0
     random_runs: int = 0
@@ -206,6 +259,30 @@ class SearchSummary:
     def began(self) -> bool:
         """True if the search ran and reported its end."""
         return bool(self.reason)
+
+    @property
+    def tested(self) -> int:
+        """The number of runs that were judged, if the search ran to its end; otherwise 0."""
+        return self.runs - self.invalid - self.rejected - self.skipped if self.reason in (DONE, ALL_RUN) else 0
+
+
+def by_test(searches: Iterable[SearchSummary]) -> dict[str, SearchSummary]:
+    """Return searches by the node ids of their tests."""
+    return {name_without(SEARCH_PART, search.node_id): search for search in searches}
+
+
+def concluded(find: Find, searches: Mapping[str, SearchSummary]) -> Find:
+    """Return a replay with what the search of its test says about it, which another process may have run.
+
+    A replay that passes is ``still failing elsewhere`` if the search found the same failure. ``searches`` are the
+    searches of this session by node id of their tests.
+    """
+    search = searches.get(find.test)
+    if search is None or find.label not in PASSING:
+        return find
+    if elsewhere := search.failures.get(find.signature, ""):
+        return replace(find, label=ELSEWHERE, elsewhere=elsewhere)
+    return replace(find, searched=search.tested)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

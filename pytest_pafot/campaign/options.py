@@ -222,13 +222,13 @@ class Settings:
         default=40,
         most=MOST_NEIGHBOURS,
     )
-    replay_neighbours: int = option(
+    replay_neighbours: int | None = option(
         "integer",
         "Number of neighbours of each saved scenario that passes to run, to see whether a fix holds; 0 for none.",
-        "They end at the first that fails as the file says: the replay is then "
-        "[still failing, nearby](../explanation/findings.md#what-a-fix-rests-on). If the ego drives faster or slower "
-        "than the one in the file, the first neighbours are the scenario re-timed for it.",
-        default=10,
+        "The default is 10 for a failure that was broad when it was found, and up to 30 the narrower it was. They end "
+        "at the first that fails as the file says: the replay is then "
+        "[still failing, nearby](../explanation/findings.md#what-else-a-replay-drives). If the ego drives faster or "
+        "slower than the one in the file, the first neighbours are the scenario re-timed for it.",
         most=MOST_NEIGHBOURS,
     )
     max_saved: int = option(

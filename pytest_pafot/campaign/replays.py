@@ -39,7 +39,7 @@ from pytest_pafot.findings.finding import (
     replay_label,
     unhandled,
 )
-from pytest_pafot.findings.neighbours import around
+from pytest_pafot.findings.neighbours import FEWEST, around
 from pytest_pafot.findings.signature import SLOW_DECISION, Failure, Signature
 from pytest_pafot.model.driving_style import Traffic
 from pytest_pafot.model.scenario import Scenario, ScenarioError
@@ -65,6 +65,9 @@ PROBES = 10
 
 PAST_END = "driven on past the file's end"
 """The words for the time after a file's end in what is said of a replay."""
+
+SOON = 2.0
+"""The time after a file's end in which a collision with the file's NPC stands for the saved one, only later [s]."""
 
 BESIDE = {True: "introduced", False: "common", None: ""}
 """The label of a saved scenario that fails, by whether the reference passes the same scenario."""
@@ -96,6 +99,8 @@ class Replayed:
         note: a text on the time after the file's end, or on neighbours; empty if nothing is to be said.
         is_lost: True if a process died or hung in that time. Then the crash record must stay, or the next session would
             drive on in its own process, and die.
+        is_hit: True if the NPC of the file's collision still touches the ego soon after the file's end, as the note
+            says. Then the pass is no fix, whatever a reference does.
         around: the neighbours of the scenario.
     """
 
@@ -104,6 +109,7 @@ class Replayed:
     verdict: Verdict
     note: str = ""
     is_lost: bool = False
+    is_hit: bool = False
     around: Around = Around()
 
 
@@ -385,6 +391,12 @@ class Replays:
         label = FLAKY if finding.flaky is not None or not is_alike else first.label
         passed = replace(second, label=label, run=first.run, verdict=first.verdict)
         failure = verdict.failure if verdict.failed else None
+        is_hit = is_alike and _is_hit_soon(finding, first.run, run)
+        if is_hit:
+            later = f"{PAST_END}: the same NPC still hits the ego: {headline(run, verdict)}"
+            passed = replace(
+                passed, label="drifted" if passed.label == "fixed" else passed.label, note=later, is_hit=True
+            )
         if failure is None:
             return passed
         # The failure is in the time after the end, unless the test function or a clock decides by chance.
@@ -395,6 +407,8 @@ class Replays:
         is_event = failure.check is not None or run.outcome in HAS_EVENT
         when = happened(finding, run, failure) if is_event else headline(run, verdict)
         if not is_same_failure(finding, run, failure):
+            if is_hit:
+                return passed
             return replace(passed, note=f"{PAST_END}: another failure, {when}")
         note = f"{PAST_END}: the same {'mistake' if finding.signature.mistake else 'failure'}, {when}"
         is_firm = finding.flaky is None and failure.kind != SLOW_DECISION
@@ -459,7 +473,7 @@ class Replays:
             reference, is_lost = self.of_reference(saved, world, owner, partial(is_same_failure, finding))
             if reference is not None and reference.passes and now.label == "fixed":
                 now = replace(now, label="fixed before")
-            elif reference is not None and not reference.passes and not unhandled(finding, now.run):
+            elif reference is not None and not reference.passes and not (now.is_hit or unhandled(finding, now.run)):
                 now = replace(now, label="fixed")
             now = self._with_neighbours(saved, world, owner, now)
         return replace(now, is_lost=now.is_lost or is_lost)
@@ -473,7 +487,7 @@ class Replays:
         __tracebackhide__ = True
         finding, began = _finding(saved), self.clock()
         is_firm = finding.flaky is None and not finding.expect.is_crash and finding.signature.failure != SLOW_DECISION
-        is_asked = self.harness.request.settings.replay_neighbours and not self.sight_change(finding)
+        is_asked = self._number(finding) and not self.sight_change(finding)
         if now.label == FLAKY or not now.verdict.passes or not is_firm or not is_asked:
             return now
         note, is_lost, passing, failing = "", now.is_lost, 0, None
@@ -501,6 +515,13 @@ class Replays:
         its = Around(passing=passing, failing=shown, seconds=self.clock() - began)
         return replace(now, label=NEARBY, run=run, verdict=verdict, around=its)
 
+    def _number(self, finding: Finding) -> int:
+        """Return how many neighbours of a file's scenario are run: the more, the narrower its failure was."""
+        asked, breadth = self.harness.request.settings.replay_neighbours, finding.neighbours
+        if asked is not None:
+            return asked
+        return FEWEST if breadth is None else breadth.needed
+
     def _neighbours(self, saved: Saved, world: Any, owner: str, trace: Trace) -> Iterator[tuple[Run, Verdict]]:
         """Yield the runs of neighbours with their verdicts, up to one that fails as the file says, and does so again.
 
@@ -517,7 +538,7 @@ class Replays:
             reference = harness.reference_runner(job, record, isolate=isolate)
             if reference is not None:
                 stack.enter_context(reference)
-            for scenario in islice(drawn, harness.request.settings.replay_neighbours):
+            for scenario in islice(drawn, self._number(finding)):
                 run = harness.seen(runner.run(scenario, afresh=True), world)
                 verdict = harness.judge(run)
                 failure = verdict.failure
@@ -590,6 +611,19 @@ def happened(finding: Finding, run: Run, failure: Failure | None) -> str:
     if finding.expect.check is not None:
         return ending(run) if failure is None else failure.kind
     return _event(run.outcome, run.event_time) if run.outcome is finding.expect.outcome else ending(run)
+
+
+def _is_hit_soon(finding: Finding, run: Run, longer: Run) -> bool:
+    """Return whether the NPC of a file's collision hits the ego soon after the end of a run that passes.
+
+    It does not matter who is responsible, because the same collision may only have become another party's fault.
+    ``longer`` is the same run, driven on.
+    """
+    expect, hit = finding.expect, longer.collision
+    is_collision = expect.outcome is Outcome.COLLISION and expect.check is None and expect.npc is not None
+    if not is_collision or run.collision is not None or hit is None or hit.npc != expect.npc:
+        return False
+    return hit.time <= run.duration + SOON
 
 
 def _event(outcome: Outcome, time: float) -> str:

@@ -268,7 +268,8 @@ class Sessions:
             failure = verdict.failure if verdict.failed else None
             if failure is not None and of_failure(run, failure) == find.signature:
                 find_id = self.loop.recorder.keep(run, verdict, generation, number)
-                self.loop.finds[find.signature], self.answers[find_id] = find_id, list(find.answers)
+                self.loop.finds[find.signature] = self.loop.failures[find.signature] = find_id
+                self.answers[find_id] = list(find.answers)
 
     def at_border(self, checkpoint: Callable[[], Checkpoint[Any]]) -> None:
         """Store the state after a generation, unless it was stored shortly before.

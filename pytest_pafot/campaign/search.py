@@ -18,7 +18,15 @@ import numpy as np
 
 from pytest_pafot.attribution.responsibility import is_ego_responsible
 from pytest_pafot.campaign.beginnings import begun_with
-from pytest_pafot.campaign.events import FindTold, Listener, Progress, SearchStarted, SearchSummary
+from pytest_pafot.campaign.events import (
+    ALL_RUN,
+    DONE,
+    FindTold,
+    Listener,
+    Progress,
+    SearchStarted,
+    SearchSummary,
+)
 from pytest_pafot.campaign.harness import Harness, Simulation, refusals
 from pytest_pafot.campaign.options import FULL, LOCAL, PROFILES, Settings
 from pytest_pafot.campaign.replays import Replays
@@ -32,6 +40,7 @@ from pytest_pafot.corpus.saved import Saved, saved_in
 from pytest_pafot.execution import scenario_pool
 from pytest_pafot.execution.crash_records import Leftover
 from pytest_pafot.execution.runner import Retried, must_stay_here, retry, runner_for
+from pytest_pafot.findings.finding import Manner
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.sight import Sight
 from pytest_pafot.searching import run_campaign
@@ -47,7 +56,6 @@ from pytest_pafot.world.driving.perception import sight_of
 from pytest_pafot.world.guard.failure import is_interruption
 from pytest_pafot.world.guard.hang_guard import runs_end_in
 
-DONE, ALL_RUN = "all generations done", "all runs done"
 FOR_SIMPLIFYING = 1 / 3
 """The largest share of a search's time limit that is reserved to shrink findings and to look at their neighbours."""
 RUNS_A_NEIGHBOUR = 4
@@ -63,6 +71,9 @@ The scenario is run, run again, and run in highway-env's own environment, which 
 LEAST = 2.0
 """The time that a search has for its replays, its first run and the confirmation of a finding in it, even if its limit
 is over by then [s]. So a search of a fast policy tests something although others have used up the session's time."""
+
+MAX_UNLIKE = 3
+"""The largest number of scenarios that are named because they fail like a saved scenario in another manner."""
 
 COUNTED_AT_ONCE = 16
 """The number of evaluations after which a search that draws ahead counts them."""
@@ -214,6 +225,7 @@ class Search:
     process_notes: list[str] = field(default_factory=list)  # notes on processes for the summary
     _shrink_runs: int = field(init=False, default=0)
     _neighbour_runs: int = field(init=False, default=0)
+    _manners: dict[str, Manner] = field(init=False, default_factory=dict)  # of the saved scenarios, by id
     _told_at: float = field(init=False)
 
     def __post_init__(self) -> None:
@@ -275,6 +287,7 @@ class Search:
             reason, fault = "error", error
             recorder.withdraw()
             loop.known.clear()  # The same error ends the saved scenarios now, but was not what they were saved for.
+            loop.failures.clear()
             loop.finds.clear()  # They are withdrawn, and must not count as findings of earlier sessions.
         except BaseException as error:
             reason = "interrupted" if is_interruption(error) else "error"
@@ -363,6 +376,7 @@ class Search:
         try:
             with runs_end_in(loop.recorder.until - self.sessions.clock()):
                 loop.shown = self.replays.shown_by(others)  # Their failures are not new.
+                self._manners = {each.id: Manner.of(each.finding.expect) for each in others if each.finding is not None}
                 self.sessions.find_again(saved, search_until)
         except OutOfTime:  # It is unknown what is known, so nothing could be called new.
             return self.limit.flag
@@ -503,6 +517,8 @@ class Search:
             shrink_runs=self._shrink_runs,
             neighbour_runs=self._neighbour_runs,
             known=dict(loop.known + self.sessions.found_before),
+            unlike=self._unlike(),
+            failures={signature.text: id_ for signature, id_ in loop.failures.items()},
             warnings=loop.warnings if reason in (DONE, ALL_RUN, self.limit.flag) else (),
             notes=(*self.sessions.notes, *self.driver_notes, *filter(None, notes), *cut, *self._left_undone(reason)),
             process_notes=tuple(self.process_notes),
@@ -514,6 +530,22 @@ class Search:
             drawn="" if self.loop.space is None else self.loop.space.described,
             coverage=health.coverage.describe(float(self.harness.world.speed_limit), ways) if loop.runs else "",
         )
+
+    def _unlike(self) -> dict[str, tuple[str, ...]]:
+        """Return for saved scenarios up to three scenarios that fail like them, but came about in another manner.
+
+        Those that differ most are first, then those that came first.
+        """
+        found: dict[str, tuple[str, ...]] = {}
+        for signature, manners in self.loop.manners.items():
+            id_ = self.loop.shown[signature]
+            own = self._manners.get(id_)
+            if own is None:
+                continue
+            unlike = [(differs, each) for manner, each in manners.items() if (differs := manner.unlike(own))]
+            unlike.sort(key=lambda pair: -len(pair[0]))
+            found[id_] = tuple(f"{each} ({'; '.join(differs)})" for differs, each in unlike[:MAX_UNLIKE])
+        return {id_: told for id_, told in sorted(found.items()) if told}
 
     @property
     def _excused_late(self) -> str:

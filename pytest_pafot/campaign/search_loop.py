@@ -27,10 +27,11 @@ from pytest_pafot.findings.finding import (
     Expect,
     Finding,
     Found,
+    Manner,
     Perceived,
     disagreement,
+    failed_as,
     message_of,
-    of_failure,
     portable,
 )
 from pytest_pafot.findings.signature import CHECK_FAILED, PROCESS_CRASH, Signature
@@ -75,6 +76,7 @@ class Passed:
     evaluation: Evaluation
     event: Judged
     signature: Signature | None  # of a failure that the session knows; None if nothing failed
+    manner: Manner | None  # of the same failure
     is_at_fault: bool  # see :func:`fails_by_ego`
     caught: tuple[str, ...]  # the names of checks that failed although the test function passed
     doubt: str  # see :func:`unit_doubt`
@@ -123,9 +125,9 @@ class Reader:
         if self.fitness is None or self.harness is None:
             return None
         run = self.harness.seen(trace)
-        verdict, signature = self.harness.judge(run), None
+        verdict, signature, manner = self.harness.judge(run), None, None
         if self.known and verdict.kind == "failed" and verdict.failure is not None and self.harness.against is None:
-            signature = of_failure(run, verdict.failure)
+            signature, manner = failed_as(run, verdict.failure)
         if verdict.kind not in UNREMARKABLE and signature not in self.known:
             return None
         event = Judged(
@@ -140,6 +142,7 @@ class Reader:
                 evaluation=_evaluated(trace, verdict, signature, self.fitness, self.is_steered_by_checks),
                 event=event,
                 signature=signature,
+                manner=manner,
                 is_at_fault=signature is not None and fails_by_ego(run, verdict),
                 caught=_caught(verdict),
                 doubt=unit_doubt(trace),
@@ -158,6 +161,7 @@ class Tally:
         health: the figures on the search's health.
         verdicts, caught, responsibilities, outcomes: numbers of runs by kind of verdict, check, responsible, outcome.
         failed: numbers of runs by their known failures.
+        manners: for each known failure and manner the id of the first scenario.
         fitness: the finite fitness of each eligible run.
         failing: the number of failing runs.
         random: the counts of :class:`~pytest_pafot.campaign.resuming.RandomBeginning`, in the order of its ``counts``.
@@ -175,6 +179,7 @@ class Tally:
     responsibilities: Counter[str]
     outcomes: Counter[str]
     failed: Counter[Signature]
+    manners: tuple[tuple[Signature, Manner, str], ...]
     fitness: tuple[float, ...]
     failing: int
     random: tuple[int, int, int, int]
@@ -235,6 +240,13 @@ class Counting:
             responsibilities=Counter(each.event.responsibility or "none" for each in digests),
             outcomes=Counter(str(each.outcome) for each in evaluations),
             failed=Counter(each.signature for each in digests if each.signature is not None),
+            manners=tuple(
+                {
+                    (each.signature, each.manner): (each.signature, each.manner, each.event.executed.id)
+                    for each in reversed(digests)
+                    if each.signature is not None and each.manner is not None
+                }.values()
+            )[::-1],
             fitness=tuple(each.fitness for each in evaluations if each.eligible and math.isfinite(each.fitness)),
             failing=sum(each.failing for each in evaluations),
             random=(len(at_random), len(valid), at_fault, failed - at_fault),
@@ -290,6 +302,9 @@ class SearchLoop:
     finds: dict[Signature, str] = field(default_factory=dict)  # ids of new findings by signature
     repeats: Counter[str] = field(default_factory=Counter)  # number of other runs that show a new finding, by id
     known: Counter[str] = field(default_factory=Counter)  # number of failing runs by the file that covers them
+    # for each failure that a saved scenario shows and each manner of it, the id of the first scenario of this session
+    manners: dict[Signature, dict[Manner, str]] = field(default_factory=dict)
+    failures: dict[Signature, str] = field(default_factory=dict)  # ids by the failures that runs of this session showed
     verdicts: Counter[str] = field(default_factory=Counter)  # number of verdicts by kind
     caught: Counter[str] = field(default_factory=Counter)  # number of passed runs by a check that failed in them
     counted: Health = field(default_factory=Health)  # health of the evaluations that were counted
@@ -456,6 +471,8 @@ class SearchLoop:
             self.recorder.release()
         for signature, runs in tally.failed.items():
             self._count_known(signature, runs)
+        for signature, manner, id_ in tally.manners:
+            self._see_manner(signature, manner, id_)
         each = None if tally.judged is None else tuple(evaluation for evaluation, _ in tally.judged)
         return Group(runs=tally.runs, news=tally.news, counts=tally, each=each)
 
@@ -474,6 +491,7 @@ class SearchLoop:
         self._count_run(None, passed.event.verdict, passed.caught, passed.doubt)
         if passed.signature is not None:
             self._count_known(passed.signature)
+            self._see_manner(passed.signature, passed.manner, passed.event.executed.id)
         return passed.evaluation
 
     def _count_run(self, run: Run | None, verdict: Verdict, caught: Iterable[str], doubt: str) -> None:
@@ -503,7 +521,8 @@ class SearchLoop:
         # A failure is known, repeated or new, by its signature; a new one is saved here, before the next run.
         signature, failure = None, verdict.failure if verdict.failed else None
         if failure is not None:
-            signature = of_failure(run, failure)
+            signature, manner = failed_as(run, failure)
+            self._see_manner(signature, manner, run.scenario.id)
             self._count(signature, lambda: self.recorder.keep(run, verdict, self.generation, self.runs))
         if verdict.kind == "skipped":
             self.skip = verdict.exception
@@ -517,14 +536,16 @@ class SearchLoop:
         if signature in self.shown or signature in self.finds:
             self._count_known(signature)
         else:
-            self.finds[signature] = keep()
+            self.finds[signature] = self.failures[signature] = keep()
+
+    def _see_manner(self, signature: Signature, manner: Manner | None, scenario_id: str) -> None:
+        if signature in self.shown and manner is not None:
+            self.manners.setdefault(signature, {}).setdefault(manner, scenario_id)
 
     def _count_known(self, signature: Signature, runs: int = 1) -> None:
         """Count runs with a failure that a saved scenario shows, or that this search has found before."""
-        if signature in self.shown:
-            self.known[self.shown[signature]] += runs
-        else:
-            self.repeats[self.finds[signature]] += runs
+        id_ = self.failures[signature] = self.shown.get(signature) or self.finds[signature]
+        (self.known if signature in self.shown else self.repeats)[id_] += runs
 
 
 # The recorder of new findings: it saves each finding, confirms it, and reports it. To confirm a finding, its run is

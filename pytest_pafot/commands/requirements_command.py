@@ -54,14 +54,15 @@ FAILED = ("failed", "error")
 """The results of items that fail."""
 
 _STATE_OF: Mapping[str, str] = {
-    "fixed": FIXED, "fixed before": FIXED, "drifted": DRIFTED, "judged otherwise": DRIFTED, "flaky": FLAKY,
+    "passes": FIXED, "fixed": FIXED, "fixed before": FIXED, "drifted": DRIFTED, "judged otherwise": DRIFTED,
+    "flaky": FLAKY,
 }  # fmt: skip
 """The state by the status of a finding in the results, unless its item fails; any other status is open."""
 
 
 def _passes(entry: Mapping[str, Any]) -> bool:
     """Return whether the saved scenario of an entry passed. Its item fails even so if its failure was accepted."""
-    return entry.get("status") in ("fixed", "fixed before") or (
+    return entry.get("status") in ("passes", "fixed", "fixed before", "still failing elsewhere") or (
         entry.get("status") in (DRIFTED, "judged otherwise") and not entry.get("headline")
     )
 
@@ -356,9 +357,17 @@ class Course:
         """Follow each finding and each failing test through the sessions."""
         course = cls(sessions)
         for number, session in enumerate(sessions):
+            # A shard that only replayed does not know what the search of the same test found in another shard.
+            found = {
+                (name_without(SEARCH_PART, each["node_id"]), signature)
+                for each in session.searches
+                for signature in each.get("failures", ())
+            }
             for entry in session.findings:
                 test = course._names(entry["test"] if entry.get("test") else entry["node_id"], entry)
-                course._see((test, entry.get("id", "")), number, Event(_state_in(entry), entry))
+                state = _state_in(entry)
+                is_elsewhere = state == FIXED and (test, entry.get("signature")) in found
+                course._see((test, entry.get("id", "")), number, Event(OPEN if is_elsewhere else state, entry))
             others = [(name_without(SEARCH_PART, entry["node_id"]), entry) for entry in session.searches]
             for test, entry in (*others, *((entry["node_id"], entry) for entry in session.tests)):
                 course._names(test, entry)
@@ -432,8 +441,8 @@ class Course:
         detail = "not replayed by a given session" if not events else ""
         if saved is None and id_:
             detail = "its test was not collected here" if is_file else "not in the corpus here"
-        if entry.get("status") in ("still failing, nearby", "error"):
-            detail = entry["status"]
+        if entry.get("status") in ("still failing, nearby", "still failing elsewhere", "error"):
+            detail = ": ".join(filter(None, [entry["status"], entry.get("elsewhere", "")]))
         if not id_:
             detail = one_line(entry.get("message", ""))
         is_beyond = entry.get("result") in FAILED and not _passes(entry)

@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, field, fields, replace
 from datetime import date
 from types import TracebackType
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple, Self
 
 import numpy as np
 
@@ -334,7 +334,7 @@ class Finding(Shown):
         original: the scenario as first found, if shrinking has replaced it by a simpler scenario; otherwise None.
         shrunk: the result of shrinking; None if the scenario was not shrunk.
         neighbours: how many neighbours of the scenario failed in the same way when it was found; None if that was not
-            examined. It is only a label.
+            examined. A replay takes from it how many neighbours it drives.
         flaky: what differed when the scenario was run again, or None; a flaky finding is never reported as fixed.
         xfail: the user's reason to accept the failure, or None.
         xfail_until: the last day on which the failure is accepted; None for no end.
@@ -479,9 +479,36 @@ def _told(value: float | None, digits: int) -> float | None:
     return round(value, digits) if abs(value) >= 1 else float(f"{value:.{digits}g}")
 
 
+class Manner(NamedTuple):
+    """How a failure came about: what may differ between failures of one signature, and hint at another defect."""
+
+    fault: str
+    npc_manoeuvre: str
+    ego_manoeuvre: str
+    place: str
+
+    @classmethod
+    def of(cls, expect: Expect) -> Self:
+        """Return the manner of a failure as a file describes it; empty texts where it has none."""
+        place = expect.zone or ("" if expect.cell is None else f"{expect.cell.label} of the ego")
+        return cls(expect.fault or "", expect.npc_manoeuvre or "", expect.ego_manoeuvre or "", place)
+
+    def unlike(self, other: Manner) -> list[str]:
+        """Return in words what differs from another manner; empty if nothing does, or if it is unknown there."""
+        names = ("", "NPC's ", "ego's ", "")
+        pairs = zip(names, self, other, strict=True)
+        return [f"{name}{own}, not {theirs}" for name, own, theirs in pairs if own and theirs and own != theirs]
+
+
+def failed_as(run: Run, failure: Failure) -> tuple[Signature, Manner]:
+    """Return the signature of a run that failed, and its manner."""
+    expect = replace(Expect.of(run, failure), mistake=mistake_of(run.trace))
+    return expect.signature, Manner.of(expect)
+
+
 def of_failure(run: Run, failure: Failure) -> Signature:
     """Return the signature of a run that failed."""
-    return replace(Expect.of(run, failure), mistake=mistake_of(run.trace)).signature
+    return failed_as(run, failure)[0]
 
 
 def is_id(text: str) -> bool:

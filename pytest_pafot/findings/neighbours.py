@@ -47,6 +47,11 @@ LEAST_SPEED = 0.1
 """The lowest speed of an NPC that crosses [m/s]."""
 STAYING = ("seed", "ego_lane", "ego_speed", "gene_seconds", "traffic")
 """The fields of a scenario beside its chains. They stay, unless a neighbour differs in one of them."""
+WIDE = 3.0
+"""The share of the steps below for the neighbours of a replay, because a policy that was changed fails elsewhere: with
+an ego that starts up to 4.5 m/s slower or faster, with speeds and durations up to 30 % apart."""
+FEWEST, MOST = 10, 30
+"""The number of neighbours of a replay: of a broad failure, and of one that is a knife edge."""
 LEAST_CHANGE = 0.02
 """The share by which an ego must be faster or slower than another one, so that scenarios are re-timed for it."""
 MISSES = 200
@@ -89,6 +94,11 @@ class Breadth:
         if self.rank == 0:
             return "knife edge"
         return "broad" if self.rank > 1 / 2 else "narrow"
+
+    @property
+    def needed(self) -> int:
+        """The number of neighbours that a replay runs: the more, the fewer of them failed."""
+        return round(FEWEST + (MOST - FEWEST) * max(0.0, 1 - 2 * self.rank))
 
     def __str__(self) -> str:
         # Without numbers, because neighbours with other steps would give other numbers.
@@ -145,7 +155,7 @@ def breadth_of(
 def neighbours(scenario: Scenario, share: float, limits: Limits) -> Iterator[Scenario]:
     """Yield different neighbours of a scenario, until hardly any more are drawn.
 
-    ``share`` is the size of the steps as a share of the full ones, such as those of :data:`SHARES`.
+    ``share`` is the size of the steps as a share of the full ones, such as those of :data:`SHARES`, or :data:`WIDE`.
 
     Each neighbour differs in one of four ways: in the speed of each instruction a little; in all speeds by the same
     factor; in one instruction, after which the cells of others are repaired where they no longer fit; or in the start
@@ -168,7 +178,7 @@ def around(scenario: Scenario, pace: float, limits: Limits) -> Iterator[Scenario
     """Yield neighbours of a scenario for an ego that drives ``pace`` times as fast as the one that the scenario failed.
 
     They are the scenario re-timed for this ego, in three ways: all speeds are scaled; the duration of the genes is; or
-    both. Then they are neighbours of these scenarios and of the scenario itself, in turn.
+    both. Then they are wide neighbours of these scenarios and of the scenario itself, in turn.
     """
     found, bases = {scenario}, [scenario]
     if abs(pace - 1) >= LEAST_CHANGE:
@@ -176,7 +186,7 @@ def around(scenario: Scenario, pace: float, limits: Limits) -> Iterator[Scenario
         stretched = [_scaling(each, limits).lasting(seconds) for each in (scenario, scaled)]
         bases = [scaled, *stretched, scenario]
     re_timed = [_longer(each, limits.longest_run) for each in bases[:-1]]
-    drawn = in_turn.from_iterable(zip_longest(*(neighbours(each, 1.0, limits) for each in bases)))
+    drawn = in_turn.from_iterable(zip_longest(*(neighbours(each, WIDE, limits) for each in bases)))
     for each in in_turn(filter(limits.fits, re_timed), drawn):
         if each is not None and each not in found:
             found.add(each)

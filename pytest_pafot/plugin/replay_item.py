@@ -34,7 +34,7 @@ from pytest_pafot.plugin.own_session import replay_in_own_session
 from pytest_pafot.plugin.search_item import harness_of, shown
 from pytest_pafot.plugin.session import SHARED
 from pytest_pafot.support.errors import command, flag
-from pytest_pafot.support.text import ascii_text, fitted_lines, plural, visible
+from pytest_pafot.support.text import ascii_text, fitted_lines, visible
 
 NEARBY_SHOWN = pytest.StashKey[Finding]()
 """The finding that a neighbour of a saved scenario shows, for the command that puts it into the file."""
@@ -76,7 +76,8 @@ def run_replay(item: pytest.Function, request: Request, saved: Saved) -> None:
     beyond = "" if verdict.failure is None else replays.beyond_acceptance(finding, run, verdict.failure)
     if beyond:
         item.stash[NOT_ACCEPTED] = beyond
-    told = [note, _rests_on(label, now.around), _against(replays), f"worse: {worse}" if worse else ""]
+    nearby_only = "the saved scenario passes, but a neighbour of it fails in the same way" if label == NEARBY else ""
+    told = [note, nearby_only, _against(replays), f"worse: {worse}" if worse else ""]
     told += replays.setting_changes(finding)
     detail = "; ".join(filter(None, told))
     item.stash[REPLAYED] = label, run, verdict, note
@@ -85,23 +86,16 @@ def run_replay(item: pytest.Function, request: Request, saved: Saved) -> None:
         told = [missed, replays.changes(finding, happened(finding, run, verdict.failure)), note]
         detail = "; ".join(filter(None, told))
     line = headline(run, verdict) if verdict.failed else ""
-    _tell(item, replays, saved, label, now, headline=line, detail=detail)
+    find = _tell(item, replays, saved, label, now, headline=line, detail=detail)
     item.stash[OF_ONE_RUN].show(run)  # the last call may have been for the reference
     if nearby is not None:
         item.stash[NEARBY_SHOWN] = nearby
     if finding.xfail is not None and not verdict.failed:
-        _tell_pass(item, finding, label, path, is_accepted=replays.accepts(finding))
+        _tell_pass(item, finding, find, path, is_accepted=replays.accepts(finding))
     told = [] if nearby is None else _nearby_lines(item, nearby, path)
     if beyond:
         told.append(_beyond(finding, path, beyond))
     _conclude(item, run, verdict, label, detail, told, is_strict=request.settings.strict_drift)
-
-
-def _rests_on(label: str, around: Around) -> str:
-    """Say how many neighbours of a saved scenario pass as well, or that the scenario itself passes."""
-    if label == NEARBY:
-        return "the saved scenario passes, but a neighbour of it fails in the same way"
-    return f"rests on {plural(around.passing, 'neighbour')}" if label == "fixed" and around.passing else ""
 
 
 def _beyond(finding: Finding, path: str, how: str) -> str:
@@ -146,10 +140,10 @@ def _check_set_up(item: pytest.Function, replays: Replays, saved: Saved, run: Ru
     raise error
 
 
-def _tell_pass(item: pytest.Function, finding: Finding, label: str, path: str, *, is_accepted: bool) -> None:
+def _tell_pass(item: pytest.Function, finding: Finding, find: Find, path: str, *, is_accepted: bool) -> None:
     """Ask to remove the line ``xfail`` of a file that passes. A flaky file stays accepted: it passes by chance."""
-    if label != FLAKY and not (is_accepted and finding.xfail_flaky):
-        _add_section(item, [f"{label}: remove the line `xfail:` from {path}"])
+    if find.label != FLAKY and not (is_accepted and finding.xfail_flaky):
+        _add_section(item, [f"{find.result}: remove the line `xfail:` from {path}"])
     elif is_accepted and not finding.xfail_flaky:
         pytest.xfail(f"{visible(finding.xfail or '')}; flaky: it passed this time")
 
@@ -202,8 +196,8 @@ def _tell(
     *,
     headline: str,
     detail: str,
-) -> None:
-    """Report a replay to the controller; ``now`` is None if the process of the replay died or hung."""
+) -> Find:
+    """Report a replay to the controller and return it; ``now`` is None if the process of the replay died or hung."""
     finding, path = saved.finding, relative(saved.path, replays.harness.root)
     if finding is None:
         raise ValueError(f"saved: expected a file that can be read, received {saved!r:.100}")
@@ -218,6 +212,8 @@ def _tell(
     find = Find(
         id=finding.id,
         node_id=item.nodeid,
+        test=node_ids.base_id(item),
+        signature=finding.signature.text,
         label=label,
         headline=headline,
         path=path,
@@ -228,7 +224,7 @@ def _tell(
         against=replays.harness.against_name,
         is_accepted=is_accepted,
         may_pass=may_pass,
-        rests_on=around.passing,
+        neighbours=around.passing,
     )
     if headline:
         set_properties(item.user_properties, severity=severity_text(find.severity))
@@ -249,8 +245,9 @@ def _tell(
         note="" if now is None else now.note,
         seconds=around.seconds,
     )
-    item.user_properties.append(("pafot", label))
+    item.user_properties.append(("pafot", find.heading))
     set_properties(item.user_properties, detail=detail)
+    return find
 
 
 def _add_section(item: pytest.Item, lines: Iterable[str]) -> None:

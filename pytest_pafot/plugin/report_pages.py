@@ -21,6 +21,7 @@ from pytest_pafot.support.errors import flag, rerun
 from pytest_pafot.support.traced import Traced, counted
 
 if TYPE_CHECKING:
+    from pytest_pafot.campaign.events import SearchSummary
     from pytest_pafot.report.page import Draft
     from pytest_pafot.report.page_data import FindingView
 
@@ -33,6 +34,7 @@ class Pages:
         self._drafts: dict[Path, Draft] = {}
         self._is_compared = False
         self._rows: dict[str, FindingView] = {}
+        self._searches: list[SearchSummary] = []
         self._runs: dict[str, int] = {}
         self._labels: dict[str, str] = {}
         self._targets: dict[str, Path] = {}
@@ -48,6 +50,11 @@ class Pages:
         if message is not None:
             if "target" in message.data:  # of a finding or a search whose item asks for a page
                 self._take(report.nodeid, message.data)
+            if message.kind == "search":
+                from pytest_pafot.campaign.events import SearchSummary  # noqa: PLC0415
+                from pytest_pafot.searching.plain import from_plain  # noqa: PLC0415
+
+                self._searches.append(from_plain(SearchSummary, message.data["summary"]))
             self._is_compared |= message.kind == "compared"  # so that it is known why no search ran
             return
         told = Traced.of_properties(report.user_properties)
@@ -101,6 +108,7 @@ class Pages:
             self._drafts.setdefault(path, Draft(target=target)).take(find, finding, campaign, data.get("base_seed"))
 
     def _write(self, path: Path, draft: Draft, *, is_interrupted: bool) -> tuple[str, str]:
+        from pytest_pafot.campaign.events import by_test  # noqa: PLC0415
         from pytest_pafot.report.page import write_report  # noqa: PLC0415
 
         errors = tuple(
@@ -116,6 +124,7 @@ class Pages:
             findings=map(self._completed, draft.findings.values()),
             errors=errors,
             is_interrupted=is_interrupted,
+            searches=by_test(self._searches),
             requirements=self._requirements(draft),
         )
         told = ["", ""]

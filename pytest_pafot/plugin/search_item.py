@@ -261,9 +261,9 @@ def run_search(item: pytest.Function, request: Request) -> None:
     # Each failure needs an item that fails for it. A file saved after the collection has no item in this session.
     here = item.config.stash[COLLECTED].get(harness.folder, {})
     late = [file.name.removesuffix(SUFFIX) for file in files_in(harness.folder) if file.name not in here]
-    covered = [f"{plural(summary.known[id_], 'run')} covered by {id_}" for id_ in late if id_ in summary.known]
-    if covered:
-        _fail(item, "failures that were saved after this session collected its tests; run it again", covered)
+    alike = [f"{plural(summary.known[id_], 'run')} like {id_}" for id_ in late if id_ in summary.known]
+    if alike:
+        _fail(item, "failures that were saved after this session collected its tests; run it again", alike)
     if summary.reason == "replay only":
         return
     if result.skip is not None:

@@ -15,7 +15,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
@@ -31,7 +31,7 @@ from pytest_pafot.support.errors import flag, rerun
 from pytest_pafot.support.traced import Traced
 
 if TYPE_CHECKING:
-    from pytest_pafot.campaign.events import SearchSummary
+    from pytest_pafot.campaign.events import Find, SearchSummary
     from pytest_pafot.report.session_record import FindingRecord, OrphanRecord, SessionRecord
 
 JSON = BY_NAME["json"]
@@ -59,6 +59,7 @@ class Records:
         self._lines = config.stash[SUMMARY_LINES]
         self._searches: dict[str, SearchSummary] = {}  # by node id, like the findings
         self._findings: dict[str, FindingRecord] = {}
+        self._replays: dict[str, Find] = {}
         self._runs: dict[str, int] = {}
         self._results: dict[str, list[str]] = {}
         self._reasons: dict[str, str] = {}
@@ -99,7 +100,7 @@ class Records:
                 self._lines.problems.append(f"{SUMMARY}={path}: not written: {problem}")
 
     def _take(self, node_id: str, message: messages.Message) -> None:
-        from pytest_pafot.campaign.events import SearchSummary  # noqa: PLC0415
+        from pytest_pafot.campaign.events import Find, SearchSummary  # noqa: PLC0415
         from pytest_pafot.report.session_record import FindingRecord  # noqa: PLC0415
         from pytest_pafot.searching.plain import from_plain  # noqa: PLC0415
 
@@ -113,7 +114,10 @@ class Records:
                 if told is not None and told.unshrunk:  # from a search whose new file this session replays as well
                     finding = replace(finding, unshrunk=told.unshrunk)
                 self._findings[finding.node_id] = finding
-                if finding.is_new:
+                self._replays.pop(finding.node_id, None)
+                if not finding.is_new:
+                    self._replays[finding.node_id] = from_plain(Find, data["find"])
+                else:
                     self._write_json(None)
             case "search":
                 summary = self._searches[node_id] = from_plain(SearchSummary, data["summary"])
@@ -164,6 +168,7 @@ class Records:
             self._searches.setdefault(report.nodeid, SearchSummary(node_id=report.nodeid))
 
     def _record(self, code: int | None) -> SessionRecord:
+        from pytest_pafot.campaign.events import by_test, concluded  # noqa: PLC0415
         from pytest_pafot.report.session_record import (  # noqa: PLC0415
             ItemRecord,
             SessionRecord,
@@ -178,6 +183,12 @@ class Records:
             node_id: {**asdict(told), "requirements": list(told.requirements)} for node_id, told in self._traced.items()
         }
         others = sorted(self._traced.keys() - self._searches.keys() - self._findings.keys())
+        searches = by_test(self._searches.values())
+        replays = {node_id: concluded(find, searches) for node_id, find in self._replays.items()}
+        said: dict[str, dict[str, Any]] = {
+            node_id: {"status": find.result, "searched": find.searched, "elsewhere": find.elsewhere}
+            for node_id, find in replays.items()
+        }
         return SessionRecord(
             exit=code,
             commit=self._config.getoption(BY_NAME["commit"].key),
@@ -199,6 +210,7 @@ class Records:
                     runs=self._runs.get(node_id, 0),
                     headline=same(finding.headline),
                     detail=same(finding.detail),
+                    **said.get(node_id, {}),
                     **traced.get(node_id, {}),
                 )
                 for node_id, finding in sorted(self._findings.items())

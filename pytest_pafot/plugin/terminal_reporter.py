@@ -147,11 +147,11 @@ class Reporter:
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_report_teststatus(self, report: pytest.TestReport | pytest.CollectReport) -> tuple[str, str, str] | None:
-        """Return how pytest counts and prints a replay that passes; ``-v`` prints its label, such as ``fixed``."""
+        """Return how pytest counts and prints a replay that passes; ``-v`` prints its result."""
         if report.when != "call" or hasattr(report, "wasxfail"):
             return None
-        label = dict(report.user_properties).get("pafot")
-        return ("passed", ".", f"PASSED ({label})") if label is not None and report.passed else None
+        shown = dict(report.user_properties).get("pafot")
+        return ("passed", ".", f"PASSED ({shown})") if shown is not None and report.passed else None
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_sessionfinish(self) -> None:
@@ -189,12 +189,13 @@ class Reporter:
         told = (unrun.orphans, unrun.strays, unrun.unmerged)
         if not any((self._searches, self._replays, self._running, self._notes, self._warnings, *told, *lines)):
             return []
+        from pytest_pafot.campaign.events import by_test, concluded  # noqa: PLC0415
         from pytest_pafot.report import terminal  # noqa: PLC0415
 
         left = [(folder, orphan.expected, files_in(folder)) for folder, orphan in unrun.orphans.items()]
         session = terminal.SessionSummary(
             searches=self._searches,
-            replays=self._replays,
+            replays=[concluded(each, by_test(self._searches)) for each in self._replays],
             neighbour_seconds=self._neighbour_seconds,
             orphans=[
                 (self._relative(folder), [each.name for each in files], why) for folder, why, files in left if files

@@ -13,7 +13,7 @@ import pickle
 import re
 import zlib
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from datetime import UTC, datetime
 from html import escape
@@ -22,10 +22,11 @@ from itertools import islice
 from pathlib import Path
 from string import Template
 from textwrap import dedent
+from types import MappingProxyType
 from typing import Any
 from urllib.parse import quote
 
-from pytest_pafot.campaign.events import NEW, Find
+from pytest_pafot.campaign.events import NEW, Find, SearchSummary, concluded
 from pytest_pafot.campaign.options import is_page_file
 from pytest_pafot.corpus.layout import SUFFIX
 from pytest_pafot.findings.finding import JUDGED_OTHERWISE
@@ -561,17 +562,15 @@ WHOLE = 100
 class Draft:
     """The part of a session's report that is known so far; ``--pafot-report`` names the target.
 
-    Findings, searches and details of drifted scenarios are stored by node id, the number of replays by label, and base
-    seeds in the order in which they arrived. What only whole findings show of a finding is compressed, because it takes
-    half a megabyte, and a session may have thousands.
+    Findings, searches and replays are stored by node id, and base seeds in the order in which they arrived. What only
+    whole findings show of a finding is compressed, because it takes half a megabyte, and a session may have thousands.
     """
 
     target: str
     findings: dict[str, FindingView] = field(default_factory=dict)
     _whole: dict[str, bytes] = field(default_factory=dict)
     campaigns: dict[str, CampaignView] = field(default_factory=dict)
-    replayed: Counter[str] = field(default_factory=Counter)
-    drifted: dict[str, str] = field(default_factory=dict)
+    replays: dict[str, Find] = field(default_factory=dict)
     seeds: dict[int | None, None] = field(default_factory=dict)
 
     def take(
@@ -589,9 +588,7 @@ class Draft:
             self.campaigns[campaign.node_id] = campaign
             self.seeds[base_seed] = None
         if find is not None and find.label != NEW:
-            self.replayed[find.label] += 1
-            if find.label in ("drifted", JUDGED_OTHERWISE):
-                self.drifted[find.node_id] = find.detail
+            self.replays[find.node_id] = find
 
     def report(
         self,
@@ -601,19 +598,20 @@ class Draft:
         findings: Iterable[FindingView],
         errors: Errors,
         is_interrupted: bool,
+        searches: Mapping[str, SearchSummary] = MappingProxyType({}),
         requirements: Iterable[tuple[Traced, int]] = (),
     ) -> Report:
         """Return the finished report, in an order that does not depend on which item ran first.
 
         ``findings`` are the findings of this draft, with what became known at the end of the session. Only the worst
-        are whole findings of the report.
+        are whole findings of the report. ``searches`` are the searches of the session by their tests.
         """
         ranked = sorted(findings, key=_rank)
         whole = [self._completed(finding) for finding in ranked[:WHOLE]]
         groups = list(dict.fromkeys(finding.group for finding in whole))
         return Report(
             title=f"{project}: {_numbers(ranked, errors)}",
-            facts=tuple(self._facts(is_interrupted=is_interrupted)),
+            facts=tuple(self._facts(searches, is_interrupted=is_interrupted)),
             command=command,
             findings=tuple(sorted(whole, key=lambda finding: groups.index(finding.group))),
             further=tuple(map(_as_row, ranked[WHOLE:])),
@@ -631,16 +629,21 @@ class Draft:
         whole: FindingView = pickle.loads(zlib.decompress(packed))  # noqa: S301  (of this process)
         return replace(whole, runs=finding.runs, label=finding.label)
 
-    def _facts(self, *, is_interrupted: bool) -> Iterator[tuple[str, str]]:
+    def _facts(self, searches: Mapping[str, SearchSummary], *, is_interrupted: bool) -> Iterator[tuple[str, str]]:
         if is_interrupted:
             yield "session", "interrupted; this report has what ran before that"
         if self.seeds:
             yield "base seed" if len(self.seeds) == 1 else "base seeds", ", ".join(map(str, self.seeds))
-        if self.replayed:
-            labels = ", ".join(f"{count} {label}" for label, count in sorted(self.replayed.items()))
-            yield "replayed", f"{plural(self.replayed.total(), 'saved scenario')}: {labels}"
-        for node_id, detail in sorted(self.drifted.items()):
-            yield "drifted", f"{node_id}: {detail}"
+        replays = [concluded(find, searches) for _, find in sorted(self.replays.items())]
+        if replays:
+            counts = sorted(Counter(find.result for find in replays).items())
+            results = ", ".join(f"{count} {result}" for result, count in counts)
+            yield "replayed", f"{plural(len(replays), 'saved scenario')}: {results}"
+        for find in replays:
+            if find.label in ("drifted", JUDGED_OTHERWISE):
+                yield "drifted", f"{find.node_id}: {find.detail}"
+            elif find.elsewhere:
+                yield find.label, f"{find.node_id}: {find.elsewhere}"
         yield from installed_versions().items()
         yield "written", datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC")
 

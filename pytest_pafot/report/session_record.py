@@ -15,7 +15,7 @@ from dataclasses import asdict, dataclass, field
 from types import MappingProxyType
 from typing import Any, Self
 
-from pytest_pafot.campaign.events import NEW, Find, SearchSummary
+from pytest_pafot.campaign.events import ELSEWHERE, NEW, PASSES, Find, SearchSummary
 from pytest_pafot.findings.finding import JUDGED_OTHERWISE, NEARBY, Finding, portable
 from pytest_pafot.findings.neighbours import Breadth
 from pytest_pafot.findings.severity import Severity, worsening, worst_first
@@ -48,8 +48,8 @@ class FindingRecord:
         node_id: node id of the item that replays it, in this session or, if it is new, from the next one on.
         id: name of its file without the suffix.
         test: node id of its test.
-        status: `new`; the label of its replay; or `error` if it could not be read or run. Then only its ids, `test`,
-            `result`, `file`, `replay` and `detail` are known.
+        status: `new`; the result of its replay, as in the summary; or `error` if it could not be read or run. Then only
+            its ids, `test`, `result`, `file`, `replay` and `detail` are known.
         result: result of the item: `passed`, `skipped`, `xfailed`, `failed`, `error`; empty if the item did not end.
         file, replay: path relative to the rootdir, null if it was not saved, and the command that replays it.
         scenario: its scenario, which `pafot.Scenario.from_canonical` reads; null if `status` is `error`.
@@ -79,7 +79,11 @@ class FindingRecord:
             and `reference`, in words: where the policy saw the NPC, what it answered, what it answers with the NPC
             hidden (empty for the same, null if unknown), with the smallest change of it that changes the answer, and
             what the reference answered. Null if none is known.
-        rests_on: the number of neighbours of a replayed scenario that pass.
+        neighbours: number of neighbours of a replayed scenario that were driven and pass.
+        searched: number of runs of the search of its test that found no such failure, if `status` is `fixed` or `fixed
+            before` and that search ran to its end in this session; otherwise 0.
+        elsewhere: id of the finding that the search of its test shows in this session, and that fails in the same way,
+            if `status` is `still failing elsewhere`; otherwise empty.
         severity: how bad the failure is now: `kind`, which is `collision` or `check`; `value`, the closing speed at the
             impact [m/s], or by how much the check is broken [`unit`], null if it measured no number; `delta_v` of a
             collision, for equal masses [m/s]; `margin` and `name` of a check. Null if it passes or has no measure.
@@ -120,7 +124,9 @@ class FindingRecord:
     breadth: Mapping[str, Any] | None = None
     answers: Mapping[str, Any] | None = None
     moment: Mapping[str, Any] | None = None
-    rests_on: int = 0
+    neighbours: int = 0
+    searched: int = 0
+    elsewhere: str = ""
     severity: Mapping[str, Any] | None = None
     severity_before: Mapping[str, Any] | None = None
     xfail: Mapping[str, Any] | None = None
@@ -142,7 +148,7 @@ class FindingRecord:
         return cls(
             node_id=find.node_id,
             id=finding.id,
-            status=find.label,
+            status=find.result,
             test=finding.test,
             file=find.path or None,
             replay=replay,
@@ -169,7 +175,7 @@ class FindingRecord:
             breadth=None if find.breadth is None else asdict(find.breadth),
             answers=None if find.answers is None else asdict(find.answers),
             moment=None if find.moment is None else asdict(find.moment),
-            rests_on=find.rests_on,
+            neighbours=find.neighbours,
             severity=None if find.severity is None else find.severity.data(),
             severity_before=None if find.severity_before is None else find.severity_before.data(),
             xfail=None if finding.xfail is None else accepted,
@@ -307,11 +313,13 @@ _GROUPS: Mapping[str, str] = MappingProxyType(
         ERROR: "Could not be read or run",
         "still failing": "Known, still failing",
         NEARBY: "Still failing nearby: the saved scenario passes, a neighbour of it does not",
+        ELSEWHERE: "Still failing elsewhere: the saved scenario passes, the search found the same failure",
         "drifted": "Drifted: the run differs from the file, so this is no fix",
         JUDGED_OTHERWISE: "Judged otherwise, by other rules than when it was saved: this is no fix",
         "flaky": "Flaky",
         "common": "Known, and also failing in the reference",
         ACCEPTED: "Accepted for now",
+        PASSES: "Pass, and no search of this session looked for the same failure",
         "fixed": "Fixed",
         "fixed before": "Fixed before",
     }
@@ -379,7 +387,8 @@ def _rank(finding: FindingRecord) -> tuple[Any, ...]:
 
 def _finding_lines(finding: FindingRecord) -> Iterator[str]:
     """Yield two lines on a finding: its test and its description, then the command that replays it."""
-    told = [plain(finding.headline or finding.detail)]
+    elsewhere = f"{plain(finding.elsewhere)} fails in the same way" if finding.elsewhere else ""
+    told = [plain(finding.headline or elsewhere or finding.detail)]
     if finding.severity is not None:
         severity = Severity.of_data(finding.severity)
         before = None if finding.severity_before is None else Severity.of_data(finding.severity_before)

@@ -246,7 +246,10 @@ def search_lines(
         others = f"; {search.random_otherwise} failed in other ways" if search.random_otherwise else ""
         texts.append(f"{what}: {failing} of {counted} failed by the ego's fault{share and ', '}{share}{others}")
     texts += [f"coverage: {search.coverage}"] if verbose and search.coverage else []
-    texts += [f"known: {plural(count, 'run')} covered by saved-{id_}" for id_, count in sorted(search.known.items())]
+    for id_, count in sorted(search.known.items()):
+        texts.append(f"{plural(count, 'run')} {'fails' if count == 1 else 'fail'} like saved-{id_}, not looked at")
+        unlike = search.unlike.get(id_, ())
+        texts += [f"of them, unlike saved-{id_}: {', '.join(unlike)}"] if unlike else []
     texts += [f"warning: {warning}" for warning in search.warnings]
     texts += [f"note: {note}" for note in (*search.process_notes, *search.notes)]
     texts = [traced.described, *texts] if traced else texts
@@ -300,16 +303,17 @@ def replay_lines(replays: Sequence[Find], width: int = WIDTH, *, seconds: float 
     """
     if not replays:
         return []
-    counts = sorted(Counter(replay.label for replay in replays).items())
-    figures = ", ".join(f"{count} {label}" for label, count in counts)
-    several = sum(replay.rests_on for replay in replays)
+    counts = sorted(Counter(replay.result for replay in replays).items())
+    figures = ", ".join(f"{count} {result}" for result, count in counts)
+    several = sum(replay.neighbours for replay in replays)
     lines = wrapped_to(f"replayed {plural(len(replays), 'saved scenario')}: {figures}", width)
     if several:
         lines.append(f"  {plural(several, 'neighbour')} passed, in {seconds:.1f} s ({flag('replay_neighbours')})")
     shown = [replay for replay in replays if replay.may_pass or replay.label not in ("still failing", "common")]
     for replay in shown[:MAX_REPLAYS]:
-        lines.append(f"  {replay.label}: {replay.node_id}")
-        lines += [f"  {line}" for line in _wrapped(replay.detail, width - 2)] if replay.detail else []
+        lines.append(f"  {replay.heading}: {replay.node_id}")
+        told = "; ".join(filter(None, ["" if replay.driven == replay.heading else replay.driven, replay.detail]))
+        lines += [f"  {line}" for line in _wrapped(told, width - 2)] if told else []
     return [*lines, f"  ... and {len(shown) - MAX_REPLAYS} more"] if len(shown) > MAX_REPLAYS else lines
 
 

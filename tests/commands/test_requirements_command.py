@@ -31,13 +31,16 @@ TEST = "test_it.py::test_x"
 HIT = {"kind": "collision", "value": 9.8, "unit": "m/s", "margin": None, "name": "", "delta_v": 4.9}
 
 
+PASSED = ("passes", "fixed", "still failing elsewhere", "drifted", "flaky")
+
+
 def inventory(**tests):
     told = {f"test_it.py::{name}": Traced(requirements=ids, owner="planning") for name, ids in tests.items()}
     return Inventory(root=Path("/nowhere"), tests=told)
 
 
 def finding(id_="a-1", status="still failing", test=TEST, **more):
-    result = "passed" if status in ("fixed", "drifted", "flaky") else "failed"
+    result = "passed" if status in PASSED else "failed"
     return {"node_id": f"{test}[saved-{id_}]", "test": test, "id": id_, "status": status, "result": result, **more}
 
 
@@ -122,6 +125,24 @@ def test_shards_are_joined_also_if_another_commit_lies_between_them():
 def test_of_shards_that_differ_the_worst_counts(order):
     shards = [night(20, finding(status="fixed")), night(20, finding())]
     assert states(table_of(*(shards[number] for number in order))) == {"R1": "open"}
+
+
+@pytest.mark.parametrize("order", [(0, 1), (1, 0)])
+def test_a_pass_is_no_fix_if_the_search_of_another_shard_shows_the_failure(order):
+    shards = [
+        night(20, finding(status="passes", signature="hit"), searches=[]),
+        night(20, searches=[search(failures={"hit": "b-2"})]),
+    ]
+    assert states(table_of(*(shards[number] for number in order))) == {"R1": "open"}
+
+
+@pytest.mark.parametrize(
+    ("status", "state"),
+    [("passes", "no failure known"), ("fixed", "no failure known"), ("still failing elsewhere", "open")],
+)
+def test_only_a_failure_that_a_search_does_not_show_elsewhere_is_fixed(status, state):
+    table = table_of(night(20, finding()), night(21, finding(status=status, elsewhere="b-2")))
+    assert states(table) == {"R1": state}
 
 
 def test_session_that_skips_the_search_says_nothing_of_it():

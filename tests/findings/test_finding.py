@@ -6,7 +6,16 @@ import numpy as np
 import pytest
 
 from pytest_pafot.attribution.takeovers import Avoidance
-from pytest_pafot.findings.finding import Expect, Finding, Found, ads_failure, of_failure, portable, raised_failure
+from pytest_pafot.findings.finding import (
+    Expect,
+    Finding,
+    Found,
+    Manner,
+    ads_failure,
+    of_failure,
+    portable,
+    raised_failure,
+)
 from pytest_pafot.findings.signature import Failure, normalised
 from pytest_pafot.findings.situation import Situation
 from pytest_pafot.model.grid import Cell
@@ -243,3 +252,14 @@ def test_finding_repr_contains_no_ci_commands():
     shown = repr(plain_finding(test="test_a.py::test_it", flaky="x\n::error::\x1b[31m ##vso[task.complete]"))
     assert shown.isprintable()
     assert "##vso[" not in shown
+
+
+def test_manners_differ_in_fault_manoeuvres_and_place():
+    own = Manner("leader-unanswered", "lane-keeping", "lane-keeping", "front of the ego")
+    other = Manner("cut-in-unanswered", "lane-change", "lane-keeping", "front-left of the ego")
+    assert other.unlike(own) == [
+        "cut-in-unanswered, not leader-unanswered",
+        "NPC's lane-change, not lane-keeping",
+        "front-left of the ego, not front of the ego",
+    ]
+    assert own.unlike(own) == own.unlike(Manner("", "", "", "")) == []

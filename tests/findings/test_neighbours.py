@@ -16,6 +16,7 @@ from pytest_pafot.findings.neighbours import (
     SHARES,
     SLOT,
     SPEED,
+    WIDE,
     Breadth,
     Limits,
     breadth_of,
@@ -292,7 +293,23 @@ def test_re_timed_scenarios_have_other_speeds_or_other_times_or_both():
 
 
 def test_for_the_same_pace_they_are_the_neighbours():
-    assert tuple(islice(around_at(ON_GRID, 1.01, limits()), 9)) == around(ON_GRID, 9)
+    assert tuple(islice(around_at(ON_GRID, 1.01, limits()), 9)) == around(ON_GRID, 9, share=WIDE)
+
+
+def test_a_replay_has_slower_and_faster_egos_and_easier_traffic():
+    several = tuple(islice(around_at(IN_LANES, 1.0, limits()), 40))
+    starts = {each.ego_speed - IN_LANES.ego_speed for each in several}
+    assert min(starts) < -3
+    assert max(starts) > 3
+    first = {each.npcs[0][0].speed for each in several}
+    assert min(first) < 7
+    assert max(first) > 13
+    assert len({each.gene_seconds for each in several}) > 3
+
+
+@table(("failing", "needed"), [(40, 10), (20, 10), (15, 15), (3, 27), (0, 30)])
+def test_a_replay_runs_the_more_neighbours_the_narrower_its_failure_was(failing, needed):
+    assert Breadth(failing=failing, of=40, full=40).needed == needed
 
 
 def test_re_timed_scenarios_that_do_not_fit_are_left_out():

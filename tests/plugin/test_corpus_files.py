@@ -231,6 +231,6 @@ def test_failure_saved_meanwhile_by_another_session_still_fails(saved):
     saved.pytester.makeconftest(CONFTEST + late)
     result = saved.run()
     result.assert_outcomes(failed=1)
-    result.stdout.fnmatch_lines(["*failures that were saved after*run it again:", f"*runs covered by {id_}"])
+    result.stdout.fnmatch_lines(["*failures that were saved after*run it again:", f"*runs like {id_}"])
     saved.pytester.makeconftest(CONFTEST)
     saved.run().assert_outcomes(failed=1, passed=1)

@@ -85,7 +85,7 @@ def test_search_after_a_saved_crash_runs_isolated(crash):
     result.stdout.fnmatch_lines(
         [
             "*ended: all generations done*",
-            "*covered by saved-crash-*",
+            "*like saved-crash-*",
             "*note: ran as with --pafot-isolate, since a process died in this search before*",
             "*1 saved scenario: 1 still failing*",
         ]
@@ -117,7 +117,7 @@ def test_a_crash_that_comes_no_more_is_fixed(crash, more):
     path.write_text(path.read_text() + more)
     result = replayed(crash)
     result.assert_outcomes(passed=2, skipped=1)
-    result.stdout.fnmatch_lines(["*1 saved scenario: 1 fixed*"])
+    result.stdout.fnmatch_lines(["*1 saved scenario: 1 passes*"])
 
 
 def test_accepted_crash_is_tried_and_expires_when_fixed(crash):
@@ -127,7 +127,7 @@ def test_accepted_crash_is_tried_and_expires_when_fixed(crash):
     crash.mend()
     result = replayed(crash)
     result.assert_outcomes(failed=1, passed=1, skipped=1)
-    result.stdout.fnmatch_lines(["*XPASS(strict)*native code*", "fixed: remove the line `xfail:` from *"])
+    result.stdout.fnmatch_lines(["*XPASS(strict)*native code*", "passes: remove the line `xfail:` from *"])
 
 
 @forks

@@ -1,4 +1,4 @@
-"""Neighbours of a saved scenario that passes: what a fix rests on, and ``corpus nearby``."""
+"""Neighbours of a saved scenario that passes: what a replay says then, and ``corpus nearby``."""
 
 import json
 import re
@@ -66,24 +66,33 @@ def replay(project, *args):
     return result, record
 
 
-def test_a_fix_says_on_how_many_neighbours_it_rests(saved):
+def test_a_replay_says_how_many_neighbours_pass_as_well(saved):
     result, record = replay(saved)
     result.assert_outcomes(passed=1, skipped=1)
-    assert (record["status"], record["rests_on"]) == ("fixed", 10)
+    assert (record["status"], record["neighbours"]) == ("passes", 10)
     result.stdout.re_match_lines(
         [
-            "replayed 1 saved scenario: 1 fixed",
+            "replayed 1 saved scenario: 1 passes",
             r"  10 neighbours passed, in \d+\.\d s .*",
-            "  fixed: .*",
-            " +rests on 10 .*",
+            "  passes, and so do 10 neighbours: .*",
         ]
     )
 
 
-@pytest.mark.parametrize(("number", "rests_on"), [(0, 0), (3, 3)])
-def test_the_number_is_an_option(saved, number, rests_on):
+@pytest.mark.parametrize(("number", "neighbours"), [(0, 0), (3, 3)])
+def test_the_number_is_an_option(saved, number, neighbours):
     _, record = replay(saved, f"--pafot-replay-neighbours={number}")
-    assert (record["status"], record["rests_on"]) == ("fixed", rests_on)
+    assert (record["status"], record["neighbours"]) == ("passes", neighbours)
+
+
+@pytest.mark.parametrize(("failing", "number"), [(40, 10), (3, 27), (0, 30)])
+def test_a_narrow_failure_has_more_neighbours(saved, failing, number):
+    file = saved.path / saved.files[0]
+    file.write_text(file.read_text().replace("# xfail:", f"neighbours: {{failing: {failing}, of: 40}}\n# xfail:"))
+    result, record = replay(saved)
+    assert record["neighbours"] == number
+    result.stdout.fnmatch_lines([f"  passes, and so do {number} neighbours: *"])
+    assert replay(saved, "--pafot-replay-neighbours=4")[1]["neighbours"] == 4
 
 
 def test_a_neighbour_that_fails_by_the_same_mistake_fails_the_replay(project):
@@ -105,7 +114,7 @@ def test_a_neighbour_that_fails_by_the_same_mistake_fails_the_replay(project):
     )
     off, record = replay(project, "--pafot-replay-neighbours=0")
     off.assert_outcomes(passed=1, skipped=1)
-    assert record["status"] == "fixed"
+    assert record["status"] == "passes"
 
 
 @pytest.mark.processes
@@ -176,7 +185,7 @@ def test_an_ego_of_another_speed_is_told_in_the_file_and_re_timed_for(saved):
 def test_a_death_in_a_neighbour_is_only_reported(project):
     fixed(project, "dying")
     result, record = replay(project, "--pafot-isolate")
-    assert record["status"] == "fixed"
+    assert record["status"] == "passes"
     assert "in a neighbour, the process ended with exit code 9" in record["detail"]
     result.assert_outcomes(passed=1, skipped=1)
 

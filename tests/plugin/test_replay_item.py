@@ -47,7 +47,7 @@ def test_passing_scenario_is_labelled_fixed_but_not_removed(saved):
     saved.write(PASSES)
     result = saved.run("-v", generations=0)
     result.assert_outcomes(passed=1, skipped=1)
-    result.stdout.fnmatch_lines(["*saved-* PASSED (fixed)*", "replayed 1 saved scenario: 1 fixed"])
+    result.stdout.fnmatch_lines(["*saved-* PASSED (passes*)*", "replayed 1 saved scenario: 1 passes"])
     assert saved.contents == before
 
 
@@ -61,7 +61,7 @@ def test_a_search_counts_a_known_failure_and_passes(saved):
     before = saved.contents
     result = saved.run(generations=5)
     result.assert_outcomes(failed=1, passed=1)
-    result.stdout.fnmatch_lines([f"  known: * covered by saved-{saved.only_id}"])
+    result.stdout.fnmatch_lines([f"  * like saved-{saved.only_id}, not looked at"])
     assert saved.contents == before
 
 
@@ -76,7 +76,7 @@ def test_accepted_failure_lets_the_session_pass(saved):
     result = saved.run(generations=5)
     assert result.ret == 0
     result.assert_outcomes(passed=1, xfailed=1)
-    result.stdout.fnmatch_lines([f"  known: * covered by saved-{saved.only_id}"])
+    result.stdout.fnmatch_lines([f"  * like saved-{saved.only_id}, not looked at"])
 
 
 def test_accepted_file_that_passes_fails_until_line_removed(saved):
@@ -85,7 +85,7 @@ def test_accepted_file_that_passes_fails_until_line_removed(saved):
     result = saved.run(generations=0)
     result.assert_outcomes(failed=1, skipped=1)
     result.stdout.fnmatch_lines(
-        ["[[]XPASS(strict)] planner issue 12", f"fixed: remove the line `xfail:` from {saved.files[0]}"]
+        ["[[]XPASS(strict)] planner issue 12", f"passes: remove the line `xfail:` from {saved.files[0]}"]
     )
 
 
@@ -330,7 +330,7 @@ def test_replay_says_that_the_test_names_another_world(saved):
     saved.write(PASSES.replace("@pafot.search(", "@pafot.search(lanes=5, "))
     result = saved.run(generations=0)
     assert OTHER_WORLD in " ".join(result.stdout.str().split())
-    result.stdout.fnmatch_lines(["replayed 1 saved scenario: 1 fixed"])
+    result.stdout.fnmatch_lines(["replayed 1 saved scenario: 1 passes"])
 
 
 def test_replay_says_that_the_test_names_other_traffic(saved):
@@ -402,7 +402,7 @@ def test_a_search_finds_no_accepted_flaky_failure_again(project, by_chance, line
     by_chance("4")  # The replay passes, and later runs of the search fail in the same way.
     result = project.run("--pafot-today=2027-01-31", "test_it.py::test_brakes[search]", generations=2)
     result.assert_outcomes(passed=1)
-    result.stdout.fnmatch_lines([f"  known: * covered by saved-{project.only_id}"])
+    result.stdout.fnmatch_lines([f"  * like saved-{project.only_id}, not looked at"])
     assert project.contents == before
     over = project.run("--pafot-today=2027-02-01", "test_it.py::test_brakes[search]", generations=2)
     assert over.ret == pytest.ExitCode.TESTS_FAILED
@@ -421,9 +421,9 @@ def test_failure_accepted_as_flaky_may_pass_until_its_last_day(saved):
     passes.assert_outcomes(xpassed=1, skipped=1)
     assert passes.ret == 0
     assert "remove the line" not in passes.stdout.str()
-    passes.stdout.fnmatch_lines(["  fixed: *", "*accepted: planner issue 12, flaky until 2027-01-31"])
+    passes.stdout.fnmatch_lines(["  passes*: *", "*accepted: planner issue 12, flaky until 2027-01-31"])
     (record,) = json.loads((saved.path / "r.json").read_text())["findings"]
-    assert record["status"] == "fixed"
+    assert record["status"] == "passes"
     assert record["xfail"] == {"reason": "planner issue 12", "until": "2027-01-31", "flaky": True}
     saved.run("--pafot-today=2027-02-01", generations=0).assert_outcomes(passed=1, skipped=1)
 
@@ -449,5 +449,5 @@ def test_replay_mentions_weights_that_have_changed(project):
     project.run(generations=0).stdout.fnmatch_lines(["replay: still failing, found with other weights"])
     project.write(TRAINED.replace("LIMIT", "100").replace("sha256:1", "sha256:2"))
     project.run(generations=0).stdout.fnmatch_lines(
-        ["  fixed: *", "    rests on 10 neighbours; found with other weights"]
+        ["  passes, and so do 10 neighbours: *", "    found with other weights"]
     )

@@ -87,7 +87,7 @@ def test_a_fixed_scenario_is_counted_and_not_shown(saved, page):
     saved.write("@pafot.search(SHORT)\ndef test_fails(run):\n    pass\n")
     saved.run("--pafot-report=report.html", generations=0)
     assert data_of(page)["findings"] == []
-    assert "1 saved scenario: 1 fixed" in page.read_text(encoding="utf-8")
+    assert "1 saved scenario: 1 passes" in page.read_text(encoding="utf-8")
 
 
 def test_unsaved_finding_shows_the_command_of_its_search(failing, page):

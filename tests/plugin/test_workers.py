@@ -1,5 +1,6 @@
 """The option `workers`: several processes, the same search."""
 
+import json
 import os
 import re
 import signal
@@ -88,6 +89,27 @@ def test_number_of_workers_does_not_change_the_results(dear):
         several.stdout.fnmatch_lines([IN_USE.replace("2", str(workers))])
         assert same == contents
         assert summary(several) == summary(alone)
+
+
+def test_number_of_workers_does_not_change_which_known_runs_are_looked_at(dear):
+    ego_only = MANY.replace("gene_seconds=4", "gene_seconds=4, blame='ego'").replace(
+        "    assert run.min_distance > 1.9\n", ""
+    )
+    project = dear(test=ego_only)
+    project.run("--pafot-workers=1", "-p", "no:cacheprovider", generations=3)
+    told = []
+    for workers in (1, 2):
+        result = project.run(
+            f"--pafot-workers={workers}", "-p", "no:cacheprovider", "--pafot-json=out.json", generations=4
+        )
+        (search,) = json.loads((project.path / "out.json").read_text())["searches"]
+        told.append((search["known"], search["unlike"]))
+        result.stdout.re_match_lines(
+            [r"  \d+ runs fail like saved-.*, not looked at", "  of them, unlike saved-.*: .*, not .*"]
+        )
+    assert told[0] == told[1]
+    assert told[0][1]
+    assert all(0 < len(lines) <= 3 for lines in told[0][1].values())
 
 
 def test_early_ending_search_ends_at_same_run(dear):
@@ -195,7 +217,7 @@ def test_further_deaths_are_counted_and_later_known(dear):
     id_ = crash.removesuffix(".pafot.yaml")
     result.stdout.re_match_lines([rf".*{id_} \((?!1 )\d+ runs\)"])
     again = project.run("--pafot-workers=2", "-p", "no:cacheprovider", generations=6)
-    again.stdout.re_match_lines([rf"  known: \d+ runs? covered by saved-{id_}"])
+    again.stdout.re_match_lines([rf"  \d+ runs? fails? like saved-{id_}"])
     assert project.contents.keys() == contents.keys()
 
 

@@ -74,11 +74,11 @@ def test_findings_are_sorted_by_novelty_fault_and_severity(told):
 
 def test_facts_include_interrupt_replay_labels_and_versions():
     draft = Draft(target="x")
-    for label in ("fixed", "still failing", "fixed"):
-        draft.take(Find(id="a", node_id="t", label=label))
+    for number, label in enumerate(("fixed", "still failing", "fixed")):
+        draft.take(Find(id="a", node_id=f"t{number}", label=label))
     facts = dict(report_of(draft, is_interrupted=True).facts)
     assert facts["session"] == "interrupted; this report has what ran before that"
-    assert facts["replayed"] == "3 saved scenarios: 2 fixed, 1 still failing"
+    assert facts["replayed"] == "3 saved scenarios: 2 passes, 1 still failing"
     assert {"pytest-pafot", "highway-env", "numpy", "written"} <= set(facts)
     assert "base seed" not in facts
 

@@ -5,7 +5,7 @@ Long texts are in ``__snapshots__``. ``--snapshot-update`` rewrites them; read t
 
 from dataclasses import replace
 
-from pytest_pafot.campaign.events import Find, Progress, SearchSummary
+from pytest_pafot.campaign.events import Find, Progress, SearchSummary, concluded
 from pytest_pafot.findings.finding import Expect
 from pytest_pafot.findings.severity import Severity
 from pytest_pafot.findings.shrink import Shrunk
@@ -53,6 +53,7 @@ SEARCH = SearchSummary(
     failing=18,
     finds=(FIND,),
     known={"rear-6-abcdef": 4},
+    unlike={"rear-6-abcdef": ("1a2b3c (ego's lane-change, not lane-keeping)",)},
     warnings=(
         "NPCs reached the cell of only 12 % (1) of 8 Position-Instructions that they started; give them more time",
     ),
@@ -247,6 +248,24 @@ def test_finding_has_remark_when_reader_needs_it(flags, remark):
     assert Find(id="a", node_id="b", headline="c", **flags).remark == remark
 
 
+def test_a_replay_says_what_was_driven_and_what_the_search_found():
+    passes = replace(replay("saved-a", "fixed"), test="t", signature="hit", neighbours=10)
+    searches = {"t": replace(SEARCH, node_id="t[search]", reason="all runs done", runs=300, invalid=1)}
+    other = {"t": replace(searches["t"], failures={"hit": "hit-2", "miss": "miss-1"})}
+    cut = {"t": replace(searches["t"], reason="interrupted")}
+    told = [terminal.replay_lines([concluded(passes, each)])[2:] for each in ({}, searches, other, cut)]
+    alone = ["  passes, and so do 10 neighbours: t[saved-a]"]
+    assert told == [
+        alone,
+        ["  fixed: t[saved-a]", "    passes, and so do 10 neighbours; no such failure in 297 runs of the search"],
+        ["  still failing elsewhere: hit-2: t[saved-a]", "    passes, and so do 10 neighbours"],
+        alone,
+    ]
+    failing = replace(passes, label="still failing")
+    assert concluded(failing, other) is failing
+    assert concluded(replace(passes, against="idm"), {}).result == "fixed"
+
+
 def test_replays_are_counted_by_label_and_partly_listed():
     replays = [
         replay("saved-a", "fixed"),
@@ -254,8 +273,8 @@ def test_replays_are_counted_by_label_and_partly_listed():
         replay("saved-c", "drifted", detail="numpy 1 then, 2 now"),
     ]
     assert terminal.replay_lines(replays) == [
-        "replayed 3 saved scenarios: 1 drifted, 1 fixed, 1 still failing",
-        "  fixed: t[saved-a]",
+        "replayed 3 saved scenarios: 1 drifted, 1 passes, 1 still failing",
+        "  passes: t[saved-a]",
         "  drifted: t[saved-c]",
         "    numpy 1 then, 2 now",
     ]

@@ -1,0 +1,82 @@
+"""A replay that passes, and the search of its test in the same session: is the failure fixed, or only elsewhere?"""
+
+import json
+
+import pytest
+
+from tests.plugin.test_nearby import TEST, fixed
+
+SEARCHED = ("--pafot-replay-neighbours=0", "--pafot-runs=30", "--pafot-json=out.json", "--pafot-shrink-rollouts=0")
+
+
+def searched(project, *args, runs="30", **options):
+    """Return a session that replays and searches: its result, its replays, and the new findings of their failures."""
+    result = project.run(*SEARCHED, f"--pafot-runs={runs}", *args, generations=None, seed=1, **options)
+    findings = json.loads((project.path / "out.json").read_text())["findings"]
+    replayed = [each for each in findings if each["status"] != "new"]
+    kinds = {each["signature"] for each in replayed}
+    return result, replayed, [each["id"] for each in findings if each["status"] == "new" and each["signature"] in kinds]
+
+
+def test_a_search_without_such_a_failure_makes_a_pass_a_fix(project):
+    fixed(project, "careful")
+    result, (replayed,), _ = searched(project)
+    assert (replayed["status"], replayed["elsewhere"]) == ("fixed", "")
+    assert 0 < replayed["searched"] <= 30
+    result.stdout.re_match_lines(
+        ["replayed 1 saved scenario: 1 fixed", "  fixed: .*", r"    passes; no such failure in \d+ runs of the search"]
+    )
+
+
+@pytest.mark.processes
+@pytest.mark.parametrize("args", [(), ("-n2",), ("--pafot-resume=states",)], ids=["serial", "xdist", "resumed"])
+def test_a_search_that_finds_the_failure_says_where(project, args):
+    fixed(project, "braking")
+    result, (replayed,), (new,) = searched(project, "--pafot-report=page.html", *args)
+    assert (replayed["status"], replayed["searched"]) == ("still failing elsewhere", 0)
+    assert (replayed["result"], replayed["elsewhere"]) == ("passed", new)
+    result.stdout.fnmatch_lines(
+        ["replayed 1 saved scenario: 1 still failing elsewhere", f"  still failing elsewhere: {new}: *", "    passes"]
+    )
+    page = (project.path / "page.html").read_text(encoding="utf-8")
+    assert "1 saved scenario: 1 still failing elsewhere" in page
+    assert f"{replayed['node_id']}: {new}" in page
+
+
+def test_a_saved_scenario_that_fails_in_the_same_way_is_elsewhere_as_well(project):
+    fixed(project, "braking")
+    _, (first,), (new,) = searched(project)
+    _, replayed, _ = searched(project)
+    told = {each["id"]: (each["status"], each["elsewhere"]) for each in replayed}
+    assert told[new][0] == "still failing"
+    assert told[first["id"]] == ("still failing elsewhere", new)
+
+
+def test_a_resumed_search_says_only_what_its_runs_of_this_session_showed(project, monkeypatch):
+    fixed(project, "braking")
+    policies = project.path / "policies.py"
+    mended = "def braking():\n    if os.environ.get('MENDED'):\n        return careful()\n"
+    policies.write_text(policies.read_text().replace("def braking():\n", mended))
+    _, (first,), _ = searched(project, "--pafot-resume=states")
+    assert first["status"] == "still failing elsewhere"
+    monkeypatch.setenv("MENDED", "1")
+    result, replayed, _ = searched(project, "--pafot-resume=states", runs="10")
+    assert result.ret == pytest.ExitCode.OK
+    assert {each["id"]: each["status"] for each in replayed}[first["id"]] == "fixed"
+
+
+def test_the_job_summary_names_what_fails_elsewhere(project, monkeypatch):
+    monkeypatch.setenv("GITHUB_STEP_SUMMARY", str(project.path / "summary.md"))
+    fixed(project, "braking")
+    _, _, (new,) = searched(project)
+    text = (project.path / "summary.md").read_text(encoding="utf-8")
+    assert "1 still failing elsewhere" in text
+    assert f"{new} fails in the same way" in text
+
+
+def test_a_replay_without_a_search_claims_no_fix(project):
+    fixed(project, "braking")
+    project.write(TEST.replace("POLICY", "braking"))
+    result = project.run("-v", project.files[0], "--pafot-replay-neighbours=0", generations=None)
+    result.stdout.fnmatch_lines(["*PASSED (passes)*", "replayed 1 saved scenario: 1 passes", "  passes: *"])
+    result.stdout.no_fnmatch_line("*fixed*")
