@@ -367,7 +367,8 @@ class Run(Shown):
         """The way out of the collision by a reference driver, if the rules say that the ego had too little time.
 
         The driver is simulated, and takes over at the time that the verdict names. It is ``careful-human``, or the
-        world's first driver. None for any other run, and if the driver does not avoid the collision.
+        world's first driver. None for any other run, if the driver does not avoid the collision, and if the world
+        cannot drive it on for 12 s.
 
         Raises:
             NoReferenceDriversError: for a run that was made without its world, or in one without these drivers.
