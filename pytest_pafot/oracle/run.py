@@ -467,14 +467,19 @@ class Run(Shown):
         verdict = self.attribution
         return *verdict.sentences, responsible_sentence(verdict.responsibility, self.collision.npc)
 
-    def explain(self) -> str:
-        """Explain the run in at most some twenty lines of ASCII: events, verdict and the NPCs' instructions."""
+    def explain(self, *, instructions: bool = True) -> str:
+        """Explain the run in at most some twenty lines of ASCII: events, verdict and the NPCs' instructions.
+
+        Args:
+            instructions: whether to name the scenario and its instructions.
+        """
         lines = [self._headline(), *(f"  {sentence}" for sentence in self.sentences), *self._measures()]
-        names = [f"scenario {self.scenario.id}", f"repair seed {self.scenario.seed}"]
-        names += [f"position rule: {self.second_opinion}"] if self.second_opinion != self.responsibility else []
-        names += filter(None, [self.scenario.traffic.described])
-        crossing = [*_crossing_lines(self.trace), *_manoeuvre_lines(self.trace, self.asked)]
-        lines += [*crossing, *_gene_table(self.trace, MAX_GENE_ROWS - len(crossing)), f"  {', '.join(names)}"]
+        if instructions:
+            names = [f"scenario {self.scenario.id}", f"repair seed {self.scenario.seed}"]
+            names += [f"position rule: {self.second_opinion}"] if self.second_opinion != self.responsibility else []
+            names += filter(None, [self.scenario.traffic.described])
+            crossing = [*_crossing_lines(self.trace), *_manoeuvre_lines(self.trace, self.asked)]
+            lines += [*crossing, *_gene_table(self.trace, MAX_GENE_ROWS - len(crossing)), f"  {', '.join(names)}"]
         texts = (ascii_text(" ".join(line.splitlines())) for line in lines)
         return "\n".join(text if len(text) <= LINE_LENGTH else text[: LINE_LENGTH - 3] + "..." for text in texts)
 

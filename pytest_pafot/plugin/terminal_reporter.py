@@ -265,8 +265,11 @@ class Reporter:
             told = data["report"], getattr(report, "node", None), rank
             self._pending.setdefault(report.nodeid, {})[find.node_id] = told
         self._live.erase_progress()
-        if data["is_new"] and self._config.get_verbosity() >= 0:
-            self._live.write(terminal.found_lines(find, self._config.stash[SHARED].width))
+        width, verbosity, whole = self._config.stash[SHARED].width, self._config.get_verbosity(), data.get("whole")
+        if data["is_new"] and verbosity >= 0:
+            self._live.write(terminal.found_lines(find, width, **(whole or {})))
+        elif whole is not None and verbosity == -1:
+            self._live.write(terminal.found_lines(find, width))
 
     def _expand(self, search_id: str) -> None:
         """Report the findings of a search, the worst first, as the items that will replay them in the next session."""

@@ -94,10 +94,23 @@ def progress_line(progress: Progress, width: int = WIDTH) -> str:
     return f"pafot: {name}{tail}"[:width]
 
 
-def found_lines(find: Find, width: int = WIDTH) -> list[str]:
-    """Return the lines that report a new finding while the search continues. Its file already exists."""
+def found_lines(find: Find, width: int = WIDTH, *, story: Sequence[str] = (), again: str = "") -> list[str]:
+    """Return the lines that report a new finding while the search continues. Its file already exists.
+
+    Args:
+        find: the finding.
+        width: the width of the terminal in columns.
+        story: what its run shows, for the finding that is told whole.
+        again: the command that runs its file, likewise.
+    """
     lines = [ascii_text(f"pafot: found {find.node_id}"), *_wrapped(find.summary, width)]
-    return lines if find.path else [*lines, *_wrapped(f"not saved: {find.detail}", width)]
+    lines += [line for each in story for line in _wrapped(each, width)]
+    if not find.path:
+        return [*lines, *_wrapped(f"not saved: {find.detail}", width)]
+    if again:
+        saved = "saved" if find.path in again else f"saved as {find.path}"
+        lines.append(ascii_text(f"  {saved}; run it with: {again}"))
+    return lines
 
 
 def find_section(
