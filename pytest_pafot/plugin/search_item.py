@@ -53,7 +53,7 @@ from pytest_pafot.plugin.session import SHARED, is_worker, records_folder
 from pytest_pafot.report import terminal
 from pytest_pafot.searching.events import GenerationFinished
 from pytest_pafot.searching.plain import plain
-from pytest_pafot.support.errors import RequestError, flag, rerun
+from pytest_pafot.support.errors import OF_SEARCH, RequestError, command, flag, rerun
 from pytest_pafot.support.files import remove_unfinished
 from pytest_pafot.support.text import plural
 from pytest_pafot.support.versions import installed_versions
@@ -245,6 +245,7 @@ def run_search(item: pytest.Function, request: Request) -> None:
             limit=limit,
             # With these options pytest stops at the first failed item. The loop inside of this item must do the same.
             stops_at_first=bool(item.config.getoption("usepdb", False)) or item.config.getoption("maxfail", 0) == 1,
+            shrinks_later=not os.environ.get(OF_SEARCH),  # the command search has no test that stays
             progress_seconds=shared.progress_seconds,
             process_notes=[] if chosen is harness else [AFTER_A_DEATH],
         ).run()
@@ -366,12 +367,14 @@ class SearchMessages:
         advice = "it does not repeat, so it is not shrunk" if kept.find.is_flaky else ""
         if kept.find.difference == NOT_REPEATED:
             advice += DRAWS
+        is_due = bool(kept.find.unshrunk) and self.settings.resume is None and not os.environ.get(OF_SEARCH)
         section = terminal.find_section(
             kept.find,
             explanation="" if explanation.partition("\n")[0] in message_of(kept.exception) else explanation,
             content=kept.content,
             details=details,
             advice=advice,
+            shrink=command("pytest_pafot", "corpus", "shrink", kept.find.path) if is_due and kept.find.path else "",
             width=width,
         )
         # Nobody should have to wait for the end of the search to learn what the first failure is.

@@ -114,7 +114,14 @@ def found_lines(find: Find, width: int = WIDTH, *, story: Sequence[str] = (), ag
 
 
 def find_section(
-    find: Find, *, explanation: str, content: str, details: Sequence[str] = (), advice: str = "", width: int = WIDTH
+    find: Find,
+    *,
+    explanation: str,
+    content: str,
+    details: Sequence[str] = (),
+    advice: str = "",
+    shrink: str = "",
+    width: int = WIDTH,
 ) -> str:
     """Return the section on a new finding in its failure report, without what the failure message says already.
 
@@ -124,12 +131,14 @@ def find_section(
         content: the content of the finding's file if it could not be written; otherwise empty.
         details: further lines, each of which begins with a title of at most ten letters.
         advice: a text that follows the finding's remark.
+        shrink: the command that shrinks the finding further; empty if it needs none.
         width: the width of the terminal in columns.
     """
     lines = [*explanation.splitlines(), *details]
     lines += [f"note       {'; '.join(filter(None, (find.remark, advice)))}"] if find.remark else []
     fitted = fitted_lines(map(ascii_text, lines if find.path else [*lines, f"not saved  {find.detail}"]), width)
     fitted += [ascii_text(f"saved as   {find.path}")] if find.path else []
+    fitted += [ascii_text(f"shrink it  {shrink}")] if shrink else []
     if content:
         fitted += ["the file would be:", *(ascii_text(f"  {line}") for line in content.rstrip().splitlines())]
     return "\n".join(fitted)

@@ -144,13 +144,16 @@ def test_interrupted(run):
 """
 
 
-@pytest.mark.parametrize(("save", "first"), [("new", "delete its files and "), ("none", "")])
+@pytest.mark.parametrize(
+    ("save", "how"),
+    [("new", "python -m pytest_pafot corpus shrink FILE goes on"), ("none", "search again with --pafot-seed=2")],
+)
 @pytest.mark.parametrize("limit", [2, 4])
-def test_interrupted_search_says_how_to_shrink_later(project, save, first, limit):
+def test_interrupted_search_says_how_to_shrink_later(project, save, how, limit):
     source = INTERRUPTED.replace("LIMIT", str(limit)).replace("STOP", "raise KeyboardInterrupt")
     project.write(source.replace(", stop_after=1" if limit == 2 else "", ""))
     result = run(project, f"--pafot-save={save}", no_reraise_ctrlc=True)
-    told = f"  note: ended before 1 new finding was shrunk: {first}search again with --pafot-seed=2"
+    told = f"  note: ended before 1 new finding was shrunk: {how}"
     result.stdout.fnmatch_lines(["*ended: interrupted", told])
 
 
