@@ -258,7 +258,7 @@ class Search:
             plain = None if loop.space is None else (loop.space.ego_lane, loop.space.ego_speed)
             work = Simplification(
                 loop=loop,
-                tell=self._tell_progress,
+                tell=lambda phase: self._tell_progress(phase, work.current),
                 plain=plain,
                 plain_seconds=None if loop.space is None else loop.space.gene_seconds,
                 neighbours=harness.request.settings.neighbours,
@@ -437,7 +437,7 @@ class Search:
 
         return ends
 
-    def _tell_progress(self, phase: str = "") -> None:
+    def _tell_progress(self, phase: str = "", of: str = "") -> None:
         now, loop = self.sessions.clock(), self.loop
         if now - self._told_at < self.progress_seconds:
             return
@@ -454,6 +454,7 @@ class Search:
                 finds=loop.recorder.count,
                 seconds=self.sessions.seconds,
                 phase=phase,
+                of=of,
             )
         )
 

@@ -8,7 +8,7 @@ import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from itertools import takewhile
+from itertools import pairwise, takewhile
 from typing import TYPE_CHECKING, Any, Literal, Protocol
 
 import numpy as np
@@ -33,7 +33,15 @@ from pytest_pafot.criticality.signals import (
 )
 from pytest_pafot.model.crossings import Zone
 from pytest_pafot.model.grid import Cell
-from pytest_pafot.model.scenario import ALONE, CrossingInstruction, LaneInstruction, Manoeuvre, Scenario
+from pytest_pafot.model.scenario import (
+    ALONE,
+    Chromosome,
+    CrossingInstruction,
+    LaneInstruction,
+    Manoeuvre,
+    Scenario,
+    continues,
+)
 from pytest_pafot.model.trace import (
     ACCELERATION,
     ACROSS,
@@ -665,22 +673,23 @@ def _passed(passage: Passage | None) -> str:
 def _gene_table(trace: Trace, room: int) -> list[str]:
     """Return the table of the instructions that were started, with a row per gene and a column per NPC.
 
-    The table has at most ``room`` rows, the last ones. Times are in seconds.
+    Genes in which no NPC does anything new are a part of the row before. The table has at most ``room`` rows, the last
+    ones. Times are in seconds.
     """
-    scenario = trace.executed
+    scenario, seconds = trace.executed, trace.executed.gene_seconds
     npcs = [npc for npc, chain in enumerate(scenario.npcs) if not isinstance(chain[0], ALONE)]
     if not npcs:
         return []
-    started = min(scenario.genes, int(trace.duration / scenario.gene_seconds - 1e-9) + 1)
+    started = min(scenario.genes, int(trace.duration / seconds - 1e-9) + 1)
+    starts = [gene for gene in range(started) if any(_is_new(trace.chains[npc], gene) for npc in npcs)]
+    spans = list(pairwise([*starts, started]))
+    times = [f"{start * seconds:10.1f}{f' to {end * seconds:.1f}' if end - start > 1 else ''}" for start, end in spans]
     header = ["  from [s]", *(f"NPC {npc}" for npc in npcs)]
     for wording in _WORDINGS[{1: 0, 2: 1}.get(len(npcs), -1) :]:
-        rows: list[list[str]] = []
-        for gene in range(started):
-            row = [f"{gene * scenario.gene_seconds:10.1f}", *(_gene(trace, npc, gene, *wording) for npc in npcs)]
-            begun = [chain[gene] for chain in scenario.npcs if gene < len(chain)]
-            # NPCs that keep their lanes and speeds do nothing new, however many genes say so.
-            if not (rows and row[1:] == rows[-1][1:] and all(getattr(each, "lane", "") == "keep" for each in begun)):
-                rows.append(row)
+        rows = [
+            [time, *(_gene(trace, npc, range(*span), *wording) for npc in npcs)]
+            for time, span in zip(times, spans, strict=True)
+        ]
         shown = [header, *rows[-max(room, 1) :]]
         widths = [max(map(len, column)) for column in zip(*shown, strict=True)]
         head, *lines = ["  ".join(map(str.ljust, row, widths)) for row in shown]
@@ -691,15 +700,23 @@ def _gene_table(trace: Trace, room: int) -> list[str]:
     return [line.rstrip() for line in (head + earlier, *lines)]
 
 
-def _gene(trace: Trace, npc: int, gene: int, reached: str, names_side: bool) -> str:
-    """Return one NPC's instruction in one of the wordings of the table."""
-    chain = trace.chains[npc]
+def _is_new(chain: Chromosome, gene: int) -> bool:
+    """Return whether an NPC gets another instruction at the beginning of a gene, or has none from there on."""
+    if gene == 0 or gene >= len(chain):
+        return gene in (0, len(chain))
+    return not continues(chain[gene - 1], chain[gene])
+
+
+def _gene(trace: Trace, npc: int, genes: range, reached: str, names_side: bool) -> str:
+    """Return the instruction that one NPC has during some genes, in one of the wordings of the table."""
+    chain, gene = trace.chains[npc], genes[0]
     if gene >= len(chain):
         return "-"
     instruction = chain[gene]
     if not reached:
         return f"{instruction.target} {instruction.speed:.1f}"
-    tick = arrival(trace, npc, gene)
+    arrivals = (arrival(trace, npc, each) for each in genes if each < len(chain))
+    tick = next((each for each in arrivals if each is not None), None)
     end = "not reached" if tick is None else f"{reached}{tick / trace.physics_hz:.1f} s"
     if not isinstance(instruction, LaneInstruction):
         return f"{instruction.goal} {instruction.speed:.1f} m/s {end}"

@@ -60,7 +60,7 @@ def run_shrink(item: pytest.Function, request: Request, saved: Saved) -> None:
     now = time.monotonic()
     limit = time_limit(request.settings, now=now, began=item.config.stash[SHARED].began, left=1)
     with prepared(harness, lambda event: None, space=space, wants_each=False) as sessions:
-        later = shrink_saved(sessions, saved, path=path, until=limit.until, tell=_telling(item))
+        later = shrink_saved(sessions, saved, path=path, until=limit.until, tell=_telling(item, saved.id))
     for note in later.notes:
         messages.send(item, "note", {"text": note})
     told = f"{visible(path)}: {later.told}"
@@ -74,7 +74,7 @@ def run_shrink(item: pytest.Function, request: Request, saved: Saved) -> None:
     messages.send(item, "merge", {"text": told})
 
 
-def _telling(item: pytest.Item) -> Callable[[str], None]:
+def _telling(item: pytest.Item, find_id: str) -> Callable[[str], None]:
     """Return a function that reports the work that goes on, not more often than the terminal wants."""
     from pytest_pafot.campaign.events import Progress  # noqa: PLC0415
 
@@ -95,6 +95,7 @@ def _telling(item: pytest.Item) -> Callable[[str], None]:
             finds=0,
             seconds=now - began,
             phase=phase,
+            of=find_id,
         )
         messages.send(item, "progress", asdict(progress))
 

@@ -101,6 +101,7 @@ class Reporter:
         self._expanded: set[str] = set()
         self._explained: dict[str, list[str]] = {}
         self._running: dict[str, None] = {}
+        self._worked_on: set[tuple[str, str]] = set()  # searches and findings whose simplification was told
         self._searches: list[SearchSummary] = []
         self._replays: list[Find] = []
         self._neighbour_seconds = 0.0
@@ -225,7 +226,12 @@ class Reporter:
             case "start":
                 self._take_start(report)
             case "progress":
-                self._live.show_progress(lambda width: terminal.progress_line(Progress(**data), width))
+                progress = Progress(**data)
+                # A log keeps every line, and hundreds of runs to shrink one finding say nothing new.
+                key = (progress.node_id, progress.of)
+                if self._live.rewrites or not progress.of or key not in self._worked_on:
+                    self._live.show_progress(lambda width: terminal.progress_line(progress, width))
+                    self._worked_on.add(key)
             case "finding":
                 find = from_plain(Find, data["find"])
                 if find.label == NEW:
