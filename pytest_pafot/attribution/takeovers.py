@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import math
 from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -16,7 +15,7 @@ from pytest_pafot.attribution.responsibility import Fault, rss_rule
 from pytest_pafot.attribution.sentences import BRAKES, What, avoidance_sentence, escape_sentences
 from pytest_pafot.criticality.boxes import depth
 from pytest_pafot.criticality.measures import Encounters
-from pytest_pafot.model.trace import HEADING, LANE, SPEED, Outcome, Trace, X, Y
+from pytest_pafot.model.trace import LANE, SPEED, Outcome, Trace
 
 DRIVER = "careful-human"
 """The reference driver that takes over from an excused ego, in worlds that declare it."""
@@ -33,7 +32,10 @@ ANSWERED_BY_BRAKING: tuple[Fault, ...] = (
 """The faults of an ego that should have braked, so that it is worth searching for braking that avoids the collision."""
 
 FREE_FOR = 12.0
-"""The time after the ego begins to brake in which it must not touch a vehicle [s]; a stop from 60 m/s takes less."""
+"""The time after a driver takes over in which the ego must not touch a vehicle [s]; a stop from 60 m/s takes less."""
+
+LEEWAY = 2
+"""The ticks for which a run lasts longer than it must, because a world may end it a tick earlier than asked."""
 
 SCANNED = 10.0
 """The time before the impact in which the ego's decisions are tried [s]."""
@@ -55,7 +57,8 @@ UNSAID = (Outcome.INVALID, Outcome.ADS_ERROR, Outcome.HANG)
 TakeOver = Callable[[Trace, int, str], Trace]
 """A function that simulates a trace again, with a reference driver by name in the ego's place from a tick on.
 
-If it can be called only with some names, its attribute ``drivers`` has them.
+If it can be called only with some names, its attribute ``drivers`` has them. If its runs can last longer, its attribute
+``lasting`` returns from a duration [s] the same function for runs of that duration, or None.
 """
 
 
@@ -65,6 +68,16 @@ def drivers_of(take_over: TakeOver) -> tuple[str, ...]:
     if hasattr(world, "reference_drivers"):
         return (*world.reference_drivers, *getattr(world, "takes_over", ()))
     return tuple(getattr(take_over, "drivers", (DRIVER, STEADY_BRAKING)))
+
+
+def _lasting(take_over: TakeOver, seconds: float) -> TakeOver | None:
+    """Return a function that simulates runs of some duration [s]; None if the world of the runs cannot go on."""
+    world: Any = getattr(take_over, "__self__", None)  # of a bound method
+    if hasattr(type(world), "lasting"):
+        longer: TakeOver = getattr(world.lasting(seconds), take_over.__name__)
+        return longer
+    lasting: Callable[[float], TakeOver | None] = getattr(take_over, "lasting", lambda seconds: None)
+    return lasting(seconds)
 
 
 def relief_of(drivers: Sequence[str]) -> str | None:
@@ -98,11 +111,11 @@ def avoidance(trace: Trace, fault: Fault | None, take_over: TakeOver) -> Avoidan
     """Return the last of the ego's decisions from which braking with 6 m/s^2 in its lane avoids the collision.
 
     Braking avoids the collision if the ego is seen to brake at that rate until it stands, and touches no vehicle in the
-    12 s after the decision, and no two NPCs touch. If the run ends before, the vehicles are assumed to drive straight
-    on: the ego brakes on, and an NPC keeps its speed, or its braking. The decisions of the last 10 s before the impact
-    are tried, the latest first. None if braking from none of them avoids the collision, if the fault is not
-    a missing response to a vehicle ahead or crossing, if ``take_over`` does not know ``steady-braking``, or if a
-    repetition of the run differs from the trace.
+    12 s after the decision, and no two NPCs touch. A run that ends before is driven on. The decisions of the last 10 s
+    before the impact are tried, the latest first. None if braking from none of them avoids the collision, if the runs
+    that could show it end before and their world cannot go on, if the fault is not a missing response to a vehicle
+    ahead or crossing, if ``take_over`` does not know ``steady-braking``, or if a repetition of the run differs from the
+    trace.
 
     Args:
         trace: trace of the run.
@@ -117,10 +130,9 @@ def avoidance(trace: Trace, fault: Fault | None, take_over: TakeOver) -> Avoidan
         taken = take_over(trace, tick, STEADY_BRAKING)
         if not repeats(taken, trace, tick):
             return None
-        is_long = taken.ticks > tick + FREE_FOR * taken.physics_hz
-        is_free = is_long or taken.outcome not in (Outcome.COLLISION, *UNSAID)
-        # A run that ends before the impact, such as at the end of a road, does not show that the impact is avoided.
-        if is_free and taken.ticks >= trace.ticks and brakes_untouched(_driven_on(taken), tick):
+        # Driving on takes another run, so it is done only after braking that helps as far as the run goes.
+        driven = _driven_on(taken, trace, tick, take_over, STEADY_BRAKING) if brakes_untouched(taken, tick) else None
+        if driven is not None and (driven is taken or brakes_untouched(driven, tick)):
             return Avoidance(time=round(tick / trace.physics_hz, 3), braking=FOLLOWING.deceleration)
     return None
 
@@ -135,23 +147,23 @@ def brakes_untouched(trace: Trace, tick: int) -> bool:
     return bool(is_braking.all() and (lane == lane[0]).all() and not (depths > TOUCHING).any())
 
 
-def _driven_on(trace: Trace) -> Trace:
-    """Return a run whose vehicles drive straight on after its end, until the ego would stand if it brakes hard.
+def _driven_on(taken: Trace, trace: Trace, tick: int, take_over: TakeOver, driver: str) -> Trace | None:
+    """Return the run in which a driver takes over at a tick, to beyond the 12 s after it; None if it ends before.
 
-    The ego brakes with 6 m/s^2, and each other vehicle keeps its speed, or its braking.
+    ``taken`` is that run as long as the world makes it, and ``trace`` is the run of the ego. If ``taken`` ends before
+    without an event, it is simulated again and lasts longer, if the world can go on.
     """
-    last, hz = trace.states[-1], trace.physics_hz
-    rates = np.maximum(trace.states[-2, :, SPEED] - last[:, SPEED], 0.0)
-    rates[0] = FOLLOWING.deceleration / hz
-    ticks = np.arange(1, math.ceil(max(last[0, SPEED], 0.0) / rates[0]) + 1)[:, None]
-    speeds = np.maximum(last[:, SPEED] - rates * ticks, np.minimum(last[:, SPEED], 0.0))
-    driven = (np.cumsum(speeds, axis=0) + last[:, SPEED] - speeds) / hz  # a step is driven with the speed before it
-    states = np.repeat(last[None], len(ticks), axis=0)
-    states[..., X] += driven * np.cos(last[:, HEADING])
-    states[..., Y] += driven * np.sin(last[:, HEADING])
-    states[..., SPEED] = speeds
-    track = None if trace.track is None else np.concatenate((trace.track, trace.track[-1:].repeat(len(ticks), axis=0)))
-    return replace(trace, states=np.concatenate((trace.states, states)), track=track, on_way=None)
+    until = tick + round(FREE_FOR * trace.physics_hz)
+    if taken.ticks < trace.ticks:  # such as at the end of a road: it does not show that the impact is avoided
+        return None
+    if taken.ticks > until:
+        return taken
+    longer = None
+    if taken.outcome not in (Outcome.COLLISION, *UNSAID):
+        longer = _lasting(take_over, (until + LEEWAY) / trace.physics_hz)
+    driven = None if longer is None else longer(trace, tick, driver)
+    is_longer = driven is not None and driven.ticks > until and repeats(driven, taken, taken.ticks)
+    return driven if is_longer else None
 
 
 def repeats(taken: Trace, trace: Trace, tick: int) -> bool:
@@ -193,7 +205,7 @@ def escape(trace: Trace, take_over: TakeOver) -> Escape | None:
     """Return how a driver avoids a collision for which the rules left the ego too little time.
 
     The driver takes over at the ego's last decision up to the time that the verdict names. It avoids the collision if
-    it touches no vehicle in the 12 s after that, or until the end of the run, and no two NPCs touch.
+    it touches no vehicle in the 12 s after that, and no two NPCs touch. A run that ends before is driven on.
 
     Args:
         trace: trace of the run.
@@ -201,8 +213,8 @@ def escape(trace: Trace, take_over: TakeOver) -> Escape | None:
             :meth:`pytest_pafot.world.built_in.BuiltInWorld.take_over`.
 
     Returns:
-        The escape; None if the verdict is a different one, if the driver does not avoid the collision, and if a
-        repetition of the run differs from the trace.
+        The escape; None if the verdict is a different one, if the driver does not avoid the collision, if its run ends
+        before and the world cannot go on, and if a repetition of the run differs from the trace.
     """
     facts = rss_rule(trace).facts
     excuse = next((fact for fact in facts if fact.what is What.HAD_NO_TIME and fact.vehicle == 0), None)
@@ -212,10 +224,7 @@ def escape(trace: Trace, take_over: TakeOver) -> Escape | None:
     hz, ticks = trace.physics_hz, trace.decision_ticks
     tick = ticks[bisect_right(ticks, min(round(excuse.time_s * hz), trace.ticks - 1)) - 1]
     taken = take_over(trace, tick, driver)
-    if not repeats(taken, trace, tick):
-        return None
-    has_ended = taken.outcome in (Outcome.COLLISION, *UNSAID)
-    if taken.ticks < trace.ticks or (has_ended and taken.ticks <= tick + FREE_FOR * hz):
+    if not repeats(taken, trace, tick) or _driven_on(taken, trace, tick, take_over, driver) is None:
         return None
     slowed = braking(taken)[tick + 1 : trace.ticks + 1]
     brakes = np.flatnonzero(slowed >= BRAKES)

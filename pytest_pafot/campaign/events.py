@@ -37,6 +37,7 @@ class Progress:
     seconds: float  # since the search began
     budget: int | None = None  # requested runs
     phase: str = ""  # the work after the generations, such as shrinking; empty while they run
+    of: str = ""  # the id of the finding that this work is about
 
 
 NEW = "new"

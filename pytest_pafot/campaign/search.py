@@ -48,7 +48,7 @@ from pytest_pafot.searching.ask_tell import Algorithm, draws_ahead
 from pytest_pafot.searching.ask_tell_loop import CheckpointError
 from pytest_pafot.searching.fitness import FitnessError, is_built_in, resolve
 from pytest_pafot.searching.space import SearchSpace, sample
-from pytest_pafot.support.errors import OutOfTime, RequestError, flag
+from pytest_pafot.support.errors import OutOfTime, RequestError, command, flag
 from pytest_pafot.support.text import plural
 from pytest_pafot.world import WorldError, codec, protocol
 from pytest_pafot.world.driving.ads import is_vehicle_class, loading_hint
@@ -220,6 +220,7 @@ class Search:
     replays: Replays
     limit: TimeLimit
     stops_at_first: bool = False  # True if it ends at its first new finding
+    shrinks_later: bool = False  # True if the command ``corpus shrink`` can shrink its findings, which needs the test
     progress_seconds: float = 10.0  # interval between reports of progress [s]
     driver_notes: list[str] = field(default_factory=list)  # notes on drivers of the world that failed
     process_notes: list[str] = field(default_factory=list)  # notes on processes for the summary
@@ -269,7 +270,7 @@ class Search:
             plain = None if loop.space is None else (loop.space.ego_lane, loop.space.ego_speed)
             work = Simplification(
                 loop=loop,
-                tell=self._tell_progress,
+                tell=lambda phase: self._tell_progress(phase, work.current),
                 plain=plain,
                 plain_seconds=None if loop.space is None else loop.space.gene_seconds,
                 neighbours=harness.request.settings.neighbours,
@@ -450,7 +451,7 @@ class Search:
 
         return ends
 
-    def _tell_progress(self, phase: str = "") -> None:
+    def _tell_progress(self, phase: str = "", of: str = "") -> None:
         now, loop = self.sessions.clock(), self.loop
         if now - self._told_at < self.progress_seconds:
             return
@@ -467,6 +468,7 @@ class Search:
                 finds=loop.recorder.count,
                 seconds=self.sessions.seconds,
                 phase=phase,
+                of=of,
             )
         )
 
@@ -608,11 +610,14 @@ class Search:
             first = "delete its files and " if any(kept.file for kept in left) else ""
             again = f"{first}search again with {request.option('seed', settings.seed)}"
             resume = request.option("resume", settings.resume or "FOLDER")
+            by_command = self.shrinks_later and all(kept.file for kept in left)
+            shrink = f"{command('pytest_pafot', 'corpus', 'shrink', 'FILE')} goes on"
             if not is_broken_off:
-                how = f"{resume} goes on" if self.sessions.go_on else f"{again} and more time, or with {resume}"
+                how = shrink if by_command else f"{again} and more time, or with {resume}"
+                how = f"{resume} goes on" if self.sessions.go_on else how
                 yield f"{self.limit.flag} ended before {what} shrunk: {how}"
             elif not self.sessions.go_on:
-                yield f"ended before {what} shrunk: {again}"
+                yield f"ended before {what} shrunk: {shrink if by_command else again}"
         is_default = settings.profile == LOCAL and settings.runs == PROFILES[LOCAL]["runs"]
         if is_default and reason == ALL_RUN and not self.loop.verdicts["failed"] and not recorder.count:
             longer = request.option("runs", PROFILES[FULL]["runs"])

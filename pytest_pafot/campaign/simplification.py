@@ -148,6 +148,7 @@ class Simplification:
         clock: returns the seconds since some fixed moment.
         until: the time at which the simplification must end [s], or infinity.
         done: the ids of the findings for which nothing is left to do.
+        current: the id of the finding that is simplified or examined now.
         runs: the number of runs so far in this session, except those of neighbours.
         neighbour_runs: the number of runs of neighbours.
         notes: notes on what could not be found out about findings.
@@ -162,6 +163,7 @@ class Simplification:
     clock: Callable[[], float]
     until: float = math.inf
     done: set[str] = field(default_factory=set, init=False)
+    current: str = field(default="", init=False)
     runs: int = field(default=0, init=False)
     neighbour_runs: int = field(default=0, init=False)
     notes: list[str] = field(default_factory=list, init=False)
@@ -180,6 +182,7 @@ class Simplification:
         while finds and self.runs > before:  # After a round without runs there is no time left.
             before, round_ = self.runs, finds
             for number, find_id in enumerate(round_):
+                self.current = find_id
                 self._have_turn(find_id, sharing=len(round_) - number)
             finds = [find_id for find_id in round_ if find_id not in self.done]
         for kept in [recorder.kept[find_id] for find_id in finds]:
@@ -188,6 +191,7 @@ class Simplification:
             recorder.tell(replace(kept, find=find, is_new=False))
         if self.neighbours:
             for kept in [each for find_id, each in recorder.kept.items() if each.is_firm and find_id in self.done]:
+                self.current = kept.find.id
                 self._examine(kept)
 
     def _examine(self, kept: FindTold) -> None:

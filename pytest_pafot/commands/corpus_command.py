@@ -2,7 +2,8 @@
 
 It changes files only with ``join --write``, which leaves one file of each kind of failure in a folder, with
 ``prune --write``, which removes the files of tests that are gone, with ``nearby --write``, which puts a neighbour that
-fails in place of a scenario that passes, and with ``accept``, which writes one line of each.
+fails in place of a scenario that passes, with ``shrink``, which puts a simpler scenario into a file, and with
+``accept``, which writes one line of each.
 """
 
 from __future__ import annotations
@@ -35,12 +36,13 @@ from pytest_pafot.commands.history import added_in
 from pytest_pafot.commands.inventory import Inventory, collected
 from pytest_pafot.commands.results import day_argument
 from pytest_pafot.corpus.layout import files_in, folders_below, link_below
-from pytest_pafot.corpus.reader import content_of, parsed
+from pytest_pafot.corpus.reader import content_of, load, parsed
 from pytest_pafot.corpus.saved import named_file, of_one_kind, read_saved_file, refusal
 from pytest_pafot.corpus.writer import text_of
 from pytest_pafot.findings.finding import Finding
 from pytest_pafot.findings.shrink import sort_key
-from pytest_pafot.support.errors import CorpusError, RequestError, flag
+from pytest_pafot.findings.signature import SLOW_DECISION
+from pytest_pafot.support.errors import CorpusError, RequestError, command, flag
 from pytest_pafot.support.files import way_out, write_whole
 from pytest_pafot.support.text import ascii_text, plural, quiet_json, visible
 
@@ -49,6 +51,10 @@ XFAIL_LINE = re.compile(rb"^(# )?xfail:.*$", re.MULTILINE)
 
 NO_FOLDER = 2
 """The exit code if a path is not a folder, which is also the exit code for wrong arguments."""
+
+
+BAD_SESSION, NO_TESTS = 4, 5
+"""The exit codes of pytest for wrong arguments, and for a session without an item."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -116,6 +122,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     nearing.add_argument("--write", action="store_true", help="put each of them in place of its saved scenario")
     nearing.add_argument("arguments", nargs="*", metavar="ARG", help="an argument of pytest; options come after --")
     nearing.set_defaults(folders=[Path()])
+    about = "shrink a saved scenario further than the time of its search allowed, and rewrite its file"
+    shrinking = kinds.add_parser("shrink", help=about, description=about.capitalize())
+    shrinking.add_argument("file", metavar="FILE", help="the saved scenario: its file, or its id")
+    shrinking.add_argument("arguments", nargs="*", metavar="ARG", help="an argument of pytest; options come after --")
+    shrinking.set_defaults(folders=[Path()])
     about = "accept the failures of saved scenarios, so that they are expected to fail, for good or up to a day"
     accepting = kinds.add_parser("accept", help=about, description=about.capitalize())
     accepting.add_argument("ids", nargs="+", metavar="ID", help="saved scenarios: their files, or their ids")
@@ -136,6 +147,8 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
     """
     if arguments.what == "accept" and arguments.flaky and arguments.until is None:
         raise RequestError("expected a last day with --flaky, received none; add --until=YYYY-MM-DD")
+    if arguments.what == "shrink":
+        return _shrink(arguments)
     if arguments.what in ("prune", "nearby"):
         return subprocess.run(session_of(arguments), check=False).returncode  # noqa: S603
     for folder in arguments.folders:
@@ -196,12 +209,47 @@ def _inventory() -> Inventory:
 
 def session_of(arguments: argparse.Namespace) -> list[str]:
     """Return the session of pytest for what needs the tests: to collect them, or to replay their saved scenarios."""
-    if arguments.what == "prune":
+    if arguments.what == "shrink":
+        plugin, how, write = "shrinking", ["--no-header", "--tb=short", "-rN", "--runxfail", "--shrink-saved"], ""
+    elif arguments.what == "prune":
         plugin, how, write = "pruning", ["--collect-only", "-qq"], "--remove-orphans"
     else:
         plugin, how, write = "nearing", [flag("generations", 0), "-q", "--tb=no", "-rN"], "--put-neighbours"
     plugins = ["-p", "pafot", "-p", f"pytest_pafot.plugin.{plugin}"]
-    return [sys.executable, "-m", "pytest", *plugins, *how, *([write] if arguments.write else []), *arguments.arguments]
+    given = [write] if getattr(arguments, "write", False) else []
+    return [sys.executable, "-m", "pytest", *plugins, *how, *given, *arguments.arguments]
+
+
+def _shrink(arguments: argparse.Namespace) -> int:
+    """Let a session of pytest shrink a saved scenario; return the exit code, 2 for a file that cannot be shrunk."""
+    try:
+        path = named_file(arguments.file)
+        is_link = path.is_symlink() or (not path.is_absolute() and link_below(Path.cwd(), Path.cwd() / path))
+        if is_link:
+            raise CorpusError(path, "a file", "a link, which may lead to files of other people", "give the file itself")
+        finding = load(path)
+        if why := _why_not_shrunk(finding):
+            fix = f"`{command('pytest', path)}` replays it"
+            raise CorpusError(path, "a finding that can be shrunk", why, fix)
+    except CorpusError as error:
+        sys.stderr.write(f"corpus: {visible(str(error))}\n")
+        return NO_FOLDER
+    arguments.arguments = [str(path), *arguments.arguments]
+    code = subprocess.run(session_of(arguments), check=False).returncode  # noqa: S603
+    if code == NO_TESTS:
+        gone = CorpusError(path, "the file of a test", "one whose test is gone", "`corpus prune` removes such files")
+        sys.stderr.write(f"corpus: {visible(str(gone))}\n")
+    return NO_FOLDER if code in (BAD_SESSION, NO_TESTS) else code
+
+
+def _why_not_shrunk(finding: Finding) -> str:
+    """Return why the finding of a file cannot be shrunk, because its runs may differ; empty if it can."""
+    if finding.flaky is not None:
+        return "a flaky one, whose scenario does not give the same run each time"
+    if finding.expect.is_crash:
+        return "one in which a process died"
+    is_timed = finding.expect.outcome == "hang" or finding.signature.failure == SLOW_DECISION
+    return "one that depends on wall-clock time" if is_timed else ""
 
 
 def _join(folder: Path, *, write: bool) -> tuple[list[str], bool]:

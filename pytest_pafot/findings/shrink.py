@@ -40,6 +40,7 @@ from pytest_pafot.model.scenario import (
     Scenario,
     ScenarioError,
     Step,
+    continues,
     gene_of,
     retimed,
 )
@@ -594,11 +595,8 @@ def blocks(chain: Chromosome) -> list[tuple[int, int]]:
 
 
 def _parts(chain: Chromosome) -> list[tuple[int, int]]:
-    """Return [start, end) of each instruction to read: equal ones in a row, and each change of lanes on its own.
-
-    If an NPC keeps its lane after a change of lanes at the same speed, this is a part of the change.
-    """
-    starts = [0, *(gene for gene in range(1, len(chain)) if chain[gene] != _lasting(chain[gene - 1], 2)[1])]
+    """Return [start, end) of each instruction to read: equal ones in a row, and each change of lanes on its own."""
+    starts = [0, *(gene for gene in range(1, len(chain)) if not continues(chain[gene - 1], chain[gene]))]
     return list(pairwise([*starts, len(chain)]))
 
 

@@ -771,6 +771,16 @@ def with_targets(npcs: Sequence[Chromosome], targets: Sequence[Sequence[Any]]) -
     )
 
 
+def continues(before: Gene, gene: Gene) -> bool:
+    """Return whether an instruction says nothing new after another one: it is equal, and asks for no change of lanes.
+
+    If an NPC keeps its lane after a change of lanes at the same speed, this is a part of the change.
+    """
+    if isinstance(before, LaneInstruction):
+        before = replace(before, lane="keep")
+    return gene == before
+
+
 def retimed(chain: Chromosome, seconds: float, wanted: float) -> Chromosome:
     """Return a chain of genes that last ``wanted`` instead of ``seconds`` [s], with nearly the same targets in time.
 

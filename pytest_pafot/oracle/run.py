@@ -8,7 +8,7 @@ import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from itertools import takewhile
+from itertools import pairwise, takewhile
 from typing import TYPE_CHECKING, Any, Literal, Protocol
 
 import numpy as np
@@ -33,7 +33,15 @@ from pytest_pafot.criticality.signals import (
 )
 from pytest_pafot.model.crossings import Zone
 from pytest_pafot.model.grid import Cell
-from pytest_pafot.model.scenario import ALONE, CrossingInstruction, LaneInstruction, Manoeuvre, Scenario
+from pytest_pafot.model.scenario import (
+    ALONE,
+    Chromosome,
+    CrossingInstruction,
+    LaneInstruction,
+    Manoeuvre,
+    Scenario,
+    continues,
+)
 from pytest_pafot.model.trace import (
     ACCELERATION,
     ACROSS,
@@ -367,7 +375,8 @@ class Run(Shown):
         """The way out of the collision by a reference driver, if the rules say that the ego had too little time.
 
         The driver is simulated, and takes over at the time that the verdict names. It is ``careful-human``, or the
-        world's first driver. None for any other run, and if the driver does not avoid the collision.
+        world's first driver. None for any other run, if the driver does not avoid the collision, and if the world
+        cannot drive it on for 12 s.
 
         Raises:
             NoReferenceDriversError: for a run that was made without its world, or in one without these drivers.
@@ -466,14 +475,19 @@ class Run(Shown):
         verdict = self.attribution
         return *verdict.sentences, responsible_sentence(verdict.responsibility, self.collision.npc)
 
-    def explain(self) -> str:
-        """Explain the run in at most some twenty lines of ASCII: events, verdict and the NPCs' instructions."""
+    def explain(self, *, instructions: bool = True) -> str:
+        """Explain the run in at most some twenty lines of ASCII: events, verdict and the NPCs' instructions.
+
+        Args:
+            instructions: whether to name the scenario and its instructions.
+        """
         lines = [self._headline(), *(f"  {sentence}" for sentence in self.sentences), *self._measures()]
-        names = [f"scenario {self.scenario.id}", f"repair seed {self.scenario.seed}"]
-        names += [f"position rule: {self.second_opinion}"] if self.second_opinion != self.responsibility else []
-        names += filter(None, [self.scenario.traffic.described])
-        crossing = [*_crossing_lines(self.trace), *_manoeuvre_lines(self.trace, self.asked)]
-        lines += [*crossing, *_gene_table(self.trace, MAX_GENE_ROWS - len(crossing)), f"  {', '.join(names)}"]
+        if instructions:
+            names = [f"scenario {self.scenario.id}", f"repair seed {self.scenario.seed}"]
+            names += [f"position rule: {self.second_opinion}"] if self.second_opinion != self.responsibility else []
+            names += filter(None, [self.scenario.traffic.described])
+            crossing = [*_crossing_lines(self.trace), *_manoeuvre_lines(self.trace, self.asked)]
+            lines += [*crossing, *_gene_table(self.trace, MAX_GENE_ROWS - len(crossing)), f"  {', '.join(names)}"]
         texts = (ascii_text(" ".join(line.splitlines())) for line in lines)
         return "\n".join(text if len(text) <= LINE_LENGTH else text[: LINE_LENGTH - 3] + "..." for text in texts)
 
@@ -659,22 +673,23 @@ def _passed(passage: Passage | None) -> str:
 def _gene_table(trace: Trace, room: int) -> list[str]:
     """Return the table of the instructions that were started, with a row per gene and a column per NPC.
 
-    The table has at most ``room`` rows, the last ones. Times are in seconds.
+    Genes in which no NPC does anything new are a part of the row before. The table has at most ``room`` rows, the last
+    ones. Times are in seconds.
     """
-    scenario = trace.executed
+    scenario, seconds = trace.executed, trace.executed.gene_seconds
     npcs = [npc for npc, chain in enumerate(scenario.npcs) if not isinstance(chain[0], ALONE)]
     if not npcs:
         return []
-    started = min(scenario.genes, int(trace.duration / scenario.gene_seconds - 1e-9) + 1)
+    started = min(scenario.genes, int(trace.duration / seconds - 1e-9) + 1)
+    starts = [gene for gene in range(started) if any(_is_new(trace.chains[npc], gene) for npc in npcs)]
+    spans = list(pairwise([*starts, started]))
+    times = [f"{start * seconds:10.1f}{f' to {end * seconds:.1f}' if end - start > 1 else ''}" for start, end in spans]
     header = ["  from [s]", *(f"NPC {npc}" for npc in npcs)]
     for wording in _WORDINGS[{1: 0, 2: 1}.get(len(npcs), -1) :]:
-        rows: list[list[str]] = []
-        for gene in range(started):
-            row = [f"{gene * scenario.gene_seconds:10.1f}", *(_gene(trace, npc, gene, *wording) for npc in npcs)]
-            begun = [chain[gene] for chain in scenario.npcs if gene < len(chain)]
-            # NPCs that keep their lanes and speeds do nothing new, however many genes say so.
-            if not (rows and row[1:] == rows[-1][1:] and all(getattr(each, "lane", "") == "keep" for each in begun)):
-                rows.append(row)
+        rows = [
+            [time, *(_gene(trace, npc, range(*span), *wording) for npc in npcs)]
+            for time, span in zip(times, spans, strict=True)
+        ]
         shown = [header, *rows[-max(room, 1) :]]
         widths = [max(map(len, column)) for column in zip(*shown, strict=True)]
         head, *lines = ["  ".join(map(str.ljust, row, widths)) for row in shown]
@@ -685,15 +700,23 @@ def _gene_table(trace: Trace, room: int) -> list[str]:
     return [line.rstrip() for line in (head + earlier, *lines)]
 
 
-def _gene(trace: Trace, npc: int, gene: int, reached: str, names_side: bool) -> str:
-    """Return one NPC's instruction in one of the wordings of the table."""
-    chain = trace.chains[npc]
+def _is_new(chain: Chromosome, gene: int) -> bool:
+    """Return whether an NPC gets another instruction at the beginning of a gene, or has none from there on."""
+    if gene == 0 or gene >= len(chain):
+        return gene in (0, len(chain))
+    return not continues(chain[gene - 1], chain[gene])
+
+
+def _gene(trace: Trace, npc: int, genes: range, reached: str, names_side: bool) -> str:
+    """Return the instruction that one NPC has during some genes, in one of the wordings of the table."""
+    chain, gene = trace.chains[npc], genes[0]
     if gene >= len(chain):
         return "-"
     instruction = chain[gene]
     if not reached:
         return f"{instruction.target} {instruction.speed:.1f}"
-    tick = arrival(trace, npc, gene)
+    arrivals = (arrival(trace, npc, each) for each in genes if each < len(chain))
+    tick = next((each for each in arrivals if each is not None), None)
     end = "not reached" if tick is None else f"{reached}{tick / trace.physics_hz:.1f} s"
     if not isinstance(instruction, LaneInstruction):
         return f"{instruction.goal} {instruction.speed:.1f} m/s {end}"

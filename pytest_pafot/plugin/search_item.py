@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 import math
+import os
 import sys
 import time
 from collections.abc import Callable, Sequence
@@ -52,7 +53,7 @@ from pytest_pafot.plugin.session import SHARED, is_worker, records_folder
 from pytest_pafot.report import terminal
 from pytest_pafot.searching.events import GenerationFinished
 from pytest_pafot.searching.plain import plain
-from pytest_pafot.support.errors import RequestError, flag
+from pytest_pafot.support.errors import OF_SEARCH, RequestError, command, flag, rerun
 from pytest_pafot.support.files import remove_unfinished
 from pytest_pafot.support.text import plural
 from pytest_pafot.support.versions import installed_versions
@@ -244,6 +245,7 @@ def run_search(item: pytest.Function, request: Request) -> None:
             limit=limit,
             # With these options pytest stops at the first failed item. The loop inside of this item must do the same.
             stops_at_first=bool(item.config.getoption("usepdb", False)) or item.config.getoption("maxfail", 0) == 1,
+            shrinks_later=not os.environ.get(OF_SEARCH),  # the command search has no test that stays
             progress_seconds=shared.progress_seconds,
             process_notes=[] if chosen is harness else [AFTER_A_DEATH],
         ).run()
@@ -310,6 +312,7 @@ class SearchMessages:
     counts: CampaignCounts | None  # for the report page
     table: Listener | None
     told: dict[str, FindTold] = field(default_factory=dict)  # the findings so far, by id
+    new: list[str] = field(default_factory=list)  # the ids of those that were reported when they were found
 
     def __call__(self, event: SearchEvent) -> None:
         """Send a message for each event that the terminal, the page or the table reports."""
@@ -363,6 +366,7 @@ class SearchMessages:
         advice = "it does not repeat, so it is not shrunk" if kept.find.is_flaky else ""
         if kept.find.difference == NOT_REPEATED:
             advice += DRAWS
+        is_due = bool(kept.find.unshrunk) and self.settings.resume is None and not os.environ.get(OF_SEARCH)
         section = terminal.find_section(
             kept.find,
             explanation="" if explanation.partition("\n")[0] in message_of(kept.exception) else explanation,
@@ -370,8 +374,17 @@ class SearchMessages:
             first=[] if kept.is_new else terminal.avoided_lines(kept.finding),
             details=details,
             advice=advice,
+            shrink=command("pytest_pafot", "corpus", "shrink", kept.find.path) if is_due and kept.find.path else "",
             width=width,
         )
+        # Nobody should have to wait for the end of the search to learn what the first failure is.
+        whole = None
+        if kept.is_new and not self.new:
+            story = [] if kept.run is None else kept.run.explain(instructions=False).splitlines()
+            is_told = bool(story) and story[0].partition(":")[0] in kept.find.headline
+            again = rerun(["pytest", kept.find.path], os.environ, saved=kept.find.id)
+            whole = {"story": story[is_told:], "again": again}
+        self.new.extend([kept.find.id] if kept.is_new else [])
         check = kept.exception.check if isinstance(kept.exception, CheckFailed) else None
         report = _report(self.item, kept, section)
         tell_finding(
@@ -383,6 +396,7 @@ class SearchMessages:
             check=check,
             report=report,
             is_new=kept.is_new,
+            whole=whole,
         )
 
 

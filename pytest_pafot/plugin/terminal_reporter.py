@@ -101,6 +101,7 @@ class Reporter:
         self._expanded: set[str] = set()
         self._explained: dict[str, list[str]] = {}
         self._running: dict[str, None] = {}
+        self._worked_on: set[tuple[str, str]] = set()  # searches and findings whose simplification was told
         self._searches: list[SearchSummary] = []
         self._replays: list[Find] = []
         self._neighbour_seconds = 0.0
@@ -226,7 +227,12 @@ class Reporter:
             case "start":
                 self._take_start(report)
             case "progress":
-                self._live.show_progress(lambda width: terminal.progress_line(Progress(**data), width))
+                progress = Progress(**data)
+                # A log keeps every line, and hundreds of runs to shrink one finding say nothing new.
+                key = (progress.node_id, progress.of)
+                if self._live.rewrites or not progress.of or key not in self._worked_on:
+                    self._live.show_progress(lambda width: terminal.progress_line(progress, width))
+                    self._worked_on.add(key)
             case "finding":
                 find = from_plain(Find, data["find"])
                 if find.label == NEW:
@@ -266,8 +272,11 @@ class Reporter:
             told = data["report"], getattr(report, "node", None), rank
             self._pending.setdefault(report.nodeid, {})[find.node_id] = told
         self._live.erase_progress()
-        if data["is_new"] and self._config.get_verbosity() >= 0:
-            self._live.write(terminal.found_lines(find, self._config.stash[SHARED].width))
+        width, verbosity, whole = self._config.stash[SHARED].width, self._config.get_verbosity(), data.get("whole")
+        if data["is_new"] and verbosity >= 0:
+            self._live.write(terminal.found_lines(find, width, **(whole or {})))
+        elif whole is not None and verbosity == -1:
+            self._live.write(terminal.found_lines(find, width))
 
     def _expand(self, search_id: str) -> None:
         """Report the findings of a search, the worst first, as the items that will replay them in the next session."""

@@ -299,13 +299,34 @@ def instruction_table(instructions: Iterable[InstructionView]) -> str:
     is_crossed, is_in_lanes = any(told.zone for told in instructions), any(told.lane for told in instructions)
     places = "cell or lane" if not is_crossed else "cell, lane or zone" if is_in_lanes else "cell or zone"
     rows = []
-    for told in instructions:
+    for told, is_several in _folded(instructions):
         reached = "not reached" if told.arrived is None else f"at {told.arrived:.1f} s"
         reached = "-" if told.lane == "keep" else reached
-        cells = f"{told.start:.1f}", _goal(told), f"{told.speed:.1f}", reached if told.started else "not begun"
+        since = f"{told.start:.1f} to {told.end:.1f}" if is_several else f"{told.start:.1f}"
+        cells = since, _goal(told), f"{told.speed:.1f}", reached if told.started else "not begun"
         rows.append(row(f"NPC {told.npc}", *cells, attributes="" if told.started else " class=unstarted"))
     head = columns("NPC", "from [s]", places, "speed [m/s]", "reached")
     return f'<div class="scroll">{table(head, rows)}</div>'
+
+
+def _folded(instructions: Sequence[InstructionView]) -> list[tuple[InstructionView, bool]]:
+    """Return the instructions with equal ones in a row as one, and whether each of them is several in the chain.
+
+    Equal changes of lanes in a row are several changes.
+    """
+    folded: list[tuple[InstructionView, bool]] = []
+    for told in instructions:
+        last = folded[-1][0] if folded else None
+        if last is None or told.lane in ("left", "right") or _asks(told) != _asks(last):
+            folded.append((told, False))
+        else:
+            arrived = told.arrived if last.arrived is None else last.arrived
+            folded[-1] = (replace(last, end=told.end, arrived=arrived), True)
+    return folded
+
+
+def _asks(told: InstructionView) -> tuple[object, ...]:
+    return told.npc, told.started, told.requested, told.cell, told.speed, told.lane, told.zone, told.words
 
 
 def _goal(told: InstructionView) -> str:

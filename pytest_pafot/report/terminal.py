@@ -94,10 +94,23 @@ def progress_line(progress: Progress, width: int = WIDTH) -> str:
     return f"pafot: {name}{tail}"[:width]
 
 
-def found_lines(find: Find, width: int = WIDTH) -> list[str]:
-    """Return the lines that report a new finding while the search continues. Its file already exists."""
+def found_lines(find: Find, width: int = WIDTH, *, story: Sequence[str] = (), again: str = "") -> list[str]:
+    """Return the lines that report a new finding while the search continues. Its file already exists.
+
+    Args:
+        find: the finding.
+        width: the width of the terminal in columns.
+        story: what its run shows, for the finding that is told whole.
+        again: the command that runs its file, likewise.
+    """
     lines = [ascii_text(f"pafot: found {find.node_id}"), *_wrapped(find.summary, width)]
-    return lines if find.path else [*lines, *_wrapped(f"not saved: {find.detail}", width)]
+    lines += [line for each in story for line in _wrapped(each, width)]
+    if not find.path:
+        return [*lines, *_wrapped(f"not saved: {find.detail}", width)]
+    if again:
+        saved = "saved" if find.path in again else f"saved as {find.path}"
+        lines.append(ascii_text(f"  {saved}; run it with: {again}"))
+    return lines
 
 
 def find_section(
@@ -108,6 +121,7 @@ def find_section(
     first: Sequence[str] = (),
     details: Sequence[str] = (),
     advice: str = "",
+    shrink: str = "",
     width: int = WIDTH,
 ) -> str:
     """Return the section on a new finding in its failure report, without what the failure message says already.
@@ -119,6 +133,7 @@ def find_section(
         first: lines that come before those on the policy's decisions.
         details: further lines, each of which begins with a title of at most ten letters.
         advice: a text that follows the finding's remark.
+        shrink: the command that shrinks the finding further; empty if it needs none.
         width: the width of the terminal in columns.
     """
     fitted = fitted_lines(map(ascii_text, [*explanation.splitlines(), *first, *find.on_decisions]), width)
@@ -128,6 +143,7 @@ def find_section(
     rest = [f"run it     pytest FILE{stop}"] if find.path else [f"not saved  {find.detail}"]
     rest += [*details, f"note       {'; '.join(filter(None, (find.remark, advice)))}"] if find.remark else details
     fitted += fitted_lines(map(ascii_text, rest), width)
+    fitted += [ascii_text(f"shrink it  {shrink}")] if shrink else []
     if content:
         fitted += ["the file would be:", *(ascii_text(f"  {line}") for line in content.rstrip().splitlines())]
     return "\n".join(fitted)

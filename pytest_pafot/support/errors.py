@@ -124,12 +124,13 @@ class DriverError(WorldError):
 
 
 @contextmanager
-def driven_by(world: object, method: str, name: str) -> Iterator[None]:
+def driven_by(world: object, method: str, name: str = "") -> Iterator[None]:
     """Turn any exception of a world's own code into a ``DriverError`` with the world's class, method and driver."""
     try:
         yield
     except Exception as error:
-        text = f"the world {type(world).__name__} could not run {method} with the driver {name!r}: "
+        driver = f" with the driver {name!r}" if name else ""
+        text = f"the world {type(world).__name__} could not run {method}{driver}: "
         raise DriverError(f"{text}{type(error).__name__}: {one_line(str(error))}") from error
 
 

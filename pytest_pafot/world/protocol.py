@@ -9,7 +9,7 @@ from __future__ import annotations
 import inspect
 from bisect import bisect_left
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from types import FunctionType
 from typing import Any, NamedTuple, Protocol
@@ -322,6 +322,21 @@ class TakingOver:
             if not isinstance(taken, Trace):
                 raise TypeError(f"expected a pafot.Trace, received {taken!r:.100}")
         return taken
+
+    def lasting(self, seconds: float) -> TakingOver | None:
+        """Return the ability to repeat runs that last some seconds; None if the world cannot go on.
+
+        Raises:
+            DriverError: if the world's ``lasting`` raises, or does not return a world.
+        """
+        make = lasting(self.world)
+        if make is None:
+            return None
+        with driven_by(self.world, "lasting"):
+            longer = make(seconds)
+            if missing(longer):
+                raise TypeError(f"expected a world, received {longer!r:.100}")
+        return replace(self, world=longer)
 
 
 BRAKING = (-FOLLOWING.deceleration, 0.0)

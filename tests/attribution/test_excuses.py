@@ -14,9 +14,9 @@ LATE = cut_in(16.0, slower=8.0, ego_brakes=[(3.7, 6.0, 0.0)])
 """An NPC crosses the line at 2.3 s; it can be seen from 2.2 s on. The ego brakes when it must, and hits it at 5.1 s."""
 
 
-def driven(since, braking, **changes):
+def driven(since, braking, ticks=300, **changes):
     """Return a run in which a driver brakes from a tick on at a rate [m/s^2], and the end of the run is changed."""
-    states = LATE.states.copy()
+    states = np.concatenate([LATE.states, LATE.states[-1:].repeat(ticks - LATE.ticks, axis=0)])
     speeds = np.maximum(states[since, 0, SPEED] - braking * np.arange(len(states) - since) / LATE.physics_hz, 0.0)
     states[since:, 0, SPEED] = speeds
     return replace(LATE, states=states, **{"outcome": Outcome.SAFE, "collision": None, **changes})
@@ -78,7 +78,27 @@ def test_driver_that_need_not_brake_has_one_sentence():
 
 @pytest.mark.parametrize("ending", [{"outcome": Outcome.INVALID}, {"outcome": Outcome.COLLISION}])
 def test_driver_that_collides_does_not_escape(ending):
-    assert escaped(driven(36, 7.5, **ending))[0] is None
+    assert escaped(driven(36, 7.5, ticks=100, **ending))[0] is None
+
+
+@pytest.mark.parametrize(
+    ("longer", "is_free"),
+    [(driven(36, 7.5), True), (driven(36, 7.5, ticks=150, outcome=Outcome.COLLISION), False), (None, False)],
+)
+def test_driver_escapes_only_if_it_is_driven_for_twelve_seconds(longer, is_free):
+    asked = []
+
+    def take_over(trace, tick, name):
+        return driven(36, 7.5, ticks=100)
+
+    def lasting(seconds):
+        asked.append(seconds)
+        return None if longer is None else lambda *_: longer
+
+    take_over.lasting = lasting
+    found = escape(LATE, take_over)
+    assert (found is not None) == is_free
+    assert asked == [pytest.approx(rss_rule(LATE).tick / LATE.physics_hz + 12.0, abs=0.4)]
 
 
 def test_run_that_does_not_repeat_shows_nothing():

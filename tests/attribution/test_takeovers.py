@@ -84,7 +84,9 @@ def test_a_run_that_does_not_repeat_has_none(ticks):
         (braked(outcome=Outcome.ADS_ERROR, ticks=60), False),
         (braked(outcome=Outcome.HANG, ticks=60), False),
         (braked(outcome=Outcome.END_OF_ROAD, ticks=30), False),
-        (braked(outcome=Outcome.END_OF_ROAD, ticks=60), True),
+        (braked(outcome=Outcome.END_OF_ROAD, ticks=60), False),
+        (braked(ticks=27 + 181), True),
+        (braked(ticks=27 + 180), False),
         (braked(rate=8.0), False),
         (braked(rate=4.5), False),
         (braked(rate=6.3), True),
@@ -94,7 +96,7 @@ def test_a_run_that_does_not_repeat_has_none(ticks):
     ],
 )
 def test_braking_avoids_only_if_ego_brakes_untouched(taken, is_free):
-    """A contact from behind counts, too. A run that ends before the impact, or without its driver, shows nothing."""
+    """A contact from behind counts, too. A run that ends before, or without its driver, shows nothing."""
     names = []
 
     def take_over(trace, tick, name):
@@ -106,15 +108,59 @@ def test_braking_avoids_only_if_ego_brakes_untouched(taken, is_free):
     assert {*names} == {"steady-braking"}
 
 
-@table(("npc_speed", "is_free"), [(10.0, False), (17.0, True)])
-def test_run_that_ends_before_ego_stands_is_driven_on(npc_speed, is_free):
-    """At its end the ego is 2 m behind the NPC with 17.6 m/s, and brakes."""
-    taken = braked(ticks=33)
-    states = taken.states.copy()
-    states[28:, 1, SPEED] = npc_speed
-    taken = replace(taken, states=states)
-    found = avoidance(crash(), "leader-unanswered", lambda trace, tick, name: taken if tick == 27 else trace)
-    assert (found is not None) == is_free
+class Lasting:
+    """A function that lets a driver take over in short runs, and in longer ones if it can go on."""
+
+    def __init__(self, short, longer):
+        self.short, self.longer, self.asked = short, longer, []
+        self.drivers = ("steady-braking",)
+
+    def __call__(self, trace, tick, name):
+        return self.short if tick == 27 else trace
+
+    def lasting(self, seconds):
+        self.asked.append(seconds)
+        return None if self.longer is None else lambda *_: self.longer
+
+
+@table(
+    ("short", "longer", "is_free"),
+    [
+        (braked(ticks=33), braked(), True),
+        (braked(ticks=33), None, False),
+        (braked(ticks=33), braked(hit=100), False),
+        (braked(ticks=33), braked(ticks=60), False),
+        (braked(ticks=33), braked(outcome=Outcome.END_OF_ROAD, ticks=60), False),
+        (braked(ticks=33), braked(since=60), False),
+        (braked(ticks=40), braked(lane=0), False),
+        (braked(ticks=40), braked(since=29), False),  # the longer run begins otherwise
+    ],
+)
+def test_run_that_ends_before_twelve_seconds_is_driven_on(short, longer, is_free):
+    take_over = Lasting(short, longer)
+    assert (avoidance(crash(), "leader-unanswered", take_over) is not None) == is_free
+    assert take_over.asked == [pytest.approx(27 / 15 + 12.0, abs=0.2)]
+
+
+@table("short", [braked(), braked(ticks=60, rate=3.0), braked(hit=50)])
+def test_only_braking_that_helps_so_far_is_driven_on(short):
+    take_over = Lasting(short, braked())
+    avoidance(crash(), "leader-unanswered", take_over)
+    assert take_over.asked == []
+
+
+def test_built_in_world_drives_the_braking_ego_on():
+    """The scenario ends 0.6 s after the impact, and the leader with its single instruction keeps its speed."""
+    world = Highway(clearance=30.0)
+    found = []
+    for seconds in (11.0, 30.0):
+        scenario = Scenario(npcs=[[PositionInstruction(2, 12.0)]], ego_speed=22.0, gene_seconds=seconds)
+        trace = world.rollout(scenario, lambda: lambda observation: (0.0, 0.0))
+        assert trace.collision is not None
+        found.append(avoidance(trace, "leader-unanswered", world.take_over))
+    short, whole = found
+    assert short == whole
+    assert short is not None
 
 
 def test_braking_through_another_vehicle_avoids_nothing():

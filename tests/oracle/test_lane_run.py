@@ -101,7 +101,7 @@ def test_npcs_that_go_on_as_before_need_no_row():
     run = run_of(in_lanes("keep@10 keep@10"), in_lanes("keep@5"), lanes=((0, 0), (1, 1)))
     assert len(rows(run)) == 2  # NPC 1 has no instruction in the second gene
     run = run_of(in_lanes("keep@10 keep@10"), in_lanes("keep@5 keep@5"), lanes=((0, 0), (1, 1)))
-    assert rows(run) == ["       0.0  keep the lane left of the ego 10.0 m/s  keep the ego's lane 5.0 m/s"]
+    assert rows(run) == ["       0.0 to 4.0  keep the lane left of the ego 10.0 m/s  keep the ego's lane 5.0 m/s"]
 
 
 def test_equal_changes_in_a_row_are_all_told():

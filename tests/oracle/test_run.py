@@ -1,3 +1,4 @@
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -6,7 +7,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pytest_pafot import criticality
+from pytest_pafot.findings.shrink import instructions
 from pytest_pafot.model.grid import Cell
+from pytest_pafot.model.scenario import PositionInstruction, Scenario
 from pytest_pafot.model.trace import ACCELERATION, SPEED, AdsError, Outcome
 from pytest_pafot.oracle.run import NoReferenceDriversError, Run
 from tests.helpers.hostile import CHARACTERS
@@ -198,9 +201,25 @@ def test_explanation_of_many_genes_lists_the_last_ones():
     trace = trace_of(
         vehicle(0.0, 4.0, speed=20.0, ticks=150),
         vehicle(50.0, 4.0, speed=20.0, ticks=150),
-        scenario=scenario_of(1, genes=20, gene_seconds=1.0),
+        scenario=Scenario(npcs=[[PositionInstruction(1, float(gene)) for gene in range(20)]], gene_seconds=1.0),
     )
     lines = Run(trace).explain().splitlines()
     assert "(5 earlier)" in lines[2]
     assert lines[3].split()[0] == "5.0"
     assert lines[-2].split()[0] == "9.0"
+
+
+def test_equal_instructions_in_a_row_are_one_row_and_one_instruction():
+    chains = [
+        [PositionInstruction(1, 20.0)] * 9,
+        [PositionInstruction(2, 20.0)] * 4 + [PositionInstruction(2, 9.0)] * 5,
+    ]
+    for npcs, expected in ((chains[:1], ["0.0 to 18.0"]), (chains, ["0.0 to 8.0", "8.0 to 18.0"])):
+        scenario = Scenario(npcs=npcs, gene_seconds=2.0)
+        vehicles = [vehicle(50.0 * number, 4.0, speed=20.0, ticks=270) for number in range(len(npcs) + 1)]
+        trace = trace_of(*vehicles, scenario=scenario, arrivals=((None, None, 75, *[80] * 6),) * len(npcs))
+        lines = Run(trace).explain().splitlines()
+        table = lines[next(n for n, line in enumerate(lines) if line.startswith("  from [s]")) + 1 : -1]
+        assert [re.split(r"  +", line.strip())[0] for line in table] == expected
+        assert "1 front-left 20.0 m/s reached at 5.0 s" in table[0] or len(npcs) == 2
+    assert instructions(Scenario(npcs=chains[:1], gene_seconds=2.0)) == 1

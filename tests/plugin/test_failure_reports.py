@@ -130,7 +130,7 @@ def test_record_contains_explanation_and_avoidance_of_the_collision(explained):
 def test_an_id_is_not_repeated_without_need(explained):
     text = search(explained).stdout.str()
     told = [line for line in text.splitlines() if explained.only_id in line]
-    assert len(told) == 6  # announced; search: block, summary; finding: title, file, summary
+    assert len(told) == 7  # announced, with its command; search: block, summary; finding: title, file, summary
 
 
 @pytest.mark.parametrize("flag", ["-v", "--tb=long"])

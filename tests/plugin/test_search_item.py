@@ -1,5 +1,6 @@
 """The main job: a search finds, saves and reports; the next session replays."""
 
+import json
 import re
 
 import pytest
@@ -34,6 +35,75 @@ def test_finding_is_announced_during_search_with_its_file(project):
             f"saved as   {project.files[0]}",
         ]
     )
+
+
+TWO_KINDS = """
+@pafot.search(SHORT)
+def test_collides(run):
+    assert not run.collision
+    pafot.check(run.min_distance, name="gap", at_least=12.0)
+"""
+
+
+def announced(result):
+    """Return the lines of each finding that were written before the result of its search."""
+    lines = result.stdout.str().partition("= FAILURES =")[0].splitlines()
+    begins = [number for number, line in enumerate(lines) if line.startswith("pafot: found ")]
+    told = []
+    for begin in begins:
+        more = lines[begin + 1 :]
+        told.append(more[: next(n for n, line in enumerate(more) if not line.startswith("  "))])
+    return told
+
+
+@pytest.mark.parametrize("args", [(), ("-n1",)], ids=["alone", "worker"])
+def test_first_finding_is_told_whole_at_once_and_others_in_a_line(project, monkeypatch, args):
+    if args:
+        pytest.importorskip("xdist")
+    monkeypatch.setenv("COLUMNS", "60")
+    project.write(TWO_KINDS)
+    result = project.run_once(*args, "--pafot-shrink-rollouts=0", "--pafot-json=out.json", generations=10, seed=2)
+    first, *others = announced(result)
+    assert len(others) == len(project.files) - 1 >= 1
+    assert {len(lines) for lines in others} <= {1, 2}
+    assert [line.split(":")[0] for line in first if not line.startswith("    ")] == [
+        "  gap 2.0 < 12",
+        "  no collision in 10.0 s",
+        "  least time to contact",
+        "  closest at 6.3 s",
+        "  saved; run it with",
+    ]
+    assert max(map(len, first[:-1])) <= 60
+    assert first[-1].rpartition(" ")[2] in project.files
+    assert "run it with" not in (project.path / "out.json").read_text()
+
+
+def test_first_collision_has_the_sentences_of_its_verdict(project):
+    project.write("@pafot.search(SHORT, stop_after=1)\ndef test_collides(run):\n    assert not run.collision\n")
+    (lines,) = announced(project.run_once("--pafot-shrink-rollouts=0", "--pafot-json=out.json", generations=10, seed=2))
+    (its,) = json.loads((project.path / "out.json").read_text())["findings"]
+    told = " ".join(" ".join(lines[1:]).split())
+    assert lines[0].startswith("  collision after")
+    assert told.startswith(its["sentences"][0])
+    assert its["sentences"][-1] in told
+    assert "collision after" not in told
+
+
+def test_command_of_the_first_finding_replays_it(project):
+    project.write(TWO_KINDS)
+    first, *_ = announced(project.run_once("--pafot-shrink-rollouts=0", generations=10, seed=2))
+    name = first[-1].rpartition(" ")[2]
+    result = project.run(name, generations=None)
+    result.assert_outcomes(failed=1)
+
+
+def test_quiet_session_tells_only_the_first_finding_in_short(project):
+    project.write(TWO_KINDS)
+    result = project.run_once("-q", "--pafot-shrink-rollouts=0", generations=10, seed=2)
+    ((line,),) = announced(result)
+    assert line == "  gap 2.0 < 12"
+    project.forget()
+    assert announced(project.run_once("-qq", "--pafot-shrink-rollouts=0", generations=10, seed=2)) == []
 
 
 def test_next_session_replays_finding_under_the_same_id(failing):

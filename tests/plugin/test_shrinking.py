@@ -1,6 +1,7 @@
 """After a search, findings are confirmed, shrunk and limited, and none is lost."""
 
 import json
+import re
 from types import SimpleNamespace
 
 import pytest
@@ -16,6 +17,7 @@ from pytest_pafot.findings.shrink import OutOfBudget, sort_key
 from pytest_pafot.model.scenario import PositionInstruction, Scenario
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.world import Highway
+from tests.plugin.test_progress import ON_A_TERMINAL
 
 COLLIDES = """
 @pafot.search(SHORT, stop_after=1)
@@ -144,13 +146,16 @@ def test_interrupted(run):
 """
 
 
-@pytest.mark.parametrize(("save", "first"), [("new", "delete its files and "), ("none", "")])
+@pytest.mark.parametrize(
+    ("save", "how"),
+    [("new", "python -m pytest_pafot corpus shrink FILE goes on"), ("none", "search again with --pafot-seed=2")],
+)
 @pytest.mark.parametrize("limit", [2, 4])
-def test_interrupted_search_says_how_to_shrink_later(project, save, first, limit):
+def test_interrupted_search_says_how_to_shrink_later(project, save, how, limit):
     source = INTERRUPTED.replace("LIMIT", str(limit)).replace("STOP", "raise KeyboardInterrupt")
     project.write(source.replace(", stop_after=1" if limit == 2 else "", ""))
     result = run(project, f"--pafot-save={save}", no_reraise_ctrlc=True)
-    told = f"  note: ended before 1 new finding was shrunk: {first}search again with --pafot-seed=2"
+    told = f"  note: ended before 1 new finding was shrunk: {how}"
     result.stdout.fnmatch_lines(["*ended: interrupted", told])
 
 
@@ -340,9 +345,7 @@ def test_one(run):
     result.stdout.fnmatch_lines(["*further findings not saved (--pafot-max-saved): *"])
 
 
-def test_progress_says_that_it_shrinks(collides):
-    collides.pytester.makeconftest(
-        """
+IMPATIENT = """
 import pytest
 from pytest_pafot.plugin.session import SHARED
 
@@ -351,5 +354,29 @@ def ads(pytestconfig):
     pytestconfig.stash[SHARED].progress_seconds = 0.0
     return lambda: lambda observation: (0.0, 0.0)
 """
-    )
-    run(collides).stdout.fnmatch_lines(["pafot: *collides* shrinking *, run 1 of 300"])
+
+
+@pytest.mark.parametrize("neighbours", [0, 5])
+def test_log_has_one_line_for_all_the_work_on_a_finding(collides, neighbours):
+    collides.pytester.makeconftest(IMPATIENT)
+    result = run(collides, f"--pafot-neighbours={neighbours}")
+    begins = re.compile("pafot: (?!found )")
+    (line,) = [line for line in result.outlines if collides.only_id in line and begins.match(line)]
+    assert line.endswith(f"shrinking {collides.only_id}, run 1 of 300")
+
+
+def test_log_has_one_line_for_each_finding(project):
+    project.pytester.makeconftest(IMPATIENT)
+    gap = '    pafot.check(run.min_distance, name="gap", at_least=12.0)\n'
+    project.write(COLLIDES.replace(", stop_after=1", "") + gap)
+    result = run(project, "--pafot-neighbours=0")
+    told = [line.partition(" shrinking ")[2] for line in result.outlines if " shrinking " in line]
+    assert len(project.files) == len(told) == 2
+    assert [f"{line.partition(',')[0]}.pafot.yaml" in "".join(project.files) for line in told] == [True, True]
+
+
+def test_terminal_rewrites_the_line_with_each_run(collides):
+    terminal = ON_A_TERMINAL.partition("@pytest.hookimpl")[2]
+    collides.pytester.makeconftest(f"{IMPATIENT}\n@pytest.hookimpl{terminal}")
+    output = run(collides).stdout.str()
+    assert output.count(f"shrinking {collides.only_id}, run ") > 5

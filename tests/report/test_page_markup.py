@@ -7,7 +7,7 @@ import re
 from dataclasses import replace
 
 from pytest_pafot.model.trace import Outcome
-from pytest_pafot.report.page import campaign_article, finding_article, finding_list, render_page
+from pytest_pafot.report.page import campaign_article, finding_article, finding_list, instruction_table, render_page
 from pytest_pafot.report.page_data import CampaignView, CoverageRow, GenerationView, Report
 from pytest_pafot.report.views import shrink_view
 from tests.helpers.traces import trace_of, vehicle
@@ -97,3 +97,20 @@ def test_page_with_only_an_error_matches_its_snapshot(snapshot):
     )
     body = re.search('<div class="session">.*(?=<script type)', render_page(report), re.DOTALL)[0]
     assert lines_of(body) == snapshot
+
+
+def test_equal_instructions_in_a_row_are_one_row_of_the_table():
+    (first,) = [row for row in view_of(hand_made_trace()).instructions if row.npc == 0 and row.gene == 0]
+    rows = [replace(first, gene=gene, start=2.0 * gene, end=2.0 * gene + 2.0, arrived=None) for gene in range(9)]
+    rows[3] = replace(rows[3], arrived=7.0)
+    cells = re.findall(r"<td>(.*?)</td>", instruction_table(rows))
+    assert (cells[0], cells[-1]) == ("0.0 to 18.0", "at 7.0 s")
+    others = [replace(rows[4], speed=9.0), replace(rows[5], speed=9.0, started=False), replace(rows[6], npc=1)]
+    assert re.findall(r"<td>(.*?)</td>", instruction_table([*rows[:4], *others]))[::4] == [
+        "0.0 to 8.0",
+        "8.0",
+        "10.0",
+        "12.0",
+    ]
+    lanes = [replace(each, cell=0, requested=0, lane="left", words="into the lane") for each in rows[:3]]
+    assert re.findall(r"<td>(.*?)</td>", instruction_table(lanes))[::4] == ["0.0", "2.0", "4.0"]

@@ -296,6 +296,17 @@ def test_what_is_no_ascii_is_escaped():
     assert terminal.found_lines(Find(id="a", node_id="té", headline="→"))[:2] == ["pafot: found t\\xe9", "  \\u2192"]
 
 
+def test_finding_that_is_told_whole_has_its_story_and_its_command():
+    find = Find(id="a", node_id="t", headline="collision", path="corpus/a.pafot.yaml")
+    told = {"story": ("NPC 0 braked.", "The ego is responsible."), "again": "pytest corpus/a.pafot.yaml"}
+    lines = ["pafot: found t", "  collision", "  NPC 0 braked.", "  The ego is responsible."]
+    assert terminal.found_lines(find, **told) == [*lines, "  saved; run it with: pytest corpus/a.pafot.yaml"]
+    of_command = terminal.found_lines(find, **{**told, "again": "search -- -k a"})
+    assert of_command == [*lines, "  saved as corpus/a.pafot.yaml; run it with: search -- -k a"]
+    unsaved = terminal.found_lines(replace(find, path="", detail="no room"), **told)
+    assert unsaved == [*lines, "  not saved: no room"]
+
+
 def test_search_summary_line_names_some_of_its_findings():
     finds = tuple(replace(FIND, id=f"front-2-{n}") for n in range(5))
     assert terminal.failure_line(replace(SEARCH, finds=finds[:1])) == "1 new finding: front-2-0"

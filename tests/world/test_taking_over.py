@@ -239,3 +239,29 @@ def test_error_of_a_world_names_class_and_driver(take_over, error):
     expected = f"^the world Broken could not run take_over with the driver 'idm-aeb': {error}$"
     with pytest.raises(DriverError, match=expected):
         taking_over(world, trace)(trace, 3, "idm-aeb")
+
+
+def test_driver_that_takes_over_is_driven_on_in_the_longer_world():
+    short = Scenario(npcs=[[PositionInstruction(2, 10.0)]], ego_lane=1, ego_speed=22.0, gene_seconds=2.0)
+    trace = HIGHWAY.rollout(short, lambda: lambda seen: (0.0, 0.0))
+    resuming = type("GoesOn", (Resumes,), {"lasting": lambda self, seconds: HIGHWAY.lasting(seconds)})()
+    for world, driver in ((HIGHWAY, "careful-human"), (resuming, "steady-braking")):
+        take_over = taking_over(world, trace)
+        usual, longer = (each(trace, 15, driver) for each in (take_over, take_over.lasting(14.0)))
+        assert (usual.duration, longer.duration) == (2.0, 14.0)
+        assert longer.states[: len(usual.states)].tobytes() == usual.states.tobytes()
+    assert taking_over(Declares(), trace).lasting(14.0) is None
+
+
+@table(
+    ("lasting", "error"),
+    [
+        (lambda self, seconds: {}[seconds], "KeyError: 14.0"),
+        (lambda self, seconds: None, "TypeError: expected a world, received None"),
+    ],
+)
+def test_error_of_a_world_that_cannot_go_on_names_its_class(lasting, error):
+    world = type("Broken", (Declares,), {"lasting": lasting})()
+    trace = HIGHWAY.rollout(BRAKES, weaving)
+    with pytest.raises(DriverError, match=f"^the world Broken could not run lasting: {error}$"):
+        taking_over(world, trace).lasting(14.0)

@@ -1,0 +1,116 @@
+"""The simplification of a saved finding in a later session: all that a search does to it after its last run."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+from pytest_pafot.campaign.events import Find, FindTold
+from pytest_pafot.campaign.resuming import Sessions
+from pytest_pafot.campaign.search_loop import UNCONFIRMED
+from pytest_pafot.campaign.simplification import Simplification
+from pytest_pafot.campaign.verdict import headline
+from pytest_pafot.corpus.saved import Saved
+from pytest_pafot.findings.finding import Finding, Perceived, ending, of_failure
+from pytest_pafot.findings.shrink import Shrunk, size_of, sort_key
+from pytest_pafot.support.text import plural
+from pytest_pafot.world.driving.ads import weights_digest
+from pytest_pafot.world.driving.perception import sight_of
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Later:
+    """The result of shrinking a saved finding.
+
+    Attributes:
+        finding: the finding with a simpler scenario; None if the file stays as it is.
+        told: what was done, or why nothing was, without the name of the file.
+        is_refused: True if the finding does not show its failure now, or does not repeat, so that nothing was tried.
+        notes: remarks on what could not be found out.
+    """
+
+    finding: Finding | None = None
+    told: str
+    is_refused: bool = False
+    notes: tuple[str, ...] = ()
+
+
+def shrink_saved(
+    sessions: Sessions, saved: Saved, *, path: str, until: float = math.inf, tell: Callable[[str], None]
+) -> Later:
+    """Shrink the scenario of a file further, from what it is now, and try drivers and neighbours in the result.
+
+    Args:
+        sessions: the parts of a search in the world of the file.
+        saved: the file, with a finding that is expected to give the same run each time.
+        path: the path of the file, for reports.
+        until: the time at which it must end [s], or infinity.
+        tell: is called often, with a text on the current work.
+    """
+    __tracebackhide__ = True
+    loop, harness, before = sessions.loop, sessions.harness, saved.finding
+    if before is None:
+        raise ValueError(f"saved: expected a file that can be read, received {saved!r:.100}")
+    # The file has to fail as it says, or everything that is simpler would be compared with something else.
+    run = loop.simulation.run(before.scenario, afresh=True)
+    verdict = loop.simulation.judge(run)
+    failure = verdict.failure if verdict.failed else None
+    if failure is None or verdict.exception is None or of_failure(run, failure) != before.signature:
+        now = headline(run, verdict) if verdict.failed else ending(run)
+        return Later(told=f"it does not fail as the file says: {now}", is_refused=True)
+    sight = sight_of(harness.ads)
+    start = replace(
+        before,
+        found=replace(before.found, versions=harness.versions, weights=weights_digest(harness.ads)),
+        perception=None if sight is None else Perceived(sight=sight),
+        original=None,
+        shrunk=None,
+        neighbours=None,
+    )
+    # What a search knows of a finding that it has just confirmed. Without a file, nothing is written on the way.
+    find = Find(
+        id=saved.id, node_id=harness.saved_node_id(saved.id), path=path, unshrunk=UNCONFIRMED, severity=verdict.severity
+    )
+    recorder = loop.recorder
+    recorder.release()
+    recorder.until = until
+    recorder.kept[saved.id] = FindTold(
+        finding=start, find=find, origin="", exception=verdict.exception, run=run, is_new=False
+    )
+    loop.finds[of_failure(run, failure)] = saved.id
+    work = Simplification(
+        loop=loop,
+        tell=tell,
+        plain=None if loop.space is None else (loop.space.ego_lane, loop.space.ego_speed),
+        plain_seconds=None if loop.space is None else loop.space.gene_seconds,
+        neighbours=harness.request.settings.neighbours,
+        answers=sessions.answers,
+        clock=sessions.clock,
+        until=until,
+    )
+    work.run_all("")
+    kept = recorder.kept[saved.id]
+    others = (f"found saved-{id_}: {each.find.headline}" for id_, each in recorder.kept.items() if each is not kept)
+    notes = (*work.notes, *others)
+    if kept.find.is_flaky:
+        told = f"it is flaky: {kept.find.difference}"
+        return Later(told=told, is_refused=True, notes=notes)
+    return replace(_compared(before, kept, work.runs), notes=notes)
+
+
+def _compared(before: Finding, kept: FindTold, runs: int) -> Later:
+    """Return the simpler version of a finding with the words for it, or that there is none after so many runs."""
+    now, more = kept.finding, f" ({kept.find.unshrunk.partition(': ')[2]})" if kept.find.unshrunk else ""
+    if not sort_key(now.scenario) < sort_key(before.scenario):
+        return Later(told=f"nothing simpler was found in {plural(runs, 'run')}{more}")
+    sizes = [size_of(each.scenario, each.longest_run) for each in (before, now)]
+    how = f"from {sizes[0]} to {sizes[1]}" if sizes[0] != sizes[1] else "to a simpler scenario of the same size"
+    earlier, shrunk = before.shrunk or Shrunk(rollouts=0), now.shrunk or Shrunk(rollouts=0, is_minimal=False)
+    more = more or ("" if shrunk.is_minimal else "; it could be simpler, so the command may go on")
+    whole = replace(
+        now,
+        original=before.original or before.scenario,
+        shrunk=replace(shrunk, rollouts=earlier.rollouts + shrunk.rollouts),
+    )
+    return Later(finding=whole, told=f"shrunk {how} in {plural(runs, 'run')}{more}")
