@@ -288,11 +288,19 @@ def concluded(find: Find, searches: Mapping[str, SearchSummary]) -> Find:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SearchStarted:
-    """The beginning of a search; ``speed_limit`` is the highest target speed in its world [m/s]."""
+    """The beginning of a search.
+
+    Attributes:
+        node_id: the node id of its item.
+        seed: the seed of the search.
+        speed_limit: the highest target speed in its world [m/s].
+        acts_in_si: whether the ADS acts in SI units, and not by the actions of an environment.
+    """
 
     node_id: str
     seed: int
     speed_limit: float
+    acts_in_si: bool = True
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -32,7 +32,7 @@ from pytest_pafot.campaign.options import FULL, LOCAL, PROFILES, Settings
 from pytest_pafot.campaign.replays import Replays
 from pytest_pafot.campaign.request import build_space
 from pytest_pafot.campaign.resuming import RandomBeginning, Sessions
-from pytest_pafot.campaign.search_loop import Counting, Reader, Recorder, SearchLoop, difference
+from pytest_pafot.campaign.search_loop import Counting, Reader, Recorder, SearchLoop, difference, left_out_text
 from pytest_pafot.campaign.setup_fault import SetupFaultError
 from pytest_pafot.campaign.simplification import Simplification, rollouts_for
 from pytest_pafot.campaign.verdict import no_skip, skips
@@ -77,6 +77,9 @@ MAX_UNLIKE = 3
 
 COUNTED_AT_ONCE = 16
 """The number of evaluations after which a search that draws ahead counts them."""
+
+SLOWER = 0.5
+"""The difference by which an ego must brake below the environment's least speed to show that it can [m/s]."""
 
 AFTER_A_DEATH = f"ran as with {flag('isolate')}, since a process died in this search before"
 
@@ -252,8 +255,14 @@ class Search:
         """
         __tracebackhide__ = True
         harness, loop, recorder, simulation = self.harness, self.loop, self.loop.recorder, self.loop.simulation
-        speed_limit = float(harness.world.speed_limit)
-        recorder.listener(SearchStarted(node_id=self.node_id, seed=self.sessions.seed, speed_limit=speed_limit))
+        recorder.listener(
+            SearchStarted(
+                node_id=self.node_id,
+                seed=self.sessions.seed,
+                speed_limit=float(harness.world.speed_limit),
+                acts_in_si=protocol.acts_in_si(harness.world, harness.ads),
+            )
+        )
         began = self.sessions.clock()
         recorder.until = max(self.limit.until, began + LEAST)
         # A process of an earlier session may have died: its scenarios are tried again before anything else.
@@ -484,6 +493,7 @@ class Search:
             loop.known_alone,
             self._unused,
             self._without_effect,
+            *self._unlike_episodes,
             self._out_of_reach,
             loading_hint(self.harness.ads) if loop.runs else "",
         )
@@ -565,8 +575,10 @@ class Search:
         """A note on what reference drivers can do and the ADS cannot; empty if its actions can stop the ego."""
         speed, kept = protocol.least_action_speed(self.harness.world), self.loop.recorder.kept.values()
         expected = [each.finding.expect for each in kept]
+        runs = [each.run.ego.speed for each in kept if each.run is not None]  # which may begin slower, and speed up
+        was_slower = any(((each[1:] < each[:-1]) & (each[1:] < speed - SLOWER)).any() for each in runs)
         is_avoided = any(each.avoided_by or "avoids" in (each.reference_drivers or {}).values() for each in expected)
-        if speed <= 0 or not is_avoided or is_vehicle_class(self.harness.ads):
+        if speed <= 0 or was_slower or not is_avoided or is_vehicle_class(self.harness.ads):
             return ""
         return (
             f"the environment's actions keep {speed:g} m/s or more, and what braking avoids may need less; "
@@ -583,6 +595,17 @@ class Search:
         given.pop(f"write ego_lane={lane!r}", None)  # it has been written
         told = [f"{', '.join(names)} ({why})" for why, names in given.items()]
         return f"options of config= without effect in a search: {'; '.join(told)}" if told else ""
+
+    @property
+    def _unlike_episodes(self) -> Iterator[str]:
+        """Notes on code of the user's environment that has no effect in runs."""
+        world = self.harness.world
+        if not self.loop.runs or is_vehicle_class(self.harness.ads):
+            return
+        if told := left_out_text(world):
+            yield told
+        if protocol.has_traffic_in_reset(world):
+            yield "what `reset` does to other vehicles has no effect on NPCs, which begin as their scenario says"
 
     @property
     def _unused(self) -> str:

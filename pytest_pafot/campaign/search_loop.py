@@ -8,6 +8,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -45,8 +46,8 @@ from pytest_pafot.searching.health import Health
 from pytest_pafot.searching.space import SearchSpace
 from pytest_pafot.support.errors import OutOfTime, flag
 from pytest_pafot.support.text import plural
-from pytest_pafot.world import codec
-from pytest_pafot.world.driving.ads import weights_digest
+from pytest_pafot.world import codec, protocol
+from pytest_pafot.world.driving.ads import is_vehicle_class, weights_digest
 from pytest_pafot.world.driving.perception import sight_of
 from pytest_pafot.world.guard.failure import UNFIT, let_through
 from pytest_pafot.world.guard.hang_guard import runs_end_in
@@ -343,10 +344,11 @@ class SearchLoop:
     @property
     def warnings(self) -> tuple[str, ...]:
         """Warnings about the search's health, and about a test function or reference with which nothing can fail."""
-        warnings = self.health.warnings(self.known.total())
+        harness = self.simulation.harness
+        warnings = self.health.warnings(self.known.total(), acts_in_si=protocol.acts_in_si(harness.world, harness.ads))
         excused = sum(self.verdicts[kind] for kind in ("npc", "avoidable", "unpreventable"))
         if excused and not self.verdicts["passed"] and not self.verdicts["failed"]:
-            blame, what = self.simulation.harness.request.blame, "collisions that an NPC is responsible for"
+            blame, what = harness.request.blame, "collisions that an NPC is responsible for"
             if self.verdicts["unpreventable"]:
                 what = "failures that no reference driver would have prevented, or " + what
             warnings.append(
@@ -569,7 +571,24 @@ def difference(run: Run, simulation: Simulation) -> str:
         differs = _difference_in_gym(run, simulation)
     except ProcessLostError as error:
         return f"the process that ran it again {error.how}"
-    return f"in highway-env's own environment: {differs}" if differs else ""
+    if not differs:
+        return ""
+    harness = simulation.harness
+    told = "" if is_vehicle_class(harness.ads) else left_out_text(harness.world)
+    return f"in highway-env's own environment: {differs}" + (f"; {told}" if told else "")
+
+
+def left_out_text(world: Any) -> str:
+    """Return a sentence on the environment's own methods that runs do not call, though they matter; or empty."""
+    methods = protocol.left_out(world)
+    if not methods:
+        return ""
+    names = " and ".join(f"`{name}`" for name in methods)
+    changed = ", ".join(f"`{each}`" for each in dict.fromkeys(chain.from_iterable(methods.values())))
+    verb = "changes" if len(methods) == 1 else "change"
+    return (
+        f"runs do not call the environment's own {names}, which {verb} {changed}: write wrappers=[] in its pafot.World"
+    )
 
 
 def _difference_in_gym(run: Run, simulation: Simulation) -> str:

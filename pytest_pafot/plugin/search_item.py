@@ -87,9 +87,11 @@ OF_ONE_CALL = {
 }
 """The packages whose fixtures fail in a second call of the test function, with the reason."""
 
-DRAWS = (
-    "; the ADS probably draws random numbers: seed it in its factory, or let a model take its best action (with "
-    "Stable-Baselines3: predict(..., deterministic=True))"
+BEST_ACTION = "or let a model take its best action (with Stable-Baselines3: predict(..., deterministic=True))"
+DRAWS = f"; the ADS probably draws random numbers: seed it in its factory, {BEST_ACTION}"
+DRAWS_IN_WRAPPERS = (
+    "; the ADS or a wrapper probably draws random numbers: let a wrapper draw from self.np_random, and seed the ADS in "
+    f"its factory, {BEST_ACTION}"
 )
 
 
@@ -365,7 +367,7 @@ class SearchMessages:
             details += terminal.effort_lines(kept.finding)
         advice = "it does not repeat, so it is not shrunk" if kept.find.is_flaky else ""
         if kept.find.difference == NOT_REPEATED:
-            advice += DRAWS
+            advice += DRAWS_IN_WRAPPERS if kept.finding.world.get("wrappers") else DRAWS
         is_due = bool(kept.find.unshrunk) and self.settings.resume is None and not os.environ.get(OF_SEARCH)
         section = terminal.find_section(
             kept.find,

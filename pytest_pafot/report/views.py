@@ -635,6 +635,7 @@ class CampaignCounts:
     """
 
     speed_limit: float = PAPER_SPEED_LIMIT  # the highest target speed [m/s], which determines the number of speed bins
+    acts_in_si: bool = True  # False if the ADS's actions are those of an environment
     responsibilities: Counter[str] = field(default_factory=Counter)  # number of runs by who was responsible
     started: CampaignStarted | None = None
     finished: CampaignFinished | None = None
@@ -648,7 +649,7 @@ class CampaignCounts:
         """Count an event."""
         match event:
             case SearchStarted():
-                self.speed_limit = event.speed_limit
+                self.speed_limit, self.acts_in_si = event.speed_limit, event.acts_in_si
             case Judged():
                 self.responsibilities[event.responsibility or "none"] += 1
             case Evaluated():
@@ -704,7 +705,7 @@ class CampaignCounts:
             speeds=_rows(coverage, _speed_labels(self.speed_limit)),
             zones=_rows(coverage, _zone_labels(coverage)),
             lanes=_rows(coverage, ((str(key[1]), key) for key in LANES if any(map(coverage.requested.get, LANES)))),
-            warnings=tuple(self.health.warnings()),
+            warnings=tuple(self.health.warnings(acts_in_si=self.acts_in_si)),
         )
 
 

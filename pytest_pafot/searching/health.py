@@ -141,14 +141,17 @@ USELESS = (
     ),
     (
         f"had an ego with a mean speed below {BARELY_MOVING:g} m/s",
-        "check that the ADS returns accelerations in m/s^2 and that the factory makes a fresh one",
+        "check that {actions} and that the factory makes a fresh one",
     ),
     (
         "collided within the first second, before an NPC can have caused it",
-        "check that the ego starts on a free lane and that the ADS steers in rad",
+        "check that the ego starts on a free lane and that {actions}",
     ),
 )
 """Kinds of runs that test nothing, with advice: no interaction, outran, barely moved, immediate collision."""
+
+IN_SI = "the ADS returns accelerations in m/s^2 and steers in rad"
+IN_ENVIRONMENT = "the ADS returns the environment's actions as in its training"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -234,11 +237,11 @@ class Health:
         """The share of started genes whose cell was reached; 0 if none was started."""
         return _share(self.genes_reached, self.genes_started)
 
-    def warnings(self, known: int = 0) -> list[str]:
+    def warnings(self, known: int = 0, *, acts_in_si: bool = True) -> list[str]:
         """Return a warning, with advice, for each sign that the search tested too little; empty if there is none.
 
         ``known`` is the number of runs with a known failure. They are not counted as runs in which the ego stands or
-        collides immediately.
+        collides immediately. ``acts_in_si`` is False if the ADS's actions are those of an environment.
         """
         if self.simulated == 0:
             return ["no scenario was simulated, so nothing was tested; give the search generations and time"]
@@ -276,7 +279,8 @@ class Health:
         useless = (self.no_interaction, self.outran, self.barely_moved, self.immediate)
         for count, spared, (what, advice) in zip(useless, (0, 0, known, known), USELESS, strict=True):
             if _share(count - spared, self.valid) > MAX_USELESS_SHARE:
-                found.append(f"{_percent(count, self.valid)} valid runs {what}; {advice}")
+                told = advice.format(actions=IN_SI if acts_in_si else IN_ENVIRONMENT)
+                found.append(f"{_percent(count, self.valid)} valid runs {what}; {told}")
         return found
 
 

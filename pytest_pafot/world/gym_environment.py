@@ -17,15 +17,18 @@ from types import MappingProxyType
 from typing import Any
 
 import gymnasium
+import numpy as np
 from gymnasium.envs.registration import load_env_creator
 from gymnasium.wrappers import OrderEnforcing, PassiveEnvChecker, TimeLimit
 
 from pytest_pafot.support.errors import WorldError
 from pytest_pafot.world.driving.vehicles import SearchedLanes, compiled_network, straight_road
+from pytest_pafot.world.guard.failure import UNFIT, let_through
 from pytest_pafot.world.kernel.lane_network import Network
 from pytest_pafot.world.roads.straight import StraightRoad
 from pytest_pafot.world.stock import (
     AbstractEnv,
+    ControlledVehicle,
     ExitEnv,
     IntersectionEnv,
     RegulatedRoad,
@@ -163,8 +166,22 @@ class GymEnvironment:
 
     @cached_property
     def outer(self) -> Any:
-        """The environment in its wrappers."""
-        return self.make()
+        """The environment in its wrappers, with the configuration that they may give it in a reset.
+
+        Its road and its start are those of highway-env's reset with that configuration.
+        """
+        outer = self.make()
+        if wrapper_names(outer):
+            env = outer.unwrapped
+            without_traffic = {name: env.config[name] for name in REPLACED if name in env.config}
+            with vehicle_classes_kept():
+                try:
+                    outer.reset(seed=0)
+                except UNFIT as error:  # in a run, this is a failure of the first decision
+                    let_through(error)
+                env.config |= without_traffic
+                env.reset(seed=0)
+        return outer
 
     def with_traffic(self) -> Any:
         """Return an environment with its random traffic, in all its wrappers; the caller must reset it with a seed.
@@ -213,6 +230,11 @@ class GymEnvironment:
         return compiled_network(self.unwrapped.road.network)
 
     @property
+    def config_of_wrappers(self) -> dict[str, Any]:
+        """The configuration after a reset in wrappers; empty without any."""
+        return dict(self.unwrapped.config) if wrapper_names(self.outer) else {}
+
+    @property
     def route(self) -> tuple[Any, ...] | None:
         """The route that the environment has planned for the ego; None without a route, and on straight roads."""
         route = getattr(self.unwrapped.vehicle, "route", None) if self.straight_road is None else None
@@ -237,6 +259,53 @@ class GymEnvironment:
         """
         resets_itself = type(self.unwrapped).reset is not AbstractEnv.reset
         return self.steps_itself(drives_itself=drives_itself) or (resets_itself and not drives_itself)
+
+    @cached_property
+    def left_out(self) -> dict[str, tuple[str, ...]]:
+        """The methods of the user's own for rewards and infos that change state, each with the attributes it changes.
+
+        Runs that are no episodes of the environment do not call them.
+        """
+        found = dict[str, tuple[str, ...]]()
+        cls = type(self.unwrapped)
+        own = [
+            name
+            for name in ("_reward", "_rewards", "_info")
+            if not str(getattr(cls, name).__module__).startswith("highway_env.")
+        ]
+        if not own:
+            return found
+        env = self.make().unwrapped
+        seen, action = env.observation_type.observe(), env.action_space.sample()
+        for name in own:
+            given = (seen, action) if name == "_info" else (action,)
+            before = _plain_state(env)
+            with suppress(Exception):  # an episode would show it
+                getattr(env, name)(*given)
+            after = _plain_state(env)
+            if changed := tuple(key for key in after if after[key] != before.get(key)):
+                found[name] = changed
+        return found
+
+    @cached_property
+    def has_traffic_in_reset(self) -> bool:
+        """Whether the ``reset`` of the environment or of its wrappers changes how other vehicles drive."""
+        if type(self.unwrapped).reset is AbstractEnv.reset and not self.wrapper_names:
+            return False
+        outer = self.make()
+        env = outer.unwrapped
+        x, y = env.vehicle.position
+        other = ControlledVehicle(env.road, [x + 30.0, y], env.vehicle.heading, speed=20.0)
+        env.road.vehicles.append(other)
+        env._reset = lambda: None
+
+        def state() -> tuple[float, ...]:
+            return (*other.position, other.heading, other.speed, other.target_speed)
+
+        before = state()
+        with vehicle_classes_kept(), suppress(Exception):  # a run would show it
+            outer.reset(seed=0)
+        return state() != before
 
     def check_keeps_no_ego(self) -> None:
         """Refuse an environment that would read the ego of its reset, which drives in no run of a policy.
@@ -312,6 +381,18 @@ class GymEnvironment:
         """The configuration that overrides the defaults, as in gymnasium: the user's, or else the registered one's."""
         registered: dict[str, Any] = gymnasium.registry[self.env_id].kwargs.get("config") or {}
         return registered if self.config is None else self.config
+
+
+def _plain_state(env: Any) -> dict[str, str]:
+    """Return the attributes of an environment and of its ego that are plain data, each as a text."""
+    plain = (bool, int, float, str, list, tuple, dict, set, np.ndarray, np.generic)
+    owners = (("", env), ("vehicle.", env.vehicle))
+    return {
+        f"{owner}{name}": repr(value)
+        for owner, each in owners
+        for name, value in vars(each).items()
+        if isinstance(value, plain)
+    }
 
 
 def obstacles_of(env: Any) -> tuple[tuple[float, float, float, float, float], ...]:

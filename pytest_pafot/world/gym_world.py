@@ -246,15 +246,30 @@ class World(BuiltInWorld):
 
     @property
     def least_action_speed(self) -> float:
-        """The lowest speed that ``DiscreteMetaAction`` can set [m/s]; 0 for other actions, and for planners."""
-        action_type = getattr(self.environment.unwrapped, "action_type", None)
-        speeds = getattr(action_type, "target_speeds", ())
+        """The lowest speed that ``DiscreteMetaAction`` can set [m/s]; 0 for other actions, and for planners.
+
+        The environment's own ``reset`` may have given its ego other speeds than the action has.
+        """
+        env = self.environment.unwrapped
+        action_type = getattr(env, "action_type", None)
+        speeds = getattr(env.vehicle, "target_speeds", getattr(action_type, "target_speeds", ()))
         sets_speed = self.planner_hz is None and getattr(action_type, "longitudinal", False)
         return max(0.0, float(min(speeds))) if sets_speed and len(speeds) else 0.0
 
     def options_without_effect(self, *, drives_itself: bool) -> dict[str, list[str]]:
         """Return the options of ``config`` that have no effect in a search, under what has it in their place."""
         return self.environment.without_effect(drives_itself=drives_itself or self.planner_hz is not None)
+
+    @property
+    def left_out(self) -> dict[str, tuple[str, ...]]:
+        """The environment's own methods that change its state, but are not called in runs, with what they change."""
+        is_episode = self.wrappers is not None or self.environment.episodes_itself(drives_itself=False)
+        return {} if is_episode or self.planner_hz is not None else self.environment.left_out
+
+    @property
+    def has_traffic_in_reset(self) -> bool:
+        """True if the environment's own ``reset``, or that of a wrapper, changes vehicles that are NPCs in runs."""
+        return self.planner_hz is None and self.environment.has_traffic_in_reset
 
     @property
     def has_lock_step(self) -> bool:

@@ -24,7 +24,7 @@ from pytest_pafot.model.scenario import PositionInstruction, Scenario, ScenarioE
 from pytest_pafot.model.trace import Trace
 from pytest_pafot.oracle.run import ReferenceWorld
 from pytest_pafot.support.errors import driven_by, plain_number
-from pytest_pafot.world.driving.ads import AdsFactory
+from pytest_pafot.world.driving.ads import AdsFactory, is_vehicle_class
 from pytest_pafot.world.kernel.action import Drive
 from pytest_pafot.world.kernel.observation import Observation
 from pytest_pafot.world.limits import HANG_LIMIT
@@ -222,10 +222,26 @@ def options_without_effect(world: Any, *, drives_itself: bool) -> dict[str, list
     return {} if known is None else known(drives_itself=drives_itself)
 
 
+def left_out(world: Any) -> dict[str, tuple[str, ...]]:
+    """Return the methods of a world's environment that change its state, but are not called in runs of a policy."""
+    found: dict[str, tuple[str, ...]] = getattr(world, "left_out", {})
+    return found
+
+
+def has_traffic_in_reset(world: Any) -> bool:
+    """Return whether a reset of a world's environment changes its traffic, which has no effect on NPCs."""
+    return getattr(world, "has_traffic_in_reset", False) is True
+
+
 def crossings(world: Any) -> Crossings | None:
     """Return the ways on which other traffic meets the ego's way; None if the world states none."""
     found: Crossings | None = getattr(world, "crossings", None)
     return found
+
+
+def acts_in_si(world: Any, ads: Any) -> bool:
+    """Return whether an ADS, given by its factory, acts in SI units in a world, and not by an environment's actions."""
+    return is_vehicle_class(ads) or getattr(world, "action_space", None) is None
 
 
 def least_action_speed(world: Any) -> float:

@@ -8,7 +8,10 @@ from collections import Counter
 from contextlib import suppress
 from dataclasses import replace
 
+import gymnasium
+import numpy as np
 import pytest
+from highway_env.envs.highway_env import HighwayEnv
 from highway_env.vehicle.behavior import IDMVehicle
 
 import pytest_pafot as pafot
@@ -184,6 +187,97 @@ def test_search_names_once_the_options_that_have_no_effect():
     why = "(the ego decides without the environment's observations and actions)"
     for ads, planner_hz in ((IDMVehicle, None), (lambda: lambda seen: (0.0, 0.0), 5)):
         assert notes({"policy_frequency": 5}, ads, planner_hz) == (f"{start}policy_frequency {why}",)
+
+
+class Burning(HighwayEnv):
+    """A straight road on which rewards burn fuel, which the observation shows."""
+
+    def _reset(self):
+        super()._reset()
+        self.fuel = 1.0
+
+    def define_spaces(self):
+        super().define_spaces()
+        stock = self.observation_type.observe
+        self.observation_type.observe = lambda: np.concatenate([[[self.fuel] * 5], stock()])
+
+    def _reward(self, action):
+        self.fuel -= 0.1
+        return 0.0
+
+
+class Slowing(HighwayEnv):
+    """A straight road whose reset slows other vehicles down."""
+
+    def reset(self, **options):
+        first = super().reset(**options)
+        for each in self.road.vehicles[1:]:
+            each.speed = 5.0
+        return first
+
+
+@pytest.fixture
+def own_environments(monkeypatch):
+    """Register environments of a user, which differ in what runs leave out."""
+    for cls in (Burning, Slowing):
+        monkeypatch.setitem(
+            gymnasium.registry, f"{cls.__name__}-v0", gymnasium.envs.registration.EnvSpec(f"{cls.__name__}-v0", cls)
+        )
+
+
+BURNS = "runs do not call the environment's own `_reward`, which changes `fuel`: write wrappers=[] in its pafot.World"
+
+
+def test_search_names_what_of_an_environment_has_no_effect(own_environments):
+    idle = lambda: lambda observation: 1  # noqa: E731
+
+    def notes(name, ads=idle, **fields):
+        world = pafot.World(f"{name}-v0", duration=2.0, **fields)
+        return pafot.explore(world=world, ads=ads, holds=lambda run: None, population=2, generations=1).summary.notes
+
+    assert notes("Burning") == (BURNS,)
+    assert notes("Burning", wrappers=[]) == notes("Burning", IDMVehicle) == notes("Slowing", IDMVehicle) == ()
+    slowed = "what `reset` does to other vehicles has no effect on NPCs, which begin as their scenario says"
+    assert notes("Slowing") == notes("Slowing", wrappers=[]) == (slowed,)
+
+
+def test_finding_that_differs_because_of_rewards_names_them(own_environments):
+    def make():
+        left = iter(range(20))
+
+        def decide(observation):
+            assert next(left) < 4 or observation[0, 0] < 1.0
+            return 1
+
+        return decide
+
+    world = pafot.World("Burning-v0", duration=8.0)
+    exploration = pafot.explore(world=world, ads=make, holds=lambda run: None, stop_after=1, **SHORT)
+    (finding,) = exploration.findings
+    assert finding.flaky.startswith("in highway-env's own environment: ")
+    assert finding.flaky.endswith(f"; {BURNS}")
+
+
+class Braked(gymnasium.Wrapper):
+    """A wrapper whose reset lets the ego stop."""
+
+    def reset(self, **options):
+        first = self.env.reset(**options)
+        self.unwrapped.vehicle.target_speeds = np.array([0, 10, 20])
+        return first
+
+
+def test_lowest_speed_is_not_told_of_an_ego_that_drives_slower():
+    def slows_down():
+        actions = iter([4, 4])
+        return lambda observation: next(actions, 1)
+
+    fields = {"stop_after": 1, "neighbours": 0, "runs": 20, "genes": 2, "gene_seconds": 5, "shrink_rollouts": 0}
+    world = pafot.World("highway-v0", {"policy_frequency": 5}, wrappers=[Braked])
+    exploration = pafot.explore(slows_down, world=world, holds=never_collides, blame="ego", seed=3, **fields)
+    (finding,) = exploration.findings
+    assert "avoids" in finding.expect.reference_drivers.values()
+    assert not any("actions keep" in note for note in exploration.summary.notes)
 
 
 def test_setup_error_is_raised_unchanged():

@@ -275,6 +275,30 @@ def test_brakes(run):
     assert finding.shrunk is None
 
 
+def test_unrepeatable_finding_in_wrappers_may_be_by_them(project):
+    project.write(
+        """
+import itertools
+from gymnasium.wrappers import TransformAction
+
+calls = itertools.count()
+
+def drawing(env):
+    action = 3 if next(calls) % 2 else 1
+    return TransformAction(env, lambda _: action, env.action_space)
+
+WORLD = pafot.World("highway-v0", duration=2.0, wrappers=[drawing])
+
+@pafot.search(SHORT, ads=lambda: lambda seen: 1, world=WORLD, stop_after=1)
+def test_drives(run):
+    assert run.ego.speed.mean() < 1
+"""
+    )
+    run(project).stdout.fnmatch_lines(
+        ["*it does not repeat*; the ADS or a wrapper probably draws random numbers: let a wrapper draw from *"]
+    )
+
+
 def test_finding_absent_in_plain_environment_is_flaky(project, in_highway_env):
     project.write(
         """

@@ -123,6 +123,15 @@ def test_runs_that_test_nothing_warn_when_most_common(make_evaluation, fields, e
     assert "; " in warning  # and the way out
 
 
+def test_advice_is_in_the_units_of_the_actions(make_evaluation):
+    health = health_of(make_evaluation, (1, {"outcome": Outcome.COLLISION, "duration": 0.2, "barely_moved": True}))
+    in_si, by_choices = (" ".join(health.warnings(acts_in_si=is_si)) for is_si in (True, False))
+    assert in_si.count("the ADS returns accelerations in m/s^2 and steers in rad") == 2
+    assert by_choices.count("the ADS returns the environment's actions as in its training") == 2
+    assert "m/s^2" not in by_choices
+    assert "rad" not in by_choices
+
+
 @pytest.mark.parametrize("fitness", [math.nan, -math.inf, math.inf])
 def test_fitness_that_is_never_a_number_warns(make_evaluation, fitness):
     (warning,) = health_of(make_evaluation, (3, {"fitness": fitness})).warnings()

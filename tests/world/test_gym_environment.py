@@ -6,6 +6,7 @@ controls from the trace.
 
 import re
 from dataclasses import replace
+from fnmatch import fnmatch
 from functools import partial
 from hashlib import sha256
 from types import SimpleNamespace
@@ -499,8 +500,216 @@ def test_custom_reset_that_adds_vehicles_is_refused(wrappers, register):
             return first
 
     register("mine-v0", entry_point=Crowded)
-    with pytest.raises(WorldError, match="received Crowded, whose `reset` adds vehicles"):
+    with pytest.raises(WorldError, match=r"received Crowded.*, whose `reset` adds 1 vehicle at 0.0 s"):
         World("mine-v0", wrappers=wrappers).rollout(SCENARIO, lambda: lambda seen: 1)
+
+
+class Bothered(HighwayEnv):
+    """A straight road on which ``bother`` does something to other vehicles before each step from 2 s on."""
+
+    def step(self, action):
+        if self.time >= 2.0:
+            self.bother()
+        return super().step(action)
+
+    def other(self):
+        x, y = self.vehicle.position
+        return Vehicle(self.road, np.array([x + 40.0, y]), 0.0, 0.0)
+
+
+class Spawning(Bothered):
+    def bother(self):
+        self.road.vehicles.append(self.other())
+
+
+class Replacing(Bothered):
+    def bother(self):
+        self.road.vehicles = [*self.road.vehicles[:-1], self.other()]
+
+
+class Emptying(Bothered):
+    def bother(self):
+        self.road.vehicles = [self.vehicle]
+
+
+class Braking(Bothered):
+    def bother(self):
+        self.road.vehicles[-1].speed = 5.0
+
+
+class Pushing(Bothered):
+    def bother(self):
+        self.road.vehicles[1].position[0] += 5.0
+
+
+class Sorting(Bothered):
+    def bother(self):
+        self.road.vehicles = sorted(self.road.vehicles, key=lambda each: each.position[0])
+
+
+class Choosing(HighwayEnv):
+    """One whose reset removes vehicles, but not the ego."""
+
+    def reset(self, **options):
+        first = super().reset(**options)
+        self.road.vehicles[1:] = []
+        return first
+
+
+class Swapping(HighwayEnv):
+    """One whose reset makes another ego."""
+
+    def reset(self, **options):
+        first = super().reset(**options)
+        self.vehicle = type(self.vehicle)(self.road, self.vehicle.position, speed=20.0)
+        return first
+
+
+@pytest.mark.parametrize("wrappers", [None, [FlattenObservation]])
+@pytest.mark.parametrize(
+    ("cls", "received"),
+    [
+        (Spawning, "whose `step` adds 1 vehicle at 3.0 s"),
+        (Replacing, "whose `step` adds 1 vehicle and removes 1 vehicle at 3.0 s"),
+        (Emptying, "whose `step` removes 2 vehicles at 3.0 s"),
+        (Braking, "whose `step` sets the speed of NPC 1 from 2*.* to 5.0 m/s at 3.0 s"),
+        (Pushing, "whose `step` moves NPC 0 from (2*.*, 4.0) m at 3.0 s"),
+        (Choosing, "whose `reset` removes 2 vehicles at 0.0 s"),
+        (Swapping, "whose `reset` makes another ego at 0.0 s"),
+        (Sorting, ""),
+    ],
+)
+def test_environment_that_changes_the_vehicles_of_a_run_is_refused(cls, received, wrappers, register):
+    register("mine-v0", entry_point=cls)
+    world = World("mine-v0", duration=6.0, wrappers=wrappers)
+    scenario = Scenario(npcs=[[PositionInstruction(2, 22.0)], [PositionInstruction(6, 22.0)]], ego_lane=1)
+    if not received:
+        assert world.rollout(scenario, IDLE).ticks == 90
+        return
+    with pytest.raises(WorldError) as refused:
+        world.rollout(scenario, IDLE)
+    assert fnmatch(str(refused.value), f"*received {cls.__name__}*, {received}; let only `_reset` make *")
+
+
+class Slowing(HighwayEnv):
+    """One whose reset slows other vehicles down and puts them elsewhere."""
+
+    def reset(self, **options):
+        super().reset(**options)
+        for each in self.road.vehicles[1:]:
+            each.speed *= 0.5
+            each.target_speed = 5.0
+            each.position[0] += 3.0
+            each.heading = 1.0
+        return self.observation_type.observe(), {}
+
+
+class Warming(HighwayEnv):
+    """One whose reset drives for a second."""
+
+    def reset(self, **options):
+        super().reset(**options)
+        seen, *_, info = super().step(0)
+        return seen, info
+
+
+def test_reset_does_nothing_to_npcs(register):
+    slowing, stock, warming = World("mine-v0", duration=4.0), World("highway-v0", duration=4.0), "warming-v0"
+    register("mine-v0", entry_point=Slowing)
+    register(warming, entry_point=Warming)
+    one, other, third = (Listener(gymnasium.spaces.Discrete(1)) for _ in range(3))
+    expected = stock.rollout(SCENARIO, lambda: other).states
+    assert np.allclose(slowing.rollout(SCENARIO, lambda: one).states, expected, atol=1e-9)
+    assert np.array_equal(one.seen, other.seen)
+    warmed = World(warming, duration=4.0).rollout(SCENARIO, lambda: third)
+    assert np.allclose(warmed.states, expected, atol=1e-9), "its first second is the one that the reset drives"
+    assert np.array_equal(third.seen[0], other.seen[1])
+    for world, is_told in ((slowing, True), (stock, False), (World("mine-v0", planner_hz=5), False)):
+        assert world.has_traffic_in_reset == is_told
+
+
+class Configured(gymnasium.Wrapper):
+    """A wrapper that changes the configuration before each reset."""
+
+    changes = None
+    by_options = False
+
+    def reset(self, *, seed=None, options=None):
+        if self.by_options:
+            return self.env.reset(seed=seed, options={"config": self.changes})
+        self.unwrapped.config.update(self.changes)
+        return self.env.reset(seed=seed, options=options)
+
+
+@pytest.mark.parametrize("by_options", [False, True], ids=["config", "options"])
+def test_configuration_that_wrappers_give_holds_in_runs(by_options):
+    changes = {
+        "policy_frequency": 5,
+        "simulation_frequency": 10,
+        "lanes_count": 5,
+        "observation": {"type": "Kinematics", "vehicles_count": 3},
+        "action": {"type": "DiscreteMetaAction", "target_speeds": [10, 15]},
+        "vehicles_count": 7,
+    }
+    wrapper = type("Given", (Configured,), {"changes": changes, "by_options": by_options})
+    world, plain = World("highway-v0", wrappers=[wrapper], duration=4.0), World("highway-v0", changes, duration=4.0)
+    assert (world.lanes, world.physics_hz, world.ads_hz, world.least_action_speed) == (5, 10, 5, 10.0)
+    assert world.observation_space == plain.observation_space
+    one, other = (Listener(gymnasium.spaces.Discrete(1)) for _ in range(2))
+    scenario = replace(SCENARIO, ego_lane=4, npcs=[[PositionInstruction(3, 15.0)]])
+    wrapped, expected = world.rollout(scenario, lambda: one), plain.rollout(scenario, lambda: other)
+    assert np.allclose(wrapped.states, expected.states, atol=1e-9)
+    assert len(wrapped.states) == 41
+    assert np.allclose(one.seen, other.seen, atol=1e-6)
+
+
+class Fast(HighwayEnv):
+    """One whose reset draws the speeds of its actions."""
+
+    def reset(self, *, seed=None, options=None):
+        gymnasium.Env.reset(self, seed=seed)
+        top = 30 if self.np_random.uniform() < 0.5 else 25
+        self.config["action"] = {"type": "DiscreteMetaAction", "target_speeds": [20, top]}
+        return super().reset(options=options)
+
+
+def test_speeds_of_actions_are_those_that_the_reset_of_the_run_draws(register):
+    register("mine-v0", entry_point=Fast)
+    world, plain, tops = World("mine-v0", duration=20.0), gymnasium.make("mine-v0"), set()
+    for seed in range(4):
+        plain.reset(seed=seed)
+        tops.add(top := plain.unwrapped.vehicle.target_speeds[-1])
+        scenario = Scenario(npcs=[[PositionInstruction(6, 20.0)]], seed=seed, gene_seconds=10.0, ego_speed=22.0)
+        assert world.rollout(scenario, lambda: lambda seen: 3).ego[-1, SPEED] == pytest.approx(top, abs=0.1)
+    assert tops == {25, 30}
+
+
+class Burning(HighwayEnv):
+    """One whose reward burns fuel, and counts how often."""
+
+    def _reset(self):
+        super()._reset()
+        self.fuel, self.vehicle.calls = 1.0, []
+
+    def _reward(self, action):
+        self.fuel -= 0.01
+        self.vehicle.calls.append(action)
+        return super()._reward(action)
+
+
+class Scoring(HighwayEnv):
+    """One whose reward changes nothing."""
+
+    def _reward(self, action):
+        return 2 * super()._reward(action)
+
+
+def test_rewards_that_change_the_state_are_named_where_no_run_calls_them(register):
+    register("mine-v0", entry_point=Burning)
+    assert World("mine-v0").left_out == {"_reward": ("fuel", "vehicle.calls")}
+    assert World("mine-v0", wrappers=[]).left_out == World("mine-v0", planner_hz=5).left_out == {}
+    register("other-v0", entry_point=Scoring)
+    assert World("other-v0").left_out == World("highway-v0").left_out == {}
 
 
 class Following(HighwayEnv):
@@ -575,6 +784,35 @@ def test_npc_at_an_obstacle_makes_a_run_invalid(register):
         assert not all(is_kept for is_kept, *_ in contacts(replace(trace, obstacles=())))
 
 
+class Littered(HighwayEnv):
+    """One whose own reset puts an obstacle in lane 1."""
+
+    def reset(self, **options):
+        first = super().reset(**options)
+        self.road.objects.append(Obstacle(self.road, [300.0, 4.0]))
+        return first
+
+
+@pytest.mark.parametrize("wrappers", [None, [FlattenObservation]])
+def test_obstacle_that_a_custom_reset_puts_there_is_one_like_others(wrappers, register):
+    register("mine-v0", entry_point=Littered)
+    register("other-v0", entry_point=Roadworks)
+    own, other = (World(f"{name}-v0", duration=12.0, wrappers=wrappers) for name in ("mine", "other"))
+    scenario, counts = Scenario(npcs=AT_ONCE, ego_lane=1), []
+
+    def counting(env):
+        return TransformObservation(env, lambda seen: counts.append(len(env.unwrapped.road.objects)) or seen, None)
+
+    expected = other.rollout(scenario, IDLE)
+    for run in (own.rollout, own.rollout_in_gym):
+        trace = run(scenario, IDLE)
+        assert (trace.outcome, trace.collision.npc) == ("collision", None)
+        assert trace.obstacles == expected.obstacles
+        assert np.allclose(trace.states, expected.states, atol=1e-9)
+    World("mine-v0", duration=3.0, wrappers=[counting]).rollout(scenario, IDLE)
+    assert set(counts) == {1}
+
+
 class Falling(Roadworks):
     """One on which an object falls after 3 s."""
 
@@ -624,7 +862,7 @@ class Marking(Falling):
         (Falling, "with more at 4.0 s, at (500.0, 0.0) m"),
         (Rolling, "with others at 4.0 s, at (300.0, 4.0) m"),
         (Clearing, "with fewer at 4.0 s, at (300.0, 4.0) m"),
-        (Strewing, "with more at 0.0 s, at (4"),
+        (Strewing, "with others at 0.0 s, at (4"),
         (Marking, ""),
     ])  # fmt: skip
 def test_objects_that_do_not_stay_as_they_are_are_refused(cls, received, wrappers, register):
@@ -815,7 +1053,10 @@ def test_a_planner_inside_of_the_environment_is_refused():
         ([FlattenObservation, FrameStackObservation], r"wrappers\[1\]: expected .* raised TypeError: .*stack_size"),
         ([lambda env: None], r"wrappers\[0\]: expected .* which returned None"),
         ([lambda env: gymnasium.make("highway-v0")], r"wrappers\[0\]: expected .* which returned <OrderEnforcing"),
-        ([partial(TransformAction, func=int, action_space=gymnasium.spaces.MultiBinary(2))], "config.action: expected"),
+        (
+            [partial(TransformAction, func=int, action_space=gymnasium.spaces.MultiBinary(2))],
+            r"wrappers: .* received the space MultiBinary\(2\) in TransformAction; let",
+        ),
     ],
 )
 def test_what_is_no_wrapper_is_told(wrappers, message):
@@ -834,6 +1075,8 @@ def test_wrapper_exception_is_ads_failure_at_its_decision(seen_before):
         return seen
 
     world = World("highway-v0", wrappers=[lambda env: TransformObservation(env, broken, None)])
+    world.check()
+    left.clear()
     trace = world.rollout(SCENARIO, lambda: lambda seen: 1)
     assert (trace.outcome, trace.error.kind) == ("ads_error", "ZeroDivisionError")
     assert trace.ticks == trace.error.tick == seen_before * 15
@@ -858,3 +1101,14 @@ def test_wrapper_that_does_not_step_is_reported():
 def test_the_lowest_speed_of_the_actions_is_known(action, speed):
     assert World("highway-v0", {"action": action}).least_action_speed == speed
     assert World("highway-v0", {"action": action}, planner_hz=5).least_action_speed == 0.0
+
+
+def test_lowest_speed_is_that_of_the_ego_after_its_reset(register):
+    class Braked(HighwayEnv):
+        def reset(self, **options):
+            first = super().reset(**options)
+            self.vehicle.target_speeds = np.array([0, 10, 20])
+            return first
+
+    register("mine-v0", entry_point=Braked)
+    assert World("mine-v0").least_action_speed == 0.0

@@ -145,13 +145,20 @@ class ModelPolicyDriver(PolicyDriver):
         self._model.step(dt)
 
 
-def check_action_space(space: Any) -> None:
-    """Raise a :class:`WorldError` for an action space that is not for one vehicle."""
-    if not isinstance(space, (spaces.Discrete, spaces.Box)):
-        raise WorldError(
-            f"config.action: expected a discrete or continuous action for one vehicle, received the space "
-            f"{space}; multi-agent actions have no single ego"
-        )
+def check_action_space(space: Any, wrappers: Sequence[str] = ()) -> None:
+    """Raise a :class:`WorldError` for an action space that is not for one vehicle.
+
+    ``wrappers`` are the names of the wrappers that have made it from another; empty if it is the environment's own.
+    """
+    if isinstance(space, (spaces.Discrete, spaces.Box)):
+        return
+    expected, received = "a discrete or continuous action for one vehicle", f"the space {space}"
+    if wrappers:
+        received = f"{received} in {', '.join(wrappers)}"
+        fix = "let the wrappers' action_space be a Discrete or a Box"
+        raise WorldError(field="wrappers", expected=expected, received=received, fix=fix)
+    fix = "multi-agent actions have no single ego"
+    raise WorldError(field="config.action", expected=expected, received=received, fix=fix)
 
 
 def checked_action(action: Any, space: Any) -> Any:

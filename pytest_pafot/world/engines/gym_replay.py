@@ -10,7 +10,8 @@ For environments with wrappers or a step function of their own, it is the only w
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import copy
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import replace
 from typing import Any
@@ -21,6 +22,7 @@ import numpy as np
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import AdsError, Trace
 from pytest_pafot.support.errors import WorldError
+from pytest_pafot.support.text import plural
 from pytest_pafot.world.driving.ads import AdsFactory, is_vehicle_class, make_ads, wants_env
 from pytest_pafot.world.driving.object_driver import GuardedDriver, body_of, follow, foresee
 from pytest_pafot.world.driving.perception import ads_and_sight
@@ -36,7 +38,7 @@ from pytest_pafot.world.gym_environment import GymEnvironment, obstacles_of, veh
 from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.kernel.loop import EgoDriver, PlannerDriver
 from pytest_pafot.world.run_config import Rules
-from pytest_pafot.world.stock import AbstractEnv, RegulatedRoad, RoadNetwork, Vehicle
+from pytest_pafot.world.stock import AbstractEnv, MDPVehicle, RegulatedRoad, RoadNetwork, Vehicle
 from pytest_pafot.world.validation import ADS_HZ, check_divides, whole_within
 
 TRAFFIC_HOOKS = ("_spawn_vehicle", "_clear_vehicles")
@@ -47,7 +49,7 @@ class StockVehicle(Vehicle):  # type: ignore[misc]
     """A highway-env vehicle with highway-env's own physics, lane search and shape.
 
     ``target_speed`` is its current speed, which highway-env's IDM then assumes to be the desired speed of a
-    follower.
+    follower. Nothing else can set it, because the director drives.
     """
 
     @property
@@ -55,9 +57,25 @@ class StockVehicle(Vehicle):  # type: ignore[misc]
         """The current speed [m/s], which stands in for the desired speed."""
         return float(self.speed)
 
+    @target_speed.setter
+    def target_speed(self, speed: float) -> None:
+        """Ignore the desired speed that an environment's own code gives its traffic."""
+
     def control(self, acceleration: float, steering: float) -> None:
         """Set acceleration [m/s^2] and steering angle [rad] through the vehicle's own ``act``."""
         super().act({"steering": steering, "acceleration": acceleration})
+
+
+class _HeldVehicle(StockVehicle):
+    """An NPC that the code of an environment can read and copy, but not move."""
+
+    speed = property(lambda self: vars(self)["speed"], lambda self, _: None)
+    heading = property(lambda self: vars(self)["heading"], lambda self, _: None)
+    position = property(lambda self: vars(self)["position"].copy(), lambda self, _: None)
+
+    def __reduce_ex__(self, protocol: Any) -> tuple[Any, ...]:
+        """Let copies move, such as those that a policy with an imperfect sight sees."""
+        return object.__new__, (StockVehicle,), vars(self)
 
 
 class StockPolicy(GuardedDriver):
@@ -77,37 +95,38 @@ class StockPolicy(GuardedDriver):
         view: View | None,
         sight: PolicySight | None,
     ) -> None:
-        check_action_space(outer.action_space)
+        plain = outer.unwrapped
+        check_action_space(plain.action_space)
+        if outer.action_space is not plain.action_space:
+            check_action_space(outer.action_space, wrapper_names(outer))
         super().__init__(ego, every, guard)
         self.failure: BaseException | None = None
         self._seen: Any = None
         self._action: Any = None
         self._ads = ads
-        self._outer = outer
+        self.outer = outer
         self._view = view
         self._sight = sight
         if sight is not None:
             sight.observe_through()
 
-    def begin(self, seed: int) -> None:
+    def begin(self, seed: int, objects: Sequence[Any]) -> None:
         """Reset the environment for its first observation, but leave all vehicles at the scenario's start.
 
-        Raises:
-            WorldError: if the reset adds vehicles.
+        ``objects`` are those that the environment's ``_reset`` has put on the road.
         """
-        plain = self._outer.unwrapped
-        vehicles = list(plain.road.vehicles)
+        plain = self.outer.unwrapped
+
+        def in_place_of_the_reset() -> None:
+            plain.road.objects = list(objects)  # to which the environment's own `reset` may add
+            _give_speeds(plain.vehicle, plain.action_type)
+
         if type(plain).reset is AbstractEnv.reset:
-            plain.reset = lambda **_: _reset_result(plain)
-        plain._reset = lambda: None
+            plain.reset = lambda options=None, **_: _reset_result(plain, seed, options)
+        plain._reset = in_place_of_the_reset
         plain.action_space.seed(seed)
-        self._see(lambda: self._outer.reset(seed=seed))
+        self._see(lambda: self.outer.reset(seed=seed))
         plain.road.np_random = plain.np_random
-        if plain.road.vehicles != vehicles:
-            raise WorldError(
-                f"env_id: expected an environment that makes its vehicles in `_reset`, received "
-                f"{type(plain).__name__}, whose `reset` adds vehicles afterwards; make all vehicles in `_reset`"
-            )
 
     def decided(self, tick: int) -> Any:
         """Call the ADS, and return its checked action, which the environment applies in the next step."""
@@ -116,22 +135,22 @@ class StockPolicy(GuardedDriver):
         if self._view is not None:
             with nullcontext() if self._sight is None else self._sight.shown():
                 self._view.show(tick)
-        self._action = checked_action(self._ads(self._seen), self._outer.action_space)
+        self._action = checked_action(self._ads(self._seen), self.outer.action_space)
         return self._action
 
     def take_step(self) -> None:
         """Do the environment's step with the last action."""
-        self._see(lambda: self._outer.step(self._action))
+        self._see(lambda: self.outer.step(self._action))
 
     def _see(self, call: Callable[[], tuple[Any, ...]]) -> None:
         """Store the observation of a reset or step; a wrapper's exception is raised later, in the next decision."""
         try:
             self._seen, *_ = call()
         except UNFIT as error:
-            plain = self._outer.unwrapped
+            plain = self.outer.unwrapped
             if (failure := ego_replaced(error, plain)) is not error:
                 raise failure from error
-            if self._outer is plain:
+            if self.outer is plain:
                 raise
             let_through(error)
             self.failure = error
@@ -140,11 +159,25 @@ class StockPolicy(GuardedDriver):
         """Apply the low-level control of highway-env's controlled vehicles."""
         if self._sight is not None:
             self._sight.note()
-        self._outer.unwrapped.vehicle.act()
+        self.outer.unwrapped.vehicle.act()
 
 
-def _reset_result(env: Any) -> tuple[Any, dict[str, Any]]:
-    """Return the result of highway-env's own reset for the current state."""
+def _give_speeds(ego: Any, action_type: Any) -> None:
+    """Give an ego the speeds of its actions, as highway-env does when it makes one; a reset may have drawn them."""
+    speeds = getattr(action_type, "target_speeds", None)
+    if isinstance(ego, MDPVehicle) and speeds is not None and not np.array_equal(ego.target_speeds, speeds):
+        ego.target_speeds = np.array(speeds)
+        ego.speed_index = ego.speed_to_index(ego.speed)
+        ego.target_speed = ego.index_to_speed(ego.speed_index)
+
+
+def _reset_result(env: Any, seed: int, options: Mapping[str, Any] | None) -> tuple[Any, dict[str, Any]]:
+    """Return the result of highway-env's own reset for the current state, with the configuration that wrappers set."""
+    env.configure((options or {}).get("config"))
+    env.define_spaces()
+    env._reset()
+    env.define_spaces()
+    env.action_space.seed(seed)
     seen = env.observation_type.observe()
     return seen, env._info(seen, env.action_space.sample())
 
@@ -160,7 +193,7 @@ def replay_highway(rules: Rules, scenario: Scenario, ads_factory: AdsFactory) ->
         "action": {"type": "ContinuousAction"},
         "observation": {"type": "AttributesObservation", "attributes": ()},  # unused; this one is the fastest
     }
-    env = _reset(gymnasium.make("highway-v0", config=config, disable_env_checker=True), scenario)
+    env, _ = _reset(gymnasium.make("highway-v0", config=config, disable_env_checker=True), scenario)
     env.road.network = RoadNetwork.straight_road_network(lanes, length=lane.length, speed_limit=lane.speed_limit)
     ads = make_ads(ads_factory)
     with closing(ads, rules.hang_limit):
@@ -175,7 +208,7 @@ def replay_environment(
     A policy's is in all its wrappers. Vehicle classes and planners need none, and call highway-env's own ``step``.
     """
     outer, route = environment.make(), environment.route
-    env = _reset(outer, scenario)
+    env, objects = _reset(outer, scenario, environment.config_of_wrappers)
     start, view = rules.ego_position(scenario), None
     put_ego(env, vehicle_of(env.action_type.vehicle_class, env.road, start, scenario.ego_speed, route))
     if not is_vehicle_class(ads_factory) and wants_env(ads_factory):
@@ -200,19 +233,32 @@ def replay_environment(
         ads, sight = ads_and_sight(ads)
         every, eyes = rules.physics_hz // rules.ads_hz, policy_sight(env, sight, scenario)
         policy = StockPolicy(ads, seen, ego, every, guard, view, eyes)
-        return _Loop(VehiclesOfRun(rules, scenario, ego, env.road.network), env, policy, guard).run()
+        return _Loop(VehiclesOfRun(rules, scenario, ego, env.road.network), env, policy, guard, objects).run()
 
 
-def _reset(outer: Any, scenario: Scenario) -> Any:
-    """Reset an environment, disable its methods that add traffic later, and return it without wrappers."""
+def _reset(outer: Any, scenario: Scenario, config: Mapping[str, Any] | None = None) -> tuple[Any, list[Any]]:
+    """Reset an environment, and disable its methods that add traffic later.
+
+    Returns:
+        The environment without wrappers, and the objects that its ``_reset`` has put on the road.
+    """
     env = outer.unwrapped
+    env.config |= copy.deepcopy(dict(config or {}))  # for the road, which is that of this reset
+    objects, put = list[Any](), env._reset
+
+    def noting_objects() -> None:
+        put()
+        objects[:] = env.road.objects
+
+    env._reset = noting_objects
     with vehicle_classes_kept():
         env.reset(seed=0)
+    env._reset = put
     for name in TRAFFIC_HOOKS:
         if hasattr(env, name):
             setattr(env, name, _nothing)
     env.road.np_random = env.np_random = np.random.default_rng(scenario.seed)
-    return env
+    return env, objects
 
 
 def _si_run(rules: Rules, scenario: Scenario, env: Any, ads: Any, route: tuple[Any, ...] | None) -> Trace:
@@ -256,21 +302,23 @@ def _nothing(*_: Any, **__: Any) -> None:
 class _Loop:
     """One episode, with the NPCs' director added to the road's ``act``, and the record to its ``step``."""
 
-    def __init__(self, vehicles: VehiclesOfRun, env: Any, driver: EgoDriver, guard: HangGuard) -> None:
-        self._env, self._driver, self._guard, self._run = env, driver, guard, vehicles
+    def __init__(
+        self, vehicles: VehiclesOfRun, env: Any, driver: EgoDriver, guard: HangGuard, objects: Sequence[Any] = ()
+    ) -> None:
+        self._env, self._driver, self._guard, self._run, self._objects = env, driver, guard, vehicles, objects
         self._bodies = vehicles.vehicles
         self._vehicles = [env.vehicle]
         for body in self._bodies[1:]:
             npc = StockVehicle(env.road, [body.x, body.y], body.heading, body.speed)
             npc.check_collisions = False
             self._vehicles.append(npc)
-        for each in env.road.objects:
-            each.check_collisions = False  # the loop finds contacts; highway-env would push the ego back
+        self._find_contacts_alone()
         foresee(self._vehicles[1:], vehicles.places, vehicles.rules.road)
-        env.road.vehicles = self._vehicles
+        env.road.vehicles = list(self._vehicles)  # the environment's own code may change its list
         self._last = vehicles.rules.ticks(vehicles.scenario)
         self._asked: list[int] = []
         self._error: AdsError | None = None
+        self._moved = ""  # how the environment's own code has moved an NPC
         if isinstance(env.road, RegulatedRoad) and not is_regulated(env.vehicle):
             env.road.enforce_road_rules = _nothing  # without effect here, and slow
         self._road_step = env.road.step
@@ -285,9 +333,13 @@ class _Loop:
         driver, loop, hz = self._driver, self._run.loop, self._run.rules.ads_hz
         with self._guard:
             if isinstance(driver, StockPolicy):
-                driver.begin(self._run.scenario.seed)
+                self._make_npcs(_HeldVehicle)  # some environments slow their traffic down in `reset`
+                driver.begin(self._run.scenario.seed, self._objects)
+                self._make_npcs(StockVehicle)
                 hz = self._rate()
+                self._check_vehicles("reset")
                 self._check_objects()
+                self._find_contacts_alone()
             while not self._is_over:
                 tick = loop.tick
                 self._asked.append(tick)
@@ -298,6 +350,7 @@ class _Loop:
                     driver.take_step()
                 else:  # the driver has set the ego's controls, and None does not change them
                     AbstractEnv.step(self._env, None)
+                self._check_vehicles("step")
                 self._check_objects()
                 if loop.tick == tick and self._error is None and getattr(driver, "failure", None) is None:
                     raise WorldError(
@@ -329,6 +382,59 @@ class _Loop:
         check_divides((name, ticks), ("config.policy_frequency", hz))
         return hz
 
+    def _make_npcs(self, vehicle_class: type[StockVehicle]) -> None:
+        """Let all NPCs be of a class."""
+        for npc in self._vehicles[1:]:
+            npc.__class__ = vehicle_class
+
+    def _find_contacts_alone(self) -> None:
+        """Turn off highway-env's own check of contacts with fixed objects, which would push the ego back."""
+        for each in self._env.road.objects:
+            each.check_collisions = False
+
+    def _check_vehicles(self, method: str) -> None:
+        """Refuse an environment whose ``reset`` or ``step`` changes which vehicles there are, or drives the NPCs.
+
+        Raises:
+            WorldError: if other vehicles are on the road than the run put there, or an NPC has been moved.
+        """
+        found, known = list(self._env.road.vehicles), self._vehicles
+        added, removed = (
+            [each for each in a if all(each is not one for one in b)] for a, b in ((found, known), (known, found))
+        )
+        changes = [
+            f"{word} {plural(len(each), 'vehicle')}" for word, each in (("adds", added), ("removes", removed)) if each
+        ]
+        if self._env.vehicle is not known[0]:
+            changes.append("makes another ego")
+        if method == "step" and not changes and self._moved:
+            changes.append(self._moved)
+        if not changes:
+            return
+        raise WorldError(
+            field="env_id",
+            expected="an environment whose vehicles during a run are the ego and the NPCs that the run puts there",
+            received=f"{self._who}, whose `{method}` {' and '.join(changes)} at "
+            f"{self._run.loop.tick / self._run.rules.physics_hz:.1f} s",
+            fix="let only `_reset` make and choose other vehicles, whose place the NPCs take; what appears, goes or "
+            "moves can be an NPC of a scenario",
+        )
+
+    @property
+    def _who(self) -> str:
+        """The class of the environment, and those of its wrappers."""
+        wrappers = wrapper_names(getattr(self._driver, "outer", self._env))
+        return " in ".join([type(self._env).__name__, *wrappers])
+
+    def _moved_npc(self) -> str:
+        """Return how code of the environment has moved an NPC since the last tick; empty if it has not."""
+        for number, (vehicle, body) in enumerate(zip(self._vehicles[1:], self._bodies[1:], strict=True)):
+            if vehicle.speed != body.speed:
+                return f"sets the speed of NPC {number} from {body.speed:.1f} to {vehicle.speed:.1f} m/s"
+            if (*vehicle.position, vehicle.heading) != (body.x, body.y, body.heading):
+                return f"moves NPC {number} from ({body.x:.1f}, {body.y:.1f}) m"
+        return ""
+
     def _check_objects(self) -> None:
         """Refuse objects that appear, move or go, of which reference drivers and verdicts would not know.
 
@@ -350,10 +456,12 @@ class _Loop:
     def _act(self) -> None:
         """Control the ego and then the NPCs; this replaces ``Road.act``, which calls each vehicle's ``act``."""
         driver, (vehicle, *npcs), (ego, *bodies) = self._driver, self._vehicles, self._bodies
+        self._make_npcs(StockVehicle)  # a `reset` may call the environment's `step`
         driver.actuate()
         if isinstance(driver, PlannerDriver):
             vehicle.control(ego.acceleration, ego.steering)
         if not self._is_over:
+            self._moved = self._moved or self._moved_npc()
             self._run.loop.command()
             for npc, body in zip(npcs, bodies, strict=True):
                 npc.control(body.acceleration, body.steering)
