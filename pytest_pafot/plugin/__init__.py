@@ -88,11 +88,13 @@ def pytest_collection_finish(session: pytest.Session) -> None:
     from pytest_pafot.plugin.failure_reports import Failures  # noqa: PLC0415
     from pytest_pafot.plugin.item_checks import Checks, Execution  # noqa: PLC0415
     from pytest_pafot.support.interrupts import interrupted_by_signals  # noqa: PLC0415
+    from pytest_pafot.world.guard.hang_guard import note_interrupt  # noqa: PLC0415
 
     _register(config, {"checks": Checks(), "execution": Execution(), "failing": Failures()})
     stack = ExitStack()
     config.add_cleanup(stack.close)
-    stack.enter_context(interrupted_by_signals())  # SIGTERM alone would leave processes and copies of revisions behind.
+    # SIGTERM alone would leave processes and copies of revisions behind.
+    stack.enter_context(interrupted_by_signals(note_interrupt))
 
 
 @pytest.hookimpl(trylast=True)
