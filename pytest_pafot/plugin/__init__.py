@@ -81,7 +81,7 @@ def pytest_collection_finish(session: pytest.Session) -> None:
         set_properties_of(marked)
     is_marked = bool(marked) or any(item.get_closest_marker(SEARCH_MARK) for item in session.items)
     unrun = config.stash[UNRUN]
-    if is_marked or any((unrun.orphans, unrun.strays, unrun.unmerged)):
+    if is_marked or any(unrun):
         _report(config)
     if not is_marked or config.getoption("collectonly"):
         return  # these plugins import the simulation, and an editor that only lists tests would wait for it
