@@ -116,6 +116,7 @@ def main(arguments: list[str] | None = None) -> int:
     from pytest_pafot.support.errors import AdsFactoryError, FieldError, RequestError, flag  # noqa: PLC0415
     from pytest_pafot.support.interrupts import Ended, interrupted_by_signals  # noqa: PLC0415
     from pytest_pafot.sweeps import map_command as mapping  # noqa: PLC0415
+    from pytest_pafot.world.guard.hang_guard import note_interrupt  # noqa: PLC0415
 
     # The errors that the user can correct. A worker that dies raises a ChildProcessError.
     errors = (RequestError, FieldError, AdsFactoryError, RevisionError, AnimationError, ChildProcessError)
@@ -210,7 +211,7 @@ def main(arguments: list[str] | None = None) -> int:
     try:
         # Policies are in the current folder, as with pytest. It may be gone, if a shell is still in it.
         sys.path.insert(0, str(Path.cwd()))
-        with interrupted_by_signals():
+        with interrupted_by_signals(note_interrupt):
             try:
                 code: int = arguments_given.run(arguments_given, ["python", "-m", "pytest_pafot", *given])
             except errors as error:

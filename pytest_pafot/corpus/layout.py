@@ -43,6 +43,15 @@ def is_misnamed(name: str) -> bool:
     return name.lower().endswith((".yaml", ".yml")) and not name.endswith(SUFFIX)
 
 
+def name_within(name: str) -> str:
+    """Return the name of a saved scenario that a program has made longer, such as ``x.pafot.yaml.txt``, else nothing.
+
+    The result may also be that of an original, of which the file is a backup or a temporary copy of an editor.
+    """
+    original, suffix, more = name.lstrip(".#").partition(SUFFIX)
+    return original + suffix if original and more else ""
+
+
 def modules_in(root: Path) -> list[Path]:
     """Return the folders of modules in a corpus, sorted by name; none if there is no corpus."""
     return [path for path in entries_of(root) if is_folder(path)]

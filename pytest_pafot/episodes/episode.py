@@ -208,9 +208,11 @@ class Start:
         """Call the user's code under the time limit and return its result."""
         self.guard.decision_starts()
         try:
-            return call(*arguments)
+            result = call(*arguments)
         finally:
             self.guard.decision_ends()
+        self.guard.raise_swallowed()
+        return result
 
     def action(self, seen: Any, tick: int) -> Any:
         """Return the policy's action for an observation.

@@ -81,18 +81,20 @@ def pytest_collection_finish(session: pytest.Session) -> None:
         set_properties_of(marked)
     is_marked = bool(marked) or any(item.get_closest_marker(SEARCH_MARK) for item in session.items)
     unrun = config.stash[UNRUN]
-    if is_marked or any((unrun.orphans, unrun.strays, unrun.unmerged)):
+    if is_marked or any(unrun):
         _report(config)
     if not is_marked or config.getoption("collectonly"):
         return  # these plugins import the simulation, and an editor that only lists tests would wait for it
     from pytest_pafot.plugin.failure_reports import Failures  # noqa: PLC0415
     from pytest_pafot.plugin.item_checks import Checks, Execution  # noqa: PLC0415
     from pytest_pafot.support.interrupts import interrupted_by_signals  # noqa: PLC0415
+    from pytest_pafot.world.guard.hang_guard import note_interrupt  # noqa: PLC0415
 
     _register(config, {"checks": Checks(), "execution": Execution(), "failing": Failures()})
     stack = ExitStack()
     config.add_cleanup(stack.close)
-    stack.enter_context(interrupted_by_signals())  # SIGTERM alone would leave processes and copies of revisions behind.
+    # SIGTERM alone would leave processes and copies of revisions behind.
+    stack.enter_context(interrupted_by_signals(note_interrupt))
 
 
 @pytest.hookimpl(trylast=True)

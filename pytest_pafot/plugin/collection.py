@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import inspect
 import os
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
 from dataclasses import replace
 from datetime import date
+from fnmatch import fnmatch
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -15,7 +17,7 @@ import pytest
 from pytest_pafot.campaign.options import BY_NAME, OF_COMMAND
 from pytest_pafot.corpus import layout
 from pytest_pafot.corpus.saved import Saved, refusal, refused_in, saved_in
-from pytest_pafot.plugin.marks import DEFAULT_ARG, SAVED_MARK, SEARCH_MARK, arguments_of
+from pytest_pafot.plugin.marks import CATALOGUE_MARK, DEFAULT_ARG, SAVED_MARK, SEARCH_MARK, arguments_of
 from pytest_pafot.plugin.node_ids import base_id, qualified_name, saved_part
 from pytest_pafot.plugin.option_sources import corpus_name
 from pytest_pafot.plugin.session import SHARED, SUMMARY_LINES, base_line
@@ -27,6 +29,8 @@ COLLECTED: pytest.StashKey[dict[Path, dict[str, Saved]]] = pytest.StashKey()
 
 NAMES_ONLY: pytest.StashKey[bool] = pytest.StashKey()
 """True for a session that only lists its items: it reads no saved scenario, so that none counts as accepted."""
+
+MERGE = BY_NAME["merge"].key
 
 SEARCH = "search"  # a placeholder for the argument of an item, which a simulated run replaces
 
@@ -57,19 +61,31 @@ class Collection:
         self._given_files, self._modules_for_them = accept_files(config)
         self._collected = Collected(rootpath=config.rootpath)
         self._corpora: set[Path] = set()  # the corpora found while pytest looked for test files
+        self._others: set[Path] = set()  # those of the default name, where the option gives another
+        self._passed_by: set[Path] = set()  # the saved scenarios outside of corpora
         self._saved = config.stash.setdefault(COLLECTED, {})
         self._listed: dict[Path, layout.TestFolders] = {}
-        config.stash[UNRUN] = Unrun({}, {}, {})
+        config.stash[UNRUN] = Unrun({}, {}, {}, {})
 
     def pytest_ignore_collect(self, collection_path: Path) -> bool | None:
         """Ignore everything in a corpus folder, also files that are named like tests: they are data."""
         folders = [collection_path, *collection_path.parents]
         if not any(self._is_corpus(folder) for folder in folders):
+            if collection_path.name.endswith(layout.SUFFIX):
+                self._passed_by.add(collection_path)
             return None
         # Noted here, because all tests next to it may be gone, and then no item leads to it.
         if self._corpus is not None and layout.is_corpus(collection_path, self._corpus):
             self._corpora.add(collection_path)
+        elif collection_path.name == layout.CORPUS:
+            self._others.add(collection_path)
         return True
+
+    def _is_ignored(self, path: Path) -> bool:
+        """Return whether ``--ignore`` or ``--ignore-glob`` leaves out a path or a folder above it."""
+        ignored = {_given_path(self._config, each) for each in self._config.getoption("ignore") or ()}
+        globs = [str(_given_path(self._config, each)) for each in self._config.getoption("ignore_glob") or ()]
+        return any(each in ignored or any(fnmatch(str(each), glob) for glob in globs) for each in (path, *path.parents))
 
     def _is_corpus(self, folder: Path) -> bool:
         """Return whether a folder is a corpus.
@@ -142,10 +158,16 @@ class Collection:
     def pytest_make_collect_report(
         self, collector: pytest.Collector
     ) -> Generator[None, pytest.CollectReport, pytest.CollectReport]:
-        """Note every module that was collected, also one in which no test is left."""
+        """Note what became of every module, also of one in which no test is left, and marks that nothing collects."""
         report = yield
-        if isinstance(collector, pytest.Module) and report.passed:
-            self._collected.files.add(collector.path)
+        if type(collector).__module__ == "_pytest.doctest":  # a module with examples, which may also be a test file
+            return report
+        if isinstance(collector, pytest.Module):
+            collected = self._collected
+            noted = {"passed": collected.files, "skipped": collected.skipped, "failed": collected.failed}
+            noted[report.outcome].add(collector.path)
+        if isinstance(collector, pytest.Module | pytest.Class) and report.passed:
+            self._config.stash[UNRUN].unnamed.update(_unnamed(collector))
         return report
 
     @pytest.hookimpl(wrapper=True)
@@ -202,15 +224,18 @@ class Collection:
     def _find_unrun(self, items: list[pytest.Item]) -> None:
         corpus = corpus_name(self._config, {})
         roots = dict(self._collected.roots)
+        merged = [self._config.invocation_params.dir / given for given in self._config.getoption(MERGE) or ()]
+
+        def not_merged(paths: Iterable[Path]) -> list[Path]:  # those of other machines are merged here, not run
+            return [each for each in paths if not any(map(each.is_relative_to, merged))]
+
         if corpus is not None:
             files = {item.path.parent: item.path for item in items}
             roots |= {layout.corpus_root(file, corpus, self._rootpath): directory for directory, file in files.items()}
             if Path(corpus).is_absolute():
                 self._collected.shared.add(Path(corpus))
             met = [each for each in sorted(self._corpora) if any(map(each.is_relative_to, self._folders_given))]
-            for given in self._config.getoption(BY_NAME["merge"].key) or ():  # corpora that come from other machines
-                merged = self._config.invocation_params.dir / given
-                met = [each for each in met if not each.is_relative_to(merged)]
+            met = not_merged(met)
             if not Path(corpus).is_absolute():
                 # A test that was moved into a folder given here may have left its corpus behind, above that folder.
                 above = {each for folder in self._folders_given for each in folder.parents}
@@ -226,6 +251,10 @@ class Collection:
             self._collected,
             roots=roots,
             asked_for=self._folders_given,
+            corpus=corpus or layout.CORPUS,
+            others=not_merged(self._others - roots.keys()),
+            passed_by=not_merged(self._passed_by),
+            is_ignored=self._is_ignored,
         )
         if OF_COMMAND in os.environ:
             return  # The command asks for one test, which has no file. All others of the project are not collected.
@@ -293,6 +322,35 @@ def _roots_in(corpora: Iterable[Path], corpus: Path, rootpath: Path) -> Iterator
         for root in {folder.parents[1] for folder in layout.folders_below(met)}:
             if root.is_relative_to(met):
                 yield root, rootpath / root.relative_to(met)
+
+
+def _unnamed(collector: pytest.Module | pytest.Class) -> Iterator[tuple[str, str]]:
+    """Yield the functions and classes with a mark of pafot that pytest leaves out because of their names.
+
+    Each has a sentence on which name was expected. Not named are what was imported, what sets ``__test__`` to False, a
+    base class, and a function that also has a name by which it is collected.
+    """
+    members = vars(collector.obj)
+    module = collector.obj.__module__ if inspect.isclass(collector.obj) else collector.obj.__name__
+    found = {id(each) for name, each in members.items() if _has_test_name(collector, name, each)}
+    for name, each in members.items():
+        if not inspect.isfunction(each) and not inspect.isclass(each):
+            continue
+        own = vars(each).get("pytestmark", [])  # a list, unless the user has set it to one mark
+        marks = {mark.name for mark in (own if isinstance(own, list) else [own])}
+        if id(each) in found or not marks & {SEARCH_MARK, CATALOGUE_MARK} or each.__module__ != module:
+            continue
+        is_base = inspect.isclass(each) and bool(type.__subclasses__(each))
+        if not is_base and getattr(each, "__test__", True):
+            other = f"Test{name}" if inspect.isclass(each) else f"test_{name}"
+            setting = "python_classes" if inspect.isclass(each) else "python_functions"
+            example = f"such as {other}" if _has_test_name(collector, other, each) else f"see {setting} in its settings"
+            yield f"{collector.nodeid}::{name}", f"expected a name that pytest collects, {example}"
+
+
+def _has_test_name(collector: pytest.Module | pytest.Class, name: str, member: object) -> bool:
+    is_named = collector.classnamefilter if inspect.isclass(member) else collector.funcnamefilter
+    return is_named(name) or collector.isnosetest(member)
 
 
 def _module_of(file: Path, config: pytest.Config) -> Path:

@@ -10,6 +10,7 @@ import os
 import re
 from collections.abc import Collection, Generator, Iterable, Iterator, Sequence
 from functools import partial
+from itertools import chain
 from pathlib import Path
 
 import pytest
@@ -18,13 +19,16 @@ from pytest_pafot.campaign.options import BY_NAME, is_ci
 from pytest_pafot.corpus.layout import (
     SUFFIX,
     entries_of,
+    files_below,
     files_in,
+    folder_of_test,
     is_folder,
     is_misnamed,
     link_below,
     may_be_of,
     module_named,
     modules_in,
+    name_within,
     relative,
     safe_name,
 )
@@ -41,6 +45,8 @@ _TEST_LINE = re.compile(rb"^test:[ \t]*([^\n:]*\.py::[^\n]+?)\s*$", re.MULTILINE
 MAX_NAME = 120  # length of the test's name in an error; the name is from a file, which may contain anything
 ERROR_ID = "pafot::saved_scenarios_without_a_test"
 """The node id of the error with which a session fails if the test of saved scenarios no longer exists."""
+UNNAMED_ID = "pafot::marked_tests_that_are_not_collected"
+"""The node id of the error with which a session fails if pytest leaves out a marked test because of its name."""
 
 
 def find_orphans(collected: Collected) -> dict[Path, Orphan]:
@@ -64,13 +70,14 @@ def find_orphans(collected: Collected) -> dict[Path, Orphan]:
 def find_strays(collected: Collected, orphans: Collection[Path]) -> dict[str, tuple[str, bool]]:
     """Return the saved scenarios that no item can run, each with the reason, and whether the session fails by it on CI.
 
-    They are too high or too deep for the folder of a test, or have another suffix. Only the corpora and the folders
-    between the rootdir and the folders of tests are searched.
+    They are too high or too deep for the folder of a test, or have another suffix; this is searched in the corpora, and
+    in the folders between the rootdir and the folders of tests. Or pytest met them outside of any corpus, in a corpus
+    that the option does not name, or their test file was not collected.
     """
     top = collected.rootpath
     strays: dict[str, tuple[str, bool]] = {}
     for root, directory in sorted(collected.roots.items()):
-        is_asked_for = any(directory.is_relative_to(each) for each in collected.asked_for)
+        is_asked_for = _is_asked_for(directory, collected)
         modules = modules_in(root)
         tests = {folder for module in modules for folder in modules_in(module)}
         # The walk follows no links, which may lead anywhere. A linked folder of a module or test is only listed.
@@ -78,7 +85,7 @@ def find_strays(collected: Collected, orphans: Collection[Path]) -> dict[str, tu
         for folder in sorted({*_up(root, top), *_up(directory, top), *below, *modules, *tests}):
             is_run = folder in collected.folders or folder in orphans or _is_test_folder(folder, root, tests, collected)
             for file in entries_of(folder):
-                if is_misnamed(file.name):
+                if is_misnamed(file.name) or name_within(file.name):
                     if not _is_meant_as_saved(file, root):
                         continue
                     why = f"its suffix is not {SUFFIX}; rename it, or move it out of the corpus"
@@ -89,7 +96,61 @@ def find_strays(collected: Collected, orphans: Collection[Path]) -> dict[str, tu
                     why = f"it is in no test's folder; move it to {place}, or delete it"
                 name = relative(file, top)
                 strays[name] = why, is_asked_for or strays.get(name, ("", False))[1]
-    return strays
+    found = (_passed_by(collected), _in_other_corpora(collected), _not_collected(collected), strays.items())
+    return dict(chain.from_iterable(found))
+
+
+def _not_collected(collected: Collected) -> Iterator[tuple[str, tuple[str, bool]]]:
+    """Yield the saved scenarios whose test file exists and was asked for, but was not collected."""
+    # The same file may have two paths, one of them by a link.
+    imported = {os.path.realpath(each) for each in collected.files | collected.failed}
+    for root, directory in sorted(collected.roots.items()):
+        for folder in modules_in(root) if _is_asked_for(directory, collected) else ():
+            module = module_named(directory, folder.name)
+            if not os.path.lexists(module) or os.path.realpath(module) in imported:
+                continue
+            name, fails = relative(module, collected.rootpath), False
+            if module in collected.skipped:
+                why = f"{name} was skipped at import"
+            elif collected.is_ignored(module):
+                why = f"--ignore or --ignore-glob leaves out {name}"
+            else:
+                fails = True
+                why = (
+                    f"pytest did not collect {name}; see python_files and norecursedirs in its settings, and "
+                    "collect_ignore in a conftest.py"
+                )
+            for test in modules_in(folder):
+                for file in files_in(test):
+                    yield relative(file, collected.rootpath), (why, fails)
+
+
+def _in_other_corpora(collected: Collected) -> Iterator[tuple[str, tuple[str, bool]]]:
+    """Yield the saved scenarios in folders with the default name of a corpus, while the option names another."""
+    why = f"the option corpus names another folder, {collected.corpus}; move it there, or correct the option"
+    for folder in sorted(collected.others):
+        for file in files_below(folder) if _is_asked_for(folder, collected) else ():
+            yield relative(file, collected.rootpath), (why, not collected.is_ignored(file))
+
+
+def _passed_by(collected: Collected) -> Iterator[tuple[str, tuple[str, bool]]]:
+    """Yield the saved scenarios of this project's tests that pytest met outside of any corpus.
+
+    A file whose test file does not exist, such as an example, is not meant, and no copy of a file in its test's folder.
+    """
+    for file in sorted(collected.passed_by):
+        module, _, test = _named_test(file).partition("::")
+        test_file = collected.rootpath / module
+        if not test or not os.path.lexists(test_file) or not _is_asked_for(file, collected):
+            continue
+        home = folder_of_test(test_file, test, collected.corpus, collected.rootpath)
+        if not collected.is_ignored(file) and not os.path.lexists(home / file.name):
+            why = f"it is in no corpus; move it to {relative(home, collected.rootpath)}, or delete it"
+            yield relative(file, collected.rootpath), (why, True)
+
+
+def _is_asked_for(path: Path, collected: Collected) -> bool:
+    return any(map(path.is_relative_to, collected.asked_for))
 
 
 def advice(config: pytest.Config) -> str:
@@ -109,28 +170,35 @@ def advice(config: pytest.Config) -> str:
 
 
 class Guard:
-    """The hook that fails a session, once and on the controller, if no test can replay saved scenarios."""
+    """The hook that fails a session, on the controller, if no test can replay saved scenarios or run a marked test."""
 
     @pytest.hookimpl(wrapper=True, trylast=True)  # inside of the hook with which pytest ends the line of its results
     def pytest_runtestloop(self, session: pytest.Session) -> Generator[None, object, object]:
         """Fail the session after all items have run; only then have all pytest-xdist workers reported their items."""
         result = yield
-        lines = _error(session.config)
-        if lines:
-            _report(session, lines)
+        for node_id, lines in _errors(session.config).items():
+            if lines:
+                _report(session, node_id, list(map(visible, lines)))
         return result
 
 
-def _error(config: pytest.Config) -> list[str]:
-    """Return the lines that say why the session fails; no lines if it does not fail.
+def _errors(config: pytest.Config) -> dict[str, list[str]]:
+    """Return the lines of each error of the session that say why it fails; no lines if it does not fail.
 
     After the reason, each affected file and its test is named, and then what the user can do about it.
     """
     strict, allow = BY_NAME["strict_health"], BY_NAME["allow_orphans"]
     cause = "CI is set" if is_ci(os.environ) else strict.flag if option_value(config, strict, {}) else ""
-    if not cause or config.getoption("collectonly") or option_value(config, allow, {}):
-        return []
+    if not cause or config.getoption("collectonly"):
+        return {}
     unrun = config.stash[UNRUN]
+    unnamed = [f"pytest does not collect {plural(len(unrun.unnamed), 'test')} with a mark of pafot ({cause}):"]
+    for name, why in sorted(unrun.unnamed.items()):
+        unnamed += [name, f"  {why}"]
+    unnamed.append("  rename it, or set its __test__ to False if it is no test")
+    errors = {UNNAMED_ID: unnamed if unrun.unnamed else []}
+    if option_value(config, allow, {}):
+        return errors
     gone = {folder: orphan for folder, orphan in unrun.orphans.items() if orphan.is_gone}
     lines = []
     if gone:
@@ -144,10 +212,10 @@ def _error(config: pytest.Config) -> list[str]:
         lines.append(f"no test replays {plural(len(strays), 'saved scenario')} ({cause}; {allow.flag} lets it pass):")
         for file, why in strays.items():
             lines += [file, f"  {why}"]
-    return [visible(line) for line in lines]
+    return {**errors, ERROR_ID: lines}
 
 
-def _report(session: pytest.Session, lines: Sequence[str]) -> None:
+def _report(session: pytest.Session, node_id: str, lines: Sequence[str]) -> None:
     """Report the session's error like the error of an item, so that it is counted, also in files for other tools."""
     try:
         pytest.fail("\n".join(lines), pytrace=False)
@@ -160,8 +228,8 @@ def _report(session: pytest.Session, lines: Sequence[str]) -> None:
     # Do not inform --lf and --sw: they would wait for an item of this name, which the next session does not collect.
     rerunning = [manager.get_plugin(name) for name in ("lfplugin", "stepwiseplugin")]
     log = manager.subset_hook_caller("pytest_runtest_logreport", rerunning)
-    place = ("pafot", None, ERROR_ID.partition("::")[2])
-    report = partial(pytest.TestReport, nodeid=ERROR_ID, location=place, keywords={})
+    place = ("pafot", None, node_id.partition("::")[2])
+    report = partial(pytest.TestReport, nodeid=node_id, location=place, keywords={})
     session.testscollected += 1
     log(report=report(outcome="failed", longrepr=longrepr, when="setup"))
     log(report=report(outcome="passed", longrepr=None, when="teardown"))
@@ -186,6 +254,9 @@ def _is_test_folder(folder: Path, root: Path, tests: Collection[Path], collected
 
 def _is_meant_as_saved(file: Path, root: Path) -> bool:
     """Return whether a file with another suffix is a saved scenario: by its name, or in a corpus by its content."""
+    if original := name_within(file.name):  # not a backup, whose original is next to it, and not any other file
+        is_alone = not os.path.lexists(file.with_name(original))
+        return is_alone and file.is_relative_to(root) and bool(_named_test(file))
     return ".pafot." in file.name.lower() or (file.is_relative_to(root) and bool(_named_test(file)))
 
 
@@ -217,7 +288,7 @@ def _orphan(folder: Path, root: Path, directory: Path, collected: Collected) -> 
     name = named.partition("::")[2] or folder.name
     there, is_gone = f"no file {file}", True
     # The tests of a module that is gone run in no session, whichever folder this one was asked for.
-    is_asked_for = not os.path.lexists(module) or any(module.is_relative_to(each) for each in collected.asked_for)
+    is_asked_for = not os.path.lexists(module) or _is_asked_for(module, collected)
     if os.path.lexists(module):
         same_test = [
             each

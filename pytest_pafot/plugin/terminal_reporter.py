@@ -187,7 +187,7 @@ class Reporter:
     def _summary(self) -> list[str]:
         unrun = self._config.stash[UNRUN]
         lines = (self._lines.problems, self._lines.reports)
-        told = (unrun.orphans, unrun.strays, unrun.unmerged)
+        told = tuple(unrun)
         if not any((self._searches, self._replays, self._running, self._notes, self._warnings, *told, *lines)):
             return []
         from pytest_pafot.campaign.events import by_test, concluded  # noqa: PLC0415
@@ -201,7 +201,7 @@ class Reporter:
             orphans=[
                 (self._relative(folder), [each.name for each in files], why) for folder, why, files in left if files
             ],
-            strays=[(file, why) for file, (why, _) in sorted(unrun.strays.items())],
+            strays=[*sorted(unrun.unnamed.items()), *((file, why) for file, (why, _) in sorted(unrun.strays.items()))],
             unmerged=sorted(unrun.unmerged.items()),
             way_out=orphans.advice(self._config),
             problems=self._lines.problems,

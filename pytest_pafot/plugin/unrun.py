@@ -5,11 +5,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Collection
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple
 
 import pytest
+
+from pytest_pafot.corpus.layout import CORPUS
 
 
 class Orphan(NamedTuple):
@@ -27,6 +30,7 @@ class Unrun(NamedTuple):
     # saved scenarios that no test's folder runs, each with the reason, and whether the session fails by it on CI
     strays: dict[str, tuple[str, bool]]
     unmerged: dict[str, str]  # folders of other corpora that match no single test, each with the reason
+    unnamed: dict[str, str]  # functions and classes with a mark of pafot that pytest does not collect by their name
 
 
 UNRUN = pytest.StashKey[Unrun]()
@@ -45,3 +49,9 @@ class Collected:
     classes: set[str] = field(default_factory=set)
     opened: set[str] = field(default_factory=set)  # node ids of the classes whose members were collected
     files: set[Path] = field(default_factory=set)  # test files that were collected, also those without a test
+    skipped: set[Path] = field(default_factory=set)  # test files that were skipped at import
+    failed: set[Path] = field(default_factory=set)  # test files that could not be imported
+    corpus: str = CORPUS  # the option of this name
+    others: Collection[Path] = field(default_factory=set)  # corpora of the default name, if the option gives another
+    passed_by: Collection[Path] = field(default_factory=set)  # saved scenarios that pytest met outside of corpora
+    is_ignored: Callable[[Path], bool] = lambda path: False  # whether an option of the session leaves out a path

@@ -54,7 +54,7 @@ class SessionSummary:
         neighbour_seconds: the time that neighbours of replayed scenarios took [s].
         orphans: folders of saved scenarios whose test is gone, with the names of its files and what was expected.
         way_out: what the user can do about all orphans.
-        strays: saved scenarios that no test can replay, each with the reason.
+        strays: saved scenarios that no test can replay, and marked tests that are not collected, each with the reason.
         unmerged: folders of other corpora that were not merged, each with the reason.
         interrupted: node ids of searches that began and did not end.
         warnings: warnings about saved scenarios that are no longer accepted.

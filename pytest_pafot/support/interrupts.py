@@ -6,8 +6,9 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from types import FrameType
 
 ENDS = tuple(getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name))
 """The signals that end a process without giving it time, unless it handles them."""
@@ -24,8 +25,10 @@ class Ended(KeyboardInterrupt):
 
 
 @contextmanager
-def interrupted_by_signals() -> Iterator[None]:
+def interrupted_by_signals(note: Callable[[KeyboardInterrupt], None] = lambda interrupt: None) -> Iterator[None]:
     """Let the first of :data:`ENDS` raise :class:`Ended` in the main thread; further ones have no effect.
+
+    ``note`` receives each interrupt, also one by Ctrl-C, before it is raised, because the user's code may catch it.
 
     A signal that the user's code handles, or that is ignored as by ``nohup``, is left alone. Python drops what
     a handler raises while a finalizer or the callback of a weak reference runs; such an interrupt comes again shortly.
@@ -39,7 +42,14 @@ def interrupted_by_signals() -> Iterator[None]:
             os.kill(os.getpid(), number)
         elif not ended:
             ended = True
-            raise Ended(number)
+            note(error := Ended(number))
+            raise error
+
+    def pressed(number: int, frame: FrameType | None) -> None:
+        if os.getpid() == owner:
+            note(error := KeyboardInterrupt())
+            raise error
+        signal.default_int_handler(number, frame)
 
     def unraisable(lost: sys.UnraisableHookArgs) -> None:
         nonlocal ended
@@ -51,8 +61,10 @@ def interrupted_by_signals() -> Iterator[None]:
 
     is_main = threading.current_thread() is threading.main_thread()
     mine = [number for number in ENDS if is_main and signal.getsignal(number) == signal.SIG_DFL]
-    for number in mine:
-        signal.signal(number, received)
+    handlers: dict[int, Callable[[int, FrameType | None], None]] = dict.fromkeys(mine, received)
+    if is_main and signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        handlers[signal.SIGINT] = pressed
+    before = {number: signal.signal(number, handler) for number, handler in handlers.items()}
     if is_main:
         sys.unraisablehook = unraisable
     try:
@@ -60,9 +72,9 @@ def interrupted_by_signals() -> Iterator[None]:
     finally:
         if sys.unraisablehook is unraisable:
             sys.unraisablehook = told
-        for number in mine:
-            if signal.getsignal(number) is received:  # The user's code may handle it since.
-                signal.signal(number, signal.SIG_DFL)
+        for number, handler in handlers.items():
+            if signal.getsignal(number) is handler:  # The user's code may handle it since.
+                signal.signal(number, before[number])
 
 
 @contextmanager

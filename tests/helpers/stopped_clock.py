@@ -22,5 +22,5 @@ class StoppedClock:
     def sleep(self, seconds):
         """Advance the clock and let the guards look: an overdue decision is interrupted."""
         self.slept += seconds
-        for guard in list(hang_guard._WATCHDOG._guards):
+        for guard in list(hang_guard._WATCHDOG.guards):
             guard.look()

@@ -5,6 +5,7 @@ import shutil
 
 import pytest
 
+from tests.helpers.tables import table
 from tests.plugin.conftest import FAILING
 from tests.plugin.test_prune import links
 
@@ -263,6 +264,142 @@ def test_a_file_that_no_test_can_replay_fails_a_ci_session(saved, ci, place):
     assert result.stdout.lines.count(place) == 1
     for args in (["--pafot-allow-orphans"], ["test_it.py"], ["test_it.py::test_fails"]):
         assert replay(saved, *args).ret == 0, args
+
+
+LEFT_OUT = (
+    ("python_files", ["-o", "python_files=test_other.py"], "", True),
+    ("collect_ignore", [], "collect_ignore = ['test_it.py']", True),
+    ("--ignore", ["--ignore=test_it.py"], "", False),
+    ("--ignore-glob", ["--ignore-glob=*_it.py"], "", False),
+)
+
+
+@pytest.mark.parametrize(("why", "args", "conftest", "fails"), LEFT_OUT, ids=[row[0] for row in LEFT_OUT])
+def test_saved_scenario_of_a_test_file_that_is_not_collected_is_named(saved, ci, why, args, conftest, fails):
+    saved.write("def test_other():\n    pass\n", name="test_other")
+    with (saved.path / "conftest.py").open("a") as file:
+        file.write(f"\n{conftest}\n")
+    result = replay(saved, *args)
+    assert is_red(result) == fails
+    assert result.ret == fails
+    (line,) = [line for line in result.stdout.lines if line.startswith("not run: ")]
+    assert line.startswith(f"not run: {FOLDER}/{saved.only_file.name}: ")
+    assert why in result.stdout.str()
+    for others in ["test_other.py"], ["--pafot-allow-orphans"], ["--collect-only"]:
+        assert replay(saved, *args, *others).ret == 0, others
+
+
+def test_saved_scenario_of_a_test_file_that_is_skipped_is_only_named(saved, ci):
+    saved.write("def test_other():\n    pass\n", name="test_other")
+    (saved.path / "test_it.py").write_text("import pytest\npytest.importorskip('no_such_package')\n")
+    result = replay(saved)
+    assert result.ret == 0
+    result.stdout.fnmatch_lines([f"not run: {FOLDER}/*: test_it.py was skipped at import"])
+
+
+def test_corpus_that_the_option_does_not_name_fails_a_ci_session(saved, ci):
+    why = "the option corpus names another folder, findings; move it there, or correct the option"
+    result = replay(saved, "--pafot-corpus=findings")
+    assert is_red(result)
+    result.stdout.fnmatch_lines([f"{FOLDER}/{saved.only_file.name}", f"  {why}"], consecutive=True)
+    for args in (["test_it.py"], ["--pafot-allow-orphans"], [f"--ignore={saved.path / 'pafot_corpus'}"]):
+        assert replay(saved, "--pafot-corpus=findings", *args).ret == 0, args
+
+
+@pytest.mark.parametrize("name", ["corpus", "saved/old"])
+def test_corpus_with_another_name_fails_a_ci_session(saved, ci, name):
+    file = saved.only_file.relative_to(saved.path / "pafot_corpus")
+    (saved.path / name).parent.mkdir(exist_ok=True)
+    shutil.copytree(saved.path / "pafot_corpus", saved.path / name)
+    assert not is_red(replay(saved)), "a copy"
+    shutil.rmtree(saved.path / "pafot_corpus")
+    result = replay(saved)
+    assert is_red(result)
+    result.stdout.fnmatch_lines([f"{name}/{file}", f"  it is in no corpus; move it to {FOLDER}, or delete it"])
+    assert replay(saved, f"--ignore={name.split('/')[0]}").ret == 0
+    moved = saved.path / name / file
+    moved.write_text(moved.read_text().replace("test: test_it.py", "test: test_example.py"))
+    assert replay(saved).ret == 0, "not of this project"
+
+
+@table(("name", "is_lost"), [
+    ("a.pafot.yaml.txt", True), ("a.pafot.yaml.orig", True), (".a.pafot.yaml.swp", True), ("a.txt", False),
+])  # fmt: skip
+def test_longer_suffix_is_named_unless_it_is_a_backup(saved, ci, name, is_lost):
+    original, text = saved.only_file, saved.only_file.read_text()
+    original.unlink()
+    file = original.with_name(name)
+    file.write_text(text)
+    result = replay(saved)
+    assert is_red(result) == is_lost
+    assert (f"{FOLDER}/{name}" in result.stdout.lines) == is_lost
+    original.with_name("a.pafot.yaml").write_text(text)
+    assert not is_red(replay(saved))
+    file.unlink()
+    original.with_name("a.pafot.yaml").rename(original)
+
+
+UNNAMED = """
+@pafot.search(SHORT)
+def never_at_fault(run):
+    pass
+
+@pafot.search(SHORT)
+class Safety:
+    def test_it(self, run):
+        pass
+
+class TestIt:
+    @pafot.catalogue("r157/cut-in")
+    def drives(self, run):
+        pass
+"""
+NAMED = """
+@pafot.search(SHORT)
+def never(run):
+    pass
+
+test_never = never
+
+@pafot.search(SHORT)
+class Base:
+    def test_it(self, run):
+        pass
+
+class TestDerived(Base):
+    pass
+
+@pafot.search(SHORT)
+class Helper:
+    __test__ = False
+
+class Meta(type):
+    pytestmark = pytest.mark.skip
+
+def drives(run):
+    pass
+"""
+
+
+def test_marked_test_without_the_name_of_a_test_fails_a_ci_session(project, monkeypatch):
+    project.write(UNNAMED)
+    project.write(NAMED, name="test_named")
+    project.write("from test_it import never_at_fault, Safety\n\ndef test_other():\n    pass\n", name="test_other")
+    told = {"never_at_fault": "test_never_at_fault", "Safety": "TestSafety", "TestIt::drives": "test_drives"}
+    lines = [f"test_it.py::{name}: expected a name that pytest collects, such as {why}" for name, why in told.items()]
+    for args in ([], ["-k", "other"]):
+        result = replay(project, *args)
+        assert result.ret == 0
+        assert [line for line in result.stdout.lines if line.startswith("not run: ")] == [
+            f"not run: {line}" for line in sorted(lines)
+        ]
+    monkeypatch.setenv("CI", "true")
+    result = replay(project, "--pafot-allow-orphans")
+    assert result.ret == 1
+    result.stdout.fnmatch_lines(["pytest does not collect 3 tests with a mark of pafot (CI is set):"])
+    result.stdout.fnmatch_lines(["ERROR pafot::marked_tests_that_are_not_collected - *"])
+    result = replay(project, "-o", "python_functions=check")
+    result.stdout.fnmatch_lines(["not run: *::never_at_fault: *collects, see python_functions in its settings"])
 
 
 def test_a_misnamed_file_in_a_shared_corpus_fails_a_ci_session(saved, ci):

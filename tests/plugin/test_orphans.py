@@ -75,7 +75,7 @@ def told(result):
     return [line.removeprefix("not run: ") for line in result.stdout.lines if line.startswith("not run: ")]
 
 
-def test_misplaced_file_is_found_only_above_its_test(saved):
+def test_misplaced_file_is_found_above_its_test_and_where_pytest_collects(saved):
     for folder in ("safety/near", "notes"):
         (saved.path / folder).mkdir(parents=True)
     (saved.path / "test_it.py").rename(saved.path / "safety" / "near" / "test_it.py")
@@ -84,9 +84,11 @@ def test_misplaced_file_is_found_only_above_its_test(saved):
     for folder in ("safety", "notes"):
         (saved.path / folder / "a.pafot.yaml").write_text(content)
     place = "the folder of safety/near/test_it.py::test_fails"
-    expected = [f"safety/a.pafot.yaml: it is in no test's folder; move it to {place}, or delete it"]
-    assert told(saved.run(generations=0)) == expected
-    assert told(saved.run("--pafot-corpus", saved.path / "all", generations=0)) == expected
+    above = f"safety/a.pafot.yaml: it is in no test's folder; move it to {place}, or delete it"
+    for args, home in ([], "safety/near/pafot_corpus"), (["--pafot-corpus", saved.path / "all"], "all/safety/near"):
+        expected = f"notes/a.pafot.yaml: it is in no corpus; move it to {home}/test_it/test_fails, or delete it"
+        assert told(saved.run(*args, generations=0)) == [expected, above]
+    assert told(saved.run("safety", generations=0)) == [above]
 
 
 def test_misplaced_files_without_collected_test_are_reported(failing):

@@ -37,6 +37,7 @@ class GuardedDriver(EgoDriver):
                 action = self.decided(tick)
             finally:
                 guard.decision_ends()  # before the exception is handled, which nothing may interrupt
+            guard.raise_swallowed()
         except UNFIT as error:
             return error_of(error, tick, guard)
         if action is not None:
@@ -92,6 +93,7 @@ class ObjectDriver(GuardedDriver):
                 follow(self.ego, self.vehicle)
             finally:
                 guard.decision_ends()
+            guard.raise_swallowed()
         except UNFIT as error:
             return error_of(error, self._tick - 1, guard)
         return None

@@ -101,6 +101,7 @@ def _in_lock_step(
                 actions = _listed(batch(observations))
             finally:
                 guard.decision_ends()
+            guard.raise_swallowed()
         except UNFIT as error:
             guard.decision_ends()
             let_through(error)

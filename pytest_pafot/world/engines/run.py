@@ -211,6 +211,7 @@ class SteppedRun:
                 self.driver.take(action, seconds)
             finally:
                 guard.decision_ends()
+            guard.raise_swallowed()
         except UNFIT as unfit:
             error = error_of(unfit, loop.tick, guard)
         else:

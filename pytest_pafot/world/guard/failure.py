@@ -136,6 +136,7 @@ def _close(close: Callable[[], Any], guard: HangGuard) -> None:
                 close()
             finally:
                 guard.decision_ends()
+            guard.raise_swallowed()
     except UNFIT as error:
         failed = error_of(error, 0, guard)
         what = f"a return within the hang limit of {guard.limit:g} s" if failed.interrupted else "no exception"

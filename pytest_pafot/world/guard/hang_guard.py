@@ -94,6 +94,16 @@ def unending() -> Iterator[None]:
             yield
         finally:
             guard.decision_ends()
+        guard.raise_swallowed()
+
+
+def note_interrupt(interrupt: KeyboardInterrupt) -> None:
+    """Let the decision of the main thread, if one is running, end with an interrupt even if the ADS catches it.
+
+    A signal handler calls this, at any moment. So it takes no lock, which this very thread may hold.
+    """
+    for guard in _WATCHDOG.guards.copy():
+        guard.note(interrupt)
 
 
 class OneProcess:
@@ -143,9 +153,10 @@ class HangGuard:
 
     In the main thread of platforms with ``signal.pthread_kill``, it also interrupts blocking system calls; elsewhere
     the exception is raised at the thread's next Python instruction. An ADS that catches the exception is interrupted
-    again. With signals, a debugger that waits for its user in the main thread is not interrupted. Two cases are left to
-    the :class:`LastResort`: code that never returns to the interpreter, and an ADS that catches every interruption. The
-    next session then names the scenario from its record on disk.
+    again, and if it returns, :meth:`raise_swallowed` raises the exception after the call. With signals, a debugger that
+    waits for its user in the main thread is not interrupted. Two cases are left to the :class:`LastResort`: code that
+    never returns to the interpreter, and an ADS that catches every interruption and never returns. The next session
+    then names the scenario from its record on disk.
 
     A decision is guarded while ``started`` is set. A caller may end a decision without a lock: it clears ``started``
     first and then reads the clock. If the decision was within the limit by that clock, and ended before ``until``, no
@@ -157,6 +168,7 @@ class HangGuard:
         clock: a monotonic clock [s].
         started: the start of the running decision by the clock [s]; None between decisions.
         until: the time by the clock from which no decision starts [s]; infinite if ``is_limited`` is False.
+        interruption: the exception that was raised in the running decision, or its class; None if there was none.
     """
 
     def __init__(
@@ -166,6 +178,7 @@ class HangGuard:
         self.clock = clock
         self.until = _WATCHDOG.until if is_limited else math.inf
         self.started: float | None = None
+        self.interruption: BaseException | type[BaseException] | None = None
         self._sent = False
         self._ignored: tuple[float, float] | None = None
         self._lock = threading.Lock()
@@ -204,6 +217,7 @@ class HangGuard:
         now = self.clock()
         if now >= self.until:
             raise OutOfTime
+        self.interruption = None
         self.started = now
 
     def decision_ends(self) -> None:
@@ -213,6 +227,26 @@ class HangGuard:
         """
         self.started = None
         self.settle()
+
+    def raise_swallowed(self) -> None:
+        """Raise the interruption of a decision that has ended without an exception, because the ADS caught it.
+
+        Call this after :meth:`decision_ends`, outside of its ``finally``: an exception that ends the decision is told
+        as it is.
+
+        Raises:
+            AdsHang: if the decision exceeded the limit.
+            OutOfTime: if it outlasted its search.
+            KeyboardInterrupt: if the user ended the session while it ran; see :func:`note_interrupt`.
+        """
+        interruption, self.interruption = self.interruption, None
+        if interruption is not None:
+            raise interruption
+
+    def note(self, interrupt: KeyboardInterrupt) -> None:
+        """Note an interrupt of the main thread for :meth:`raise_swallowed`, if its decision is running."""
+        if self._target == threading.get_ident() and self.started is not None:
+            self.interruption = interrupt
 
     def settle(self) -> None:
         """Wait for the arrival of an interruption that was sent; the caller must have set ``started`` to None."""
@@ -241,6 +275,7 @@ class HangGuard:
                 signal.pthread_kill(self._target, signal.SIGUSR1)
             else:
                 self._sent = True
+                self.interruption = self.interruption or why
                 ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(self._target), ctypes.py_object(why))
             if why is OutOfTime:  # An ADS that ignores it is no reason to end the process: its limit will end it.
                 return 0.0
@@ -269,7 +304,9 @@ class HangGuard:
         if _waits_in_a_debugger(sys._getframe()):
             self.started = self.clock()  # the user's time in the debugger does not count
             return
-        raise why
+        error = why()
+        self.interruption = self.interruption or error  # the instance, whose traceback leads into the ADS
+        raise error
 
 
 class _Watchdog:
@@ -278,7 +315,7 @@ class _Watchdog:
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._wake = threading.Event()
-        self._guards: list[HangGuard] = []
+        self.guards: list[HangGuard] = []
         self._thread: threading.Thread | None = None
         self._pause = LONGEST_PAUSE
         self._resort: LastResort | None = None
@@ -290,7 +327,7 @@ class _Watchdog:
 
     def watch(self, guard: HangGuard) -> None:
         with self._lock:
-            self._guards.append(guard)
+            self.guards.append(guard)
             if self._timed is None or guard.limit > self._timed:
                 self._start_timer()
             if self._thread is None:
@@ -302,8 +339,8 @@ class _Watchdog:
 
     def leave(self, guard: HangGuard) -> None:
         with self._lock:
-            if guard in self._guards:  # it is not there in a process that was forked during a run
-                self._guards.remove(guard)
+            if guard in self.guards:  # it is not there in a process that was forked during a run
+                self.guards.remove(guard)
 
     def set_resort(self, resort: LastResort | None) -> LastResort | None:
         with self._lock:
@@ -324,7 +361,7 @@ class _Watchdog:
         idle = 0
         while True:
             with self._lock:
-                guards = self._guards.copy()
+                guards = self.guards.copy()
                 idle = 0 if guards else idle + 1
                 if idle > IDLE_LOOKS:
                     self._thread = None
@@ -333,7 +370,7 @@ class _Watchdog:
             self._wake.wait(self._pause)
             self._wake.clear()
             with self._lock:
-                guards, resort = self._guards.copy(), self._resort
+                guards, resort = self.guards.copy(), self._resort
                 self._start_timer()
             ignored = max([guard.look() for guard in guards], default=0.0)
             if resort is not None and ignored > resort.grace:
@@ -347,10 +384,10 @@ class _Watchdog:
         This is done per check and not per run, because a timer is a thread, and there may be a thousand runs a second.
         """
         resort = self._resort
-        if not self._guards:
+        if not self.guards:
             self._stop_timer()
         elif resort is not None and resort.file is not None and not _is_debugged():
-            self._timed = max([guard.limit for guard in self._guards])
+            self._timed = max([guard.limit for guard in self.guards])
             seconds = min(self._timed + resort.grace + LONGEST_PAUSE, LONGEST_TIMER)
             faulthandler.dump_traceback_later(seconds, exit=True, file=resort.file)
 

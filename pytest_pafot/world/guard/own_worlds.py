@@ -153,6 +153,7 @@ class _Watch:
             finally:
                 guard.decision_ends()
                 guard.turned = guard.clock()
+            guard.raise_swallowed()
         except OutOfTime as error:  # for the world an error like others, since it may ask in a thread
             self.is_cut = True
             raise Hang("the time limit of the search is over") from error

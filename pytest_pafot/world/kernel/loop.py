@@ -233,6 +233,9 @@ class PlannerDriver(GivenDriver):
                 seconds = self._clock() - started
                 if seconds > guard.limit or started + seconds > self._until:
                     guard.settle()
+            if guard.interruption is not None:
+                del self.actions[taken:]  # the action of an interrupted decision
+                guard.raise_swallowed()
         except UNFIT as error:
             return error_of(error, tick, guard)
         return None

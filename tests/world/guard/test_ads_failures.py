@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import bdb
+import contextlib
 import math
 import signal
 import subprocess
@@ -19,6 +20,7 @@ from highway_env.vehicle.behavior import IDMVehicle
 
 from pytest_pafot.model.scenario import PositionInstruction, Scenario
 from pytest_pafot.model.trace import Outcome
+from pytest_pafot.support.interrupts import Ended, interrupted_by_signals
 from pytest_pafot.world import Highway
 from pytest_pafot.world.guard import hang_guard
 from pytest_pafot.world.guard.hang_guard import HangGuard
@@ -131,7 +133,7 @@ def test_interruption_inside_an_ads_is_no_finding(world, idle, interruption):
     with pytest.raises(type(interruption)) as caught:
         world.rollout(SCENARIO, failing_after(1, fail, idle))
     assert caught.value is interruption
-    assert hang_guard._WATCHDOG._guards == []
+    assert hang_guard._WATCHDOG.guards == []
 
 
 @table(
@@ -237,6 +239,12 @@ def spinning_deaf():
         spinning()
 
 
+def spinning_and_going_on():
+    """Spin until the interruption, and return as if nothing had happened."""
+    with contextlib.suppress(BaseException):
+        spinning()
+
+
 @pytest.fixture
 def clock(monkeypatch):
     """Return the clock of all limits, which only tests advance, so that no healthy decision is ever too slow."""
@@ -244,11 +252,12 @@ def clock(monkeypatch):
 
 
 @worlds
-@pytest.mark.parametrize("hang", [sleeping, spinning, spinning_deaf])
+@pytest.mark.parametrize("hang", [sleeping, spinning, spinning_deaf, spinning_and_going_on])
 def test_hang_is_interrupted_and_reported_with_its_place(world, idle, hang, clock):
     def hangs():
         clock.now += 1.0
         hang()
+        return idle
 
     world = type(world)(**({"env_id": "highway-v0"} if world is GYM else {}), hang_limit=0.2)
     trace = world.rollout(SCENARIO, failing_after(1, hangs, idle))
@@ -258,16 +267,40 @@ def test_hang_is_interrupted_and_reported_with_its_place(world, idle, hang, cloc
     assert hang.__name__ in trace.error.traceback
     assert "pytest_pafot" not in trace.error.traceback
     assert trace.ticks == trace.error.tick > 0
+    assert len(trace.actions) == 1
     assert world.rollout(SCENARIO, always(idle)).outcome is Outcome.SAFE
 
 
-def test_busy_hang_outside_main_thread_is_interrupted(clock):
+@pytest.mark.skipif(sys.platform == "win32", reason="processes have no signals there")
+@table(("number", "error"), [(signal.SIGINT, KeyboardInterrupt), (getattr(signal, "SIGTERM", None), Ended)])
+@worlds
+def test_interrupt_that_an_ads_catches_ends_the_run_all_the_same(world, idle, number, error):
+    calls = []
+
+    def ads(observation):
+        calls.append(observation)
+        with contextlib.suppress(BaseException):
+            signal.raise_signal(number)
+        return idle
+
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background jobs ignore SIGINT
+    try:
+        with interrupted_by_signals(hang_guard.note_interrupt), pytest.raises(error):
+            world.rollout(SCENARIO, lambda: ads)
+    finally:
+        signal.signal(signal.SIGINT, before)
+    assert len(calls) == 1
+
+
+@table("hang", [spinning, spinning_and_going_on])
+def test_busy_hang_outside_main_thread_is_interrupted(hang, clock):
     received = []
     world = Highway(hang_limit=0.2)
 
     def hangs():
         clock.now += 1.0
-        spinning()
+        hang()
+        return 0.0, 0.0
 
     thread = threading.Thread(
         target=lambda: received.extend(
@@ -277,7 +310,7 @@ def test_busy_hang_outside_main_thread_is_interrupted(clock):
     thread.start()
     thread.join(60)
     assert [trace.outcome for trace in received] == [Outcome.HANG, Outcome.SAFE]
-    assert "spinning" in received[0].error.traceback
+    assert hang is spinning_and_going_on or "spinning" in received[0].error.traceback
 
 
 @worlds

@@ -2,6 +2,7 @@
 
 import threading
 import time
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -127,6 +128,20 @@ def test_decision_that_hangs_ends_run_as_hang(world):
     assert (trace.error.kind, trace.error.interrupted, trace.error.tick) == ("Hang", True, 12)
     assert "time.sleep(0.005)" in trace.error.traceback
     assert "pytest_pafot/world" not in trace.error.traceback
+
+
+@table("world", [Calls(), Forgives(), InThread(), Slow(), Quick()])
+def test_hang_that_the_ads_catches_ends_run_all_the_same(world):
+    decisions = []
+
+    def catches(seen):
+        decisions.append(seen)
+        with suppress(BaseException):
+            hangs(after=0 if len(decisions) == 5 else 1)()(seen)
+        return 0.0, 0.0
+
+    trace = simulate(world, AHEAD, lambda: catches)
+    assert (trace.outcome, trace.error.kind, trace.error.tick, len(decisions)) == (Outcome.HANG, "Hang", 12, 5)
 
 
 def test_world_that_goes_on_gets_no_second_long_decision():
