@@ -284,7 +284,7 @@ class Planner:
     ("old", "new", "passes", "why"),
     [
         ("", "", False, "collision after 15.3 s at"),
-        ("0.6", "0.9", True, "safe for 20.0 s"),
+        ("0.6", "1.2", True, "safe for 20.0 s"),
         ("min(22.0", "min(5.0", None, "the situation did not come up: NPC 1 was 20 m ahead"),
         ("class", "import nonsense\nclass", None, "ModuleNotFoundError: No module named 'nonsense'"),
         ("class", "class class", None, "SyntaxError"),
