@@ -19,7 +19,7 @@ import pytest
 
 from pytest_pafot.campaign.events import FindTold, Listener, Progress, SearchEvent, SearchStarted, SearchSummary
 from pytest_pafot.campaign.harness import Harness, checked_factory, reference_of, source_file
-from pytest_pafot.campaign.options import Settings
+from pytest_pafot.campaign.options import BY_NAME, Settings
 from pytest_pafot.campaign.replays import Replays
 from pytest_pafot.campaign.request import Request, build_world
 from pytest_pafot.campaign.resuming import check_states
@@ -368,6 +368,10 @@ class SearchMessages:
         advice = "it does not repeat, so it is not shrunk" if kept.find.is_flaky else ""
         if kept.find.difference == NOT_REPEATED:
             advice += DRAWS_IN_WRAPPERS if kept.finding.world.get("wrappers") else DRAWS
+        # A file in a corpus of the command line can only be run with the same option.
+        corpus = config.getoption(BY_NAME["corpus"].key)
+        where = [] if corpus is None else [f"{flag('corpus')}={corpus}"]
+        shrink = command("pytest_pafot", "corpus", "shrink", kept.find.path, *(["--", *where] if where else []))
         is_due = bool(kept.find.unshrunk) and self.settings.resume is None and not os.environ.get(OF_SEARCH)
         section = terminal.find_section(
             kept.find,
@@ -376,7 +380,7 @@ class SearchMessages:
             first=[] if kept.is_new else terminal.avoided_lines(kept.finding),
             details=details,
             advice=advice,
-            shrink=command("pytest_pafot", "corpus", "shrink", kept.find.path) if is_due and kept.find.path else "",
+            shrink=shrink if is_due and kept.find.path else "",
             width=width,
         )
         # Nobody should have to wait for the end of the search to learn what the first failure is.
@@ -384,7 +388,7 @@ class SearchMessages:
         if kept.is_new and not self.new:
             story = [] if kept.run is None else kept.run.explain(instructions=False).splitlines()
             is_told = bool(story) and story[0].partition(":")[0] in kept.find.headline
-            again = rerun(["pytest", kept.find.path], os.environ, saved=kept.find.id)
+            again = rerun(["pytest", kept.find.path], os.environ, *where, saved=kept.find.id)
             whole = {"story": story[is_told:], "again": again}
         self.new.extend([kept.find.id] if kept.is_new else [])
         check = kept.exception.check if isinstance(kept.exception, CheckFailed) else None

@@ -229,6 +229,21 @@ def test_finding_that_was_not_shrunk_names_the_command(project):
     assert load(project.only_file).original is not None
 
 
+def test_commands_name_the_corpus_of_the_command_line(project):
+    project.write("@pafot.search(SHORT, stop_after=1)\ndef test_fails(run):\n    assert run.scenario.id == ''\n")
+    result = project.run_once("--pafot-max-time=0", "--pafot-corpus=other", generations=10, seed=2)
+    name = project.files[0]
+    assert name.startswith("other/")
+    result.stdout.fnmatch_lines(
+        [
+            f"  saved; run it with: pytest {name} --pafot-corpus=other",
+            f"shrink it  python -m pytest_pafot corpus shrink {name} -- --pafot-corpus=other",
+        ]
+    )
+    assert shrink(project, "--pafot-corpus=other", "--pafot-neighbours=0").ret == 0
+    assert load(project.only_file).original is not None
+
+
 @pytest.mark.processes
 def test_worker_shrinks_as_well(unshrunk):
     pytest.importorskip("xdist")
