@@ -813,6 +813,26 @@ def test_obstacle_that_a_custom_reset_puts_there_is_one_like_others(wrappers, re
     assert set(counts) == {1}
 
 
+class Chanced(HighwayEnv):
+    """One whose obstacle is drawn after its traffic."""
+
+    def _reset(self):
+        super()._reset()
+        self.road.objects.append(Obstacle(self.road, [float(self.np_random.uniform(250.0, 400.0)), 4.0]))
+
+
+def test_random_obstacle_is_where_a_reset_with_seed_0_and_no_traffic_puts_it(register):
+    register("mine-v0", entry_point=Chanced)
+    places = []
+    for count in (0, 50):
+        plain = gymnasium.make("mine-v0", config={"vehicles_count": count})
+        plain.reset(seed=0)
+        places.append(plain.unwrapped.road.objects[0].position[0])
+    world = World("mine-v0", duration=2.0, config={"vehicles_count": 50})
+    trace = world.rollout(Scenario(npcs=AT_ONCE, ego_lane=2, seed=7), IDLE)
+    assert trace.obstacles[0][0] == places[0] != places[1]
+
+
 class Falling(Roadworks):
     """One on which an object falls after 3 s."""
 

@@ -448,9 +448,10 @@ class _Loop:
         what = "more" if found > known else "fewer" if found < known else "others"
         raise WorldError(
             field="env_id",
-            expected="an environment whose fixed objects are on the road after `_reset` with seed 0, and stay there",
+            expected="an environment whose fixed objects are on the road after its reset with seed 0, and stay there",
             received=f"{type(self._env).__name__}, with {what} at {seconds:.1f} s, at ({x:.1f}, {y:.1f}) m",
-            fix="make all of them in `_reset`, or let an NPC be what appears or moves",
+            fix="make all of them in `_reset`, or at the same places in each `reset`, or let an NPC be what appears or "
+            "moves",
         )
 
     def _act(self) -> None:
