@@ -141,6 +141,12 @@ def _asked(run: Run, test: Test, test_file: str) -> Verdict:
             result = test(run)
     except Rejected:
         return Verdict(kind="rejected")
+    except xfails() as error:
+        raise RequestError(
+            f"expected the test function to call no pytest.xfail(), which would hide a failure, received {error}; "
+            "accept a failure by the line `xfail:` in the file of its saved scenario, and leave out runs by "
+            "pafot.reject()"
+        ) from None
     except skips() as skipped:
         return Verdict(kind="skipped", exception=skipped)
     except RequestError:
@@ -202,14 +208,19 @@ def collision_in_short(run: Run) -> str:
 
 
 def skips() -> tuple[type[BaseException], ...]:
-    """Return the exception classes that pytest reports as a skip or an xfail. Only the test function may raise them.
+    """Return the exception classes that pytest reports as a skip or an xfail. Only the test function may raise a skip.
 
     They are looked up in ``sys.modules``, because this package does not import pytest. Code that raises such an
     exception has imported its module.
     """
     pytest, unittest = sys.modules.get("pytest"), sys.modules.get("unittest")
-    of_pytest = () if pytest is None else (pytest.skip.Exception, pytest.xfail.Exception)
+    of_pytest = () if pytest is None else (pytest.skip.Exception, *xfails())
     return of_pytest if unittest is None else (*of_pytest, unittest.SkipTest)
+
+
+def xfails() -> tuple[type[BaseException], ...]:
+    """Return the exception class of ``pytest.xfail()`` in a tuple, which is empty if pytest has not been imported."""
+    return (sys.modules["pytest"].xfail.Exception,) if "pytest" in sys.modules else ()
 
 
 def assertions() -> tuple[type[BaseException], ...]:

@@ -107,7 +107,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace, _: Sequence[str]) -> int:
     """Print what is known of each requirement; return the exit code, 1 if one is open and ``--fail-on`` asks for it."""
-    sessions = grouped([read_results(path) for path in arguments.results])
+    read = {path: read_results(path) for path in arguments.results}
+    undated = [visible(str(path)) for path, session in read.items() if not session.day]
+    if 0 < len(undated) < len(read):
+        sys.stderr.write(
+            f"requirements: without a day, and so counted as older than all others: {', '.join(undated)}; run their "
+            f"session with {flag('today')}\n"
+        )
+    sessions = grouped(read.values())
     listed = {} if arguments.list is None else listed_in(arguments.list)
     inventory = collected(arguments.pytest)
     if inventory.problem:

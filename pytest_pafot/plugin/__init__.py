@@ -12,12 +12,12 @@ from contextlib import ExitStack
 
 import pytest
 
-from pytest_pafot.campaign.options import BY_NAME, OPTIONS
+from pytest_pafot.campaign.options import BY_NAME, OF_COMMAND, OPTIONS
 from pytest_pafot.plugin import fixtures
 from pytest_pafot.plugin.catalogue_item import Catalogued
 from pytest_pafot.plugin.collection import Collection
 from pytest_pafot.plugin.marks import ANY_MARK, CATALOGUE_MARK, SAVED_MARK, SEARCH_MARK
-from pytest_pafot.plugin.option_sources import add_options
+from pytest_pafot.plugin.option_sources import add_options, resolve
 from pytest_pafot.plugin.session import (
     SHARED,
     SUMMARY_LINES,
@@ -30,6 +30,7 @@ from pytest_pafot.plugin.session import (
     shared_by_controller,
 )
 from pytest_pafot.plugin.unrun import UNRUN
+from pytest_pafot.support.errors import RequestError, flag
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -55,6 +56,8 @@ def pytest_configure(config: pytest.Config) -> None:
     else:
         asked = config.getoption(BY_NAME["today"].key)
         config.stash[SHARED] = Shared(today=asked) if asked else Shared()
+        if OF_COMMAND in os.environ:
+            _check_that_it_searches(config)
     is_parallel = config.getoption("dist", "no") != "no"
     if config.getoption(BY_NAME["merge"].key):
         from pytest_pafot.plugin.merge_item import Merging  # noqa: PLC0415
@@ -68,6 +71,19 @@ def pytest_configure(config: pytest.Config) -> None:
     # A controller of pytest-xdist collects no items, so it cannot wait for a marked one.
     if is_parallel or any(config.getoption(option.key) is not None for option in OPTIONS):
         _report(config)
+
+
+def _check_that_it_searches(config: pytest.Config) -> None:
+    """Refuse the session of the command ``search`` if its options let it search nothing, which would pass."""
+    try:
+        settings = resolve(config, {}, 0)
+    except RequestError:  # its test reports it
+        return
+    if not settings.is_search:
+        option = BY_NAME["generations"]
+        by_option = config.getoption(option.key) is not None
+        received = flag("generations", 0) if by_option else f"{option.variable}=0 in the environment"
+        raise pytest.UsageError(f"search: expected a search, received {received}, which asks for none; leave it out")
 
 
 @pytest.hookimpl(trylast=True)  # after hooks that add marks

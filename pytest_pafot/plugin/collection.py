@@ -166,7 +166,8 @@ class Collection:
             collected = self._collected
             noted = {"passed": collected.files, "skipped": collected.skipped, "failed": collected.failed}
             noted[report.outcome].add(collector.path)
-        if isinstance(collector, pytest.Module | pytest.Class) and report.passed:
+        is_own = type(collector) in (pytest.Module, pytest.Class)  # those of other plugins may have no object
+        if is_own and isinstance(collector, pytest.Module | pytest.Class) and report.passed:
             self._config.stash[UNRUN].unnamed.update(_unnamed(collector))
         return report
 
@@ -330,18 +331,17 @@ def _unnamed(collector: pytest.Module | pytest.Class) -> Iterator[tuple[str, str
     Each has a sentence on which name was expected. Not named are what was imported, what sets ``__test__`` to False, a
     base class, and a function that also has a name by which it is collected.
     """
-    members = vars(collector.obj)
     module = collector.obj.__module__ if inspect.isclass(collector.obj) else collector.obj.__name__
-    found = {id(each) for name, each in members.items() if _has_test_name(collector, name, each)}
-    for name, each in members.items():
-        if not inspect.isfunction(each) and not inspect.isclass(each):
-            continue
-        own = vars(each).get("pytestmark", [])  # a list, unless the user has set it to one mark
-        marks = {mark.name for mark in (own if isinstance(own, list) else [own])}
-        if id(each) in found or not marks & {SEARCH_MARK, CATALOGUE_MARK} or each.__module__ != module:
-            continue
+    marked = {}
+    for name, each in vars(collector.obj).items():
+        if (inspect.isfunction(each) or inspect.isclass(each)) and each.__module__ == module:
+            own = vars(each).get("pytestmark", [])  # a list, unless the user has set it to one mark
+            if {SEARCH_MARK, CATALOGUE_MARK} & {mark.name for mark in (own if isinstance(own, list) else [own])}:
+                marked[name] = each
+    found = {id(each) for name, each in marked.items() if _has_test_name(collector, name, each)}
+    for name, each in marked.items():
         is_base = inspect.isclass(each) and bool(type.__subclasses__(each))
-        if not is_base and getattr(each, "__test__", True):
+        if id(each) not in found and not is_base and getattr(each, "__test__", True):
             other = f"Test{name}" if inspect.isclass(each) else f"test_{name}"
             setting = "python_classes" if inspect.isclass(each) else "python_functions"
             example = f"such as {other}" if _has_test_name(collector, other, each) else f"see {setting} in its settings"

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sys
+import warnings
 from collections.abc import Generator, Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -100,8 +102,8 @@ def pafot_executor(pytestconfig: pytest.Config) -> Iterator[Executor | None]:
 def pafot_simulate(pafot_world: WorldLike) -> Simulate:
     """Return a function (scenario, ads_factory, world=None) -> Run that simulates a scenario.
 
-    The function fails the test if the ADS raises, hangs or returns no action. It is warmed up: its first call is not
-    slower than the others.
+    The function fails the test if the ADS raises, hangs or returns no action, and warns of an invalid run. It is warmed
+    up: its first call is not slower than the others.
     """
     from pytest_pafot.campaign.verdict import ads_text  # noqa: PLC0415
     from pytest_pafot.execution.pool import ProcessLostError  # noqa: PLC0415
@@ -109,6 +111,7 @@ def pafot_simulate(pafot_world: WorldLike) -> Simulate:
     from pytest_pafot.findings.finding import ads_failure  # noqa: PLC0415
     from pytest_pafot.model.grid import Cell  # noqa: PLC0415
     from pytest_pafot.model.scenario import PositionInstruction, Scenario  # noqa: PLC0415
+    from pytest_pafot.model.trace import Outcome  # noqa: PLC0415
     from pytest_pafot.oracle.run import Run  # noqa: PLC0415
     from pytest_pafot.world import Highway  # noqa: PLC0415
     from pytest_pafot.world.guard.own_worlds import rollout_of  # noqa: PLC0415
@@ -129,6 +132,15 @@ def pafot_simulate(pafot_world: WorldLike) -> Simulate:
         failure = ads_failure(run)
         if failure is not None:  # Such a run is short, and would pass most assertions that something did not happen.
             pytest.fail(ads_text(failure), pytrace=False)
+        hypothesis = sys.modules.get("hypothesis")
+        is_generated = hypothesis is not None and hypothesis.currently_in_test_context()  # one of many, which it tries
+        if run.outcome is Outcome.INVALID and not is_generated:
+            warnings.warn(
+                "pafot_simulate: the run is invalid, because two NPCs or an NPC and a fixed object touched; it ended "
+                "there and says nothing about the ego. Correct the scenario",
+                pytest.PytestWarning,
+                stacklevel=2,
+            )
         return run
 
     # The first run imports highway-env, which takes about a second: hypothesis would call the test too slow.

@@ -52,7 +52,11 @@ class Merging:
             if corpus is not None:
                 names[folder_of_test(item.path, qualified_name(item), corpus, config.rootpath)] = base_id(item)
         for root in self._roots:
-            for folder in folders_below(root):
+            folders = folders_below(root)
+            if not folders and not any(root.rglob("*.json")):  # a machine that found nothing has results
+                why = "it has neither saved scenarios nor results, pafot.json; see whether its machine has searched"
+                config.stash[UNRUN].unmerged[relative(root, config.rootpath)] = why
+            for folder in folders:
                 tests = [names[own] for own in counterparts(folder.relative_to(root), names)]
                 if len(tests) == 1:
                     config.stash[MERGES].setdefault(tests[0], []).append(folder)

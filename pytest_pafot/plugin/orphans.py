@@ -134,14 +134,16 @@ def _in_other_corpora(collected: Collected) -> Iterator[tuple[str, tuple[str, bo
 
 
 def _passed_by(collected: Collected) -> Iterator[tuple[str, tuple[str, bool]]]:
-    """Yield the saved scenarios of this project's tests that pytest met outside of any corpus.
+    """Yield the saved scenarios of collected test files that pytest met outside of any corpus.
 
-    A file whose test file does not exist, such as an example, is not meant, and no copy of a file in its test's folder.
+    A file of another test file, such as an example, is not meant, and no copy of a file in its test's folder.
     """
     for file in sorted(collected.passed_by):
+        if any(map(file.is_relative_to, collected.roots)) or not _is_asked_for(file, collected):
+            continue  # the corpus may be an argument of a mark
         module, _, test = _named_test(file).partition("::")
         test_file = collected.rootpath / module
-        if not test or not os.path.lexists(test_file) or not _is_asked_for(file, collected):
+        if not test or test_file not in collected.files:
             continue
         home = folder_of_test(test_file, test, collected.corpus, collected.rootpath)
         if not collected.is_ignored(file) and not os.path.lexists(home / file.name):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import math
+import os
 import shutil
 import sys
 from collections.abc import Callable, Sequence
@@ -79,6 +80,12 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
     outputs = {path: content for path, content in kinds if path is not None}
     if len(outputs) < sum(path is not None for path, _ in kinds):
         raise RequestError("expected a file of its own for each of --csv, --html and --png, received one twice")
+    for path in outputs if arguments.against is not None else ():
+        if _is_same_file(path, arguments.against):
+            raise RequestError(
+                f"--against: expected a file that this map does not overwrite, received {visible(path)} for both; the "
+                "next map would be compared with this one, and pass although it is as bad"
+            )
     for path in outputs:
         _written(path, check_writable)  # before anything is driven
     is_watched = sys.stderr is not None and sys.stderr.isatty()
@@ -132,6 +139,13 @@ def _set(texts: Sequence[str]) -> dict[str, float]:
             raise RequestError(f"--set: expected different NAME=VALUE, such as gap=20, received {text!r}")
         values[name] = number
     return values
+
+
+def _is_same_file(path: str, other: str) -> bool:
+    """Return whether two paths lead to the same file, also through links, and if the file does not exist yet."""
+    if os.path.exists(path) and os.path.exists(other):  # noqa: PTH110  (an odd path is an error below, not here)
+        return os.path.samefile(path, other)  # noqa: PTH121
+    return os.path.realpath(path) == os.path.realpath(other)
 
 
 def _written(path: str, write: Callable[[Path], object]) -> None:

@@ -351,6 +351,20 @@ def test_open_failures_end_with_exit_code_1_only_if_asked(tmp_path, monkeypatch,
     assert "R1,,planning,open,1,0,0,0,0,a-1," in capsys.readouterr().out
 
 
+def test_results_without_a_day_among_dated_ones_are_named(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(requirements_command, "collected", lambda arguments: inventory(test_x=("R1",)))
+    files = [tmp_path / f"{name}.json" for name in "abc"]
+    for file, day in zip(files, ("2026-11-20", "", ""), strict=True):
+        file.write_text(json.dumps({"pafot_json": 1, "day": day, "searches": [search()], "findings": []}))
+    given = {"list": None, "today": TODAY, "format": "csv", "course": False, "pytest": [], "fail_on": None}
+    run(Namespace(**given, results=files), [])
+    why = "requirements: without a day, and so counted as older than all others"
+    assert capsys.readouterr().err == f"{why}: {files[1]}, {files[2]}; run their session with --pafot-today\n"
+    for same in files[:1], files[1:]:
+        run(Namespace(**given, results=same), [])
+        assert capsys.readouterr().err == ""
+
+
 def test_list_of_a_spreadsheet_in_another_country_is_read(tmp_path):
     file = tmp_path / "all.csv"
     file.write_text('\ufeffRequirement ID;Title;Owner\nR1;"Brakes; softly";Ann\n', encoding="utf-8")

@@ -123,3 +123,37 @@ def test_corpus(pafot_corpus, pafot_simulate):
 def test_pafot_corpus_is_empty_where_nothing_is_saved(project):
     project.write("def test_corpus(pafot_corpus):\n    assert list(pafot_corpus) == []\n")
     project.run().assert_outcomes(passed=1)
+
+
+INVALID = """
+from dataclasses import replace
+from hypothesis import given, settings, strategies
+from pytest_pafot.model.trace import Outcome
+
+class Touching(pafot.Highway):
+    def rollout(self, *arguments, **named):
+        return replace(super().rollout(*arguments, **named), outcome=Outcome.INVALID)
+
+def simulated(simulate, world):
+    scenario = pafot.Scenario(npcs=((pafot.PositionInstruction(2, 5.0),),), gene_seconds=5)
+    return simulate(scenario, lambda: lambda observation: (0.0, 0.0), world)
+
+def test_by_hand(pafot_simulate):
+    for _ in range(3):
+        assert not simulated(pafot_simulate, Touching(duration=1.0)).collision
+
+def test_valid(pafot_simulate):
+    assert not simulated(pafot_simulate, pafot.Highway(duration=1.0)).collision
+
+@settings(max_examples=2, deadline=None)
+@given(number=strategies.integers())
+def test_generated(pafot_simulate, number):
+    assert not simulated(pafot_simulate, Touching(duration=1.0)).collision
+"""
+
+
+def test_pafot_simulate_warns_once_of_an_invalid_run_by_hand(project):
+    project.write(INVALID)
+    result = project.run("-W", "default")
+    result.assert_outcomes(passed=3, warnings=1)
+    result.stdout.fnmatch_lines(["*PytestWarning: pafot_simulate: the run is invalid, *"])

@@ -318,8 +318,18 @@ def test_corpus_with_another_name_fails_a_ci_session(saved, ci, name):
     result.stdout.fnmatch_lines([f"{name}/{file}", f"  it is in no corpus; move it to {FOLDER}, or delete it"])
     assert replay(saved, f"--ignore={name.split('/')[0]}").ret == 0
     moved = saved.path / name / file
-    moved.write_text(moved.read_text().replace("test: test_it.py", "test: test_example.py"))
-    assert replay(saved).ret == 0, "not of this project"
+    text = moved.read_text()
+    for other in ("test_example.py", "a\0b.py", f"{'x' * 5000}.py"):
+        moved.write_text(text.replace("test: test_it.py", f"test: {other}"))
+        assert replay(saved).ret == 0, "not of this project"
+
+
+def test_corpus_of_a_mark_is_a_corpus(saved, ci):
+    saved.write(FAILING.replace("SHORT", "SHORT, corpus='special'"))
+    (saved.path / "pafot_corpus").rename(saved.path / "special")
+    result = replay(saved)
+    result.assert_outcomes(failed=1, skipped=1)
+    result.stdout.no_fnmatch_line("not run: *")
 
 
 @table(("name", "is_lost"), [

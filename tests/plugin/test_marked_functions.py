@@ -313,6 +313,14 @@ def test_skip_outside_the_test_function_is_an_error(project):
         shown.fnmatch_lines([f"*expected the {where}* to raise no skip*call pytest.skip() in the fixture or*"])
 
 
+def test_xfail_in_the_test_function_hides_no_failure(saved):
+    source = "@pafot.search(SHORT)\ndef test_fails(run):\n    if not run.ads_error:\n        pytest.xfail('issue 12')\n"
+    saved.write(source)
+    result = saved.run()
+    result.assert_outcomes(failed=2)
+    result.stdout.fnmatch_lines(["*call no pytest.xfail(), which would hide a failure, received issue 12; *"])
+
+
 def test_skip_inside_a_scenario_does_not_hide_finds(project):
     project.write(
         """

@@ -166,6 +166,17 @@ def test_files_of_an_uncollected_test_are_not_merged(failing, other):
     assert corpus(failing) == {}
 
 
+def test_folder_of_a_machine_that_left_nothing_is_named(failing, other):
+    for name in ("nothing", "results"):
+        (failing.path / name).mkdir()
+    (failing.path / "results" / "pafot.json").write_text("{}")
+    result = merge(failing, other, "nothing", "results")
+    result.assert_outcomes(passed=1)
+    told = [line for line in result.stdout.lines if line.startswith("not merged: ")]
+    why = "it has neither saved scenarios nor results, pafot.json; see whether its machine has searched"
+    assert told == [f"not merged: nothing: {why}"]
+
+
 def test_broken_file_fails_while_others_are_merged(failing, other):
     the_file(other).with_name("broken.pafot.yaml").write_text("pafot: 99\n")
     result = merge(failing, other)

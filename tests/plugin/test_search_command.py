@@ -367,6 +367,17 @@ def test_impossible_search_is_reported_and_writes_nothing(here, capsys, argument
 
 
 @pytest.mark.processes
+@pytest.mark.parametrize("given", [["--pafot-generations=0"], []], ids=["option", "environment"])
+def test_search_that_is_to_search_nothing_is_refused(here, monkeypatch, given):
+    monkeypatch.setenv("PAFOT_GENERATIONS", "0")
+    command = [sys.executable, "-m", "pytest_pafot", "search", "a_planner:Planner", *given]
+    result = subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
+    received = given[0] if given else "PAFOT_GENERATIONS=0 in the environment"
+    assert result.returncode == 2
+    assert f"search: expected a search, received {received}, which asks for none; leave it out" in result.stderr
+
+
+@pytest.mark.processes
 @pytest.mark.parametrize("check", ["def wrong(run): return True", "async def wrong(run): assert False"])
 def test_a_check_that_asserts_nothing_does_not_pass(here, check):
     (here / "checks.py").write_text(f"{check}\n")

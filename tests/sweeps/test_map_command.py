@@ -145,13 +145,24 @@ def test_files_are_written_and_named(told, here):
 def test_against_an_earlier_map_only_worse_points_count(told):
     worse = ("--fail-on", "worse")
     assert told(*CUT_IN, *OVER, "--csv", "bad.csv")[0] == 0
-    code, out, _ = told(*CUT_IN, *OVER, "--against", "bad.csv", "--csv", "bad.csv", *worse)
+    code, out, _ = told(*CUT_IN, *OVER, "--against", "bad.csv", "--csv", "new.csv", *worse)
     assert (code, "changed" in out) == (0, False)
     brakes = ("r157/cut-in", "--ads", "policies:Named:-0.5", "--over", "gap=40:60:2")
     assert told(*brakes, "--csv", "good.csv")[0] == 0
     code, out, _ = told(*CUT_IN, "--over", "gap=40:60:2", "--against", "good.csv", *worse)
     worse = "\nworse: gap 40 m, from avoided to failed though a reference driver avoids it\n"
     assert (code, worse in out) == (1, True)
+
+
+def test_map_that_is_compared_with_is_not_overwritten(told, here):
+    assert told(*CUT_IN, *OVER, "--csv", "a.csv")[0] == 0
+    before = (here / "a.csv").read_bytes()
+    (here / "hard.csv").hardlink_to(here / "a.csv")
+    (here / "soft.csv").symlink_to("a.csv")
+    for option, path in ("--csv", "a.csv"), ("--csv", here / "a.csv"), ("--csv", "hard.csv"), ("--html", "soft.csv"):
+        code, out, err = told(*CUT_IN, *OVER, "--against", "a.csv", option, str(path))
+        assert (code, out, "expected a file that this map does not overwrite" in err) == (2, "", True)
+    assert (here / "a.csv").read_bytes() == before
 
 
 @table("policy", ["brakes", "raises"])
