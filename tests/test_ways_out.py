@@ -92,7 +92,7 @@ OF_COMMANDS = {
     "corpus": ["commands/corpus_command.py"],
 }
 SHOWN_BY = {
-    "corpus": [["corpus", each] for each in ("list", "join", "prune", "nearby", "accept")],
+    "corpus": [["corpus", each] for each in ("list", "join", "prune", "nearby", "shrink", "accept")],
     "progress": [["progress"], ["search"]],
 }
 """The helps with the options of a command. ``progress`` also names those of ``search``."""
@@ -101,6 +101,9 @@ OF_PYTEST = {
     "--collect-only",
     "--remove-orphans",
     "--put-neighbours",
+    "--shrink-saved",
+    "--no-header",
+    "--runxfail",
     "--tb",
 }  # of the sessions that commands start
 
@@ -162,6 +165,9 @@ RUN_BY = {
     "campaign/explore.py": "test_deadly_scenario_is_replayed_by_the_command_that_is_named",
     "commands/bisect_command.py": "test_deadly_scenario_is_replayed_by_the_command_that_is_named",
     "episodes/progress_command.py": "test_progress_names_a_search_that_saves_what_only_the_new_policy_fails",
+    "campaign/search.py": "test_finding_that_was_not_shrunk_names_the_command",
+    "plugin/search_item.py": "test_finding_that_was_not_shrunk_names_the_command",
+    "commands/corpus_command.py": "test_finding_that_may_not_repeat_is_refused",
     "episodes/rate_command.py": "test_rate_names_the_command_that_draws_a_crash",
 }
 """The test that runs the command of each place where a message names one."""

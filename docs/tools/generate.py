@@ -85,7 +85,9 @@ MARKER_TEXTS: Mapping[str, str] = {
     "`module:function`. The default of the algorithm `av-fuzzer` is its own.",
     "blame": '`"any"`: the function is called for every valid run in which the ADS does not fail. `"ego"`: it is not '
     'called for collisions that only an NPC is responsible for. `"preventable"`: like `"ego"`, and a failed assertion '
-    "counts only if a reference driver would have prevented it.",
+    'counts only if a reference driver would have prevented it. `"avoidable"`: like `"ego"`, and the function is also '
+    "called for collisions that the rules excuse for want of time, although braking late, but hard, would have avoided "
+    "them.",
     "traffic": "[How the others drive](../explanation/traffic.md) in all scenarios: "
     '`"hostile"`, `"assertive"`, `"everyday"`, `"paper"`, or `pafot.Traffic(...)` for separate parts.',
     "instructions": "[The kind of instructions](../explanation/default-search.md#why-both-kinds) of NPCs that do not "
