@@ -218,8 +218,8 @@ def test_finding_that_was_not_shrunk_names_the_command(project):
     name = project.files[0]
     result.stdout.fnmatch_lines(
         [
-            "note       not *: out of time",
             f"saved as   {name}",
+            "note       not *: out of time",
             f"shrink it  python -m pytest_pafot corpus shrink {name}",
             "  note: --pafot-max-time ended before 1 new finding was shrunk: python -m pytest_pafot corpus shrink FILE "
             "goes on",
