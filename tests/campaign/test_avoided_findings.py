@@ -8,7 +8,7 @@ from example_ads import constant_speed
 from pytest_pafot.attribution.takeovers import Avoidance
 from pytest_pafot.model.trace import SPEED
 from pytest_pafot.oracle.run import NoReferenceDriversError
-from pytest_pafot.report.terminal import simplified_lines
+from pytest_pafot.report.terminal import avoided_lines
 from pytest_pafot.world import Highway
 from tests.helpers.traces import trace_of, vehicle
 
@@ -62,7 +62,7 @@ def test_excused_collision_has_the_driver_that_escapes_it():
     slowed = -np.diff(taken.ego[: run.trace.ticks + 1, SPEED]) * taken.physics_hz
     assert slowed.max() == pytest.approx(escape.braking, abs=1e-3)
     assert told.finding.expect.sentences_on(run) == (*run.sentences[:2], *escape.sentences, run.sentences[2])
-    assert [line for line in simplified_lines(told.finding) if line in escape.sentences] == list(escape.sentences)
+    assert [line for line in avoided_lines(told.finding) if line in escape.sentences] == list(escape.sentences)
 
 
 def test_run_without_its_world_says_that_escape_needs_it():

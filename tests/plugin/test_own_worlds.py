@@ -438,8 +438,20 @@ def test_drivers_that_own_world_declares_are_tried(shrinking, project):
     result.stdout.no_fnmatch_line("*note: the world*")
 
 
+LASTING = DRIVERS.replace("HIGHWAY.", "self.highway.").replace(
+    '("calm", "idm-aeb")',
+    """("calm", "idm-aeb")
+    highway = pafot.Highway(lanes=4, duration=20.0)
+
+    def lasting(self, seconds):
+        other = Driven(self.lanes)
+        other.highway = self.highway.lasting(seconds)
+        return other""",
+)
+
+
 def test_braking_after_recorded_decisions_avoids_the_collision(project):
-    driven(project, given=", *, decisions=()", passed=", decisions=decisions")
+    driven(project, LASTING, given=", *, decisions=()", passed=", decisions=decisions")
     project.run("--pafot-runs=60", generations=None)
     finding = load(project.only_file)
     highway = Highway(lanes=4, duration=20.0)
