@@ -46,7 +46,7 @@ from pytest_pafot.support.errors import DriverError, OutOfTime, RequestError
 from pytest_pafot.support.text import one_line
 from pytest_pafot.world import codec, protocol
 from pytest_pafot.world.driving.ads import is_vehicle_class, wants_env
-from pytest_pafot.world.driving.perception import Perception, without
+from pytest_pafot.world.driving.perception import Perception, sight_of, without
 from pytest_pafot.world.driving.policy import checked_action
 from pytest_pafot.world.driving.shadow import Aside, Question, beside
 from pytest_pafot.world.guard.failure import is_interruption
@@ -315,7 +315,8 @@ class Simplification:
         harness, record = self.loop.simulation.harness, self.loop.simulation.record
         space = harness.world.action_space
         check = partial(checked_si_action, lanes=MANY) if space is None else partial(checked_action, space=space)
-        aside = Aside()
+        # A planner with perfect sight sees everybody.
+        aside = Aside(is_noted=space is not None or sight_of(harness.ads) is not None)
         job = replace(harness.job(), ads=beside(harness.ads, found.trace.actions, check, aside, question))
         job = job if npc is None else replace(job, ads=without(job.ads, npc))
         isolate = harness.request.settings.isolate

@@ -27,12 +27,14 @@ class Aside:
 
     Attributes:
         answers: its actions, one per decision; None where it raised an error.
+        is_noted: whether to note what it sees, which takes longer than a decision.
         seen: digests of its observations; those that cannot be pickled are left out.
         at: what it saw at the decision that was asked for; None without one.
         probed: what it answers there to each of the changed observations, None where it raised an error; empty if it
             could not be asked again.
     """
 
+    is_noted: bool = True
     answers: list[Any] = field(default_factory=list)
     seen: list[bytes] = field(default_factory=list)
     at: Any = None
@@ -68,8 +70,9 @@ class Shadow:
     def __call__(self, observation: Any) -> Any:
         """Decide, note the decision, and return the recorded one."""
         aside, number = self._aside, len(self._aside.answers)
-        with suppress(Exception):  # a class of the user's own may not be picklable
-            aside.seen.append(hashlib.blake2b(pickle.dumps(observation), digest_size=16).digest())
+        if aside.is_noted:
+            with suppress(Exception):  # a class of the user's own may not be picklable
+                aside.seen.append(hashlib.blake2b(pickle.dumps(observation), digest_size=16).digest())
         if self._question is not None and number == self._question.number:
             aside.at = observation
             with suppress(Exception):  # an ADS that cannot be copied is not asked
