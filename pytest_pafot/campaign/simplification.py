@@ -47,7 +47,6 @@ from pytest_pafot.support.text import one_line
 from pytest_pafot.world import codec, protocol
 from pytest_pafot.world.driving.ads import is_vehicle_class, wants_env
 from pytest_pafot.world.driving.perception import Perception, sight_of, without
-from pytest_pafot.world.driving.policy import checked_action
 from pytest_pafot.world.driving.shadow import Aside, Question, beside
 from pytest_pafot.world.guard.failure import is_interruption
 from pytest_pafot.world.guard.hang_guard import runs_end_in
@@ -312,6 +311,8 @@ class Simplification:
         self._check_time()
         self.tell(f"asking the policy of {found.scenario.id} again")
         self.neighbour_runs += 1
+        from pytest_pafot.world.driving.policy import checked_action  # noqa: PLC0415  (it needs highway-env, helps do not)
+
         harness, record = self.loop.simulation.harness, self.loop.simulation.record
         space = harness.world.action_space
         check = partial(checked_si_action, lanes=MANY) if space is None else partial(checked_action, space=space)

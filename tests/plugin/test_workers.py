@@ -100,7 +100,7 @@ def test_number_of_workers_does_not_change_which_known_runs_are_looked_at(dear):
     told = []
     for workers in (1, 2):
         result = project.run(
-            f"--pafot-workers={workers}", "-p", "no:cacheprovider", "--pafot-json=out.json", generations=4
+            f"--pafot-workers={workers}", "-p", "no:cacheprovider", "--pafot-json=out.json", generations=9
         )
         (search,) = json.loads((project.path / "out.json").read_text())["searches"]
         told.append((search["known"], search["unlike"]))
