@@ -19,7 +19,7 @@ from pytest_pafot.campaign.saved_scenario import load
 from pytest_pafot.commands.history import History, copied, halved, inside
 from pytest_pafot.corpus.saved import named_file
 from pytest_pafot.execution.revision_policy import mapped
-from pytest_pafot.support.errors import RequestError, command
+from pytest_pafot.support.errors import RequestError, command, flag
 from pytest_pafot.support.interrupts import undisturbed
 from pytest_pafot.support.text import one_line, plural, visible
 
@@ -197,7 +197,8 @@ class Trials:
             "PYTHONDONTWRITEBYTECODE": "1",
         }
         plugins = ["-p", "pafot", "-p", "pytest_pafot.plugin.bisect_session"]
-        command = [sys.executable, "-m", "pytest", str(self.file), *plugins]
+        # A commit is judged by the saved scenario alone: a neighbour may fail before the change that is looked for.
+        command = [sys.executable, "-m", "pytest", str(self.file), flag("replay_neighbours", 0), *plugins]
         self.folder.mkdir(parents=True, exist_ok=True)
         with _group(command, self.folder, environ) as session:
             try:
