@@ -414,12 +414,12 @@ def session_lines(session: SessionSummary, *, verbose: bool = False, width: int 
 def annotation_lines(finds: Iterable[Find], explained: Mapping[str, Sequence[str]]) -> list[str]:
     """Return commands by which GitHub Actions shows each finding at its test file.
 
-    Each has the headline, and the sentences that explain the finding, by its id. In all of these, and in names, what
-    such a command reads as its own marks is escaped.
+    Each has the headline, the sentences that explain the finding, by its id, and what is told of its decisions. In all
+    of these, and in names, what such a command reads as its own marks is escaped.
     """
     lines = []
     for find in finds:
-        told = [find.headline, *explained.get(find.id, ())]
+        told = [find.headline, *explained.get(find.id, ()), *find.on_decisions]
         text = "%0A".join(ascii_text(each).replace("%", "%25") for each in told)
         file, title = (
             ascii_text(each).replace("%", "%25").replace(":", "%3A").replace(",", "%2C")
