@@ -130,14 +130,14 @@ class Find:
 
     @property
     def heading(self) -> str:
-        """What a replay shows, in a few words that claim no more than what was driven."""
+        """The result of a replay in a few words that claim no more than what was driven."""
         if self.result == PASSES:
             return self.driven
         return f"{self.label}: {self.elsewhere}" if self.elsewhere else self.label
 
     @property
     def driven(self) -> str:
-        """What a replay that passes has driven, and the search of its test; empty for any other replay."""
+        """The runs of a replay that passes, and of the search of its test; empty for any other replay."""
         if self.label not in PASSING:
             return ""
         verb = "does" if self.neighbours == 1 else "do"
@@ -155,7 +155,7 @@ class Find:
 
     @property
     def on_decisions(self) -> list[str]:
-        """What is told of the policy's decisions, each with a title of ten letters at most."""
+        """The lines on the policy's decisions, each with a title of ten letters at most."""
         told = [f"answers    {self.answers}"] if self.answers is not None else []
         return [*told, f"moment     {self.moment}"] if self.moment is not None else told
 

@@ -264,7 +264,7 @@ class Simplification:
         if question is not None:
             question = replace(question, changed=partial(tried, npc, without_it.at))
         whole = self._beside(found, None, question)
-        if whole is None or any(map(differ, trace.actions, whole.answers)):
+        if whole is None or any(differ(action, whole.of(each)) for each, action in enumerate(trace.actions)):
             return None, None
         since, until = window(found, expect)
         numbers = counted(trace, since, until)
@@ -272,15 +272,16 @@ class Simplification:
             npc=npc,
             since=round(since, 3),
             decisions=len(numbers),
-            depending=sum(differ(whole.answers[each], without_it.of(each)) for each in numbers),
+            depending=sum(differ(whole.of(each), without_it.of(each)) for each in numbers),
             unseen=bool(whole.seen) and whole.seen[: numbers.stop] == without_it.seen[: numbers.stop],
         )
         if not answers.depending:
-            # Another vehicle may mask it: without that one the policy brakes harder.
+            # Another vehicle may mask it: without that one the policy brakes harder, without this one hardest of all.
+            braked = max(braking_of(whole.of(each)) for each in numbers)
             for other in [each for each in range(len(found.scenario.npcs)) if each != npc]:
                 told = self._beside(found, other, None)
                 hardest = max((braking_of(told.of(each)) for each in numbers), default=0.0) if told else 0.0
-                if hardest >= max(braking_of(whole.answers[each]) for each in numbers) + HARDER + answers.masked:
+                if hardest >= braked + HARDER and hardest > answers.masked:
                     answers = replace(answers, masking=other, masked=round(hardest, 3))
         if number is not None:
             moment = moment_of(trace, npc, number, whole, without_it)

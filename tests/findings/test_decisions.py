@@ -190,6 +190,21 @@ def test_a_policy_that_cannot_be_copied_is_not_asked_otherwise():
     assert asked(Stateful, trace, question=question).probed == []
 
 
+class Forgetful(Stateful):
+    """Its copies begin anew, so they answer as no policy in the run does."""
+
+    def __deepcopy__(self, memo):
+        return Forgetful()
+
+
+def test_a_copy_that_answers_otherwise_says_nothing():
+    trace = WORLD.rollout(SCENARIO, Forgetful)
+    question = Question(number=5, changed=partial(tried, 0, None))
+    aside = asked(Forgetful, trace, question=question)
+    assert aside.answers[5] == (-3.0, 0.0)
+    assert aside.probed == []
+
+
 def crash(ads):
     scenario = pafot.Scenario(npcs=[[pafot.PositionInstruction(2, 0.0)]], gene_seconds=20.0, ego_speed=22)
     trace = WORLD.rollout(scenario, ads)

@@ -84,20 +84,26 @@ class ImperfectSensor(Sensor):
             others.append(was._replace(x=x, y=y, speed=was.speed + glimpse.speed, lane=lane))
             ids.append(then.ids[glimpse.other])
             lateral.append(then.lateral_velocities[glimpse.other + 1] + glimpse.speed * math.sin(was.heading))
-        return Observation(
-            now.time,
-            now.ego,
-            tuple(others),
-            now.lanes,
-            now.lane_width,
-            now.speed_limit,
-            decision_period=now.decision_period,
-            acceleration=now.acceleration,
-            steering=now.steering,
-            lateral_velocities=tuple(lateral),
-            ids=tuple(ids),
-            road_length=now.road_length,
-        )
+        return with_others(now, others, ids, lateral)
+
+
+def with_others(seen: Observation, others: list[Any], ids: list[int], lateral: list[float]) -> Observation:
+    """Return an observation with other vehicles; ``lateral`` are the lateral velocities, the ego's first [m/s]."""
+    return Observation(
+        seen.time,
+        seen.ego,
+        tuple(others),
+        seen.lanes,
+        seen.lane_width,
+        seen.speed_limit,
+        decision_period=seen.decision_period,
+        acceleration=seen.acceleration,
+        steering=seen.steering,
+        lateral_velocities=tuple(lateral),
+        ids=tuple(ids),
+        road_length=seen.road_length,
+        crossing=seen.crossing,
+    )
 
 
 class PolicySight:

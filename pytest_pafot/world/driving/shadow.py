@@ -14,7 +14,7 @@ from typing import Any
 from pytest_pafot.support.errors import AdsFactoryError
 from pytest_pafot.world.driving.ads import AdsFactory, is_vehicle_class
 from pytest_pafot.world.driving.perception import DRIVES_ITSELF, ads_and_sight
-from pytest_pafot.world.driving.seeing import SeeingAds
+from pytest_pafot.world.driving.seeing import SeeingAds, with_others
 from pytest_pafot.world.kernel.observation import Observation
 
 Check = Callable[[Any], Any]
@@ -23,7 +23,7 @@ Check = Callable[[Any], Any]
 
 @dataclass(slots=True, kw_only=True)
 class Aside:
-    """What an ADS decided beside a run.
+    """The decisions of an ADS beside a run.
 
     Attributes:
         answers: its actions, one per decision; None where it raised an error.
@@ -73,19 +73,17 @@ class Shadow:
         if aside.is_noted:
             with suppress(Exception):  # a class of the user's own may not be picklable
                 aside.seen.append(hashlib.blake2b(pickle.dumps(observation), digest_size=16).digest())
+        copies: list[Any] = []
         if self._question is not None and number == self._question.number:
             aside.at = observation
             with suppress(Exception):  # an ADS that cannot be copied is not asked
-                aside.probed = self._probed(observation, self._question)
+                asked = (observation, *self._question.changed(observation))
+                copies = [self._asked(copy.deepcopy(self._ads), each) for each in asked]
         answer = self._asked(self._ads, observation)
+        if copies and repr(copies[0]) == repr(answer):  # a copy that answers otherwise says nothing of this ADS
+            aside.probed = copies[1:]
         aside.answers.append(answer)
         return self._actions[number] if number < len(self._actions) else answer
-
-    def _probed(self, observation: Any, question: Question) -> list[Any]:
-        """Return the answers to changed observations, each of a copy of the ADS; none if a copy answers otherwise."""
-        whole = self._asked(copy.deepcopy(self._ads), observation)
-        answers = [self._asked(copy.deepcopy(self._ads), each) for each in question.changed(observation)]
-        return answers if repr(whole) == repr(self._asked(copy.deepcopy(self._ads), observation)) else []
 
     def _asked(self, ads: Any, observation: Any) -> Any:
         try:
@@ -134,18 +132,4 @@ def changed(observation: Observation, npc: int, by: tuple[float, float, float] |
         was, (x, y, speed) = others[place], by
         lane = min(range(observation.lanes), key=lambda each: abs(observation.lane_centres[each] - (was.y + y)))
         others[place] = was._replace(x=was.x + x, y=was.y + y, speed=was.speed + speed, lane=lane)
-    return Observation(
-        observation.time,
-        observation.ego,
-        tuple(others),
-        observation.lanes,
-        observation.lane_width,
-        observation.speed_limit,
-        decision_period=observation.decision_period,
-        acceleration=observation.acceleration,
-        steering=observation.steering,
-        lateral_velocities=tuple(lateral),
-        ids=tuple(ids),
-        road_length=observation.road_length,
-        crossing=observation.crossing,
-    )
+    return with_others(observation, others, ids, lateral)
