@@ -6,6 +6,7 @@ import pickle
 from typing import Any
 
 from pytest_pafot.findings.decisions import HARDER, Moment, differ, is_si, placed, seen_of, text_of
+from pytest_pafot.model.sight import Sight
 from pytest_pafot.model.trace import Trace
 from pytest_pafot.world.driving.shadow import Aside, changed
 from pytest_pafot.world.kernel.observation import Observation
@@ -27,8 +28,13 @@ def tried(npc: int, hidden: Any, seen: Any) -> list[Any]:
     return [changed(seen, npc, by) for by in (None, *(by for _, by in _changes(seen, npc)))]
 
 
-def moment_of(trace: Trace, npc: int, number: int, whole: Aside, without_it: Aside) -> Moment:
-    """Return what a policy saw, answered and would have answered at a decision; ``whole`` was asked :func:`tried`."""
+def moment_of(
+    trace: Trace, npc: int, number: int, whole: Aside, without_it: Aside, sight: Sight | None = None
+) -> Moment:
+    """Return what a policy saw, answered and would have answered at a decision; ``whole`` was asked :func:`tried`.
+
+    ``sight`` is its sight; None for perfect sight.
+    """
     seen, action, answers = whole.at, whole.of(number), whole.probed
     is_planner = isinstance(seen, Observation)
     where = ""
@@ -37,7 +43,7 @@ def moment_of(trace: Trace, npc: int, number: int, whole: Aside, without_it: Asi
         where = placed(other.x - seen.ego.x, other.y - seen.ego.y, other.speed - seen.ego.speed)
     elif is_planner or pickle.dumps(seen) == pickle.dumps(without_it.at):
         where = "nowhere"
-    else:
+    elif sight is None or sight.is_exact:  # otherwise only the environment knows where it seemed to be
         where = seen_of(trace, npc, number)
     hidden = otherwise = None
     if answers:

@@ -10,7 +10,16 @@ from tests.helpers.perceiving import Careful, Debouncing, GhostFiltering, Oblivi
 from tests.helpers.stages import oracle
 from tests.helpers.tables import table
 
-ALL = Sight(range=60.0, latency=0.3, noise={"position": 0.5}, dropout=0.1, occlusion=True)
+ALL = Sight(
+    range=60.0,
+    latency=0.3,
+    noise={"position": 0.5},
+    dropout=0.1,
+    occlusion=True,
+    shuffled=True,
+    ghosts={"rate": 0.5, "lifetime": 1.0},
+    own_bias={"position": 0.3},
+)
 
 
 def needed(sight, *enough):
@@ -39,6 +48,7 @@ def test_single_imperfection_is_needed_if_perfect_sight_passes():
         ([("range", "occlusion")], ("range", "occlusion")),
         ([("range",), ("dropout",)], ("dropout",)),
         ([("latency", "noise"), ("range", "dropout", "occlusion")], ("latency", "noise")),
+        ([("ghosts", "own_bias"), ("shuffled", "range")], ("ghosts", "own_bias")),
         ([ALL.imperfections], ALL.imperfections),
     ],
 )
@@ -79,7 +89,7 @@ def test_search_names_the_imperfections_a_failure_needs(planner, seed, imperfect
 
 
 @pytest.mark.parametrize(
-    ("sight", "are_reused"), [({"range": 90.0}, True), ({"noise": {"position": 2.0}}, False), ({"dropout": 0.1}, False)]
+    ("sight", "are_reused"), [({"range": 90.0}, True), ({"noise": {"position": 2.0}}, False), ({"dropout": 0.1}, False), ({"shuffled": True}, False)]
 )
 def test_run_is_reused_unless_perception_is_random(sight, are_reused):
     common = {"holds": no_collision, "world": pafot.Highway(duration=3.0), "algorithm": "pafot", "npcs": 1, "genes": 1}

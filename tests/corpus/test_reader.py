@@ -27,7 +27,17 @@ LOADERS = [yaml.SafeLoader, getattr(yaml, "CSafeLoader", yaml.SafeLoader)]
 
 
 SHRUNK = plain_finding(
-    perception=Perceived(sight=Sight(latency=0.3, noise={"position": 0.5}, dropout=0.1), needed=("latency", "noise")),
+    perception=Perceived(
+        sight=Sight(
+            latency=0.3,
+            noise={"position": 0.5},
+            dropout=0.1,
+            shuffled=True,
+            ghosts={"rate": 0.7, "lifetime": 1.5},
+            own_bias={"heading": 0.01},
+        ),
+        needed=("latency", "noise"),
+    ),
     original=Scenario(npcs=plain_finding().scenario.npcs, seed=9),
     shrunk=Shrunk(rollouts=41, is_minimal=False, speeds=(SpeedInterval(npc=0, gene=1, low=3.0, high=11.2),)),
     flaky="running it again gave a different run",
@@ -619,9 +629,9 @@ def test_no_damage_gives_any_other_error(tmp_path_factory, data):
 def test_file_contains_original_perception_shrinking_and_flakiness(path):
     assert "\noriginal:\n  seed: 9\n" in text_of(SHRUNK)
     assert (
-        "\nperception: {latency: 0.3, noise: {position: 0.5}, dropout: 0.1, needed: [latency, noise]}\norig"
-        in text_of(SHRUNK)
-    )
+        "\nperception: {latency: 0.3, noise: {position: 0.5}, dropout: 0.1, shuffled: true, "
+        "ghosts: {rate: 0.7, lifetime: 1.5},\n             own_bias: {heading: 0.01}, needed: [latency, noise]}\norig"
+    ) in text_of(SHRUNK)
     assert (
         "shrunk: {rollouts: 41, is_minimal: false, speeds: [{npc: 0, gene: 1, low: 3.0, high: 11.2}]}\n"
         'flaky: "running it again gave a different run"\n'
@@ -645,6 +655,11 @@ def test_file_contains_original_perception_shrinking_and_flakiness(path):
         ("latency: 0.3", "lag: 0.3", "perception.lag"),
         ("position: 0.5", "position: far", "perception.noise.position"),
         ("dropout: 0.1", "dropout: 1.1", "perception.dropout"),
+        ("shuffled: true", "shuffled: 1", "perception.shuffled"),
+        ("rate: 0.7", "rate: 1.0e+9", "perception.ghosts.rate"),
+        ("rate: 0.7, ", "", "perception.ghosts"),
+        ("lifetime: 1.5", "life: 1.5", "perception.ghosts"),
+        ("heading: 0.01", "heading: -0.01", "perception.own_bias.heading"),
         ("[latency, noise]", "[latency, range]", "perception.needed[1]"),
     ],
 )

@@ -24,7 +24,7 @@ from pytest_pafot.model.scenario import (
     PositionInstruction,
     Scenario,
 )
-from pytest_pafot.model.sight import NOISES, Sight
+from pytest_pafot.model.sight import NOISES, OWN, Sight
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.oracle.run import ReferenceOutcome
 from pytest_pafot.strategies import manoeuvres
@@ -226,6 +226,9 @@ def perceptions(draw):
         noise=draw(st.dictionaries(st.sampled_from(sorted(NOISES)), numbers)),
         dropout=draw(st.floats(0, 1)),
         occlusion=draw(st.booleans()),
+        shuffled=draw(st.booleans()),
+        ghosts=draw(st.just({}) | st.fixed_dictionaries({"rate": st.floats(0, 100), "lifetime": numbers})),
+        own_bias=draw(st.dictionaries(st.sampled_from(sorted(OWN)), numbers)),
     )
     names = st.lists(st.sampled_from(sight.imperfections), unique=True) if sight.imperfections else st.just([])
     return Perceived(sight=sight, needed=draw(st.none() | names.map(tuple)))

@@ -121,6 +121,58 @@ def test_a_policy_decides_beside_its_run_with_a_vehicle_hidden(factory):
     assert whole.seen != other.seen
 
 
+DISORDER = {"shuffled": True, "ghosts": {"rate": 3.0, "lifetime": 1.0}}
+
+
+def test_hiding_a_vehicle_changes_neither_the_order_of_the_others_nor_the_ghosts():
+    factory = pafot.Perception(lambda: lambda seen: shown.append(seen) or KEEPS, **DISORDER)
+    scenario = replace(SCENARIO, npcs=(*SCENARIO.npcs, [pafot.PositionInstruction(8, 22.0)]))
+    shown = []
+    trace = WORLD.rollout(scenario, factory)
+    whole = shown[:]
+    for npc in range(3):
+        shown.clear()
+        asked(factory, trace, npc=npc)
+        for there, here in zip(whole, shown, strict=True):
+            assert here == changed(there, npc, None)
+
+
+class First:
+    """Brakes if the first vehicle in its list is near, whichever it is."""
+
+    def __call__(self, observation):
+        return (-3.0 if observation.others and abs(observation.others[0].x - observation.ego.x) < 30.0 else 0.0), 0.0
+
+
+def test_a_vehicle_is_found_by_its_id_among_ghosts_in_any_order():
+    factory = pafot.Perception(First, **DISORDER)
+    trace = WORLD.rollout(SCENARIO, factory)
+    for number in range(0, len(trace.actions), 7):
+        without_it = asked(factory, trace, npc=0, question=Question(number=number))
+        question = Question(number=number, changed=partial(tried, 0, without_it.at))
+        whole = asked(factory, trace, question=question)
+        assert whole.answers == list(trace.actions)
+        assert whole.probed[0] == without_it.answers[number]
+        moment = moment_of(trace, 0, number, whole, without_it)
+        x, y, _, speed = (trace.npcs[trace.decision_ticks[number], 0] - trace.ego[trace.decision_ticks[number]])[:4]
+        assert moment.seen == placed(x, y, speed)
+
+
+@pytest.mark.parametrize(
+    ("sight", "is_told"), [({}, True), (DISORDER, True), ({"latency": 1.0}, False), ({"own_bias": {"speed": 2}}, False)]
+)
+def test_a_moment_of_an_environments_policy_says_only_where_it_is_known_to_see(sight, is_told):
+    world = pafot.World("highway-v0")
+    factory = pafot.Perception(lambda: lambda observation: 1, **sight)
+    trace = world.rollout(SCENARIO, factory)
+    number = 3
+    whole, without_it = (
+        asked(factory, trace, npc=npc, world=world, check=int, question=Question(number=number)) for npc in (None, 0)
+    )
+    moment = moment_of(trace, 0, number, whole, without_it, factory.sight)
+    assert bool(moment.seen) is is_told
+
+
 def test_an_environments_observation_is_without_the_vehicle():
     world, seen = pafot.World("highway-v0"), []
 

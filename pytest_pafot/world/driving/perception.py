@@ -19,9 +19,9 @@ DRIVES_ITSELF = "a highway-env vehicle class drives itself and reads the road, s
 
 @dataclass(frozen=True)
 class Perception:
-    """A factory that wraps an ADS factory, so that the ADS sees the other vehicles imperfectly.
+    """A factory that wraps an ADS factory, so that the ADS sees the other vehicles, or itself, imperfectly.
 
-    The ADS sees its own vehicle, the road and fixed objects exactly. All random values follow from the scenario's seed,
+    The ADS sees the road and fixed objects exactly. All random values follow from the scenario's seed,
     so a scenario gives the same run each time and in any process.
 
     Attributes:
@@ -36,6 +36,14 @@ class Perception:
         dropout: the probability that the ADS does not see a vehicle at a decision, 0 to 1, sampled like the errors.
         occlusion: if true, vehicles hide each other: a vehicle is hidden if the straight lines from the ego's centre to
             its centre and to its four corners all run through boxes of other vehicles.
+        shuffled: if true, the other vehicles are in a random order, sampled again at each decision; by default they
+            are always in the same order. The ``ids`` of a planner's observation are in the order of its ``others``.
+        ghosts: vehicles that the ADS sees although they do not exist: how many appear per second, ``"rate"`` [1/s], up
+            to 100, and their mean ``"lifetime"`` [s], such as ``{"rate": 0.5, "lifetime": 1.0}``. Their ids are those
+            of no NPC.
+        own_bias: standard deviations of the normal errors of the ADS's own ``"position"``, along x and along y [m],
+            ``"heading"`` [rad] and ``"speed"`` [m/s], such as ``{"position": 0.3}``. Errors are sampled once for each
+            run. The ADS sees the others moved and turned with it, because it measures them from its own place.
 
     Raises:
         FieldError: for an impossible value, such as a negative latency.
@@ -49,6 +57,9 @@ class Perception:
     noise: Mapping[str, float] = field(default_factory=dict, hash=False)
     dropout: float = 0.0
     occlusion: bool = False
+    shuffled: bool = False
+    ghosts: Mapping[str, float] = field(default_factory=dict, hash=False)
+    own_bias: Mapping[str, float] = field(default_factory=dict, hash=False)
 
     def __post_init__(self) -> None:
         _ = self.sight
@@ -66,13 +77,7 @@ class Perception:
     @property
     def sight(self) -> Sight:
         """The imperfections of the ADS's sight."""
-        return Sight(
-            range=self.range,
-            latency=self.latency,
-            noise=self.noise,
-            dropout=self.dropout,
-            occlusion=self.occlusion,
-        )
+        return Sight(**{each.name: getattr(self, each.name) for each in fields(Sight)})
 
     def seeing(self, sight: Sight) -> Perception:
         """Return the same factory with a different sight."""

@@ -14,7 +14,7 @@ from typing import Any
 from pytest_pafot.support.errors import AdsFactoryError
 from pytest_pafot.world.driving.ads import AdsFactory, is_vehicle_class
 from pytest_pafot.world.driving.perception import DRIVES_ITSELF, ads_and_sight
-from pytest_pafot.world.driving.seeing import SeeingAds, with_others
+from pytest_pafot.world.driving.seeing import SeeingAds, lane_nearest, with_others
 from pytest_pafot.world.kernel.observation import Observation
 
 Check = Callable[[Any], Any]
@@ -130,6 +130,6 @@ def changed(observation: Observation, npc: int, by: tuple[float, float, float] |
         del others[place], ids[place], lateral[place + 1]
     else:
         was, (x, y, speed) = others[place], by
-        lane = min(range(observation.lanes), key=lambda each: abs(observation.lane_centres[each] - (was.y + y)))
+        lane = lane_nearest(observation.lane_centres, was.y + y)
         others[place] = was._replace(x=was.x + x, y=was.y + y, speed=was.speed + speed, lane=lane)
     return with_others(observation, others, ids, lateral)

@@ -12,7 +12,7 @@ from pytest_pafot.model.sight import Sight
 from pytest_pafot.world.driving.ads import give_route
 from pytest_pafot.world.driving.idm_model import idm_model
 from pytest_pafot.world.driving.perception import ads_and_sight
-from pytest_pafot.world.driving.seeing import ImperfectSensor
+from pytest_pafot.world.driving.seeing import ImperfectRoadSensor, ImperfectSensor
 from pytest_pafot.world.engines.run import SteppedRun, VehiclesOfRun
 from pytest_pafot.world.guard.hang_guard import HangGuard
 from pytest_pafot.world.kernel.bodies import NPC_LENGTH, NPC_WIDTH, Body
@@ -72,7 +72,7 @@ def planner_driver(
         if sight is not None:
             sensor = ImperfectSensor(sensor, sight, scenario.seed, road.grid, rules.physics_hz)
     else:
-        sensor = RoadSensor(
+        on_road = (
             cast("RoadPlaces", vehicles.places),
             vehicles.rows,
             road.bends,
@@ -80,8 +80,11 @@ def planner_driver(
             (road.lane_count, road.lane_width, road.speed_limit, road.end),
             rules.physics_hz,
             every,
-            None if sight is None else (sight, scenario.seed),
         )
+        if sight is None:
+            sensor = RoadSensor(*on_road, None)
+        else:
+            sensor = ImperfectRoadSensor(*on_road, sight=sight, seed=scenario.seed)
     common: dict[str, Any] = {"lanes": road.lane_count, "lane_width": road.lane_width}
     common |= {"every": every, "dt": 1 / rules.physics_hz}
     ego, place = vehicles.vehicles[0], vehicles.places.bodies[0]

@@ -170,7 +170,8 @@ class Observation:
         acceleration, steering: the ego's controls in the last tick [m/s^2, rad]; 0 at the start.
         lateral_velocities: speeds to the right of the ego and then of the others, including the slip of turned wheels
             [m/s].
-        ids: the id of each vehicle in ``others``, constant during the run: the NPC's index in ``run.npcs``.
+        ids: the id of each vehicle in ``others``, constant during the run: the NPC's index in ``run.npcs``, or a larger
+            number for a ghost, which only an imperfect sight shows.
         lane_centres: y of the centre line of each lane, from the left [m].
         road_length: the x at which the lanes end [m]; they begin at x = 0.
         crossing: the NPCs on ways that cross the ego's way; see :class:`pytest_pafot.CrossingVehicle`. ``ids`` and
@@ -272,7 +273,7 @@ class Observation:
 
     @property
     def ids(self) -> tuple[int, ...]:
-        """The id of each vehicle in ``others``, constant during the run: the NPC's index in ``run.npcs``."""
+        """The id of each vehicle in ``others``: the NPC's index in ``run.npcs``, or a larger number for a ghost."""
         return self._detailed()[3]
 
     @property

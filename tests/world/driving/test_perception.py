@@ -12,7 +12,7 @@ from highway_env.vehicle.behavior import IDMVehicle
 
 import pytest_pafot as pafot
 from pytest_pafot.model.scenario import PositionInstruction, Scenario
-from pytest_pafot.model.sight import hidden
+from pytest_pafot.model.sight import Sight, hidden
 from pytest_pafot.model.trace import HEADING, SPEED, X, Y
 from pytest_pafot.support.errors import AdsFactoryError, FieldError, WorldError
 from pytest_pafot.world.driving.ads import weights_digest
@@ -46,6 +46,9 @@ EVERYTHING = {
     "noise": {"position": 0.5, "speed": 1.0},
     "dropout": 0.2,
     "occlusion": True,
+    "shuffled": True,
+    "ghosts": {"rate": 2.0, "lifetime": 1.0},
+    "own_bias": {"position": 1.0, "heading": 0.02, "speed": 1.0},
 }
 FASTER, IDLE = 3, 1
 
@@ -196,6 +199,77 @@ def test_vehicle_lane_is_that_of_its_seen_position():
     assert {each.lane == min(range(4), key=lambda lane: abs(each.y - 4.0 * lane)) for each in seen} == {True}
 
 
+def test_shuffled_vehicles_keep_their_ids_and_states():
+    (_, plain), (_, ads) = run(PLANNERS["loop"], Watching), run(PLANNERS["loop"], Watching, shuffled=True)
+    for exact, seen in zip(plain.shown, ads.shown, strict=True):
+        assert dict(zip(seen.ids, seen.others, strict=True)) == dict(zip(exact.ids, exact.others, strict=True))
+        lateral = dict(zip(exact.ids, exact.lateral_velocities[1:], strict=True))
+        assert seen.lateral_velocities[1:] == tuple(lateral[each] for each in seen.ids)
+        assert seen.array[1:].tolist() == [list(each) for each in seen.others]
+    assert len({seen.ids for seen in ads.shown}) == 6
+
+
+def test_ghosts_are_seen_next_to_the_vehicles_that_exist():
+    ghosts = {"rate": 3.0, "lifetime": 1.0}
+    (_, plain), (_, ads) = run(PLANNERS["loop"], Watching), run(PLANNERS["loop"], Watching, ghosts=ghosts)
+    expected = [list(Sight(ghosts=ghosts).ghosts_at(SCENARIO.seed, seen.time)) for seen in ads.shown]
+    for exact, seen, there in zip(plain.shown, ads.shown, expected, strict=True):
+        assert seen.others[:3] == exact.others
+        assert seen.ids == (0, 1, 2, *(3 + each.number for each in there))
+        assert len(seen.lateral_velocities) == len(seen.array) == len(seen.ids) + 1
+        for each, ghost in zip(seen.others[3:], there, strict=True):
+            assert (each.x - seen.ego.x, each.y - seen.ego.y) == pytest.approx(ghost[1:3])
+            assert each.speed == max(0.0, seen.ego.speed + ghost.faster)
+            assert each.lane == min(range(4), key=lambda lane, y=each.y: abs(y - 4.0 * lane))
+    assert len({each for seen in ads.shown for each in seen.ids}) > 10
+
+
+def test_biased_ego_measures_the_others_from_where_it_takes_itself_to_be():
+    bias = {"position": 1.0, "heading": 0.02, "speed": 1.0}
+    own = Sight(own_bias=bias).own_errors(SCENARIO.seed)
+    shown = [], []
+    for now, wrong in zip(shown, ({}, {"own_bias": bias}), strict=True):
+        run(PLANNERS["loop"], lambda now=now: lambda seen: now.append(seen) or (0.0, 0.001), **wrong)
+    for exact, seen in zip(*shown, strict=True):
+        errors = np.subtract(seen.ego[:4], exact.ego[:4])
+        assert errors == pytest.approx(np.array(own))
+        for was, each in zip(exact.others, seen.others, strict=True):
+            assert in_frame_of(seen.ego, each) == pytest.approx(in_frame_of(exact.ego, was))
+        drifts = [each.speed * np.sin(each.heading) for each in (seen.ego, *seen.others)]
+        before = [each.speed * np.sin(each.heading) for each in (exact.ego, *exact.others)]
+        slips = np.subtract(exact.lateral_velocities, before)
+        assert np.array(seen.lateral_velocities) == pytest.approx(np.array(drifts) + slips)
+
+
+def in_frame_of(ego, other):
+    """Return what a sensor on the ego measures: distance, bearing, relative heading, and the speed that it adds up."""
+    dx, dy, turned = other.x - ego.x, other.y - ego.y, other.heading - ego.heading
+    bearing = np.angle(np.exp(1j * (np.arctan2(dy, dx) - ego.heading)))
+    return np.hypot(dx, dy), bearing, turned, other.speed - ego.speed * np.cos(turned)
+
+
+def test_policy_sees_the_same_ghosts_and_errors_as_a_planner():
+    """On a straight road, where both keep speed and wheels as they are."""
+    config = GYM | {"observation": KINEMATICS | {"vehicles_count": 30}, "action": {"type": "ContinuousAction"}}
+    worlds = pafot.World("highway-v0", config), pafot.World("highway-v0", {"duration": 6}, planner_hz=3)
+    wrong = {name: EVERYTHING[name] for name in ("range", "dropout", "ghosts", "own_bias")}
+    shown = [], []
+    for world, seen, action in zip(worlds, shown, (np.zeros(2), (0.0, 0.0)), strict=True):
+        run(world.rollout, lambda seen=seen, action=action: lambda now: seen.append(now) or action, **wrong)
+    for rows, seen in zip(*shown, strict=True):
+        there = sorted(rows[rows[:, 0] == 1][:, 1:4].tolist())
+        expected = sorted((each.x, each.y, each.speed * np.cos(each.heading)) for each in (seen.ego, *seen.others))
+        assert np.array(there) == pytest.approx(np.array(expected), rel=1e-4)
+    assert len({each for seen in shown[1] for each in seen.ids if each >= 3}) == 3
+
+
+def test_ego_is_exact_again_after_each_observation():
+    wrong = {"own_bias": {"position": 5.0, "heading": 0.1, "speed": 5.0}}
+    for rollout in POLICIES.values():
+        exact, biased = run(rollout, WatchingPolicy)[0], run(rollout, WatchingPolicy, **wrong)[0]
+        assert biased.states.tobytes() == exact.states.tobytes()
+
+
 def test_occupancy_grid_is_empty_without_visible_vehicles():
     config = {"observation": {"type": "OccupancyGrid", "features": ["presence"]}, "duration": 3}
     rollout = pafot.World("highway-v0", config).rollout
@@ -267,6 +341,9 @@ def test_policies_in_lock_step_see_the_same():
         ({"range": 50.0, "occlusion": True}, True),
         ({"latency": 0.2}, False),
         ({"noise": {"speed": 1}}, False),
+        ({"shuffled": True}, False),
+        ({"ghosts": {"rate": 1, "lifetime": 1}}, False),
+        ({"own_bias": {"speed": 1}}, False),
     ],
 )
 def test_ads_stays_pure_without_delay_or_noise(imperfections, is_pure):
