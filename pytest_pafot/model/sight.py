@@ -165,12 +165,12 @@ class Sight:
         texts = {
             "range": f"a range of {self.range or 0.0:g} m",
             "latency": f"{self.latency:g} s of latency",
-            "noise": f"noise of {_listed([f'{value:g} {NOISES[name]}' for name, value in self.noise.items()])}",
+            "noise": f"noise of {_listed([f'{value:g} {NOISES[key]}' for key, value in self.noise.items()])}",
             "dropout": f"{100 * self.dropout:g} % dropout",
             "occlusion": "occlusion",
             "shuffled": "a shuffled order",
             "ghosts": "{rate:g} ghosts per second that last {lifetime:g} s".format(**(self.ghosts or _NO_GHOSTS)),
-            "own_bias": f"an own bias of {_listed([f'{value:g} {OWN[name]}' for name, value in self.own_bias.items()])}",
+            "own_bias": f"an own bias of {_listed([f'{value:g} {OWN[key]}' for key, value in self.own_bias.items()])}",
         }
         told = [texts[name] for name in self.imperfections if names is None or name in names]
         return _listed(told or ["perfect sight"])

@@ -89,7 +89,13 @@ def test_search_names_the_imperfections_a_failure_needs(planner, seed, imperfect
 
 
 @pytest.mark.parametrize(
-    ("sight", "are_reused"), [({"range": 90.0}, True), ({"noise": {"position": 2.0}}, False), ({"dropout": 0.1}, False), ({"shuffled": True}, False)]
+    ("sight", "are_reused"),
+    [
+        ({"range": 90.0}, True),
+        ({"noise": {"position": 2.0}}, False),
+        ({"dropout": 0.1}, False),
+        ({"shuffled": True}, False),
+    ],
 )
 def test_run_is_reused_unless_perception_is_random(sight, are_reused):
     common = {"holds": no_collision, "world": pafot.Highway(duration=3.0), "algorithm": "pafot", "npcs": 1, "genes": 1}

@@ -286,7 +286,16 @@ def test_environment_restores_class_constants_that_it_sets():
     assert before == (IDMVehicle.DISTANCE_WANTED, MDPVehicle.DEFAULT_TARGET_SPEEDS)
 
 
-EYES = {"range": 60.0, "latency": 0.5, "noise": {"position": 0.3, "speed": 1.0}, "dropout": 0.1, "occlusion": True}
+EYES = {
+    "range": 60.0,
+    "latency": 0.5,
+    "noise": {"position": 0.3, "speed": 1.0},
+    "dropout": 0.1,
+    "occlusion": True,
+    "shuffled": True,
+    "ghosts": {"rate": 2.0, "lifetime": 1.0},
+    "own_bias": {"position": 0.5, "heading": 0.01, "speed": 0.5},
+}
 
 
 @pytest.mark.parametrize("wrappers", [None, oracle([gymnasium.wrappers.FlattenObservation])])

@@ -152,9 +152,7 @@ def test_a_ghost_keeps_its_speed_relative_to_the_ego_until_it_is_gone():
 def test_no_ghost_is_beyond_the_range_or_in_the_ego():
     many = {"rate": 100.0, "lifetime": 5.0}
     near = list(Sight(range=20.0, ghosts=many).ghosts_at(1, 9.0))
-    assert near == [
-        each for each in Sight(ghosts=many).ghosts_at(1, 9.0) if math.hypot(each.ahead, each.right) <= 20
-    ]
+    assert near == [each for each in Sight(ghosts=many).ghosts_at(1, 9.0) if math.hypot(each.ahead, each.right) <= 20]
     assert len(near) > 20
     assert all(abs(each.ahead) >= LENGTH or abs(each.right) >= WIDTH for each in near)
 
@@ -243,7 +241,10 @@ def test_numbers_of_any_kind_become_pythons_own():
         ({"shuffled": "yes"}, "shuffled: expected True or False, received 'yes'"),
         ({"ghosts": 0.5}, 'ghosts: expected a mapping of "rate" .1/s. and "lifetime" .s., both of them, received 0.5'),
         ({"ghosts": {"rate": 0.5}}, "ghosts: expected .* both of them, received {'rate': 0.5}"),
-        ({"ghosts": {"rate": 101, "lifetime": 1}}, r"ghosts.rate: expected a number from 0 to 100 \[1/s\], received 101"),
+        (
+            {"ghosts": {"rate": 101, "lifetime": 1}},
+            r"ghosts.rate: expected a number from 0 to 100 \[1/s\], received 101",
+        ),
         ({"ghosts": {"rate": 1, "lifetime": -1}}, r"ghosts.lifetime: expected a finite number from 0 \[s\]"),
         ({"own_bias": {"lane": 1}}, 'own_bias: expected .*"heading" .rad.*, one of them or more'),
         ({"own_bias": {"heading": math.inf}}, r"own_bias.heading: .* \[rad\]"),

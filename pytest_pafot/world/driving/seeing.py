@@ -107,7 +107,7 @@ class ImperfectRoadSensor(RoadSensor):
     """
 
     def __init__(self, places: RoadPlaces, *road: Any, sight: Sight, seed: int) -> None:
-        super().__init__(places, *road, (sight, seed))
+        super().__init__(*(places, *road, (sight, seed)))
         *_, physics_hz, _ = road
         self._common_of_all = sight, sight.own_errors(seed), seed
         self._hz, self._npcs = physics_hz, len(places.vehicles) - 1
@@ -315,8 +315,8 @@ class PolicySight:
         states = np.array([_state(each) for each in then])
         for glimpse in sight.glimpses(states, self._seed, self._env.steps):
             vehicle = others[glimpse.other] = _copied(then[glimpse.other + 1])
-            x, y, heading, speed, *rest = _state(vehicle)
-            seen = VehicleState(x + glimpse.x, y + glimpse.y, heading, speed + glimpse.speed, *rest)
+            was = _state(vehicle)
+            seen = was._replace(x=was.x + glimpse.x, y=was.y + glimpse.y, speed=was.speed + glimpse.speed)
             self._put(vehicle, _moved(seen, 0.0, ego, self._own)[0] if sight.own_bias else seen)
         return others
 

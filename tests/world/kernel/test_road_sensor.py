@@ -144,8 +144,22 @@ def test_own_bias_on_a_bent_road_leaves_gaps_and_the_driven_path():
         assert gaps[0] == pytest.approx(gaps[1])
 
 
+def test_a_biased_ego_never_takes_itself_to_be_in_a_lane_that_does_not_exist():
+    """A planner that stays in the lane of its observation would give an action that is not valid."""
+    world = World("merge-v0", planner_hz=5, duration=12.0)
+    lanes = set()
+    for seed in range(12):
+        scenario = replace(scenario_of(world), npcs=[[PositionInstruction(6, 15.0)]], seed=seed)
+        ads = Perception(
+            lambda: lambda seen: lanes.add(seen.ego.lane) or Drive(lane=seen.ego.lane, speed=20.0),
+            own_bias={"position": 6.0},
+        )
+        assert world.rollout(scenario, ads).error is None
+    assert len(lanes) > 1
+
+
 def test_a_biased_ego_misplaces_who_crosses_along_both_ways():
-    """The vehicle comes from the right, so an ego that takes itself to be further right takes it to have come less far."""
+    """The vehicle comes from the right. An ego that takes itself to be further right takes it to be further away."""
     npcs = [[CrossingInstruction("o3>o1", 0.0, 8.0)]]
     bias = {"position": 1.0, "speed": 1.0}
     (exact, _), (wrong, _) = (seen_with(WORLD, npcs, **sight) for sight in ({}, {"own_bias": bias}))
