@@ -109,13 +109,13 @@ class ImperfectRoadSensor(RoadSensor):
     def __init__(self, places: RoadPlaces, *road: Any, sight: Sight, seed: int) -> None:
         super().__init__(*(places, *road, (sight, seed)))
         *_, physics_hz, _ = road
-        self._common_of_all = sight, sight.own_errors(seed), seed
+        self._misjudging = sight, sight.own_errors(seed), seed
         self._hz, self._npcs = physics_hz, len(places.vehicles) - 1
 
     def observation(self, tick: int) -> Observation:
         """Make an imperfect observation at the current tick."""
         seen = super().observation(tick)
-        return misjudged(seen, *self._common_of_all, tick, self._hz, self._npcs, self.has_lane)
+        return misjudged(seen, *self._misjudging, tick, self._hz, self._npcs, self.has_lane)
 
 
 def misjudged(
