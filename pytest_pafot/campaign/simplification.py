@@ -284,7 +284,7 @@ class Simplification:
                 if hardest >= braked + HARDER and hardest > answers.masked:
                     answers = replace(answers, masking=other, masked=round(hardest, 3))
         if number is not None:
-            moment = moment_of(trace, npc, number, whole, without_it, sight_of(self.loop.simulation.harness.ads))
+            moment = moment_of(trace, npc, number, whole, without_it, sight_of(harness.ads))
         return answers, moment
 
     def _first_difference(self, trace: Trace) -> Moment | None:

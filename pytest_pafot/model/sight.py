@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 from pytest_pafot.model.trace import FloatArray
 from pytest_pafot.support.errors import FieldError, plain_number
+from pytest_pafot.support.text import listed
 
 BoolArray = npt.NDArray[np.bool_]
 
@@ -165,15 +166,15 @@ class Sight:
         texts = {
             "range": f"a range of {self.range or 0.0:g} m",
             "latency": f"{self.latency:g} s of latency",
-            "noise": f"noise of {_listed([f'{value:g} {NOISES[key]}' for key, value in self.noise.items()])}",
+            "noise": f"noise of {listed([f'{value:g} {NOISES[key]}' for key, value in self.noise.items()])}",
             "dropout": f"{100 * self.dropout:g} % dropout",
             "occlusion": "occlusion",
             "shuffled": "a shuffled order",
             "ghosts": "{rate:g} ghosts per second that last {lifetime:g} s".format(**(self.ghosts or _NO_GHOSTS)),
-            "own_bias": f"an own bias of {_listed([f'{value:g} {OWN[key]}' for key, value in self.own_bias.items()])}",
+            "own_bias": f"an own bias of {listed([f'{value:g} {OWN[key]}' for key, value in self.own_bias.items()])}",
         }
         told = [texts[name] for name in self.imperfections if names is None or name in names]
-        return _listed(told or ["perfect sight"])
+        return listed(told or ["perfect sight"])
 
     def delay(self, hz: int) -> int:
         """Return the latency in ticks, rounded up, for ``hz`` ticks per second."""
@@ -304,10 +305,6 @@ def _numbers(
 
 def _without_zeros(values: Mapping[str, float]) -> dict[str, float]:
     return {name: value for name, value in values.items() if value}
-
-
-def _listed(texts: list[str]) -> str:
-    return " and ".join(filter(None, [", ".join(texts[:-1]), *texts[-1:]]))
 
 
 def _number(name: str, value: object, unit: str, most: float = math.inf) -> float:

@@ -20,7 +20,7 @@ from pytest_pafot.model.scenario import CrossingInstruction, LaneInstruction, Ma
 from pytest_pafot.oracle.run import ReferenceOutcome
 from pytest_pafot.support.errors import flag
 from pytest_pafot.support.proportions import interval_text
-from pytest_pafot.support.text import ascii_text, fitted_lines, plural, wrapped_to
+from pytest_pafot.support.text import ascii_text, fitted_lines, listed, plural, wrapped_to
 from pytest_pafot.support.traced import Traced
 
 WIDTH = 80
@@ -289,8 +289,7 @@ def _figures(search: SearchSummary) -> str:
     several = [plural(search.runs, "run")]
     several += [f"{search.shrink_runs} to shrink"] if search.shrink_runs else []
     several += [f"{search.neighbour_runs} of neighbours"] if search.neighbour_runs else []
-    runs = " and ".join([*filter(None, [", ".join(several[:-1])]), several[-1]])
-    return ", ".join([f"{runs} in {search.seconds:.1f} s", *told])
+    return ", ".join([f"{listed(several)} in {search.seconds:.1f} s", *told])
 
 
 def _find_lines(search: SearchSummary) -> list[str]:

@@ -74,6 +74,11 @@ def plural(count: int, noun: str) -> str:
     return f"{count} {noun}{'' if count == 1 else 's'}"
 
 
+def listed(texts: Sequence[str]) -> str:
+    """Return texts as one, such as ``a, b and c``; empty if there are none."""
+    return " and ".join(filter(None, [", ".join(texts[:-1]), *texts[-1:]]))
+
+
 def meant(name: object, known: Iterable[str]) -> str:
     """Return a hint at the name that is most similar, ``; did you mean 'gap'?``; empty if none is."""
     near = difflib.get_close_matches(str(name), list(known), n=1)
