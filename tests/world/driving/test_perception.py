@@ -2,6 +2,7 @@
 
 import functools
 from collections import deque
+from dataclasses import replace
 
 import gymnasium
 import numpy as np
@@ -268,6 +269,18 @@ def test_ego_is_exact_again_after_each_observation():
     for rollout in POLICIES.values():
         exact, biased = run(rollout, WatchingPolicy)[0], run(rollout, WatchingPolicy, **wrong)[0]
         assert biased.states.tobytes() == exact.states.tobytes()
+
+
+def test_biased_policy_sees_fixed_objects_where_they_are_on_the_road():
+    """Unlike vehicles, they do not move with the ego's error, so the policy's gap to them is wrong by it."""
+    world = pafot.World("merge-v0", {"observation": KINEMATICS})
+    scenario = replace(SCENARIO, ego_speed=30.0, gene_seconds=12.0, npcs=[[PositionInstruction(6, 15.0)]])
+    (obstacle,), shown = world.rules.obstacles, ([], [])
+    for seen, wrong in zip(shown, ({}, {"own_bias": {"position": 5.0}}), strict=True):
+        world.rollout(scenario, pafot.Perception(lambda seen=seen: lambda now: seen.append(now) or IDLE, **wrong))
+    rows = [[row[1:3].tolist() for row in now[1:] if row[0]] for now in shown[1]]
+    assert np.abs(shown[0][0][0, 1:3] - shown[1][0][0, 1:3]).max() > 0.5
+    assert any(row == pytest.approx(obstacle[:2], abs=1e-3) for now in rows for row in now)
 
 
 def test_occupancy_grid_is_empty_without_visible_vehicles():
