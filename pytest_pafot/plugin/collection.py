@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 import os
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
 from dataclasses import replace
@@ -17,10 +16,11 @@ import pytest
 from pytest_pafot.campaign.options import BY_NAME, OF_COMMAND
 from pytest_pafot.corpus import layout
 from pytest_pafot.corpus.saved import Saved, refusal, refused_in, saved_in
-from pytest_pafot.plugin.marks import CATALOGUE_MARK, DEFAULT_ARG, SAVED_MARK, SEARCH_MARK, arguments_of
+from pytest_pafot.plugin.marks import DEFAULT_ARG, SAVED_MARK, SEARCH_MARK, arguments_of
 from pytest_pafot.plugin.node_ids import base_id, qualified_name, saved_part
 from pytest_pafot.plugin.option_sources import corpus_name
 from pytest_pafot.plugin.session import SHARED, SUMMARY_LINES, base_line
+from pytest_pafot.plugin.uncollected import Left, beside_test_files, is_base, left_out, replaced_in
 from pytest_pafot.plugin.unrun import UNRUN, Collected, Unrun
 from pytest_pafot.support.text import visible
 
@@ -36,15 +36,16 @@ SEARCH = "search"  # a placeholder for the argument of an item, which a simulate
 
 
 def accept_files(config: pytest.Config) -> tuple[set[Path], set[Path]]:
-    """Replace corpus files on the command line by the test files that replay them.
+    """Replace corpus files, and folders of a corpus, on the command line by the test files that replay them.
 
     Return the corpus files, and the test files that the command line did not name itself.
     """
-    given = [arg for arg in config.args if arg.endswith(layout.SUFFIX)]
+    folders = {arg: layout.files_below(_given_path(config, arg)) for arg in config.args if _is_in_corpus(config, arg)}
+    given = [arg for arg in config.args if arg.endswith(layout.SUFFIX) or folders.get(arg)]
     if not given:
         return set(), set()
     others = [_given_path(config, arg).resolve() for arg in config.args if arg not in given]
-    paths = [config.invocation_params.dir / arg for arg in given]
+    paths = [path for arg in given for path in folders.get(arg) or [config.invocation_params.dir / arg]]
     files = [path.parent.resolve() / path.name for path in paths]  # not resolved: a link has its own item
     modules = dict.fromkeys(_module_of(file, config) for file in files)
     added = [module for module in modules if not any(other in (module, *module.parents) for other in others)]
@@ -65,12 +66,16 @@ class Collection:
         self._passed_by: set[Path] = set()  # the saved scenarios outside of corpora
         self._saved = config.stash.setdefault(COLLECTED, {})
         self._listed: dict[Path, layout.TestFolders] = {}
+        self._left_out: list[Left] = []  # marked functions and classes that pytest has not collected
         config.stash[UNRUN] = Unrun({}, {}, {}, {})
 
     def pytest_ignore_collect(self, collection_path: Path) -> bool | None:
         """Ignore everything in a corpus folder, also files that are named like tests: they are data."""
         folders = [collection_path, *collection_path.parents]
         if not any(self._is_corpus(folder) for folder in folders):
+            # Noted before pytest passes by the folder, such as one named build: what is in it has a test next to it.
+            if self._corpus is not None and os.path.lexists(beside := collection_path / self._corpus):
+                self._corpora.add(beside)
             if collection_path.name.endswith(layout.SUFFIX):
                 self._passed_by.add(collection_path)
             return None
@@ -168,7 +173,9 @@ class Collection:
             noted[report.outcome].add(collector.path)
         is_own = type(collector) in (pytest.Module, pytest.Class)  # those of other plugins may have no object
         if is_own and isinstance(collector, pytest.Module | pytest.Class) and report.passed:
-            self._config.stash[UNRUN].unnamed.update(_unnamed(collector))
+            self._left_out += left_out(collector, report.result)
+            if isinstance(collector, pytest.Module):
+                self._config.stash[UNRUN].unnamed.update(replaced_in(collector))
         return report
 
     @pytest.hookimpl(wrapper=True)
@@ -213,6 +220,10 @@ class Collection:
     @pytest.hookimpl(wrapper=True, tryfirst=True)
     def pytest_collection_modifyitems(self, items: list[pytest.Item]) -> Generator[None, None, None]:
         """Find the saved scenarios that no item runs, before tests are selected; drop unneeded searches afterwards."""
+        self._left_out += beside_test_files(self._config, self._folders_given, items)
+        # Asked now, since a later module may have derived from a class of an earlier one.
+        unnamed = {left.name: left.why for left in self._left_out if not is_base(left.member)}
+        self._config.stash[UNRUN].unnamed.update(unnamed)
         self._find_unrun(items)
         self._deselect(items, self._is_beside_given)
         yield
@@ -241,12 +252,15 @@ class Collection:
                 # A test that was moved into a folder given here may have left its corpus behind, above that folder.
                 above = {each for folder in self._folders_given for each in folder.parents}
                 met += [each / corpus for each in sorted(above) if each.is_relative_to(self._rootpath)]
+                if self._config.args_source is pytest.Config.ArgsSource.TESTPATHS:
+                    outside = {*self._rootpath.glob(corpus), *self._rootpath.glob(f"*/{corpus}")}
+                    met += sorted(each for each in not_merged(outside) if each not in roots)
             roots = dict(_roots_in(met, Path(corpus), self._rootpath)) | roots
         links = {root: layout.link_out(directory, root, self._rootpath) for root, directory in roots.items()}
         for link in sorted(set(filter(None, links.values()))):  # A link is refused before its target is listed.
             self._config.stash[SUMMARY_LINES].problems.append(refusal(link))
         roots = {root: directory for root, directory in roots.items() if links[root] is None}
-        if not self._collected.roots and not any(map(layout.is_folder, roots)):
+        if not self._collected.roots and not any(map(os.path.lexists, roots)):
             return
         collected = replace(
             self._collected,
@@ -256,6 +270,7 @@ class Collection:
             others=not_merged(self._others - roots.keys()),
             passed_by=not_merged(self._passed_by),
             is_ignored=self._is_ignored,
+            is_of_testpaths=self._config.args_source is pytest.Config.ArgsSource.TESTPATHS,
         )
         if OF_COMMAND in os.environ:
             return  # The command asks for one test, which has no file. All others of the project are not collected.
@@ -325,32 +340,11 @@ def _roots_in(corpora: Iterable[Path], corpus: Path, rootpath: Path) -> Iterator
                 yield root, rootpath / root.relative_to(met)
 
 
-def _unnamed(collector: pytest.Module | pytest.Class) -> Iterator[tuple[str, str]]:
-    """Yield the functions and classes with a mark of pafot that pytest leaves out because of their names.
-
-    Each has a sentence on which name was expected. Not named are what was imported, what sets ``__test__`` to False, a
-    base class, and a function that also has a name by which it is collected.
-    """
-    module = collector.obj.__module__ if inspect.isclass(collector.obj) else collector.obj.__name__
-    marked = {}
-    for name, each in vars(collector.obj).items():
-        if (inspect.isfunction(each) or inspect.isclass(each)) and each.__module__ == module:
-            own = vars(each).get("pytestmark", [])  # a list, unless the user has set it to one mark
-            if {SEARCH_MARK, CATALOGUE_MARK} & {mark.name for mark in (own if isinstance(own, list) else [own])}:
-                marked[name] = each
-    found = {id(each) for name, each in marked.items() if _has_test_name(collector, name, each)}
-    for name, each in marked.items():
-        is_base = inspect.isclass(each) and bool(type.__subclasses__(each))
-        if id(each) not in found and not is_base and getattr(each, "__test__", True):
-            other = f"Test{name}" if inspect.isclass(each) else f"test_{name}"
-            setting = "python_classes" if inspect.isclass(each) else "python_functions"
-            example = f"such as {other}" if _has_test_name(collector, other, each) else f"see {setting} in its settings"
-            yield f"{collector.nodeid}::{name}", f"expected a name that pytest collects, {example}"
-
-
-def _has_test_name(collector: pytest.Module | pytest.Class, name: str, member: object) -> bool:
-    is_named = collector.classnamefilter if inspect.isclass(member) else collector.funcnamefilter
-    return is_named(name) or collector.isnosetest(member)
+def _is_in_corpus(config: pytest.Config, arg: str) -> bool:
+    """Return whether a folder on the command line is a corpus with the default name, or in one."""
+    path = _given_path(config, arg)
+    names = path.relative_to(config.rootpath).parts if path.is_relative_to(config.rootpath) else ()
+    return layout.CORPUS in names and path.is_dir()
 
 
 def _module_of(file: Path, config: pytest.Config) -> Path:

@@ -96,7 +96,13 @@ def find_strays(collected: Collected, orphans: Collection[Path]) -> dict[str, tu
                     why = f"it is in no test's folder; move it to {place}, or delete it"
                 name = relative(file, top)
                 strays[name] = why, is_asked_for or strays.get(name, ("", False))[1]
-    found = (_passed_by(collected), _in_other_corpora(collected), _not_collected(collected), strays.items())
+    found = (
+        _passed_by(collected),
+        _in_other_corpora(collected),
+        _not_collected(collected),
+        _no_folders(collected),
+        strays.items(),
+    )
     return dict(chain.from_iterable(found))
 
 
@@ -105,12 +111,15 @@ def _not_collected(collected: Collected) -> Iterator[tuple[str, tuple[str, bool]
     # The same file may have two paths, one of them by a link.
     imported = {os.path.realpath(each) for each in collected.files | collected.failed}
     for root, directory in sorted(collected.roots.items()):
-        for folder in modules_in(root) if _is_asked_for(directory, collected) else ():
+        is_asked_for = _is_asked_for(directory, collected)
+        for folder in modules_in(root) if is_asked_for or collected.is_of_testpaths else ():
             module = module_named(directory, folder.name)
             if not os.path.lexists(module) or os.path.realpath(module) in imported:
                 continue
             name, fails = relative(module, collected.rootpath), False
-            if module in collected.skipped:
+            if not is_asked_for:
+                why = f"the setting testpaths leaves out {name}"
+            elif module in collected.skipped:
                 why = f"{name} was skipped at import"
             elif collected.is_ignored(module):
                 why = f"--ignore or --ignore-glob leaves out {name}"
@@ -123,6 +132,15 @@ def _not_collected(collected: Collected) -> Iterator[tuple[str, tuple[str, bool]
             for test in modules_in(folder):
                 for file in files_in(test):
                     yield relative(file, collected.rootpath), (why, fails)
+
+
+def _no_folders(collected: Collected) -> Iterator[tuple[str, tuple[str, bool]]]:
+    """Yield what stands in the place of a folder of saved scenarios: a file, as which git writes a link on Windows."""
+    tests = {each for folder in collected.folders for each in (folder.parent, folder)}
+    for place in sorted({*collected.roots, *tests}):
+        if os.path.lexists(place) and not is_folder(place):
+            why = "expected a folder of saved scenarios, received a file; restore the folder, or move the file away"
+            yield relative(place, collected.rootpath), (why, True)
 
 
 def _in_other_corpora(collected: Collected) -> Iterator[tuple[str, tuple[str, bool]]]:
@@ -197,7 +215,7 @@ def _errors(config: pytest.Config) -> dict[str, list[str]]:
     unnamed = [f"pytest does not collect {plural(len(unrun.unnamed), 'test')} with a mark of pafot ({cause}):"]
     for name, why in sorted(unrun.unnamed.items()):
         unnamed += [name, f"  {why}"]
-    unnamed.append("  rename it, or set its __test__ to False if it is no test")
+    unnamed.append("  rename or move it, or set its __test__ to False if it is no test")
     errors = {UNNAMED_ID: unnamed if unrun.unnamed else []}
     if option_value(config, allow, {}):
         return errors

@@ -54,4 +54,5 @@ class Collected:
     corpus: str = CORPUS  # the option of this name
     others: Collection[Path] = field(default_factory=set)  # corpora of the default name, if the option gives another
     passed_by: Collection[Path] = field(default_factory=set)  # saved scenarios that pytest met outside of corpora
+    is_of_testpaths: bool = False  # whether the session was given no folders, so that its setting testpaths gave them
     is_ignored: Callable[[Path], bool] = lambda path: False  # whether an option of the session leaves out a path

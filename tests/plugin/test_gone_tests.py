@@ -466,3 +466,132 @@ def test_workers_report_a_misnamed_file_once(saved, ci):
     result = replay(saved, "-n2")
     assert is_red(result)
     assert sum(line.startswith("not run: ") for line in result.stdout.lines) == 1
+
+
+LEFT_OUT = """
+class SafetySuite:
+    @pafot.search(SHORT)
+    def test_it(self, run):
+        pass
+
+@pafot.search(SHORT)
+class TestEmpty:
+    def check_it(self, run):
+        pass
+
+class TestConstructed:
+    def __init__(self):
+        pass
+
+    @pafot.search(SHORT)
+    def test_it(self, run):
+        pass
+
+@pafot.search(SHORT)
+def test_twice(run):
+    assert not run
+
+def test_twice():
+    pass
+
+if pytest:
+    @pafot.search(SHORT)
+    def test_once(run):
+        pass
+else:
+    def test_once():
+        pass
+"""
+DERIVED = """
+from test_left_out import SafetySuite
+from shared import test_shared, Shared
+
+class TestDerived(SafetySuite):
+    pass
+
+class TestShared(Shared):
+    pass
+"""
+SHARED = """
+@pafot.search(SHORT)
+def test_shared(run):
+    pass
+
+class Shared:
+    @pafot.search(SHORT)
+    def test_it(self, run):
+        pass
+"""
+IN_CONFTEST = """
+import pytest_pafot as pafot
+
+@pafot.search
+def test_in_conftest(run):
+    assert not run
+"""
+
+
+def test_marked_tests_that_pytest_leaves_out_fail_a_ci_session(project, ci):
+    project.write(LEFT_OUT)
+    conftest = project.path / "conftest.py"
+    conftest.write_text(conftest.read_text() + IN_CONFTEST)
+    no_warning = "-Wignore::pytest.PytestCollectionWarning"
+    result = replay(project, no_warning)
+    assert result.ret == 1
+    no_test = "pytest collects no test of this class; expected one without __init__ and __new__, and with test methods"
+    assert [line for line in result.stdout.lines if line.startswith("not run: ")] == [
+        "not run: conftest.py::test_in_conftest: pytest collects no tests from this file; move it to a test file",
+        "not run: test_it.py::SafetySuite::test_it: expected a name that pytest collects, such as TestSafetySuite",
+        f"not run: test_it.py::TestConstructed::test_it: {no_test}",
+        f"not run: test_it.py::TestEmpty: {no_test}",
+        "not run: test_it.py::test_twice: line 27 replaces that of line 24",
+    ]
+    assert replay(project, no_warning, "test_it.py::test_once").ret == 1
+
+
+def test_tests_that_others_derive_from_or_import_are_collected(project, ci):
+    project.write(LEFT_OUT.partition("@pafot.search(SHORT)\nclass")[0], name="test_left_out")
+    project.write(SHARED, name="shared")
+    project.write(DERIVED, name="test_other")
+    result = replay(project)
+    result.stdout.no_fnmatch_line("not run: *")
+    assert result.ret == 0
+
+
+@pytest.mark.parametrize(("folder", "settings"), [("build", ""), (".hidden", ""), ("rules", "norecursedirs = rules")])
+def test_saved_scenario_in_a_folder_that_pytest_passes_by_fails_a_ci_session(saved, ci, folder, settings):
+    (saved.path / folder).mkdir()
+    for each in ("test_it.py", "pafot_corpus"):
+        (saved.path / each).rename(saved.path / folder / each)
+    saved.write("def test_other():\n    pass\n", name="test_other")
+    saved.pytester.makeini(f"[pytest]\n{settings}\n")
+    for args in ([], ["."]):
+        result = replay(saved, *args)
+        assert is_red(result)
+        result.stdout.fnmatch_lines([f"not run: {folder}/pafot_corpus/*did not collect {folder}/test_it.py*"])
+
+
+def test_saved_scenario_outside_of_testpaths_is_named(saved, ci):
+    (saved.path / "tests").mkdir()
+    (saved.path / "tests" / "test_other.py").write_text("def test_other():\n    pass\n")
+    saved.pytester.makeini("[pytest]\ntestpaths = tests\n")
+    result = replay(saved)
+    assert result.ret == 0
+    result.stdout.fnmatch_lines(["not run: pafot_corpus/*: the setting testpaths leaves out test_it.py"])
+    replay(saved, "tests").stdout.no_fnmatch_line("not run: *")
+
+
+@pytest.mark.parametrize("place", ["pafot_corpus", "pafot_corpus/test_it", "pafot_corpus/test_it/test_fails"])
+def test_file_in_place_of_a_folder_of_saved_scenarios_fails_a_ci_session(saved, ci, place):
+    shutil.rmtree(saved.path / place)
+    (saved.path / place).write_text("../elsewhere")  # so git writes a link, where it may not make links
+    result = replay(saved)
+    assert is_red(result)
+    result.stdout.fnmatch_lines([f"not run: {place}: expected a folder of saved scenarios, received a file; *"])
+
+
+@pytest.mark.parametrize("given", ["pafot_corpus", "pafot_corpus/test_it", "pafot_corpus/test_it/test_fails"])
+def test_corpus_on_the_command_line_is_replayed(saved, given):
+    saved.write("def test_unit():\n    pass\n", name="test_unit")
+    replay(saved, given).assert_outcomes(failed=1)
+    replay(saved, given, "test_unit.py").assert_outcomes(failed=1, passed=1)
