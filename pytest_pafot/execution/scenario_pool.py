@@ -7,7 +7,9 @@ import logging
 import os
 import pickle
 import sys
+import threading
 import time
+import traceback
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, redirect_stderr, redirect_stdout, suppress
@@ -33,7 +35,7 @@ from pytest_pafot.world.guard.own_worlds import rollout_of
 
 @dataclass(slots=True, kw_only=True)
 class CapturedOutput:
-    """The captured output: printed text, log records and warnings, each in the order in which they occurred.
+    """The captured output: printed text, log records, warnings and what ended threads, each in their order.
 
     A warning that passes the filters is stored as text, category, file and line, without the objects that it refers to.
     """
@@ -42,9 +44,10 @@ class CapturedOutput:
     err: str = ""
     records: list[logging.LogRecord] = field(default_factory=list)
     warned: list[tuple[str, type[Warning], str, int]] = field(default_factory=list)
+    threads: list[tuple[str, str]] = field(default_factory=list)  # those that an exception ended, with the traceback
 
     def __bool__(self) -> bool:
-        return bool(self.out or self.err or self.records or self.warned)
+        return bool(self.out or self.err or self.records or self.warned or self.threads)
 
     def followed_by(self, other: CapturedOutput) -> CapturedOutput:
         """Return this output and a later one as one."""
@@ -53,10 +56,11 @@ class CapturedOutput:
             err=self.err + other.err,
             records=self.records + other.records,
             warned=self.warned + other.warned,
+            threads=self.threads + other.threads,
         )
 
     def repeat(self) -> None:
-        """Print the texts, handle the log records and issue the warnings in this process."""
+        """Print the texts, handle the log records, issue the warnings and tell of the threads in this process."""
         for stream, text in ((sys.stdout, self.out), (sys.stderr, self.err)):
             if text:
                 stream.write(text)
@@ -66,6 +70,9 @@ class CapturedOutput:
             warnings.simplefilter("always")  # They passed the filters of the process in which they were raised.
             for each in self.warned:
                 warnings.warn_explicit(*each)
+        for name, text in self.threads:  # The hook of the session is pytest's, which warns, or fails the test.
+            error = RuntimeError(f"in another process:\n{text}")
+            threading.excepthook(threading.ExceptHookArgs((type(error), error, None, threading.Thread(name=name))))
 
 
 @contextmanager
@@ -74,11 +81,18 @@ def capture_output() -> Iterator[CapturedOutput]:
     captured, out, err = CapturedOutput(), _Stream(), _Stream()
     root, queue = logging.getLogger(), SimpleQueue[logging.LogRecord]()
     handlers, root.handlers = root.handlers, [QueueHandler(queue)]
+
+    def note(ended: threading.ExceptHookArgs) -> None:
+        text = "".join(traceback.format_exception(ended.exc_type, ended.exc_value, ended.exc_traceback))
+        captured.threads.append((ended.thread.name if ended.thread else "", text))
+
+    hook, threading.excepthook = threading.excepthook, note
     try:
         with redirect_stdout(out), redirect_stderr(err), warnings.catch_warnings(record=True) as warned:
             yield captured
     finally:
         root.handlers = handlers
+        threading.excepthook = hook
     captured.out, captured.err = out.text, err.text
     captured.records = [queue.get() for _ in range(queue.qsize())]
     captured.warned = [(str(each.message), each.category, each.filename, each.lineno) for each in warned]

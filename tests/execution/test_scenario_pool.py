@@ -3,6 +3,7 @@
 import logging
 import os
 import sys
+import threading
 import time
 import warnings
 
@@ -109,6 +110,23 @@ def test_what_the_ads_says_is_said_again_here(pool_of, capsys, caplog):
     assert warned[0].filename == __file__
     assert capsys.readouterr() == ("driving 0\nbytes\n", "careful\n")
     assert caplog.record_tuples == [("planner", logging.WARNING, "gap of 0 m")]
+
+
+def test_exception_in_a_thread_of_another_process_is_told_to_the_hook_of_this_one(pool_of, monkeypatch):
+    def drive(number):
+        thread = threading.Thread(target=lambda: 1 / number, name="planning")
+        thread.start()
+        thread.join()
+
+    told = []
+    monkeypatch.setattr(threading, "excepthook", told.append)
+    answer = fetched(pool_of(drive))
+    assert not told
+    trace_from(answer)
+    (ended,) = told
+    assert ended.thread.name == "planning"
+    assert "1 / number" in str(ended.exc_value)
+    assert "ZeroDivisionError" in str(ended.exc_value)
 
 
 def test_ads_that_closes_stdout_closes_only_its_own(pool_of, capsys):
