@@ -91,7 +91,6 @@ class RandomBeginning:
 
 
 MAX_SAVED = flag("max_saved")
-SAVES_NONE = flag("save", "none")
 
 
 def check_states(resume: str, here: Path) -> None:
@@ -128,8 +127,8 @@ class Sessions:
     _earlier: Counts | None = field(init=False, default=None)
     _runs: int = field(init=False, default=0)  # runs of earlier sessions
     _generations: int = field(init=False, default=0)  # generations of earlier sessions
-    # ids of findings of earlier sessions that have no file and get none, each with the option that prevents it
-    _unsaved_before: dict[str, str] = field(init=False, default_factory=dict)
+    # ids of findings of earlier sessions beyond the number that a search saves
+    _unsaved_before: set[str] = field(init=False, default_factory=set)
 
     def __post_init__(self) -> None:
         self._began = self.clock()
@@ -173,8 +172,7 @@ class Sessions:
         problem, anew = ("", "") if self._file is None else (self._file.problem, self._file.anew)
         unsaved = self._unsaved_before
         shown = plural(sum(1 + self.loop.repeats[id_] for id_ in unsaved), "run")
-        options = " and ".join(sorted(set(unsaved.values())))
-        left = f"{plural(len(unsaved), 'finding')} of earlier sessions not saved ({options}), shown by {shown}"
+        left = f"{plural(len(unsaved), 'finding')} of earlier sessions not saved ({MAX_SAVED}), shown by {shown}"
         postponed = f"no time was left to shrink {plural(len(self._postponed), 'finding')} of earlier sessions"
         return [
             *([] if self._earlier is None else [went_on]),
@@ -234,21 +232,20 @@ class Sessions:
         return self.go_on and is_of_search and saved.id not in self._before
 
     def find_again(self, saved: Sequence[Saved], until: float) -> None:
-        """Run again the findings that earlier sessions have not shrunk, and the findings whose file is gone.
+        """Run again the findings that earlier sessions have not shrunk, and the findings that have no file.
 
-        If findings without a file were skipped, a search whose corpus was lost would pass forever. After the time
+        If findings without a file were skipped, a search that saves none, or whose corpus was lost, would pass forever. After the time
         ``until`` [s], findings with a file are left to a later session.
         """
         __tracebackhide__ = True
-        saves = self.harness.request.settings.save != "none"
         for find in () if self._earlier is None else self._earlier.finds:
             # There is a file of the same name, or a simpler one of the same kind after a merge.
             is_there = any(
                 each.id == find.id or (each.finding is not None and each.finding.signature == find.signature)
                 for each in saved
             )
-            if find.found is None or not (is_there or find.is_due or saves):
-                self._unsaved_before[find.id] = MAX_SAVED if find.found is None else SAVES_NONE
+            if find.found is None:
+                self._unsaved_before.add(find.id)
                 continue
             if is_there and not find.is_due:
                 continue
