@@ -234,8 +234,8 @@ class Sessions:
     def find_again(self, saved: Sequence[Saved], until: float) -> None:
         """Run again the findings that earlier sessions have not shrunk, and the findings that have no file.
 
-        If findings without a file were skipped, a search that saves none, or whose corpus was lost, would pass forever. After the time
-        ``until`` [s], findings with a file are left to a later session.
+        If findings without a file were skipped, a search that saves none, or whose corpus was lost, would pass forever.
+        After the time ``until`` [s], findings with a file are left to a later session.
         """
         __tracebackhide__ = True
         for find in () if self._earlier is None else self._earlier.finds:
