@@ -8,8 +8,8 @@ then makes the same attempts in the same order, so it has the same result.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from contextlib import nullcontext
+from collections.abc import Callable, Sequence
+from contextlib import nullcontext, suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import count
@@ -85,6 +85,9 @@ ROLLOUTS, ROLLOUTS_IN_KERNEL = 300, 3000
 The larger limit is for an ADS that is a vehicle class of highway-env, because the kernel runs it quickly.
 """
 
+
+BATCH = 16
+"""The number of candidates that an ADS that decides for many runs at once drives in one batch."""
 
 MANY = 1_000_000
 """More lanes than there are, for actions that a run has checked before."""
@@ -176,6 +179,17 @@ class Simplification:
         findings, then to findings that were cut. ``way_on`` says how the user can go on with a finding that stays cut.
         """
         __tracebackhide__ = True
+        runner = self.loop.simulation.runner
+        runner.read_here()  # Candidates are judged by the failure of one finding, which no other process knows.
+        with runner:
+            self._shrink_all(way_on)
+            for kept in list(self.loop.recorder.kept.values()) if self.neighbours else ():
+                if kept.is_firm and kept.find.id in self.done:
+                    self.current = kept.find.id
+                    self._examine(kept)
+
+    def _shrink_all(self, way_on: str) -> None:
+        __tracebackhide__ = True
         recorder = self.loop.recorder
         finds, before = [find_id for find_id, kept in recorder.kept.items() if kept.is_firm], -1
         while finds and self.runs > before:  # After a round without runs there is no time left.
@@ -188,10 +202,6 @@ class Simplification:
             cut = "not shrunk: out of time" if kept.finding.shrunk is None else "shrunk in part: out of time"
             find = replace(kept.find, unshrunk=f"{kept.find.unshrunk or cut}{way_on}")
             recorder.tell(replace(kept, find=find, is_new=False))
-        if self.neighbours:
-            for kept in [each for find_id, each in recorder.kept.items() if each.is_firm and find_id in self.done]:
-                self.current = kept.find.id
-                self._examine(kept)
 
     def _examine(self, kept: FindTold) -> None:
         """Run the neighbours of a finding, and report how many fail in the same way, unless the time ends before.
@@ -239,7 +249,9 @@ class Simplification:
             return run is not None
 
         limits = limits_of(self.loop.simulation.harness.world)
-        return breadth_of(kept.finding.scenario, self.neighbours, fails=fails, limits=limits)
+        return breadth_of(
+            kept.finding.scenario, self.neighbours, fails=fails, limits=limits, ahead=self._ahead, expect=self._expect
+        )
 
     def _decisions(self, kept: FindTold, found: Run) -> tuple[Answers | None, Moment | None]:
         """Return how many decisions depend on the vehicle of a failure, and the last that could have avoided it.
@@ -406,6 +418,10 @@ class Simplification:
             scenario, starts[scenario] = shown
             return scenario
 
+        def expect(candidates: Sequence[Scenario], more: bool) -> None:
+            if asked == len(answers):  # What an earlier session has answered is not run again.
+                self._expect(candidates, more)
+
         if rollouts == 0:
             return found, Shrunk(rollouts=0, is_minimal=False)
         return shrink(
@@ -416,7 +432,27 @@ class Simplification:
             starts=lambda scenario: starts.get(scenario, ()),
             plain=self.plain,
             plain_seconds=self.plain_seconds,
+            ahead=self._ahead,
+            expect=expect,
         )
+
+    @property
+    def _ahead(self) -> int:
+        """The number of runs that are made at the same time: in other processes, or in one batch."""
+        simulation = self.loop.simulation
+        return BATCH if simulation.runner.decides_for_many else simulation.harness.request.settings.workers
+
+    def _expect(self, scenarios: Sequence[Scenario], more: bool) -> None:
+        """Let scenarios be run in advance, if they can be run at all."""
+        loop = self.loop
+
+        def fits(scenario: Scenario) -> bool:
+            with suppress(ScenarioError):
+                protocol.check_fits(loop.simulation.harness.world, scenario)
+                return scenario not in loop.fatal
+            return False
+
+        loop.simulation.runner.announce(filter(fits, scenarios), more=more)
 
     def _confirming(self, scenario: Scenario) -> float:
         """Return the estimated time to confirm a scenario [s], from the slowest confirmation so far."""
@@ -446,8 +482,11 @@ class Simplification:
         except ProcessLostError as error:
             loop.lose(error)
             return None
-        verdict = loop.simulation.judge(run, driven(run))
-        return run if self._shows(find_id, run, verdict) else None
+        shows = self._shows(find_id, run, loop.simulation.judge(run, driven(run)))
+        if shows and not loop.simulation.runner.is_alone:  # A batch may mix up its rows, and a replay runs it alone.
+            run = loop.simulation.run(candidate, afresh=True)
+            shows = self._shows(find_id, run, loop.simulation.judge(run, driven(run)))
+        return run if shows else None
 
     def _shows(self, find_id: str, run: Run, verdict: Verdict) -> bool:
         """Return whether a run shows the failure of a finding, and by the same fault, so its name still fits."""

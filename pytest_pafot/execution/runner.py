@@ -36,6 +36,7 @@ from pytest_pafot.execution.scenario_pool import (
     Timed,
     capture_output,
     pool_for,
+    read_nothing,
     recovery_note,
     trace_apart,
     trace_from,
@@ -168,6 +169,10 @@ class Runner:
         """Let other processes draw and count scenarios from now on; see :class:`Groups` for the arguments."""
         if self.job.groups is not None:
             self.processes.begin_groups(Groups(course, needed))
+
+    def read_here(self) -> None:
+        """Let this process read the traces of all runs that are announced from now on; other processes judge none."""
+        self.processes.read_here()
 
     def counted(self, generation: int, index: int) -> GroupPart | None:
         """Return the next runs of a search, from a place on, that another process has counted.
@@ -406,11 +411,11 @@ class Processes:
         if isinstance(self._pool, ExecutorPool):
             return self._pool.notes
         option = flag("workers", self._workers)
-        if self._pool is not None:
+        if self._runs_before:
             used = f"{option}: in use after {plural(self._runs_before, 'run')} of this process{self._job.remark}"
-            if self._pool.failure:
+            if self._pool is not None and self._pool.failure:
                 used = f"{flag('workers')}: this process ran the scenarios; no other one could: {self._pool.failure}"
-            return [used, *map(recovery_note, self._pool.recovered)]
+            return [used, *self._retried]
         if self._workers == 1 or self._runs <= WARM_RUNS:
             return []
         mean, dear = 1000 * self._warm_seconds / (self._runs - 1), 1000 * DEAR
@@ -432,11 +437,26 @@ class Processes:
 
     def begin_groups(self, groups: Groups) -> None:
         """Let new processes draw scenarios. Earlier ones do not know the search, which had not begun when they did."""
+        self._end()
+        self.groups = groups
+
+    def read_here(self) -> None:
+        """See :meth:`Runner.read_here`. The workers of an executor, which may be elsewhere, judge no runs anyway."""
+        if self._executor is None:
+            self._job = replace(self._job, read=read_nothing, groups=None)
+            self._end()
+
+    def _end(self) -> None:
+        """End the pool, so that processes with another task can be started."""
         if self._pool is not None:
-            self._recovered += self._pool.recovered
+            self._recovered = self._pool.recovered
             self._pool.close()
             self._pool = None
-        self.groups = groups
+
+    @property
+    def _retried(self) -> list[str]:
+        """Notes on processes that died in runs that later succeeded."""
+        return list(map(recovery_note, self._recovered if self._pool is None else self._pool.recovered))
 
     def counted(self, generation: int, index: int) -> GroupPart | None:
         """See :meth:`Runner.counted`."""
@@ -497,9 +517,9 @@ class Processes:
         )  # A process that counts its runs itself takes hardly any time here.
         if self._pool is not None and self._runs == WARM_RUNS + 1 and not is_dear:
             self._pool.close(at_once=True)
-            self._pool = None
+            self._pool, self._runs_before = None, 0
         elif self._pool is None and is_dear and self._workers > 1 and not self._failure:
-            self._runs_before = self._runs
+            self._runs_before = self._runs_before or self._runs
             try:
                 self._begin()
             except ExecutionError as error:
@@ -529,7 +549,7 @@ class Isolated(Processes):
         """Notes on processes that died in runs that later succeeded, and on an executor that made all runs."""
         if isinstance(self._pool, ExecutorPool):
             return [] if self._pool.failure or self._pool.unable else self._pool.notes
-        return [] if self._pool is None else [recovery_note(each) for each in self._pool.recovered]
+        return self._retried
 
     def counted(self, generation: int, index: int) -> GroupPart | None:
         """See :meth:`Runner.counted`."""

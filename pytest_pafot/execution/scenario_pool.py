@@ -200,7 +200,7 @@ ScenarioPool: TypeAlias = WorkerPool[Any, Any]
 """Its tasks are scenarios with an :data:`Answer`, or :class:`Places` with :data:`Parts`."""
 
 
-def _read_nothing(said: object) -> None:
+def read_nothing(said: object) -> None:
     """Read nothing; the default of ``Job.read`` for runs outside of a search."""
 
 
@@ -220,7 +220,7 @@ class Job:
     world_data: Mapping[str, Any] | None = None
     root: Path = Path()
     """The folder of the project, whose modules are sent with the ADS to other machines."""
-    read: Callable[[Trace], Digest | None] = _read_nothing
+    read: Callable[[Trace], Digest | None] = read_nothing
     """A function that reads a trace in the process that made the run. It returns the digest that is sent instead of the
     trace. Without a digest the trace is sent, with the values that it stores by then."""
     groups: GroupWork | None = None
@@ -265,7 +265,7 @@ def pool_for(job: Job, size: int) -> ScenarioPool:
         grace=grace,
         memory=_memory(job, size),
         ended=partial(_forget, job),
-        heard=_read_nothing if job.groups is None else job.groups.learn,
+        heard=read_nothing if job.groups is None else job.groups.learn,
     )
 
 

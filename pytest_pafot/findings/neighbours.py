@@ -126,27 +126,46 @@ class Limits:
 
 
 def breadth_of(
-    scenario: Scenario, number: int, *, fails: Callable[[Scenario], bool | None], limits: Limits
+    scenario: Scenario,
+    number: int,
+    *,
+    fails: Callable[[Scenario], bool | None],
+    limits: Limits,
+    ahead: int = 0,
+    expect: Callable[[Sequence[Scenario], bool], None] = lambda scenarios, more: None,
 ) -> Breadth | None:
     """Return how many of a number of neighbours fail, of fewer if there are not as many; None if there are none.
 
+    No more of them are run than it takes to know :attr:`Breadth.word`.
+
     Args:
         scenario: the scenario of a finding.
-        number: the number of neighbours.
+        number: the largest number of neighbours.
         fails: runs a scenario, and returns whether it fails in the same way; None if its run is that of the finding, so
             that it is no neighbour.
         limits: what the world allows.
+        ahead, expect: as for :func:`~pytest_pafot.findings.shrink.shrink`.
     """
     known: Breadth | None = None
     for share in SHARES:
-        answers = filter(
-            lambda each: each is not None, map(fails, islice(neighbours(scenario, share, limits), 2 * number))
-        )
-        told = list(islice(answers, number))
+        drawn = list(islice(neighbours(scenario, share, limits), 2 * number))
+        expect(drawn[:ahead], False)
+        told: list[bool] = []
+        for index, each in enumerate(drawn):
+            answer = fails(each)
+            expect(drawn[index + ahead : index + ahead + 1], True)
+            if answer is None:
+                continue
+            told.append(answer)
+            failing, passing = told.count(True), told.count(False)
+            # With smaller steps, the first one that fails says all. Otherwise all that are left cannot change the word.
+            is_clear = failing > 0 if share < 1 else 2 * failing > number or (failing > 0 and 2 * passing >= number)
+            if is_clear or len(told) == number:
+                break
         if not told:
             return known
         full = len(told) if known is None else known.full
-        known = Breadth(failing=sum(map(bool, told)), of=len(told), share=share, full=full)
+        known = Breadth(failing=sum(told), of=len(told), share=share, full=full)
         if known.failing:
             return known
     return known

@@ -11,11 +11,12 @@ This module does not simulate: its caller passes a function that runs a scenario
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
-from itertools import combinations, pairwise, permutations, product, zip_longest
+from itertools import combinations, islice, pairwise, permutations, product, zip_longest
 from typing import Any
 
 from pytest_pafot.model.driving_style import PAPERS, Traffic
@@ -51,6 +52,10 @@ Attempt = Callable[[Scenario], Scenario | None]
 
 Start = tuple[int, float]
 """The ego's lane and speed [m/s] when a gene begins."""
+
+Expecting = Callable[[Sequence[Scenario], bool], None]
+"""A function that is told of the next scenarios, and whether they are more of them; otherwise earlier ones that were
+not run are dropped."""
 
 Starts = Callable[[Scenario], Sequence[Start]]
 """A function that returns the start of each gene of a failing scenario as driven; empty if unknown."""
@@ -207,32 +212,43 @@ def shrink(
     starts: Starts = lambda scenario: (),
     plain: Start | None = None,
     plain_seconds: float | None = None,
+    ahead: int = 0,
+    expect: Expecting = lambda candidates, more: None,
 ) -> tuple[Scenario, Shrunk]:
     """Return the simplest scenario found that fails in the same way as ``scenario``, as driven, with the statistics.
 
     Args:
         scenario: failing scenario, as driven.
-        attempt: runs a scenario. It is never called twice with the same scenario, and equal results lead to the same
+        attempt: runs a scenario, at first ``scenario`` itself. It is never called twice with the same scenario, and equal results lead to the same
             order of calls. To end the search early, it must raise :class:`OutOfBudget` in this call and all later ones.
         rollouts: largest number of calls of ``attempt``.
         top_speed: highest speed of any instruction [m/s].
         starts: returns the ego's lane and speed at the start of each gene, so that the scenario can begin later.
         plain: preferred start of the ego; None for no preference.
         plain_seconds: preferred duration of a gene [s]; None for no preference.
+        ahead: number of candidates that ``expect`` is told of before ``attempt`` is called with the first of them.
+        expect: is told of candidates that ``attempt`` will be called with if the ones before them do not fail, so that
+            they can be run at the same time. It changes nothing in the result.
     """
     top = int(min(top_speed, MAX_SPEED) * SPEED_STEPS_PER_MPS + 1e-6)
-    tried: dict[Scenario, Scenario | None] = {scenario: scenario}
     slowest = min(_tenths(gene) for chain in scenario.npcs for gene in chain)
     least = 0.0 if top_speed == MAX_SPEED else scenario.traffic.least_speed(top_speed)
     low = min(round(least * SPEED_STEPS_PER_MPS), slowest)
-    gate = _Gate(best=scenario, attempt=attempt, rollouts=rollouts // FIRST_PART, low=low, top=top, tried=tried)
+    gate = _Gate(
+        best=scenario, attempt=attempt, rollouts=rollouts // FIRST_PART, low=low, top=top, tried={},
+        ahead=ahead, expect=expect,
+    )  # fmt: skip
     intervals: list[SpeedInterval] = []
     is_minimal = False
     plainer: Pass = partial(_plainer_start, plain=plain)
     longer: Pass = partial(_plainer_duration, seconds=plain_seconds)
-    deletions: tuple[Pass, ...] = (plainer, longer, *PASSES, partial(_later, starts=starts))
+    later: Pass = partial(_later, starts=starts)
+    deletions: tuple[Pass, ...] = (plainer, longer, *PASSES, later)
     with suppress(OutOfBudget):
+        if gate.driven(scenario) is None:  # driven again, so that ``starts`` is known of it
+            return scenario, Shrunk(rollouts=gate.spent, is_minimal=False)
         gate.exhausts(_ending)  # first, because a run that does not fail lasts as long as its scenario
+        gate.exhausts(later)  # next, because every run drives through all that is before the failure
         gate.exhausts(_alone)
     small = partial(_small, found=gate.best, plain=plain or (scenario.ego_lane, scenario.ego_speed))
     with suppress(OutOfBudget):
@@ -263,6 +279,8 @@ class _Gate:
     low: int
     top: int
     tried: dict[Scenario, Scenario | None]
+    ahead: int
+    expect: Expecting
     spent: int = 0
 
     def simplifies(self, candidate: Scenario | None) -> bool:
@@ -279,8 +297,9 @@ class _Gate:
         """Repeat a pass until it finds no simpler scenario; return whether it found any."""
         found, skipped = False, 0
         while True:
-            for index, candidate in enumerate(candidates(self.best)):
-                if index >= skipped and self.simplifies(candidate):
+            rest = islice(candidates(self.best), skipped, None)
+            for index, candidate in enumerate(self._foretold(rest), skipped):
+                if self.simplifies(candidate):
                     found, skipped = True, index  # Those before it just failed, so they are tried again last.
                     break
             else:
@@ -288,13 +307,38 @@ class _Gate:
                     return found
                 skipped = 0
 
+    def _foretold(self, candidates: Candidates) -> Candidates:
+        """Yield the candidates, and tell ``expect`` which of them will be run if the ones before them do not fail."""
+        if self.ahead < 2:
+            yield from candidates
+            return
+        self.expect((), False)
+        read, told = deque[Scenario | None](), set[Scenario]()
+        for candidate in candidates:
+            read.append(candidate)
+            if candidate is not None and candidate not in told and self._would_run(candidate):
+                if self.spent + len(told) < self.rollouts:
+                    told.add(candidate)
+                    self.expect((candidate,), True)
+            while len(told) >= self.ahead:
+                yield (first := read.popleft())
+                told -= {first}
+        yield from read
+
+    def _would_run(self, candidate: Scenario) -> bool:
+        is_new = candidate not in self.tried and self._is_allowed(candidate)
+        return is_new and sort_key(candidate) < sort_key(self.best)
+
+    def _is_allowed(self, candidate: Scenario) -> bool:
+        return all(self.low <= _tenths(gene) <= self.top for chain in candidate.npcs for gene in chain)
+
     def driven(self, candidate: Scenario) -> Scenario | None:
         """Return the candidate as driven if it fails in the same way, otherwise None.
 
         Raises:
             OutOfBudget: if the result is not known yet and no runs or no time are left.
         """
-        if any(not self.low <= _tenths(gene) <= self.top for chain in candidate.npcs for gene in chain):
+        if not self._is_allowed(candidate):
             return None
         if candidate not in self.tried:
             if self.spent >= self.rollouts:

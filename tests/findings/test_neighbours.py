@@ -1,5 +1,6 @@
 """Neighbours of a scenario, and how many of them fail as it does."""
 
+import random
 import subprocess
 import sys
 from dataclasses import replace
@@ -168,13 +169,27 @@ def breadth(fails, number=40, scenario=ON_GRID):
     return breadth_of(scenario, number, fails=runs, limits=limits()), ran
 
 
-def test_breadth_counts_the_neighbours_that_fail():
-    found, ran = breadth(lambda each: each.npcs[0][0].cell == 2 and each.npcs[0][0].speed >= 9.5)
-    assert len(ran) == 40
-    assert found == Breadth(
-        failing=sum(e.npcs[0][0].cell == 2 and e.npcs[0][0].speed >= 9.5 for e in ran), of=40, full=40
-    )
-    assert 5 < found.failing < 40
+def test_breadth_counts_the_neighbours_that_fail_until_its_word_is_clear():
+    def fails(each):
+        return each.npcs[0][0].cell == 2 and each.npcs[0][0].speed >= 9.5
+
+    found, ran = breadth(fails)
+    whole = list(map(fails, around(ON_GRID)))
+    assert found == Breadth(failing=sum(map(fails, ran)), of=len(ran), full=len(ran))
+    assert found.word == Breadth(failing=sum(whole), of=40, full=40).word == "broad"
+    assert list(map(fails, ran)) == whole[: len(ran)]
+    assert [ran.count(each) for each in ran] == [1] * len(ran)
+    assert (len(ran), found.failing) == (34, 21)  # 21 of 40 are most
+
+
+@pytest.mark.parametrize("share", [0.05, 0.3, 0.5, 0.7, 0.95])
+def test_word_is_that_of_all_neighbours(share):
+    for seed in range(20):
+        rng = random.Random(seed)
+        told = {each: rng.random() < share for each in around(ON_GRID)}
+        found, ran = breadth(lambda each, told=told: told.get(each, False))
+        assert found.word == Breadth(failing=sum(told.values()), of=40, full=40).word
+        assert sum(told.values()) in (0, 20, 21) or len(ran) < 40
 
 
 def test_steps_are_made_smaller_while_no_neighbour_fails():
@@ -195,7 +210,8 @@ def test_steps_are_made_smaller_while_no_neighbour_fails():
     found, ran = breadth(fails)
     assert found.share < 1
     assert found.failing > 0
-    assert len(ran) == 40 * (list(SHARES).index(found.share) + 1)
+    assert len(ran) <= 40 * (list(SHARES).index(found.share) + 1)
+    assert [fails(each) for each in ran] == [False] * (len(ran) - 1) + [True]
 
 
 def test_a_failure_without_any_failing_neighbour_has_all_steps():

@@ -191,7 +191,8 @@ def test_first_attempts_are_short_because_a_run_that_does_not_fail_lasts_to_its_
         return candidate if has(2)(candidate) else None
 
     shrink(long, attempt, rollouts=100)
-    assert all(each.genes == 1 for each in attempts)
+    assert attempts[0] == long  # to know where the ego is at each gene
+    assert all(each.genes == 1 for each in attempts[1:])
     assert sum(len(each.npcs) for each in attempts[:20]) < 2 * 20
 
 
@@ -426,6 +427,32 @@ def test_minimal_result_is_repeatable_and_cannot_be_reduced(failure):
         smaller += [Scenario(npcs=each, ego_lane=best.ego_lane, ego_speed=best.ego_speed) for each in chains]
     assert not any(fails(each) for each in smaller)
     assert instructions(best) <= instructions(given)
+
+
+@given(failure=failures(), ahead=st.integers(2, 20), rollouts=st.sampled_from([0, 1, 20, 150]))
+def test_runs_told_in_advance_change_nothing_and_are_those_that_follow(failure, ahead, rollouts):
+    given, fails = failure
+    plain, how = shrunk(given, fails, rollouts=rollouts)
+    asked, told, waiting = [], [], []
+
+    def expect(candidates, more):
+        if not more:
+            waiting.clear()
+        waiting.extend(candidates)
+        told.extend(candidates)
+        assert len(waiting) <= ahead
+
+    def attempt(candidate):
+        asked.append(candidate)
+        if candidate in waiting:  # those before it were not asked, or not again
+            assert waiting[0] == candidate
+            waiting.pop(0)
+        return candidate if fails(candidate) else None
+
+    result = shrink(given, attempt, rollouts=rollouts, top_speed=26.8, ahead=ahead, expect=expect)
+    assert result == (plain, how)
+    passes = [each for each in asked if not fails(each)]
+    assert len(passes) < 10 or len(set(passes) & set(told)) > len(passes) / 2
 
 
 def test_runs_are_reserved_for_speeds_that_still_fail():
