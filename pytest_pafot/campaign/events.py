@@ -36,6 +36,8 @@ class Progress:
     finds: int  # distinct new findings
     seconds: float  # since the search began
     budget: int | None = None  # requested runs
+    decisions: int = 0  # of the policy, in these runs; 0 if some of them are of an earlier session
+    is_limited: bool = False  # whether a limit of time ends the search
     phase: str = ""  # the work after the generations, such as shrinking; empty while they run
     of: str = ""  # the id of the finding that this work is about
 
@@ -182,6 +184,8 @@ class SearchSummary:
         runs: number of simulated scenarios.
         shrink_runs: number of runs that simplified the findings, in addition to `runs`.
         neighbour_runs: number of runs of the findings' neighbours, likewise.
+        decisions, shrink_decisions, neighbour_decisions: numbers of decisions of the policy in these runs of this
+            session, without those of replays.
         known_runs: number of scenarios that were not run again.
         failing, invalid, npc, avoidable, unpreventable, common, rejected, skipped, no_interaction: numbers of runs, as
             in the summary; there `npc` is npc at fault, `unpreventable` is not preventable, `common` is failing with
@@ -218,6 +222,9 @@ class SearchSummary:
     runs: int = 0
     shrink_runs: int = 0
     neighbour_runs: int = 0
+    decisions: int = 0
+    shrink_decisions: int = 0
+    neighbour_decisions: int = 0
     known_runs: int = 0
     failing: int = 0
     invalid: int = 0

@@ -139,6 +139,11 @@ class Sessions:
         return self._file is not None
 
     @property
+    def is_resumed(self) -> bool:
+        """True if an earlier session has made some of the runs."""
+        return self._earlier is not None
+
+    @property
     def seconds(self) -> float:
         """The time that the search has taken so far, in all its sessions [s]."""
         return self.clock() - self._began + (0.0 if self._earlier is None else self._earlier.seconds)

@@ -229,6 +229,8 @@ class Search:
     process_notes: list[str] = field(default_factory=list)  # notes on processes for the summary
     _shrink_runs: int = field(init=False, default=0)
     _neighbour_runs: int = field(init=False, default=0)
+    _shrink_decisions: int = field(init=False, default=0)
+    _neighbour_decisions: int = field(init=False, default=0)
     _manners: dict[str, Manner] = field(init=False, default_factory=dict)  # of the saved scenarios, by id
     _told_at: float = field(init=False)
 
@@ -291,6 +293,8 @@ class Search:
                 work.run_all(f"; {flag('resume')} goes on" if self.sessions.go_on else "")
             finally:  # Even after Ctrl-C, findings that were simplified must not be simplified again.
                 self._shrink_runs, self._neighbour_runs = work.runs, work.neighbour_runs
+                self._shrink_decisions = work.shrink_decisions
+                self._neighbour_decisions = work.decisions - work.shrink_decisions
                 self.driver_notes += work.notes
                 self.sessions.store(simplified=work.done)
         except SetupFaultError as error:
@@ -476,6 +480,8 @@ class Search:
                 failing=loop.verdicts["failed"],
                 finds=loop.recorder.count,
                 seconds=self.sessions.seconds,
+                decisions=0 if self.sessions.is_resumed else loop.decisions,
+                is_limited=self.limit.until < math.inf,
                 phase=phase,
                 of=of,
             )
@@ -528,6 +534,9 @@ class Search:
             unsaved={id_: 1 + loop.repeats[id_] for id_ in loop.recorder.unsaved},
             shrink_runs=self._shrink_runs,
             neighbour_runs=self._neighbour_runs,
+            decisions=loop.decisions,
+            shrink_decisions=self._shrink_decisions,
+            neighbour_decisions=self._neighbour_decisions,
             known=dict(loop.known + self.sessions.found_before),
             unlike=self._unlike(),
             failures={signature.text: id_ for signature, id_ in loop.failures.items()},

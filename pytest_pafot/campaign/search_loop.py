@@ -79,6 +79,7 @@ class Passed:
     signature: Signature | None  # of a failure that the session knows; None if nothing failed
     manner: Manner | None  # of the same failure
     is_at_fault: bool  # see :func:`fails_by_ego`
+    decisions: int  # of the ADS
     caught: tuple[str, ...]  # the names of checks that failed although the test function passed
     doubt: str  # see :func:`unit_doubt`
 
@@ -145,6 +146,7 @@ class Reader:
                 signature=signature,
                 manner=manner,
                 is_at_fault=signature is not None and fails_by_ego(run, verdict),
+                decisions=len(trace.actions),
                 caught=_caught(verdict),
                 doubt=unit_doubt(trace),
             )
@@ -156,7 +158,7 @@ class Tally:
     """The counts of consecutive runs that another process has drawn, run and judged.
 
     Attributes:
-        runs: the number of runs.
+        runs, decisions: the numbers of runs, and of decisions of the ADS in them.
         news: the evaluations that matter to the algorithm.
         judged: all evaluations with their events, if the listener needs each of them; otherwise None.
         health: the figures on the search's health.
@@ -172,6 +174,7 @@ class Tally:
     """
 
     runs: int
+    decisions: int
     news: tuple[Evaluation, ...]
     judged: tuple[tuple[Evaluation, Judged], ...] | None
     health: Health
@@ -233,6 +236,7 @@ class Counting:
         has_rows = digests[0].event.columns is not None and not self.wants_each
         return Tally(
             runs=len(digests),
+            decisions=sum(each.decisions for each in digests),
             news=tuple(each for each in evaluations if drawer.matters(generation, each)),
             judged=tuple((each.evaluation, each.event) for each in digests) if self.wants_each else None,
             health=Health.of_runs(len(digests), evaluations),
@@ -307,6 +311,7 @@ class SearchLoop:
     manners: dict[Signature, dict[Manner, str]] = field(default_factory=dict)
     failures: dict[Signature, str] = field(default_factory=dict)  # ids by the failures that runs of this session showed
     verdicts: Counter[str] = field(default_factory=Counter)  # number of verdicts by kind
+    decisions: int = 0  # number of decisions of the ADS in the runs of this session's search
     caught: Counter[str] = field(default_factory=Counter)  # number of passed runs by a check that failed in them
     counted: Health = field(default_factory=Health)  # health of the evaluations that were counted
     uncounted: list[events.Evaluated] = field(default_factory=list)
@@ -464,6 +469,7 @@ class SearchLoop:
         for _, event in tally.judged or ():
             self.listener(event)
         self.verdicts.update(tally.verdicts)
+        self.decisions += tally.decisions
         self.caught.update(tally.caught)
         self.doubt = self.doubt or tally.doubt
         self.avoidable = self.avoidable or tally.avoidable
@@ -490,6 +496,7 @@ class SearchLoop:
     def _taken(self, passed: Passed) -> Evaluation:
         """Count a run that another process has judged, and return its evaluation."""
         self.listener(passed.event)
+        self.decisions += passed.decisions
         self._count_run(None, passed.event.verdict, passed.caught, passed.doubt)
         if passed.signature is not None:
             self._count_known(passed.signature)
@@ -511,6 +518,7 @@ class SearchLoop:
 
     def _judged(self, run: Run) -> Evaluation:
         is_alone = self.simulation.runner.is_alone
+        self.decisions += len(run.trace.actions)
         verdict = self.simulation.judge(run)
         judged = [Judged.here(run, verdict)]
         if verdict.failed and not is_alone:  # Run it alone as its replay will, in case a batch mixes up its rows.

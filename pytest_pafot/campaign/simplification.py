@@ -153,6 +153,8 @@ class Simplification:
         current: the id of the finding that is simplified or examined now.
         runs: the number of runs so far in this session, except those of neighbours.
         neighbour_runs: the number of runs of neighbours.
+        decisions: the number of decisions of the ADS in all these runs.
+        shrink_decisions: that of the runs except those of neighbours, known as soon as all findings are shrunk.
         notes: notes on what could not be found out about findings.
     """
 
@@ -168,6 +170,8 @@ class Simplification:
     current: str = field(default="", init=False)
     runs: int = field(default=0, init=False)
     neighbour_runs: int = field(default=0, init=False)
+    decisions: int = field(default=0, init=False)
+    shrink_decisions: int = field(default=0, init=False)
     notes: list[str] = field(default_factory=list, init=False)
 
     def run_all(self, way_on: str) -> None:
@@ -182,7 +186,10 @@ class Simplification:
         runner = self.loop.simulation.runner
         runner.read_here()  # Candidates are judged by the failure of one finding, which no other process knows.
         with runner:
-            self._shrink_all(way_on)
+            try:
+                self._shrink_all(way_on)
+            finally:
+                self.shrink_decisions = self.decisions
             for kept in list(self.loop.recorder.kept.values()) if self.neighbours else ():
                 if kept.is_firm and kept.find.id in self.done:
                     self.current = kept.find.id
@@ -324,6 +331,7 @@ class Simplification:
         self._check_time()
         self.tell(f"asking the policy of {found.scenario.id} again")
         self.neighbour_runs += 1
+        self.decisions += len(found.trace.actions)
         from pytest_pafot.world.driving.policy import checked_action  # noqa: PLC0415  (it needs highway-env, helps do not)
 
         harness, record = self.loop.simulation.harness, self.loop.simulation.record
@@ -482,6 +490,7 @@ class Simplification:
         except ProcessLostError as error:
             loop.lose(error)
             return None
+        self.decisions += len(run.trace.actions)
         shows = self._shows(find_id, run, loop.simulation.judge(run, driven(run)))
         if shows and not loop.simulation.runner.is_alone:  # A batch may mix up its rows, and a replay runs it alone.
             run = loop.simulation.run(candidate, afresh=True)
@@ -498,6 +507,7 @@ class Simplification:
         """Run a scenario from scratch; return the run, its verdict, and its difference from the finding, if any."""
         __tracebackhide__ = True
         run = self.loop.simulation.run(scenario, afresh=True)
+        self.decisions += len(run.trace.actions)
         verdict = self.loop.simulation.judge(run)
         if not self._shows(kept.find.id, run, verdict):
             otherwise = f"a later run of it ended differently: {ending(run)}"

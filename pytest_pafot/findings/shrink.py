@@ -219,8 +219,9 @@ def shrink(
 
     Args:
         scenario: failing scenario, as driven.
-        attempt: runs a scenario, at first ``scenario`` itself. It is never called twice with the same scenario, and equal results lead to the same
-            order of calls. To end the search early, it must raise :class:`OutOfBudget` in this call and all later ones.
+        attempt: runs a scenario, at first ``scenario`` itself. It is never called twice with the same scenario, and
+            equal results lead to the same order of calls. To end the search early, it must raise :class:`OutOfBudget`
+            in this call and all later ones.
         rollouts: largest number of calls of ``attempt``.
         top_speed: highest speed of any instruction [m/s].
         starts: returns the ego's lane and speed at the start of each gene, so that the scenario can begin later.
@@ -316,10 +317,10 @@ class _Gate:
         read, told = deque[Scenario | None](), set[Scenario]()
         for candidate in candidates:
             read.append(candidate)
-            if candidate is not None and candidate not in told and self._would_run(candidate):
-                if self.spent + len(told) < self.rollouts:
-                    told.add(candidate)
-                    self.expect((candidate,), True)
+            is_left = self.spent + len(told) < self.rollouts
+            if is_left and candidate is not None and candidate not in told and self._would_run(candidate):
+                told.add(candidate)
+                self.expect((candidate,), True)
             while len(told) >= self.ahead:
                 yield (first := read.popleft())
                 told -= {first}

@@ -24,6 +24,11 @@ from pytest_pafot.support.text import ascii_text, fitted_lines, listed, plural, 
 from pytest_pafot.support.traced import Traced
 
 WIDTH = 80
+MINUTE, HOUR = 60, 3600
+LONG = 600
+"""The time that is left from which on a line of progress names the option that ends a search [s]."""
+DEAR = 0.001
+"""The mean time of a decision from which on the summary counts decisions [s]: below that, other things take longer."""
 MAX_FINDS = 20
 """The largest number of new findings that a search lists one by one."""
 
@@ -86,12 +91,25 @@ def progress_line(progress: Progress, width: int = WIDTH) -> str:
     pace = f"{1 / speed:.0f} s a run" if 0 < speed < 1 else f"{speed:.0f}/s"
     counts = [f"{progress.generation}/{progress.generations} generations"] if progress.generations is not None else []
     counts += [plural(progress.runs, "run") if progress.budget is None else f"{progress.runs}/{progress.budget} runs"]
-    done = f"{', '.join(counts)}, {progress.failing} failing, {progress.finds} new, {pace}"
+    done = f"{', '.join(counts)}, {progress.failing} failing, {progress.finds} new, {pace}{_time_left(progress)}"
     tail = f" {progress.phase or done}"
     room = max(12, width - len(tail) - 8)
     name = ascii_text(progress.node_id)
     name = name if len(name) <= room else f"...{name[3 - room :]}"
     return f"pafot: {name}{tail}"[:width]
+
+
+def _time_left(progress: Progress) -> str:
+    """Return in words how long the runs take that are left, and what ends them; empty for less than a minute."""
+    if progress.budget is None or not progress.runs:
+        return ""
+    seconds = (progress.budget - progress.runs) * progress.seconds / progress.runs
+    if seconds < MINUTE:
+        return ""
+    told = f"{seconds / HOUR:.1f} h" if seconds >= 2 * HOUR else f"{seconds / MINUTE:.0f} min"
+    each = f" at {1000 * progress.seconds / progress.decisions:.3g} ms a decision" if progress.decisions else ""
+    way_out = "" if progress.is_limited or seconds < LONG else f"; {flag('max_time', LONG)} ends it"
+    return f", about {told} left{each}{way_out}"
 
 
 def found_lines(find: Find, width: int = WIDTH, *, story: Sequence[str] = (), again: str = "") -> list[str]:
@@ -252,7 +270,7 @@ def search_lines(
         f"{search.algorithm}, seed {search.seed} from {flag('seed', search.base_seed)}, "
         f"{''.join(short)}ended: {search.reason}"
     )
-    texts = [_figures(search), *_find_lines(search), origin, *([search.drawn] if search.drawn else [])]
+    texts = [_figures(search), *_decisions(search), *_find_lines(search), origin, *([search.drawn] if search.drawn else [])]
     failing, counted = search.random_failing, search.random_runs
     if counted:
         # Nobody drew the saved scenarios at random, so their share is no estimate of anything.
@@ -290,6 +308,15 @@ def _figures(search: SearchSummary) -> str:
     several += [f"{search.shrink_runs} to shrink"] if search.shrink_runs else []
     several += [f"{search.neighbour_runs} of neighbours"] if search.neighbour_runs else []
     return ", ".join([f"{listed(several)} in {search.seconds:.1f} s", *told])
+
+
+def _decisions(search: SearchSummary) -> list[str]:
+    """Count the decisions of a policy by what they were for, if they take most of the time."""
+    counts = (search.decisions, search.shrink_decisions, search.neighbour_decisions)
+    if not sum(counts) or search.seconds < DEAR * sum(counts):
+        return []
+    what = (f"{search.decisions:,} decisions", f"{counts[1]:,} to shrink", f"{counts[2]:,} of neighbours")
+    return [listed([told for told, number in zip(what, counts, strict=True) if number])]
 
 
 def _find_lines(search: SearchSummary) -> list[str]:

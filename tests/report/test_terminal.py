@@ -229,6 +229,30 @@ def test_progress_is_one_line_with_the_name_cut():
     assert terminal.progress_line(replace(progress, seconds=120.0)).endswith("2 failing, 1 new, 13 s a run")
 
 
+@table(
+    ("runs", "seconds", "fields", "end"),
+    [
+        (4, 0.5, {"decisions": 400}, "8/s"),
+        (4, 4.0, {"decisions": 400}, "1/s, about 7 min left at 10 ms a decision"),
+        (4, 80.0, {"decisions": 400}, "20 s a run, about 2.2 h left at 200 ms a decision; --pafot-max-time=600 ends it"),
+        (4, 80.0, {"is_limited": True}, "20 s a run, about 2.2 h left"),
+        (400, 8000.0, {"decisions": 40_000}, "20 s a run"),
+        (0, 0.0, {}, "0 new, 0/s"),
+    ],
+)  # fmt: skip
+def test_progress_says_how_long_the_runs_take_that_are_left(runs, seconds, fields, end):
+    progress = Progress(
+        node_id="x", generation=1, generations=None, budget=400, runs=runs, failing=0, finds=0, seconds=seconds, **fields
+    )
+    assert terminal.progress_line(progress, 200).endswith(end)
+
+
+def test_decisions_are_counted_where_they_take_the_time():
+    search = replace(SEARCH, seconds=99.0, decisions=3923, shrink_decisions=8357, neighbour_decisions=0)
+    assert "3,923 decisions and 8,357 to shrink" in "\n".join(terminal.search_lines(search))
+    assert "decisions" not in "\n".join(terminal.search_lines(replace(search, seconds=12.0)))
+
+
 def test_progress_fits_into_a_narrow_terminal():
     progress = Progress(node_id="x" * 200, generation=3, generations=100, runs=9, failing=2, finds=1, seconds=3.0)
     line = terminal.progress_line(progress, 39)
