@@ -7,6 +7,7 @@ import sys
 from collections import Counter
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import asdict, dataclass, field, fields, is_dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -281,6 +282,11 @@ class Sessions:
         self._last = checkpoint
         if self._file is not None:
             self._file.offer(checkpoint, self._counts)
+
+    def after_attempt(self, simplified: Collection[str]) -> None:
+        """Store the answers so far, unless the state was stored shortly before: a killed session loses few of them."""
+        if self._file is not None and self._last is not None and self.loop.finished is not None:
+            self._file.offer(self._last, partial(self._counts, simplified))
 
     def store(self, simplified: Collection[str] = ()) -> None:
         """Write the state at the end of the session; ``simplified`` are the ids of findings that are fully shrunk."""

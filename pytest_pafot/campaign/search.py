@@ -288,6 +288,7 @@ class Search:
                 answers=self.sessions.answers,
                 clock=self.sessions.clock,
                 until=self.limit.until,
+                after_attempt=lambda: self.sessions.after_attempt(work.done),
             )
             try:
                 work.run_all(f"; {flag('resume')} goes on" if self.sessions.go_on else "")

@@ -149,6 +149,7 @@ class Simplification:
         answers: the results of attempts in this session or an earlier one, by the id of the finding.
         clock: returns the seconds since some fixed moment.
         until: the time at which the simplification must end [s], or infinity.
+        after_attempt: is called after each attempt to shrink, when its answer is among ``answers``.
         done: the ids of the findings for which nothing is left to do.
         current: the id of the finding that is simplified or examined now.
         runs: the number of runs so far in this session, except those of neighbours.
@@ -166,6 +167,7 @@ class Simplification:
     answers: dict[str, list[Answer]]
     clock: Callable[[], float]
     until: float = math.inf
+    after_attempt: Callable[[], None] = lambda: None
     done: set[str] = field(default_factory=set, init=False)
     current: str = field(default="", init=False)
     runs: int = field(default=0, init=False)
@@ -419,6 +421,7 @@ class Simplification:
                     raise OutOfBudget from None
                 answers.append((candidate.id, shown))
                 turn.took(self.clock() - began, None if shown is None else self._confirming(shown[0]))
+                self.after_attempt()
             _, shown = answers[asked]
             asked += 1
             if shown is None:

@@ -270,7 +270,8 @@ def search_lines(
         f"{search.algorithm}, seed {search.seed} from {flag('seed', search.base_seed)}, "
         f"{''.join(short)}ended: {search.reason}"
     )
-    texts = [_figures(search), *_decisions(search), *_find_lines(search), origin, *([search.drawn] if search.drawn else [])]
+    drawn = [search.drawn] if search.drawn else []
+    texts = [_figures(search), *_decisions(search), *_find_lines(search), origin, *drawn]
     failing, counted = search.random_failing, search.random_runs
     if counted:
         # Nobody drew the saved scenarios at random, so their share is no estimate of anything.

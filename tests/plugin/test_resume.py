@@ -1,9 +1,12 @@
 """The option --pafot-resume: sessions of one long search."""
 
+import json
 import os
 import sys
 
 import pytest
+
+from pytest_pafot.campaign import state_file
 
 SOURCE = """
 @pafot.search(SHORT, shrink_rollouts=10, ads=lambda: lambda observation: (0.0, 0.0))
@@ -146,6 +149,25 @@ def test_killed_session_resumes_and_leaves_the_same_files(project, monkeypatch, 
     assert os.listdir(project.path / "states") == [state.name]  # noqa: PTH208
 
 
+@pytest.mark.processes
+@pytest.mark.skipif(sys.platform == "win32", reason="there is no SIGKILL")
+def test_killed_shrinking_goes_on_and_leaves_the_same_files(project, monkeypatch):
+    project.write(KILLED.replace("shrink_rollouts=10", "shrink_rollouts=60"))
+    project.run("--pafot-runs=9", generations=None)
+    whole = forget(project)
+    assert whole
+    monkeypatch.setattr(state_file, "SHARE", 0)  # these runs are so fast that not each answer is stored
+    monkeypatch.setenv("KILL_AT", "800")  # each run takes some 50 decisions, so this is while a finding is shrunk
+    assert night(project, runs=8, apart=True).ret == -9
+    (state,) = project.path.glob("states/*.json")
+    _, _, _, finds, *_ = json.loads(state.read_text())["counts"]
+    assert any(len(answers) > 3 for *_, answers in finds)
+    monkeypatch.delenv("KILL_AT")
+    night(project, runs=1)
+    assert simulated(state) == 9
+    assert project.contents == whole
+
+
 OUTER = """
 import os, subprocess, sys
 import pytest_pafot as pafot
@@ -180,8 +202,6 @@ def test_second_session_with_the_same_state_is_refused(project, monkeypatch):
 
 def simulated(state):
     """Return the number of runs in a state."""
-    import json
-
     return json.loads(state.read_text())["sums"][3]
 
 
