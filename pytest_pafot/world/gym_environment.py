@@ -52,6 +52,8 @@ TRAFFIC_OPTIONS = (
     "incoming_vehicle_destination",
 )
 """All options of highway-env for other vehicles, in whose place a search has NPCs."""
+CONNECTED = "neighbour_vehicles_connected_lanes"
+"""The option for the lanes in which highway-env's IDM looks for others; NPCs and policies do not look there."""
 POLICY_OPTIONS = ("observation", "action", "policy_frequency")
 """The options that have no effect on an ego that decides without the environment's observations and actions."""
 
@@ -336,18 +338,25 @@ class GymEnvironment:
                 return str(name)
         return ""
 
-    def without_effect(self, *, drives_itself: bool) -> dict[str, list[str]]:
+    def without_effect(self, *, is_planner: bool, drives_itself: bool, simulates: bool) -> dict[str, list[str]]:
         """Return the given options that have no effect in a search, under what has it in their place.
 
         Rewards and drawing are not among them: they keep their meaning for wrappers and for a ``step`` of the user's.
+
+        Args:
+            is_planner: whether the ego decides in SI units.
+            drives_itself: whether the ego is a vehicle class, which may follow others as highway-env's traffic does.
+            simulates: whether the ego's policy gets the environment, with vehicles of its traffic's class.
         """
         given, is_straight = self.config or {}, self.straight_road is not None
         found: dict[str, list[str]] = {}
         for name in given:
             told = ""
-            if name in TRAFFIC_OPTIONS:
+            if name == "other_vehicles_type" and simulates:
+                continue
+            if name in TRAFFIC_OPTIONS or (name == CONNECTED and not (drives_itself or simulates)):
                 told = "NPCs replace the environment's own traffic"
-            elif name in POLICY_OPTIONS and drives_itself:
+            elif name in POLICY_OPTIONS and (is_planner or drives_itself):
                 told = "the ego decides without the environment's observations and actions"
             elif name == "ego_spacing" and is_straight:
                 told = "headway= of the world sets the gaps at the start"

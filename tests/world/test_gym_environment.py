@@ -49,7 +49,7 @@ from pytest_pafot.testing import check_world
 from pytest_pafot.testing.traces import contacts
 from pytest_pafot.training import training_env
 from pytest_pafot.world import World, WorldError
-from pytest_pafot.world.gym_environment import POLICY_OPTIONS, TRAFFIC_OPTIONS
+from pytest_pafot.world.gym_environment import CONNECTED, POLICY_OPTIONS, TRAFFIC_OPTIONS
 from tests.findings.builders import plain_finding
 from tests.helpers.gym_loop import Replayed, StateLog
 from tests.helpers.stages import mostly_oracle
@@ -961,7 +961,7 @@ def test_finding_at_an_obstacle_is_saved_and_read(register, tmp_path):
 
 ROAD = (
     "lanes_count speed_limit length no_lanes roundabout_radius roundabout_lanes before_merge_length after_merge_length "
-    "converge_merge_length parallel_merge_length block_lane force_decision add_walls neighbour_vehicles_connected_lanes"
+    "converge_merge_length parallel_merge_length block_lane force_decision add_walls"
 )
 RUN = "simulation_frequency duration destination state_noise derivative_noise steering_range"
 REFUSED = "controlled_vehicles manual_control"
@@ -974,7 +974,15 @@ DRAWING = (
     "centering_position offscreen_rendering real_time_rendering render_agent scaling screen_height screen_width "
     "show_trajectories"
 )
-NAMED = (*TRAFFIC_OPTIONS, *POLICY_OPTIONS, "ego_spacing", "initial_lane_id", "offroad_terminal", "terminate_off_road")
+NAMED = (
+    *TRAFFIC_OPTIONS,
+    *POLICY_OPTIONS,
+    CONNECTED,
+    "ego_spacing",
+    "initial_lane_id",
+    "offroad_terminal",
+    "terminate_off_road",
+)
 
 
 def test_every_option_of_highway_env_is_used_refused_or_named():
@@ -999,6 +1007,20 @@ def test_every_option_of_highway_env_is_used_refused_or_named():
     ])  # fmt: skip
 def test_option_that_something_replaces_is_named_with_what_does(env_id, config, names):
     assert World(env_id, config=config).options_without_effect(drives_itself=False) == names
+
+
+@table(
+    ("kind", "planner_hz", "names"),
+    [
+        ({"drives_itself": False}, None, [CONNECTED, "other_vehicles_type"]),
+        ({"drives_itself": False}, 5, [CONNECTED, "other_vehicles_type"]),
+        ({"drives_itself": True}, None, ["other_vehicles_type"]),  # an IDMVehicle looks there
+        ({"drives_itself": False, "simulates": True}, None, []),  # what it simulates has vehicles of that class
+    ])  # fmt: skip
+def test_option_for_highway_envs_own_driver_is_named_where_nobody_drives_so(kind, planner_hz, names):
+    config = {CONNECTED: True, "other_vehicles_type": "highway_env.vehicle.behavior.DefensiveVehicle"}
+    found = World("intersection-v0", config=config, planner_hz=planner_hz).options_without_effect(**kind)
+    assert found == ({TRAFFIC_TOLD: names} if names else {})
 
 
 class Refusing(HighwayEnv):
