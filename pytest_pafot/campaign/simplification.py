@@ -264,8 +264,7 @@ class Simplification:
         whole = self._beside(found, None, question)
         if whole is None or any(differ(action, whole.of(each)) for each, action in enumerate(trace.actions)):
             return None, None
-        since, until = window(found, expect)
-        numbers = counted(trace, since, until)
+        numbers, since = counted(trace, *window(found, expect))
         answers = Answers(
             npc=npc,
             since=round(since, 3),

@@ -96,6 +96,19 @@ def test_answers_are_told_in_one_line():
     )
 
 
+def test_answers_of_a_single_decision_are_told_as_such():
+    one = Answers(npc=0, since=4.0, decisions=1, depending=0)
+    assert str(one) == "its only decision from 4.0 s on does not depend on NPC 0"
+    assert str(replace(one, depending=1)) == "its only decision from 4.0 s on depends on NPC 0"
+    assert str(replace(one, unseen=True)) == "NPC 0 is not in the observation of its only decision from 4.0 s on"
+
+
+def test_where_no_decision_was_due_in_the_danger_the_last_one_before_counts_at_its_time():
+    trace = pafot.World("highway-v0").rollout(SCENARIO, lambda: lambda seen: 1)  # a decision each second
+    assert counted(trace, 4.2, 4.9) == (range(4, 5), 4.0)
+    assert counted(trace, 4.2, 5.0) == (range(5, 6), 4.2)
+
+
 def test_a_moment_is_told_in_one_line():
     moment = Moment(time=4.9, npc=0, seen=placed(12.3, -0.2, -6.1), action="acceleration 0.0 m/s^2")
     start = "4.9 s: it saw NPC 0 12.3 m ahead, 0.2 m to the left, 6.1 m/s slower, and answered acceleration 0.0 m/s^2"
@@ -306,8 +319,8 @@ def test_the_deciding_moment_of_a_missing_response_is_the_last_that_avoids_it():
     assert vehicle_of(run, expecting(run)) == 0
     since, until = window(run, expecting(run))
     assert (since, until) == (run.attribution.time, run.event_time)
-    numbers = counted(run.trace, since, until)
-    assert run.trace.decision_ticks[numbers[0]] / run.trace.physics_hz >= since
+    numbers, first = counted(run.trace, since, until)
+    assert first == since <= run.trace.decision_ticks[numbers[0]] / run.trace.physics_hz
     assert numbers.stop == len(run.trace.decision_ticks)
 
 
