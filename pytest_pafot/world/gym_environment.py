@@ -103,6 +103,9 @@ LEAST_NUMBERS = MOST_NUMBERS // 20
 WITH_EGO = ("controlled_vehicles", "road", "action_type", "observation_type")
 """The attributes of an environment through which highway-env reaches the ego, and in which a run puts its own."""
 
+PLAIN = (bool, int, float, str, list, tuple, dict, set, np.ndarray, np.generic)
+"""The types of attributes that are values, and no part of highway-env."""
+
 NEUTRAL = (OrderEnforcing, PassiveEnvChecker, TimeLimit)
 """The wrappers that ``gymnasium.make`` itself puts around any environment.
 
@@ -394,13 +397,12 @@ class GymEnvironment:
 
 def _plain_state(env: Any) -> dict[str, str]:
     """Return the attributes of an environment and of its ego that are plain data, each as a text."""
-    plain = (bool, int, float, str, list, tuple, dict, set, np.ndarray, np.generic)
     owners = (("", env), ("vehicle.", env.vehicle))
     return {
         f"{owner}{name}": repr(value)
         for owner, each in owners
         for name, value in vars(each).items()
-        if isinstance(value, plain)
+        if isinstance(value, PLAIN)
     }
 
 
