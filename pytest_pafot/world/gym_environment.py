@@ -252,9 +252,10 @@ class GymEnvironment:
         The ``step`` of intersections spawns and removes traffic, which runs do not have, and their ``RegulatedRoad``
         makes vehicles yield, which this package's runs reproduce. The ``step`` of exits only adds to ``info``.
         """
-        env, road = type(self.unwrapped), type(self.unwrapped.road)
-        has_own_road = road is not RegulatedRoad and (road.step is not Road.step or road.act is not Road.act)
-        return has_own_road or not (drives_itself or has_known_step(env))
+        env, road = self.unwrapped, self.unwrapped.road
+        steps = type(road) is not RegulatedRoad and type(road).step is not Road.step
+        has_own_road = steps or "step" in vars(road) or has_own_act(road)
+        return has_own_road or not (drives_itself or has_known_step(type(env)))
 
     def episodes_itself(self, *, drives_itself: bool) -> bool:
         """Return whether runs must be episodes of the environment itself: by its own ``step``, or after its own reset.
@@ -414,6 +415,11 @@ def obstacles_of(env: Any) -> tuple[tuple[float, float, float, float, float], ..
             x, y = map(float, each.position)
             found.append((x, y, float(each.heading), float(each.LENGTH), float(each.WIDTH)))
     return tuple(found)
+
+
+def has_own_act(road: Any) -> bool:
+    """Return whether a road controls its vehicles by an ``act`` of the user's own."""
+    return type(road).act is not Road.act or "act" in vars(road)
 
 
 def has_known_step(cls: Any) -> bool:

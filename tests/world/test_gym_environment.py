@@ -29,6 +29,7 @@ from gymnasium.wrappers import (
     TransformObservation,
 )
 from highway_env.envs.highway_env import HighwayEnv
+from highway_env.road.road import Road
 from highway_env.vehicle.behavior import IDMVehicle
 from highway_env.vehicle.controller import MDPVehicle
 from highway_env.vehicle.kinematics import Vehicle
@@ -461,6 +462,49 @@ def test_ego_is_of_the_class_of_which_the_environment_makes_it(wrappers, registe
         env.step(faster)
     assert trace.ego[-1, :4] == pytest.approx([*env.vehicle.position, env.vehicle.heading, env.vehicle.speed])
     assert trace.sizes[0][0] == 8.0
+
+
+class Icy(Road):
+    """A road on which the first vehicle slows down from 250 m on, whatever it wants."""
+
+    def act(self):
+        super().act()
+        self.slow()
+
+    def slow(self):
+        if self.vehicles[0].position[0] > 250.0:
+            self.vehicles[0].action["acceleration"] = -4.0
+
+
+class Alps(HighwayEnv):
+    def _create_road(self):
+        super()._create_road()
+        self.road = Icy(self.road.network, np_random=self.np_random)
+
+
+class Thawing(HighwayEnv):
+    """One whose road gets an ``act`` of its own when it is made."""
+
+    def _create_road(self):
+        super()._create_road()
+        road = self.road
+        self.road.act = lambda: (Road.act(road), Icy.slow(road))
+
+
+@pytest.mark.parametrize("cls", [Alps, Thawing])
+@pytest.mark.parametrize(
+    ("options", "ads", "speed"),
+    [({}, IDLE, 20.0), ({"wrappers": []}, IDLE, 20.0),
+     ({"planner_hz": 5}, lambda: lambda seen: (0.0, 0.0), 22.0), ({}, IDMVehicle, 22.0)],
+    ids=["policy", "wrapped", "planner", "class"],
+)  # fmt: skip
+def test_what_the_act_of_an_own_road_does_to_the_ego_holds_in_runs(cls, options, ads, speed, register):
+    register("mine-v0", entry_point=cls)
+    scenario = Scenario(npcs=[[PositionInstruction(6, 10.0)]], ego_lane=1, ego_speed=22.0)
+    ego = World("mine-v0", duration=5.0, **options).rollout(scenario, ads).ego
+    on_ice = ego[:-1, 0] > 250.0
+    assert ego[:-1][~on_ice, SPEED][-1] == pytest.approx(speed, abs=0.2)
+    assert np.diff(ego[:, SPEED])[on_ice] == pytest.approx(-4.0 / 15)
 
 
 class Weighed(Truck):

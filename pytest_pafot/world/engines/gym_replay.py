@@ -34,7 +34,13 @@ from pytest_pafot.world.engines.policies import give_speeds, put_ego, put_policy
 from pytest_pafot.world.engines.run import VehiclesOfRun
 from pytest_pafot.world.guard.failure import UNFIT, closing, error_of, let_through
 from pytest_pafot.world.guard.hang_guard import HangGuard
-from pytest_pafot.world.gym_environment import GymEnvironment, obstacles_of, vehicle_classes_kept, wrapper_names
+from pytest_pafot.world.gym_environment import (
+    GymEnvironment,
+    has_own_act,
+    obstacles_of,
+    vehicle_classes_kept,
+    wrapper_names,
+)
 from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.kernel.loop import EgoDriver, PlannerDriver
 from pytest_pafot.world.run_config import Rules
@@ -153,10 +159,14 @@ class StockPolicy(GuardedDriver):
             let_through(error)
             self.failure = error
 
-    def actuate(self) -> None:
-        """Apply the low-level control of highway-env's controlled vehicles."""
+    def note(self) -> None:
+        """Note where all vehicles are, for an imperfect sight."""
         if self._sight is not None:
             self._sight.note()
+
+    def actuate(self) -> None:
+        """Apply the low-level control of highway-env's controlled vehicles."""
+        self.note()
         self.outer.unwrapped.vehicle.act()
 
 
@@ -311,6 +321,7 @@ class _Loop:
         self._moved = ""  # how the environment's own code has moved an NPC
         if isinstance(env.road, RegulatedRoad) and not is_regulated(env.vehicle):
             env.road.enforce_road_rules = _nothing  # without effect here, and slow
+        self._road_act = env.road.act if has_own_act(env.road) else None
         self._road_step = env.road.step
         env.road.act, env.road.step = self._act, self._step
 
@@ -445,12 +456,24 @@ class _Loop:
         )
 
     def _act(self) -> None:
-        """Control the ego and then the NPCs; this replaces ``Road.act``, which calls each vehicle's ``act``."""
+        """Control the ego and then the NPCs; this replaces ``Road.act``, which calls each vehicle's ``act``.
+
+        An ``act`` of the user's own is called for what it does to the ego.
+        """
         driver, (vehicle, *npcs), (ego, *bodies) = self._driver, self._vehicles, self._bodies
         self._make_npcs(StockVehicle)  # a `reset` may call the environment's `step`
-        driver.actuate()
-        if isinstance(driver, PlannerDriver):
-            vehicle.control(ego.acceleration, ego.steering)
+        if self._road_act is not None and isinstance(driver, StockPolicy):
+            driver.note()
+            self._road_act()
+        else:
+            driver.actuate()
+            if isinstance(driver, PlannerDriver):
+                vehicle.control(ego.acceleration, ego.steering)
+            if self._road_act is not None:  # the ego has acted, which a class of the user's own may do only once
+                act = vehicle.act
+                vehicle.act = lambda action=None: None if action is None else act(action)
+                self._road_act()
+                del vehicle.act
         if not self._is_over:
             self._moved = self._moved or self._moved_npc()
             self._run.loop.command()
