@@ -5,15 +5,17 @@ This module refuses every unusable environment, configuration or wrapper; the er
 
 from __future__ import annotations
 
+import ast
 import difflib
 import inspect
 import math
+import textwrap
 import warnings
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass
 from functools import cached_property
-from types import MappingProxyType
+from types import FunctionType, MappingProxyType
 from typing import Any
 
 import gymnasium
@@ -102,6 +104,9 @@ LEAST_NUMBERS = MOST_NUMBERS // 20
 
 WITH_EGO = ("controlled_vehicles", "road", "action_type", "observation_type")
 """The attributes of an environment through which highway-env reaches the ego, and in which a run puts its own."""
+
+LEFT_OUT = ("_reward", "_rewards", "_info", "_is_terminated", "_is_truncated")
+"""The methods of environments that only their ``step`` and ``reset`` call, and what a run needs does not."""
 
 PLAIN = (bool, int, float, str, list, tuple, dict, set, np.ndarray, np.generic)
 """The types of attributes that are values, and no part of highway-env."""
@@ -268,29 +273,27 @@ class GymEnvironment:
 
     @cached_property
     def left_out(self) -> dict[str, tuple[str, ...]]:
-        """The methods of the user's own for rewards and infos that change state, each with the attributes it changes.
+        """The methods of the user's own for rewards, infos and ends that change state, each with what it changes.
 
-        Runs that are no episodes of the environment do not call them.
+        Runs that are no episodes of the environment do not call them. What one changes is found by calling it once, and
+        in its source: it may change something in other states alone, or to a value that the reset has given already.
         """
         found = dict[str, tuple[str, ...]]()
         cls = type(self.unwrapped)
-        own = [
-            name
-            for name in ("_reward", "_rewards", "_info")
-            if not str(getattr(cls, name).__module__).startswith("highway_env.")
-        ]
+        own = [name for name in LEFT_OUT if not str(getattr(cls, name).__module__).startswith("highway_env.")]
         if not own:
             return found
         env = self.make().unwrapped
         seen, action = env.observation_type.observe(), env.action_space.sample()
         for name in own:
-            given = (seen, action) if name == "_info" else (action,)
+            given = {"_info": (seen, action), "_is_terminated": (), "_is_truncated": ()}.get(name, (action,))
             before = _plain_state(env)
             with suppress(Exception):  # an episode would show it
                 getattr(env, name)(*given)
             after = _plain_state(env)
-            if changed := tuple(key for key in after if after[key] != before.get(key)):
-                found[name] = changed
+            changed = [key for key in after if after[key] != before.get(key)]
+            if changed := [*changed, *(key for key in _assigned(cls, name) if key not in changed)]:
+                found[name] = tuple(changed)
         return found
 
     @cached_property
@@ -405,6 +408,28 @@ def _plain_state(env: Any) -> dict[str, str]:
         for name, value in vars(each).items()
         if isinstance(value, PLAIN)
     }
+
+
+def _assigned(cls: Any, name: str) -> list[str]:
+    """Return the attributes that a method of the user's own assigns to in its source, if that is there.
+
+    Methods of the same object that it calls are included.
+    """
+    found, names = dict[str, None](), [name]
+    for called in names:
+        functions = [vars(each).get(called) for each in cls.__mro__]
+        for function in functions:
+            if not isinstance(function, FunctionType) or str(function.__module__).startswith("highway_env."):
+                continue
+            with suppress(OSError, SyntaxError):
+                for node in ast.walk(ast.parse(textwrap.dedent(inspect.getsource(function)))):
+                    place = node.value if isinstance(node, ast.Subscript) else node
+                    if isinstance(place, ast.Attribute) and isinstance(getattr(node, "ctx", None), ast.Store):
+                        found[ast.unparse(node).removeprefix("self.")] = None
+                    method = ast.unparse(node.func) if isinstance(node, ast.Call) else ""
+                    if method.startswith("self.") and (own := method.removeprefix("self.")) not in names:
+                        names.append(own)
+    return list(found)
 
 
 def obstacles_of(env: Any) -> tuple[tuple[float, float, float, float, float], ...]:

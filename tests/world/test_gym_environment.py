@@ -797,17 +797,37 @@ class Burning(HighwayEnv):
         return super()._reward(action)
 
 
+class Urging(HighwayEnv):
+    """One whose rewards slow a fast ego down, by a method of their own, and whose end counts."""
+
+    def _rewards(self, action):
+        self.calm(self.vehicle)
+        return super()._rewards(action)
+
+    def calm(self, vehicle):
+        if vehicle.speed > 100:
+            vehicle.target_speed = 20.0
+
+    def _is_terminated(self):
+        self.asked: int = 1
+        return super()._is_terminated()
+
+
 class Scoring(HighwayEnv):
     """One whose reward changes nothing."""
 
     def _reward(self, action):
-        return 2 * super()._reward(action)
+        found = {}
+        found["twice"] = 2 * super()._reward(action)
+        return found["twice"]
 
 
 def test_rewards_that_change_the_state_are_named_where_no_run_calls_them(register):
     register("mine-v0", entry_point=Burning)
     assert World("mine-v0").left_out == {"_reward": ("fuel", "vehicle.calls")}
     assert World("mine-v0", wrappers=[]).left_out == World("mine-v0", planner_hz=5).left_out == {}
+    register("third-v0", entry_point=Urging)
+    assert World("third-v0").left_out == {"_rewards": ("vehicle.target_speed",), "_is_terminated": ("asked",)}
     register("other-v0", entry_point=Scoring)
     assert World("other-v0").left_out == World("highway-v0").left_out == {}
 
