@@ -108,6 +108,9 @@ WITH_EGO = ("controlled_vehicles", "road", "action_type", "observation_type")
 LEFT_OUT = ("_reward", "_rewards", "_info", "_is_terminated", "_is_truncated")
 """The methods of environments that only their ``step`` and ``reset`` call, and what a run needs does not."""
 
+RESETS, RESETS_IN_WRAPPERS = 10, 4
+"""How many resets of an environment are compared; a wrapper's may be slow, such as one that records videos."""
+
 PLAIN = (bool, int, float, str, list, tuple, dict, set, np.ndarray, np.generic)
 """The types of attributes that are values, and no part of highway-env."""
 
@@ -191,7 +194,41 @@ class GymEnvironment:
                     let_through(error)
                 env.config |= without_traffic
                 env.reset(seed=0)
+        if wrapper_names(outer) or not type(outer.unwrapped).__module__.startswith("highway_env."):
+            self._check_resets()
         return outer
+
+    def _check_resets(self) -> None:
+        """Refuse an environment of which resets with the same seed differ, such as by the number of episodes before.
+
+        Its runs would mix what is meant for different episodes, and none of them could be repeated.
+
+        Raises:
+            WorldError: if a later reset does not do what the first one does.
+        """
+        outer = self.make()
+        names, resets = wrapper_names(outer), RESETS_IN_WRAPPERS if wrapper_names(outer) else RESETS
+        first = {} if names else _beginning(outer)  # wrappers have not reset it yet
+        for _ in range(resets):
+            with vehicle_classes_kept():
+                try:
+                    outer.reset(seed=0)
+                except UNFIT as error:  # in a run, this is a failure of the first decision
+                    let_through(error)
+                    return
+            found = _beginning(outer)
+            first = first or found
+            changed = [name for name in {**first, **found} if first.get(name) != found.get(name)]
+            if changed:
+                who = " in ".join([type(outer.unwrapped).__name__, *names])
+                was, now = (each.get(changed[0], "none")[:60] for each in (first, found))
+                raise WorldError(
+                    field="env_id",
+                    expected="an environment whose resets with the same seed are alike, so that runs can be repeated",
+                    received=f"{who}, where {changed[0]} is {was} after the first reset and {now} after a later one",
+                    fix="it counts its resets, or draws from random numbers without the seed: let an option of config= "
+                    "say what differs, and give each test its own",
+                )
 
     def with_traffic(self) -> Any:
         """Return an environment with its random traffic, in all its wrappers; the caller must reset it with a seed.
@@ -408,6 +445,22 @@ def _plain_state(env: Any) -> dict[str, str]:
         for name, value in vars(each).items()
         if isinstance(value, PLAIN)
     }
+
+
+def _beginning(outer: Any) -> dict[str, str]:
+    """Return what a run reads of an environment after a reset, as texts by name."""
+    env = outer.unwrapped
+    replaced = (*TRAFFIC_OPTIONS, *REPLACED)
+    found = {f"config[{name!r}]": repr(value) for name, value in env.config.items() if name not in replaced}
+    for index, lane in env.road.network.lanes_dict().items():
+        points = [lane.position(share * lane.length, 0).tolist() for share in (0.0, 0.5, 1.0)]
+        found[f"lane {index}"] = repr((points, lane.width_at(0), lane.speed_limit))
+    found["road.objects"] = repr(obstacles_of(env))
+    if (ego := env.vehicle) is not None:
+        place = (round(float(each), 6) for each in (*ego.position, ego.heading, ego.speed))
+        found["vehicle"] = f"{type(ego).__name__} at {', '.join(map(str, place))}"
+        found["vehicle.target_speeds"] = repr(getattr(ego, "target_speeds", None))
+    return found | {name: repr(getattr(outer, name)) for name in ("observation_space", "action_space")}
 
 
 def _assigned(cls: Any, name: str) -> list[str]:

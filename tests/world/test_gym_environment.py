@@ -507,6 +507,64 @@ def test_what_the_act_of_an_own_road_does_to_the_ego_holds_in_runs(cls, options,
     assert np.diff(ego[:, SPEED])[on_ice] == pytest.approx(-4.0 / 15)
 
 
+class Harder(HighwayEnv):
+    """One of whose episodes every third has a lane more."""
+
+    episodes = 0
+
+    def _reset(self):
+        type(self).episodes += 1
+        self.config["lanes_count"] = 3 + type(self).episodes // 3
+        super()._reset()
+
+
+class Faster(HighwayEnv):
+    """One that has other actions from its seventh episode on, counted for each of its objects."""
+
+    episodes = 0
+
+    def reset(self, *, seed=None, options=None):
+        found = super().reset(seed=seed, options=options)
+        self.episodes += 1
+        self.vehicle.target_speeds = np.array([20, 25, 30 if self.episodes < 7 else 35])
+        return found
+
+
+class Chancy(HighwayEnv):
+    """One whose start is random, without the seed."""
+
+    def _create_vehicles(self):
+        super()._create_vehicles()
+        self.vehicle.position[0] += np.random.default_rng().uniform()
+
+
+class Lessons(gymnasium.Wrapper):
+    """A wrapper whose second episode has more lanes."""
+
+    lessons = 0
+
+    def reset(self, **kwargs):
+        self.lessons += 1
+        self.unwrapped.config["lanes_count"] = 4 + (self.lessons > 1)
+        return self.env.reset(**kwargs)
+
+
+@table(
+    ("cls", "wrappers", "received"),
+    [
+        (Harder, None, "Harder, where config['lanes_count'] is 4 after the first reset and 5 after a later one"),
+        (Faster, None, "Faster, where vehicle.target_speeds is array([20, 25, 30]) after the first"),
+        (Chancy, None, "Chancy, where vehicle is MDPVehicle at *"),
+        (HighwayEnv, [Lessons], "HighwayEnv in Lessons, where config['lanes_count'] is 4 after the first"),
+    ])  # fmt: skip
+def test_environment_whose_resets_differ_is_refused(cls, wrappers, received, register):
+    Harder.episodes = 0
+    register(f"{cls.__name__}-v0", entry_point=cls)
+    with pytest.raises(WorldError) as told:
+        World(f"{cls.__name__}-v0", wrappers=wrappers).check()
+    assert fnmatch(str(told.value), f"*received {received.replace('[', '[[]')}*")
+
+
 class Weighed(Truck):
     def __init__(self, road, position, heading, speed, mass):
         super().__init__(road, position, heading, speed, mass=mass)
