@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+from collections.abc import Callable
 from typing import Any
 
 from pytest_pafot.findings.decisions import HARDER, Moment, differ, is_si, placed, seen_of, text_of
@@ -15,27 +16,21 @@ OTHER_STEERING = 0.05
 """The least difference between two steering angles with which one is another decision [rad]."""
 
 
-def tried(npc: int, hidden: Any, seen: Any) -> list[Any]:
-    """Return what a policy is asked about instead of what it saw: the same without a vehicle, then with it elsewhere.
-
-    ``hidden`` is what it would have seen without the vehicle. Only in the observation of a planner can the vehicle be
-    elsewhere.
-    """
-    if not isinstance(seen, Observation):
-        return [] if hidden is None else [hidden]
-    if npc not in seen.ids:
-        return []
-    return [changed(seen, npc, by) for by in (None, *(by for _, by in _changes(seen, npc)))]
-
-
 def moment_of(
-    trace: Trace, npc: int, number: int, whole: Aside, without_it: Aside, sight: Sight | None = None
+    trace: Trace,
+    npc: int,
+    number: int,
+    whole: Aside,
+    without_it: Aside,
+    ask: Callable[[Any], Aside | None],
+    sight: Sight | None = None,
 ) -> Moment:
-    """Return what a policy saw, answered and would have answered at a decision; ``whole`` was asked :func:`tried`.
+    """Return what a policy saw, answered and would have answered at a decision.
 
-    ``sight`` is its sight; None for perfect sight.
+    ``ask`` returns the decisions of a fresh policy that sees something else at this one; None if it cannot be asked.
+    ``sight`` is the policy's sight; None for perfect sight.
     """
-    seen, action, answers = whole.at, whole.of(number), whole.probed
+    seen, action = whole.at, whole.of(number)
     is_planner = isinstance(seen, Observation)
     where = ""
     if is_planner and npc in seen.ids:
@@ -46,12 +41,23 @@ def moment_of(
     elif sight is None or sight.is_exact:  # otherwise only the environment knows where it seemed to be
         where = seen_of(trace, npc, number)
     hidden = otherwise = None
-    if answers:
-        hidden = text_of(answers[0], action) if differ(action, answers[0]) else ""
-    if is_planner and len(answers) > 1:
-        words = [word for word, _ in _changes(seen, npc)]
-        flips = ((word, each) for word, each in zip(words, answers[1:], strict=True) if _is_other(action, each))
-        otherwise = next((f"{word} {text_of(each, action)}" for word, each in flips), "")
+    tries = [] if is_planner else [("", without_it.at)]
+    if is_planner and npc in seen.ids:
+        tries = [(words, changed(seen, npc, by)) for words, by in _changes(seen, npc)]
+    for words, instead in tries:
+        aside = ask(instead)
+        # Only a policy that decides as the run's until there says what the run's would answer: one that keeps state
+        # in a module or a class still has that of other runs.
+        if aside is None or any(differ(each, aside.of(before)) for before, each in enumerate(trace.actions[:number])):
+            hidden = otherwise = None
+            break
+        answer = aside.of(number)
+        if not words:
+            hidden = text_of(answer, action) if differ(action, answer) else ""
+            otherwise = "" if is_planner else None
+        elif _is_other(action, answer):
+            otherwise = f"{words} {text_of(answer, action)}"
+            break
     time = round(trace.decision_ticks[number] / trace.physics_hz, 3)
     return Moment(time=time, npc=npc, seen=where, action=text_of(action), hidden=hidden, otherwise=otherwise)
 
@@ -63,10 +69,11 @@ def _is_other(action: Any, other: Any) -> bool:
     return differ(action, other)
 
 
-def _changes(seen: Observation, npc: int) -> list[tuple[str, tuple[float, float, float]]]:
-    """Return the changes of a vehicle that are tried, the smallest first: words, and additions to x, y and speed."""
+def _changes(seen: Observation, npc: int) -> list[tuple[str, tuple[float, float, float] | None]]:
+    """Return what is tried of a vehicle, the smallest first: words, and additions to x, y and speed; None hides it."""
     other = seen.others[seen.ids.index(npc)]
-    gap, found = other.x - seen.ego.x, []
+    gap = other.x - seen.ego.x
+    found: list[tuple[float, str, tuple[float, float, float] | None]] = [(0.0, "", None)]
     away, outwards = (1.0 if gap >= 0 else -1.0), (1.0 if other.y >= seen.ego.y else -1.0)
     for size in (0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0):
         found.append((size, f"{size:g} m further away", (away * size, 0.0, 0.0)))

@@ -51,7 +51,7 @@ from pytest_pafot.searching.space import SearchSpace, sample
 from pytest_pafot.support.errors import OutOfTime, RequestError, command, flag
 from pytest_pafot.support.text import plural
 from pytest_pafot.world import WorldError, codec, protocol
-from pytest_pafot.world.driving.ads import is_vehicle_class, loading_hint
+from pytest_pafot.world.driving.ads import is_vehicle_class, loading_hint, wants_env
 from pytest_pafot.world.driving.perception import sight_of
 from pytest_pafot.world.guard.failure import is_interruption
 from pytest_pafot.world.guard.hang_guard import runs_end_in
@@ -601,7 +601,10 @@ class Search:
         lane, world = self.harness.request.space.get("ego_lane"), self.harness.world
         if not self.loop.runs:  # the environment may be one that cannot be made
             return ""
-        given = protocol.options_without_effect(world, drives_itself=is_vehicle_class(self.harness.ads))
+        ads = self.harness.ads
+        drives_itself = is_vehicle_class(ads)
+        simulates = not drives_itself and wants_env(ads)
+        given = protocol.options_without_effect(world, drives_itself=drives_itself, simulates=simulates)
         given.pop(f"write ego_lane={lane!r}", None)  # it has been written
         told = [f"{', '.join(names)} ({why})" for why, names in given.items()]
         return f"options of config= without effect in a search: {'; '.join(told)}" if told else ""

@@ -593,9 +593,9 @@ def left_out_text(world: Any) -> str:
         return ""
     names = " and ".join(f"`{name}`" for name in methods)
     changed = ", ".join(f"`{each}`" for each in dict.fromkeys(chain.from_iterable(methods.values())))
-    verb = "changes" if len(methods) == 1 else "change"
     return (
-        f"runs do not call the environment's own {names}, which {verb} {changed}: write wrappers=[] in its pafot.World"
+        f"runs do not call the environment's own {names}, which may change {changed}: write wrappers=[] in its "
+        "pafot.World"
     )
 
 

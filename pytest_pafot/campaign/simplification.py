@@ -13,11 +13,11 @@ from contextlib import nullcontext, suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import count
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from pytest_pafot.campaign.events import FindTold
 from pytest_pafot.campaign.harness import Harness, begins_alike, limits_of, refusals
-from pytest_pafot.campaign.moments import moment_of, tried
+from pytest_pafot.campaign.moments import moment_of
 from pytest_pafot.campaign.search_loop import SearchLoop
 from pytest_pafot.campaign.state_file import Answer, Shown
 from pytest_pafot.campaign.verdict import Verdict, headline
@@ -282,13 +282,10 @@ class Simplification:
         without_it = self._beside(found, npc, question)
         if without_it is None:
             return None, moment
-        if question is not None:
-            question = replace(question, changed=partial(tried, npc, without_it.at))
         whole = self._beside(found, None, question)
         if whole is None or any(differ(action, whole.of(each)) for each, action in enumerate(trace.actions)):
             return None, None
-        since, until = window(found, expect)
-        numbers = counted(trace, since, until)
+        numbers, since = counted(trace, *window(found, expect))
         answers = Answers(
             npc=npc,
             since=round(since, 3),
@@ -305,7 +302,12 @@ class Simplification:
                 if hardest >= braked + HARDER and hardest > answers.masked:
                     answers = replace(answers, masking=other, masked=round(hardest, 3))
         if number is not None:
-            moment = moment_of(trace, npc, number, whole, without_it, sight_of(harness.ads))
+            decided = number
+
+            def ask(instead: Any) -> Aside | None:
+                return self._beside(found, None, Question(number=decided, instead=instead))
+
+            moment = moment_of(trace, npc, number, whole, without_it, ask, sight_of(harness.ads))
         return answers, moment
 
     def _first_difference(self, trace: Trace) -> Moment | None:

@@ -40,7 +40,8 @@ class Answers:
 
     Attributes:
         npc: the vehicle's index in the scenario.
-        since: time from which on decisions count, which is when the danger began [s].
+        since: time from which on decisions count: when the danger began, or if none was due after that, when the last
+            one was made [s].
         decisions: number of decisions from then to the failure.
         depending: number of them that are others without the vehicle.
         unseen: True if what the policy saw until the failure is the same without the vehicle.
@@ -57,10 +58,14 @@ class Answers:
     masked: float = 0.0
 
     def __str__(self) -> str:
-        its = f"{self.decisions} decisions from {self.since:.1f} s on"
+        whom, since = f"NPC {self.npc}", f"from {self.since:.1f} s on"
+        unseen = f"{whom} is in none of the observations of its {self.decisions} decisions {since}"
+        told = f"{self.depending} of its {self.decisions} decisions {since} depend on {whom}"
+        if self.decisions == 1:
+            unseen = f"{whom} is not in the observation of its only decision {since}"
+            told = f"its only decision {since} {'depends' if self.depending else 'does not depend'} on {whom}"
         if self.unseen:
-            return f"NPC {self.npc} is in none of the observations of its {its}"
-        told = f"{self.depending} of its {its} depend on NPC {self.npc}"
+            return unseen
         return (
             told
             if self.masking is None
@@ -130,11 +135,15 @@ def window(run: Run, expect: Expect) -> tuple[float, float]:
     return max(expect.time - BEFORE_CHECK, 0.0), expect.time
 
 
-def counted(trace: Trace, since: float, until: float) -> range:
-    """Return the numbers of the decisions between two times [s]; at least that of the last one before the second."""
+def counted(trace: Trace, since: float, until: float) -> tuple[range, float]:
+    """Return the numbers of the decisions between two times [s], and the first of these times.
+
+    If none was due between them, it is the last one before, and its own time.
+    """
     times = [tick / trace.physics_hz for tick in trace.decision_ticks]
     last = max(bisect_right(times, until + 1e-9), 1)
-    return range(min(bisect_left(times, since - 1e-9), last - 1), last)
+    first = min(bisect_left(times, since - 1e-9), last - 1)
+    return range(first, last), min(since, times[first])
 
 
 def deciding(run: Run, expect: Expect) -> int | None:

@@ -72,9 +72,10 @@ class FindingRecord:
         breadth: how many neighbours of a new finding fail in the same way: `failing`, `of`, and `share`, the size of
             their steps as a share of the full ones, which `full` neighbours had. Null if that was not examined.
         answers: how many decisions depend on the vehicle of a new finding, when they are made again beside the run:
-            `npc`; `since`, when the danger began [s]; `decisions` from then to the failure, and `depending`; `unseen`,
-            true if it was in no observation; `masking`, another NPC with which hidden the policy brakes harder, at
-            `masked` [m/s^2]. Null if that was not examined.
+            `npc`; `since`, when the danger began, or if no decision was due after that, when the last one was made [s];
+            `decisions` from then to the failure, and `depending`; `unseen`, true if it was in no observation;
+            `masking`, another NPC with which hidden the policy brakes harder, at `masked` [m/s^2]. Null if that was not
+            examined.
         moment: the last decision that could have avoided it: `time` [s]; `npc`; `seen`, `action`, `hidden`, `otherwise`
             and `reference`, in words: where the policy saw the NPC, what it answered, what it answers with the NPC
             hidden (empty for the same, null if unknown), with the smallest change of it that changes the answer, and

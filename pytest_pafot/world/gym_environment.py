@@ -5,15 +5,17 @@ This module refuses every unusable environment, configuration or wrapper; the er
 
 from __future__ import annotations
 
+import ast
 import difflib
 import inspect
 import math
+import textwrap
 import warnings
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass
 from functools import cached_property
-from types import MappingProxyType
+from types import FunctionType, MappingProxyType
 from typing import Any
 
 import gymnasium
@@ -52,6 +54,8 @@ TRAFFIC_OPTIONS = (
     "incoming_vehicle_destination",
 )
 """All options of highway-env for other vehicles, in whose place a search has NPCs."""
+CONNECTED = "neighbour_vehicles_connected_lanes"
+"""The option for the lanes in which highway-env's IDM looks for others; NPCs and policies do not look there."""
 POLICY_OPTIONS = ("observation", "action", "policy_frequency")
 """The options that have no effect on an ego that decides without the environment's observations and actions."""
 
@@ -100,6 +104,15 @@ LEAST_NUMBERS = MOST_NUMBERS // 20
 
 WITH_EGO = ("controlled_vehicles", "road", "action_type", "observation_type")
 """The attributes of an environment through which highway-env reaches the ego, and in which a run puts its own."""
+
+LEFT_OUT = ("_reward", "_rewards", "_info", "_is_terminated", "_is_truncated")
+"""The methods of environments that only their ``step`` and ``reset`` call, and what a run needs does not."""
+
+RESETS, RESETS_IN_WRAPPERS = 10, 4
+"""How many resets of an environment are compared; a wrapper's may be slow, such as one that records videos."""
+
+PLAIN = (bool, int, float, str, list, tuple, dict, set, np.ndarray, np.generic)
+"""The types of attributes that are values, and no part of highway-env."""
 
 NEUTRAL = (OrderEnforcing, PassiveEnvChecker, TimeLimit)
 """The wrappers that ``gymnasium.make`` itself puts around any environment.
@@ -181,7 +194,41 @@ class GymEnvironment:
                     let_through(error)
                 env.config |= without_traffic
                 env.reset(seed=0)
+        if wrapper_names(outer) or not type(outer.unwrapped).__module__.startswith("highway_env."):
+            self._check_resets()
         return outer
+
+    def _check_resets(self) -> None:
+        """Refuse an environment of which resets with the same seed differ, such as by the number of episodes before.
+
+        Its runs would mix what is meant for different episodes, and none of them could be repeated.
+
+        Raises:
+            WorldError: if a later reset does not do what the first one does.
+        """
+        outer = self.make()
+        names, resets = wrapper_names(outer), RESETS_IN_WRAPPERS if wrapper_names(outer) else RESETS
+        first = {} if names else _beginning(outer)  # wrappers have not reset it yet
+        for _ in range(resets):
+            with vehicle_classes_kept():
+                try:
+                    outer.reset(seed=0)
+                except UNFIT as error:  # in a run, this is a failure of the first decision
+                    let_through(error)
+                    return
+            found = _beginning(outer)
+            first = first or found
+            changed = [name for name in {**first, **found} if first.get(name) != found.get(name)]
+            if changed:
+                who = " in ".join([type(outer.unwrapped).__name__, *names])
+                was, now = (each.get(changed[0], "none")[:60] for each in (first, found))
+                raise WorldError(
+                    field="env_id",
+                    expected="an environment whose resets with the same seed are alike, so that runs can be repeated",
+                    received=f"{who}, where {changed[0]} is {was} after the first reset and {now} after a later one",
+                    fix="it counts its resets, or draws from random numbers without the seed: let an option of config= "
+                    "say what differs, and give each test its own",
+                )
 
     def with_traffic(self) -> Any:
         """Return an environment with its random traffic, in all its wrappers; the caller must reset it with a seed.
@@ -247,9 +294,10 @@ class GymEnvironment:
         The ``step`` of intersections spawns and removes traffic, which runs do not have, and their ``RegulatedRoad``
         makes vehicles yield, which this package's runs reproduce. The ``step`` of exits only adds to ``info``.
         """
-        env, road = type(self.unwrapped), type(self.unwrapped.road)
-        has_own_road = road is not RegulatedRoad and (road.step is not Road.step or road.act is not Road.act)
-        return has_own_road or not (drives_itself or has_known_step(env))
+        env, road = self.unwrapped, self.unwrapped.road
+        steps = type(road) is not RegulatedRoad and type(road).step is not Road.step
+        has_own_road = steps or "step" in vars(road) or has_own_act(road)
+        return has_own_road or not (drives_itself or has_known_step(type(env)))
 
     def episodes_itself(self, *, drives_itself: bool) -> bool:
         """Return whether runs must be episodes of the environment itself: by its own ``step``, or after its own reset.
@@ -262,29 +310,27 @@ class GymEnvironment:
 
     @cached_property
     def left_out(self) -> dict[str, tuple[str, ...]]:
-        """The methods of the user's own for rewards and infos that change state, each with the attributes it changes.
+        """The methods of the user's own for rewards, infos and ends that change state, each with what it changes.
 
-        Runs that are no episodes of the environment do not call them.
+        Runs that are no episodes of the environment do not call them. What one changes is found by calling it once, and
+        in its source: it may change something in other states alone, or to a value that the reset has given already.
         """
         found = dict[str, tuple[str, ...]]()
         cls = type(self.unwrapped)
-        own = [
-            name
-            for name in ("_reward", "_rewards", "_info")
-            if not str(getattr(cls, name).__module__).startswith("highway_env.")
-        ]
+        own = [name for name in LEFT_OUT if not str(getattr(cls, name).__module__).startswith("highway_env.")]
         if not own:
             return found
         env = self.make().unwrapped
         seen, action = env.observation_type.observe(), env.action_space.sample()
         for name in own:
-            given = (seen, action) if name == "_info" else (action,)
+            given = {"_info": (seen, action), "_is_terminated": (), "_is_truncated": ()}.get(name, (action,))
             before = _plain_state(env)
             with suppress(Exception):  # an episode would show it
                 getattr(env, name)(*given)
             after = _plain_state(env)
-            if changed := tuple(key for key in after if after[key] != before.get(key)):
-                found[name] = changed
+            changed = [key for key in after if after[key] != before.get(key)]
+            if changed := [*changed, *(key for key in _assigned(cls, name) if key not in changed)]:
+                found[name] = tuple(changed)
         return found
 
     @cached_property
@@ -336,18 +382,25 @@ class GymEnvironment:
                 return str(name)
         return ""
 
-    def without_effect(self, *, drives_itself: bool) -> dict[str, list[str]]:
+    def without_effect(self, *, is_planner: bool, drives_itself: bool, simulates: bool) -> dict[str, list[str]]:
         """Return the given options that have no effect in a search, under what has it in their place.
 
         Rewards and drawing are not among them: they keep their meaning for wrappers and for a ``step`` of the user's.
+
+        Args:
+            is_planner: whether the ego decides in SI units.
+            drives_itself: whether the ego is a vehicle class, which may follow others as highway-env's traffic does.
+            simulates: whether the ego's policy gets the environment, with vehicles of its traffic's class.
         """
         given, is_straight = self.config or {}, self.straight_road is not None
         found: dict[str, list[str]] = {}
         for name in given:
             told = ""
-            if name in TRAFFIC_OPTIONS:
+            if name == "other_vehicles_type" and simulates:
+                continue
+            if name in TRAFFIC_OPTIONS or (name == CONNECTED and not (drives_itself or simulates)):
                 told = "NPCs replace the environment's own traffic"
-            elif name in POLICY_OPTIONS and drives_itself:
+            elif name in POLICY_OPTIONS and (is_planner or drives_itself):
                 told = "the ego decides without the environment's observations and actions"
             elif name == "ego_spacing" and is_straight:
                 told = "headway= of the world sets the gaps at the start"
@@ -385,14 +438,51 @@ class GymEnvironment:
 
 def _plain_state(env: Any) -> dict[str, str]:
     """Return the attributes of an environment and of its ego that are plain data, each as a text."""
-    plain = (bool, int, float, str, list, tuple, dict, set, np.ndarray, np.generic)
     owners = (("", env), ("vehicle.", env.vehicle))
     return {
         f"{owner}{name}": repr(value)
         for owner, each in owners
         for name, value in vars(each).items()
-        if isinstance(value, plain)
+        if isinstance(value, PLAIN)
     }
+
+
+def _beginning(outer: Any) -> dict[str, str]:
+    """Return what a run reads of an environment after a reset, as texts by name."""
+    env = outer.unwrapped
+    replaced = (*TRAFFIC_OPTIONS, *REPLACED)
+    found = {f"config[{name!r}]": repr(value) for name, value in env.config.items() if name not in replaced}
+    for index, lane in env.road.network.lanes_dict().items():
+        points = [lane.position(share * lane.length, 0).tolist() for share in (0.0, 0.5, 1.0)]
+        found[f"lane {index}"] = repr((points, lane.width_at(0), lane.speed_limit))
+    found["road.objects"] = repr(obstacles_of(env))
+    if (ego := env.vehicle) is not None:
+        place = (round(float(each), 6) for each in (*ego.position, ego.heading, ego.speed))
+        found["vehicle"] = f"{type(ego).__name__} at {', '.join(map(str, place))}"
+        found["vehicle.target_speeds"] = repr(getattr(ego, "target_speeds", None))
+    return found | {name: repr(getattr(outer, name)) for name in ("observation_space", "action_space")}
+
+
+def _assigned(cls: Any, name: str) -> list[str]:
+    """Return the attributes that a method of the user's own assigns to in its source, if that is there.
+
+    Methods of the same object that it calls are included.
+    """
+    found, names = dict[str, None](), [name]
+    for called in names:
+        functions = [vars(each).get(called) for each in cls.__mro__]
+        for function in functions:
+            if not isinstance(function, FunctionType) or str(function.__module__).startswith("highway_env."):
+                continue
+            with suppress(OSError, SyntaxError):
+                for node in ast.walk(ast.parse(textwrap.dedent(inspect.getsource(function)))):
+                    place = node.value if isinstance(node, ast.Subscript) else node
+                    if isinstance(place, ast.Attribute) and isinstance(getattr(node, "ctx", None), ast.Store):
+                        found[ast.unparse(node).removeprefix("self.")] = None
+                    method = ast.unparse(node.func) if isinstance(node, ast.Call) else ""
+                    if method.startswith("self.") and (own := method.removeprefix("self.")) not in names:
+                        names.append(own)
+    return list(found)
 
 
 def obstacles_of(env: Any) -> tuple[tuple[float, float, float, float, float], ...]:
@@ -403,6 +493,11 @@ def obstacles_of(env: Any) -> tuple[tuple[float, float, float, float, float], ..
             x, y = map(float, each.position)
             found.append((x, y, float(each.heading), float(each.LENGTH), float(each.WIDTH)))
     return tuple(found)
+
+
+def has_own_act(road: Any) -> bool:
+    """Return whether a road controls its vehicles by an ``act`` of the user's own."""
+    return type(road).act is not Road.act or "act" in vars(road)
 
 
 def has_known_step(cls: Any) -> bool:

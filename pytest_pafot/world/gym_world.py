@@ -256,9 +256,10 @@ class World(BuiltInWorld):
         sets_speed = self.planner_hz is None and getattr(action_type, "longitudinal", False)
         return max(0.0, float(min(speeds))) if sets_speed and len(speeds) else 0.0
 
-    def options_without_effect(self, *, drives_itself: bool) -> dict[str, list[str]]:
+    def options_without_effect(self, *, drives_itself: bool, simulates: bool = False) -> dict[str, list[str]]:
         """Return the options of ``config`` that have no effect in a search, under what has it in their place."""
-        return self.environment.without_effect(drives_itself=drives_itself or self.planner_hz is not None)
+        is_planner = self.planner_hz is not None
+        return self.environment.without_effect(is_planner=is_planner, drives_itself=drives_itself, simulates=simulates)
 
     @property
     def left_out(self) -> dict[str, tuple[str, ...]]:

@@ -211,15 +211,16 @@ def unused_roads(world: Any) -> frozenset[Meeting]:
     return world.unused_roads if "unused_roads" in vars(type(world)) else frozenset()
 
 
-def options_without_effect(world: Any, *, drives_itself: bool) -> dict[str, list[str]]:
+def options_without_effect(world: Any, *, drives_itself: bool, simulates: bool) -> dict[str, list[str]]:
     """Return the given options of a world's environment that have no effect in a search, under what has it instead.
 
     Args:
         world: the world.
         drives_itself: true if the ADS is a vehicle class.
+        simulates: true if the ADS gets the environment.
     """
     known = getattr(world, "options_without_effect", None)
-    return {} if known is None else known(drives_itself=drives_itself)
+    return {} if known is None else known(drives_itself=drives_itself, simulates=simulates)
 
 
 def left_out(world: Any) -> dict[str, tuple[str, ...]]:

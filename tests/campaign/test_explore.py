@@ -225,7 +225,9 @@ def own_environments(monkeypatch):
         )
 
 
-BURNS = "runs do not call the environment's own `_reward`, which changes `fuel`: write wrappers=[] in its pafot.World"
+BURNS = (
+    "runs do not call the environment's own `_reward`, which may change `fuel`: write wrappers=[] in its pafot.World"
+)
 
 
 def test_search_names_what_of_an_environment_has_no_effect(own_environments):

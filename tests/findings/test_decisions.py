@@ -9,7 +9,7 @@ import pytest
 
 import pytest_pafot as pafot
 from pytest_pafot.attribution.takeovers import Avoidance
-from pytest_pafot.campaign.moments import moment_of, tried
+from pytest_pafot.campaign.moments import moment_of
 from pytest_pafot.findings.decisions import (
     Answers,
     Moment,
@@ -96,6 +96,19 @@ def test_answers_are_told_in_one_line():
     )
 
 
+def test_answers_of_a_single_decision_are_told_as_such():
+    one = Answers(npc=0, since=4.0, decisions=1, depending=0)
+    assert str(one) == "its only decision from 4.0 s on does not depend on NPC 0"
+    assert str(replace(one, depending=1)) == "its only decision from 4.0 s on depends on NPC 0"
+    assert str(replace(one, unseen=True)) == "NPC 0 is not in the observation of its only decision from 4.0 s on"
+
+
+def test_where_no_decision_was_due_in_the_danger_the_last_one_before_counts_at_its_time():
+    trace = pafot.World("highway-v0").rollout(SCENARIO, lambda: lambda seen: 1)  # a decision each second
+    assert counted(trace, 4.2, 4.9) == (range(4, 5), 4.0)
+    assert counted(trace, 4.2, 5.0) == (range(5, 6), 4.2)
+
+
 def test_a_moment_is_told_in_one_line():
     moment = Moment(time=4.9, npc=0, seen=placed(12.3, -0.2, -6.1), action="acceleration 0.0 m/s^2")
     start = "4.9 s: it saw NPC 0 12.3 m ahead, 0.2 m to the left, 6.1 m/s slower, and answered acceleration 0.0 m/s^2"
@@ -149,11 +162,11 @@ def test_a_vehicle_is_found_by_its_id_among_ghosts_in_any_order():
     trace = WORLD.rollout(SCENARIO, factory)
     for number in range(0, len(trace.actions), 7):
         without_it = asked(factory, trace, npc=0, question=Question(number=number))
-        question = Question(number=number, changed=partial(tried, 0, without_it.at))
-        whole = asked(factory, trace, question=question)
+        whole = asked(factory, trace, question=Question(number=number))
         assert whole.answers == list(trace.actions)
-        assert whole.probed[0] == without_it.answers[number]
-        moment = moment_of(trace, 0, number, whole, without_it)
+        hidden = asked(factory, trace, question=Question(number=number, instead=changed(whole.at, 0, None)))
+        assert hidden.answers[number] == without_it.answers[number]
+        moment = moment_of(trace, 0, number, whole, without_it, lambda _: None)
         x, y, _, speed = (trace.npcs[trace.decision_ticks[number], 0] - trace.ego[trace.decision_ticks[number]])[:4]
         assert moment.seen == placed(x, y, speed)
 
@@ -169,7 +182,7 @@ def test_a_moment_of_an_environments_policy_says_only_where_it_is_known_to_see(s
     whole, without_it = (
         asked(factory, trace, npc=npc, world=world, check=int, question=Question(number=number)) for npc in (None, 0)
     )
-    moment = moment_of(trace, 0, number, whole, without_it, factory.sight)
+    moment = moment_of(trace, 0, number, whole, without_it, lambda _: None, factory.sight)
     assert bool(moment.seen) is is_told
 
 
@@ -198,9 +211,7 @@ def test_a_policy_that_raises_without_a_vehicle_has_no_decision_there():
 def test_the_smallest_change_that_flips_an_answer_is_found():
     trace = WORLD.rollout(SCENARIO, Listing)
     number = trace.actions.index((-3.0, 0.0)) - 1
-    without_it = asked(Listing, trace, npc=0, question=Question(number=number))
-    question = Question(number=number, changed=partial(tried, 0, without_it.at))
-    moment = moment_of(trace, 0, number, asked(Listing, trace, question=question), without_it)
+    moment = moment_at(number, Listing, trace)
     assert moment.time == trace.decision_ticks[number] / trace.physics_hz
     assert moment.action == "acceleration 0.0 m/s^2"
     assert moment.hidden == ""
@@ -222,39 +233,70 @@ def test_a_changed_observation_differs_in_that_vehicle_alone():
     assert gone.lateral_velocities == (one.lateral_velocities[0], one.lateral_velocities[2])
 
 
-class Stateful:
-    """Brakes from its third observation on; it cannot be copied."""
+def moment_at(number, factory, trace):
+    whole, without_it = (asked(factory, trace, npc=npc, question=Question(number=number)) for npc in (None, 0))
 
+    def ask(instead):
+        return asked(factory, trace, question=Question(number=number, instead=instead))
+
+    return moment_of(trace, 0, number, whole, without_it, ask)
+
+
+def on_the_last_but_one(seen, observation):
+    """Brake if there was a vehicle ahead in the last observation but one, and note this one."""
+    seen.append(any(other.x > observation.ego.x for other in observation.others))
+    return (-3.0 if len(seen) > 2 and seen[-3] else 0.0), 0.0
+
+
+def with_a_closure():
+    seen = []
+    return lambda observation: on_the_last_but_one(seen, observation)
+
+
+class Late:
     def __init__(self):
-        self.calls = 0
+        self.seen = []
 
-    def __deepcopy__(self, memo):
-        raise TypeError
+    def act(self, observation):
+        return on_the_last_but_one(self.seen, observation)
+
+
+def test_a_policy_that_keeps_state_is_asked_otherwise_in_the_state_of_the_run():
+    """What it sees at one decision changes nothing before the next but one, wherever it keeps its state."""
+    trace = WORLD.rollout(SCENARIO, with_a_closure)
+    for factory in (with_a_closure, lambda: Late().act):
+        moment = moment_at(8, factory, trace)
+        assert (moment.action, moment.hidden, moment.otherwise) == ("acceleration -3.0 m/s^2", "", "")
+
+
+class Counting:
+    """Brakes from its 40th call on, counted over all of its objects."""
+
+    calls: ClassVar[list] = []
 
     def __call__(self, observation):
-        self.calls += 1
-        return (-3.0 if self.calls > 2 else 0.0), 0.0
+        self.calls.append(observation.time)
+        return (-3.0 if len(self.calls) > 40 else 0.0), 0.0
 
 
-def test_a_policy_that_cannot_be_copied_is_not_asked_otherwise():
-    trace = WORLD.rollout(SCENARIO, Stateful)
-    question = Question(number=1, changed=partial(tried, 0, None))
-    assert asked(Stateful, trace, question=question).probed == []
+SHARED = Late()
 
 
-class Forgetful(Stateful):
-    """Its copies begin anew, so they answer as no policy in the run does."""
-
-    def __deepcopy__(self, memo):
-        return Forgetful()
-
-
-def test_a_copy_that_answers_otherwise_says_nothing():
-    trace = WORLD.rollout(SCENARIO, Forgetful)
-    question = Question(number=5, changed=partial(tried, 0, None))
-    aside = asked(Forgetful, trace, question=question)
-    assert aside.answers[5] == (-3.0, 0.0)
-    assert aside.probed == []
+@pytest.mark.parametrize(
+    ("factory", "clear"),
+    [(Counting, Counting.calls.clear), (lambda: SHARED.act, lambda: setattr(SHARED, "seen", []))],
+    ids=["in the class", "in a shared object"],
+)
+def test_a_policy_that_decides_otherwise_before_the_moment_is_not_asked(factory, clear):
+    number, asides = 8, []
+    clear()
+    trace = WORLD.rollout(SCENARIO, factory)
+    for _ in range(2):
+        clear()
+        asides.append(asked(factory, trace, question=Question(number=number)))
+    moment = moment_of(trace, 0, number, *asides, lambda _: asked(factory, trace))
+    assert moment.action
+    assert (moment.hidden, moment.otherwise) == (None, None)
 
 
 def crash(ads):
@@ -277,8 +319,8 @@ def test_the_deciding_moment_of_a_missing_response_is_the_last_that_avoids_it():
     assert vehicle_of(run, expecting(run)) == 0
     since, until = window(run, expecting(run))
     assert (since, until) == (run.attribution.time, run.event_time)
-    numbers = counted(run.trace, since, until)
-    assert run.trace.decision_ticks[numbers[0]] / run.trace.physics_hz >= since
+    numbers, first = counted(run.trace, since, until)
+    assert first == since <= run.trace.decision_ticks[numbers[0]] / run.trace.physics_hz
     assert numbers.stop == len(run.trace.decision_ticks)
 
 

@@ -29,7 +29,9 @@ from gymnasium.wrappers import (
     TransformObservation,
 )
 from highway_env.envs.highway_env import HighwayEnv
+from highway_env.road.road import Road
 from highway_env.vehicle.behavior import IDMVehicle
+from highway_env.vehicle.controller import MDPVehicle
 from highway_env.vehicle.kinematics import Vehicle
 from highway_env.vehicle.objects import Landmark, Obstacle
 
@@ -49,7 +51,7 @@ from pytest_pafot.testing import check_world
 from pytest_pafot.testing.traces import contacts
 from pytest_pafot.training import training_env
 from pytest_pafot.world import World, WorldError
-from pytest_pafot.world.gym_environment import POLICY_OPTIONS, TRAFFIC_OPTIONS
+from pytest_pafot.world.gym_environment import CONNECTED, POLICY_OPTIONS, TRAFFIC_OPTIONS
 from tests.findings.builders import plain_finding
 from tests.helpers.gym_loop import Replayed, StateLog
 from tests.helpers.stages import mostly_oracle
@@ -260,7 +262,7 @@ def test_readers_of_a_run_use_the_times_of_its_decisions():
     hit = Collision(tick=105, time=7.0, npc=0, side="front", cell=None, ego_speed=9.0, npc_speed=0.0, closing_speed=9.0)
     before = before_impact(replace(trace, outcome="collision", collision=hit))
     assert (before.ticks, before.decided, len(before.actions)) == (60, (0, 30), 2)
-    assert counted(trace, 1.0, 5.0) == range(1, 3)
+    assert counted(trace, 1.0, 5.0) == (range(1, 3), 1.0)
 
 
 def test_decision_that_fails_has_its_time_too():
@@ -422,6 +424,166 @@ def test_ego_that_is_kept_where_no_run_replaces_it_is_refused(keeper, wrappers, 
     assert World("mine-v0", duration=3.0).rollout(SCENARIO, Vehicle).ticks > 0
 
 
+class Truck(MDPVehicle):
+    """A long vehicle that gains speed slowly, the more so the heavier it is."""
+
+    LENGTH = 8.0
+
+    def __init__(self, *args, mass=2.0, **kwargs):
+        super().__init__(*args, **kwargs)
+        self.mass = mass
+
+    def speed_control(self, target_speed):
+        return super().speed_control(target_speed) / self.mass
+
+
+class Freight(HighwayEnv):
+    """One that makes an ego of a class of its own."""
+
+    def _create_vehicles(self):
+        super()._create_vehicles()
+        usual = self.vehicle
+        self.vehicle = Truck(self.road, usual.position, usual.heading, usual.speed, target_speeds=[20, 28], mass=3.0)
+        self.road.vehicles[self.road.vehicles.index(usual)] = self.vehicle
+
+
+@pytest.mark.parametrize("wrappers", [None, []])
+def test_ego_is_of_the_class_of_which_the_environment_makes_it(wrappers, register):
+    register("mine-v0", entry_point=Freight)
+    world, faster = World("mine-v0", duration=3.0, wrappers=wrappers), 3
+    scenario = Scenario(npcs=[[PositionInstruction(6, 10.0)]], ego_lane=1, ego_speed=20.0)
+    trace = world.rollout(scenario, lambda: lambda seen: faster)
+    env = gymnasium.make("mine-v0", config={"vehicles_count": 0}).unwrapped
+    env.reset(seed=0)
+    x, y, heading, speed = trace.ego[0, :4]
+    env.vehicle = Truck(env.road, [x, y], heading, speed, target_speeds=[20, 28], mass=3.0)
+    env.road.vehicles = [env.vehicle]
+    for _ in range(3):
+        env.step(faster)
+    assert trace.ego[-1, :4] == pytest.approx([*env.vehicle.position, env.vehicle.heading, env.vehicle.speed])
+    assert trace.sizes[0][0] == 8.0
+
+
+class Icy(Road):
+    """A road on which the first vehicle slows down from 250 m on, whatever it wants."""
+
+    def act(self):
+        super().act()
+        self.slow()
+
+    def slow(self):
+        if self.vehicles[0].position[0] > 250.0:
+            self.vehicles[0].action["acceleration"] = -4.0
+
+
+class Alps(HighwayEnv):
+    def _create_road(self):
+        super()._create_road()
+        self.road = Icy(self.road.network, np_random=self.np_random)
+
+
+class Thawing(HighwayEnv):
+    """One whose road gets an ``act`` of its own when it is made."""
+
+    def _create_road(self):
+        super()._create_road()
+        road = self.road
+        self.road.act = lambda: (Road.act(road), Icy.slow(road))
+
+
+@pytest.mark.parametrize("cls", [Alps, Thawing])
+@pytest.mark.parametrize(
+    ("options", "ads", "speed"),
+    [({}, IDLE, 20.0), ({"wrappers": []}, IDLE, 20.0),
+     ({"planner_hz": 5}, lambda: lambda seen: (0.0, 0.0), 22.0), ({}, IDMVehicle, 22.0)],
+    ids=["policy", "wrapped", "planner", "class"],
+)  # fmt: skip
+def test_what_the_act_of_an_own_road_does_to_the_ego_holds_in_runs(cls, options, ads, speed, register):
+    register("mine-v0", entry_point=cls)
+    scenario = Scenario(npcs=[[PositionInstruction(6, 10.0)]], ego_lane=1, ego_speed=22.0)
+    ego = World("mine-v0", duration=5.0, **options).rollout(scenario, ads).ego
+    on_ice = ego[:-1, 0] > 250.0
+    assert ego[:-1][~on_ice, SPEED][-1] == pytest.approx(speed, abs=0.2)
+    assert np.diff(ego[:, SPEED])[on_ice] == pytest.approx(-4.0 / 15)
+
+
+class Harder(HighwayEnv):
+    """One of whose episodes every third has a lane more."""
+
+    episodes = 0
+
+    def _reset(self):
+        type(self).episodes += 1
+        self.config["lanes_count"] = 3 + type(self).episodes // 3
+        super()._reset()
+
+
+class Faster(HighwayEnv):
+    """One that has other actions from its seventh episode on, counted for each of its objects."""
+
+    episodes = 0
+
+    def reset(self, *, seed=None, options=None):
+        found = super().reset(seed=seed, options=options)
+        self.episodes += 1
+        self.vehicle.target_speeds = np.array([20, 25, 30 if self.episodes < 7 else 35])
+        return found
+
+
+class Chancy(HighwayEnv):
+    """One whose start is random, without the seed."""
+
+    def _create_vehicles(self):
+        super()._create_vehicles()
+        self.vehicle.position[0] += np.random.default_rng().uniform()
+
+
+class Lessons(gymnasium.Wrapper):
+    """A wrapper whose second episode has more lanes."""
+
+    lessons = 0
+
+    def reset(self, **kwargs):
+        self.lessons += 1
+        self.unwrapped.config["lanes_count"] = 4 + (self.lessons > 1)
+        return self.env.reset(**kwargs)
+
+
+@table(
+    ("cls", "wrappers", "received"),
+    [
+        (Harder, None, "Harder, where config['lanes_count'] is 4 after the first reset and 5 after a later one"),
+        (Faster, None, "Faster, where vehicle.target_speeds is array([20, 25, 30]) after the first"),
+        (Chancy, None, "Chancy, where vehicle is MDPVehicle at *"),
+        (HighwayEnv, [Lessons], "HighwayEnv in Lessons, where config['lanes_count'] is 4 after the first"),
+    ])  # fmt: skip
+def test_environment_whose_resets_differ_is_refused(cls, wrappers, received, register):
+    Harder.episodes = 0
+    register(f"{cls.__name__}-v0", entry_point=cls)
+    with pytest.raises(WorldError) as told:
+        World(f"{cls.__name__}-v0", wrappers=wrappers).check()
+    assert fnmatch(str(told.value), f"*received {received.replace('[', '[[]')}*")
+
+
+class Weighed(Truck):
+    def __init__(self, road, position, heading, speed, mass):
+        super().__init__(road, position, heading, speed, mass=mass)
+
+
+class Depot(HighwayEnv):
+    """One whose ego can be made only with an argument that nothing else knows."""
+
+    def _create_vehicles(self):
+        self.vehicle = Weighed(self.road, [200.0, 4.0], 0.0, 20.0, 3.0)
+        self.road.vehicles.append(self.vehicle)
+
+
+def test_ego_whose_class_needs_more_arguments_is_refused(register):
+    register("mine-v0", entry_point=Depot)
+    with pytest.raises(WorldError, match=r"Weighed\(road, .*'mass'\); give its other arguments defaults"):
+        World("mine-v0").rollout(SCENARIO, lambda: lambda seen: 1)
+
+
 class Loaded(HighwayEnv):
     """A straight road whose reset makes an ego of a class of its own."""
 
@@ -451,13 +613,9 @@ class Watching(Loaded):
 
 
 @pytest.mark.parametrize(("cls", "wrappers"), [(Weighing, None), (Weighing, []), (Watching, None)])
-def test_environment_that_needs_its_own_ego_is_not_told_as_failure_of_the_ads(cls, wrappers, register):
+def test_environment_may_ask_the_ego_of_its_own_class(cls, wrappers, register):
     register("mine-v0", entry_point=cls)
-    message = (
-        f"an ego of the class MDPVehicle, which its action type names, received {cls.__name__}, which reads `load`"
-    )
-    with pytest.raises(WorldError, match=message):
-        World("mine-v0", duration=3.0, wrappers=wrappers).rollout(SCENARIO, IDLE)
+    assert World("mine-v0", duration=3.0, wrappers=wrappers).rollout(SCENARIO, IDLE).outcome == "safe"
 
 
 class Wet(HighwayEnv):
@@ -697,17 +855,37 @@ class Burning(HighwayEnv):
         return super()._reward(action)
 
 
+class Urging(HighwayEnv):
+    """One whose rewards slow a fast ego down, by a method of their own, and whose end counts."""
+
+    def _rewards(self, action):
+        self.calm(self.vehicle)
+        return super()._rewards(action)
+
+    def calm(self, vehicle):
+        if vehicle.speed > 100:
+            vehicle.target_speed = 20.0
+
+    def _is_terminated(self):
+        self.asked: int = 1
+        return super()._is_terminated()
+
+
 class Scoring(HighwayEnv):
     """One whose reward changes nothing."""
 
     def _reward(self, action):
-        return 2 * super()._reward(action)
+        found = {}
+        found["twice"] = 2 * super()._reward(action)
+        return found["twice"]
 
 
 def test_rewards_that_change_the_state_are_named_where_no_run_calls_them(register):
     register("mine-v0", entry_point=Burning)
     assert World("mine-v0").left_out == {"_reward": ("fuel", "vehicle.calls")}
     assert World("mine-v0", wrappers=[]).left_out == World("mine-v0", planner_hz=5).left_out == {}
+    register("third-v0", entry_point=Urging)
+    assert World("third-v0").left_out == {"_rewards": ("vehicle.target_speed",), "_is_terminated": ("asked",)}
     register("other-v0", entry_point=Scoring)
     assert World("other-v0").left_out == World("highway-v0").left_out == {}
 
@@ -961,7 +1139,7 @@ def test_finding_at_an_obstacle_is_saved_and_read(register, tmp_path):
 
 ROAD = (
     "lanes_count speed_limit length no_lanes roundabout_radius roundabout_lanes before_merge_length after_merge_length "
-    "converge_merge_length parallel_merge_length block_lane force_decision add_walls neighbour_vehicles_connected_lanes"
+    "converge_merge_length parallel_merge_length block_lane force_decision add_walls"
 )
 RUN = "simulation_frequency duration destination state_noise derivative_noise steering_range"
 REFUSED = "controlled_vehicles manual_control"
@@ -974,7 +1152,15 @@ DRAWING = (
     "centering_position offscreen_rendering real_time_rendering render_agent scaling screen_height screen_width "
     "show_trajectories"
 )
-NAMED = (*TRAFFIC_OPTIONS, *POLICY_OPTIONS, "ego_spacing", "initial_lane_id", "offroad_terminal", "terminate_off_road")
+NAMED = (
+    *TRAFFIC_OPTIONS,
+    *POLICY_OPTIONS,
+    CONNECTED,
+    "ego_spacing",
+    "initial_lane_id",
+    "offroad_terminal",
+    "terminate_off_road",
+)
 
 
 def test_every_option_of_highway_env_is_used_refused_or_named():
@@ -999,6 +1185,20 @@ def test_every_option_of_highway_env_is_used_refused_or_named():
     ])  # fmt: skip
 def test_option_that_something_replaces_is_named_with_what_does(env_id, config, names):
     assert World(env_id, config=config).options_without_effect(drives_itself=False) == names
+
+
+@table(
+    ("kind", "planner_hz", "names"),
+    [
+        ({"drives_itself": False}, None, [CONNECTED, "other_vehicles_type"]),
+        ({"drives_itself": False}, 5, [CONNECTED, "other_vehicles_type"]),
+        ({"drives_itself": True}, None, ["other_vehicles_type"]),  # an IDMVehicle looks there
+        ({"drives_itself": False, "simulates": True}, None, []),  # what it simulates has vehicles of that class
+    ])  # fmt: skip
+def test_option_for_highway_envs_own_driver_is_named_where_nobody_drives_so(kind, planner_hz, names):
+    config = {CONNECTED: True, "other_vehicles_type": "highway_env.vehicle.behavior.DefensiveVehicle"}
+    found = World("intersection-v0", config=config, planner_hz=planner_hz).options_without_effect(**kind)
+    assert found == ({TRAFFIC_TOLD: names} if names else {})
 
 
 class Refusing(HighwayEnv):

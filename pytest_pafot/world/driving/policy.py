@@ -17,7 +17,6 @@ from pytest_pafot.world.driving.compiled_vehicle import CompiledRoad
 from pytest_pafot.world.driving.object_driver import ObjectDriver
 from pytest_pafot.world.driving.observations import observer
 from pytest_pafot.world.driving.seeing import PolicySight
-from pytest_pafot.world.guard.failure import ego_replaced
 from pytest_pafot.world.guard.hang_guard import HangGuard
 from pytest_pafot.world.kernel.action import hint_at
 from pytest_pafot.world.kernel.bodies import Body
@@ -74,10 +73,7 @@ class PolicyDriver(ObjectDriver):
         with nullcontext() if self._sight is None else self._sight.shown():
             if self._view is not None:
                 self._view.show(tick)
-            try:
-                return self._observe()
-            except AttributeError as error:
-                raise ego_replaced(error, env) from error
+            return self._observe()
 
     def take(self, action: Any, seconds: float) -> None:
         """Check and apply a decision that took ``seconds``.

@@ -29,16 +29,13 @@ class Aside:
         answers: its actions, one per decision; None where it raised an error.
         is_noted: whether to note what it sees, which takes longer than a decision.
         seen: digests of its observations; those that cannot be pickled are left out.
-        at: what it saw at the decision that was asked for; None without one.
-        probed: what it answers there to each of the changed observations, None where it raised an error; empty if it
-            could not be asked again.
+        at: what it would have seen at the decision of a question, had nothing been changed; None without one.
     """
 
     is_noted: bool = True
     answers: list[Any] = field(default_factory=list)
     seen: list[bytes] = field(default_factory=list)
     at: Any = None
-    probed: list[Any] = field(default_factory=list)
 
     def of(self, number: int) -> Any:
         """Return the action of a decision; None without one."""
@@ -47,15 +44,15 @@ class Aside:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Question:
-    """A decision at which an ADS is asked again, with changed observations.
+    """A decision at which what an ADS sees is noted, or changed.
 
     Attributes:
         number: the number of the decision.
-        changed: returns the changed observations.
+        instead: what it sees there instead; None for what there is to see.
     """
 
     number: int
-    changed: Callable[[Any], Sequence[Any]] = lambda _: ()
+    instead: Any = None
 
 
 class Shadow:
@@ -73,23 +70,15 @@ class Shadow:
         if aside.is_noted:
             with suppress(Exception):  # a class of the user's own may not be picklable
                 aside.seen.append(hashlib.blake2b(pickle.dumps(observation), digest_size=16).digest())
-        copies: list[Any] = []
         if self._question is not None and number == self._question.number:
-            aside.at = observation
-            with suppress(Exception):  # an ADS that cannot be copied is not asked
-                asked = (observation, *self._question.changed(observation))
-                copies = [self._asked(copy.deepcopy(self._ads), each) for each in asked]
-        answer = self._asked(self._ads, observation)
-        if copies and repr(copies[0]) == repr(answer):  # a copy that answers otherwise says nothing of this ADS
-            aside.probed = copies[1:]
+            aside.at = copy.deepcopy(observation)  # the ADS may write into it
+            observation = observation if self._question.instead is None else self._question.instead
+        try:
+            answer = self._check(self._ads(observation))
+        except Exception:  # noqa: BLE001  (an ADS may raise anything about an observation that it never had)
+            answer = None
         aside.answers.append(answer)
         return self._actions[number] if number < len(self._actions) else answer
-
-    def _asked(self, ads: Any, observation: Any) -> Any:
-        try:
-            return self._check(ads(observation))
-        except Exception:  # noqa: BLE001  (an ADS may raise anything about an observation that it never had)
-            return None
 
 
 def beside(

@@ -30,15 +30,21 @@ from pytest_pafot.world.driving.policy import View, check_action_space, checked_
 from pytest_pafot.world.driving.seeing import PolicySight, policy_sight
 from pytest_pafot.world.driving.vehicles import is_regulated
 from pytest_pafot.world.engines.egos import planner_driver, vehicle_of
-from pytest_pafot.world.engines.policies import put_ego
+from pytest_pafot.world.engines.policies import give_speeds, put_ego, put_policys_ego, usual_class
 from pytest_pafot.world.engines.run import VehiclesOfRun
-from pytest_pafot.world.guard.failure import UNFIT, closing, ego_replaced, error_of, let_through
+from pytest_pafot.world.guard.failure import UNFIT, closing, error_of, let_through
 from pytest_pafot.world.guard.hang_guard import HangGuard
-from pytest_pafot.world.gym_environment import GymEnvironment, obstacles_of, vehicle_classes_kept, wrapper_names
+from pytest_pafot.world.gym_environment import (
+    GymEnvironment,
+    has_own_act,
+    obstacles_of,
+    vehicle_classes_kept,
+    wrapper_names,
+)
 from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.kernel.loop import EgoDriver, PlannerDriver
 from pytest_pafot.world.run_config import Rules
-from pytest_pafot.world.stock import AbstractEnv, MDPVehicle, RegulatedRoad, RoadNetwork, Vehicle
+from pytest_pafot.world.stock import AbstractEnv, RegulatedRoad, RoadNetwork, Vehicle
 from pytest_pafot.world.validation import ADS_HZ, check_divides, whole_within
 
 TRAFFIC_HOOKS = ("_spawn_vehicle", "_clear_vehicles")
@@ -119,7 +125,8 @@ class StockPolicy(GuardedDriver):
 
         def in_place_of_the_reset() -> None:
             plain.road.objects = list(objects)  # to which the environment's own `reset` may add
-            _give_speeds(plain.vehicle, plain.action_type)
+            if type(plain.vehicle) is usual_class(plain.action_type):  # a reset may have drawn the speeds
+                give_speeds(plain.vehicle, getattr(plain.action_type, "target_speeds", None))
 
         if type(plain).reset is AbstractEnv.reset:
             plain.reset = lambda options=None, **_: _reset_result(plain, seed, options)
@@ -147,28 +154,20 @@ class StockPolicy(GuardedDriver):
         try:
             self._seen, *_ = call()
         except UNFIT as error:
-            plain = self.outer.unwrapped
-            if (failure := ego_replaced(error, plain)) is not error:
-                raise failure from error
-            if self.outer is plain:
+            if self.outer is self.outer.unwrapped:
                 raise
             let_through(error)
             self.failure = error
 
-    def actuate(self) -> None:
-        """Apply the low-level control of highway-env's controlled vehicles."""
+    def note(self) -> None:
+        """Note where all vehicles are, for an imperfect sight."""
         if self._sight is not None:
             self._sight.note()
+
+    def actuate(self) -> None:
+        """Apply the low-level control of highway-env's controlled vehicles."""
+        self.note()
         self.outer.unwrapped.vehicle.act()
-
-
-def _give_speeds(ego: Any, action_type: Any) -> None:
-    """Give an ego the speeds of its actions, as highway-env does when it makes one; a reset may have drawn them."""
-    speeds = getattr(action_type, "target_speeds", None)
-    if isinstance(ego, MDPVehicle) and speeds is not None and not np.array_equal(ego.target_speeds, speeds):
-        ego.target_speeds = np.array(speeds)
-        ego.speed_index = ego.speed_to_index(ego.speed)
-        ego.target_speed = ego.index_to_speed(ego.speed_index)
 
 
 def _reset_result(env: Any, seed: int, options: Mapping[str, Any] | None) -> tuple[Any, dict[str, Any]]:
@@ -209,8 +208,9 @@ def replay_environment(
     """
     outer, route = environment.make(), environment.route
     env, objects = _reset(outer, scenario, environment.config_of_wrappers)
-    start, view = rules.ego_position(scenario), None
-    put_ego(env, vehicle_of(env.action_type.vehicle_class, env.road, start, scenario.ego_speed, route))
+    view = None
+    if not (is_planner or is_vehicle_class(ads_factory)):
+        put_policys_ego(environment, env, rules, scenario)
     if not is_vehicle_class(ads_factory) and wants_env(ads_factory):
         if environment.wrappers is not None:
             raise WorldError(
@@ -321,6 +321,7 @@ class _Loop:
         self._moved = ""  # how the environment's own code has moved an NPC
         if isinstance(env.road, RegulatedRoad) and not is_regulated(env.vehicle):
             env.road.enforce_road_rules = _nothing  # without effect here, and slow
+        self._road_act = env.road.act if has_own_act(env.road) else None
         self._road_step = env.road.step
         env.road.act, env.road.step = self._act, self._step
 
@@ -455,12 +456,24 @@ class _Loop:
         )
 
     def _act(self) -> None:
-        """Control the ego and then the NPCs; this replaces ``Road.act``, which calls each vehicle's ``act``."""
+        """Control the ego and then the NPCs; this replaces ``Road.act``, which calls each vehicle's ``act``.
+
+        An ``act`` of the user's own is called for what it does to the ego.
+        """
         driver, (vehicle, *npcs), (ego, *bodies) = self._driver, self._vehicles, self._bodies
         self._make_npcs(StockVehicle)  # a `reset` may call the environment's `step`
-        driver.actuate()
-        if isinstance(driver, PlannerDriver):
-            vehicle.control(ego.acceleration, ego.steering)
+        if self._road_act is not None and isinstance(driver, StockPolicy):
+            driver.note()
+            self._road_act()
+        else:
+            driver.actuate()
+            if isinstance(driver, PlannerDriver):
+                vehicle.control(ego.acceleration, ego.steering)
+            if self._road_act is not None:  # the ego has acted, which a class of the user's own may do only once
+                act = vehicle.act
+                vehicle.act = lambda action=None: None if action is None else act(action)
+                self._road_act()
+                del vehicle.act
         if not self._is_over:
             self._moved = self._moved or self._moved_npc()
             self._run.loop.command()

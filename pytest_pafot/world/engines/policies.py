@@ -7,6 +7,8 @@ vehicles; it never calls the environment's ``step`` or that of its road.
 from __future__ import annotations
 
 import copy
+import functools
+import inspect
 from contextlib import ExitStack
 from typing import Any
 
@@ -15,6 +17,7 @@ import numpy as np
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.sight import Sight
 from pytest_pafot.model.trace import Trace
+from pytest_pafot.support.errors import WorldError
 from pytest_pafot.world.driving.ads import AdsFactory, is_vehicle_class, make_ads, wants_env
 from pytest_pafot.world.driving.compiled_vehicle import CompiledRoad, egos_rules, obstacles_on
 from pytest_pafot.world.driving.idm_model import idm_model
@@ -27,7 +30,7 @@ from pytest_pafot.world.engines.egos import vehicle_of
 from pytest_pafot.world.engines.run import SteppedRun, VehiclesOfRun
 from pytest_pafot.world.guard.failure import closing
 from pytest_pafot.world.guard.hang_guard import HangGuard
-from pytest_pafot.world.gym_environment import GymEnvironment
+from pytest_pafot.world.gym_environment import PLAIN, GymEnvironment
 from pytest_pafot.world.kernel.lane_network import Network
 from pytest_pafot.world.kernel.loop import ModelDriver
 from pytest_pafot.world.roads.straight import StraightRoad
@@ -50,7 +53,7 @@ def rollout(environment: GymEnvironment, rules: Rules, scenario: Scenario, ads_f
         if is_vehicle_class(ads):
             ads = make_ads(ads)
         else:
-            _put_policys_ego(environment, env, rules, scenario)
+            put_policys_ego(environment, env, rules, scenario)
             if wants_env(ads_factory):
                 view = View(environment.make().unwrapped, env)
             ads = make_ads(ads_factory) if view is None else make_ads(ads_factory, env=view.env)
@@ -77,7 +80,7 @@ def begin(
 ) -> SteppedRun:
     """Begin a run to which the caller passes the actions, for an ADS with the given sight."""
     env = _env_of(environment, scenario)
-    _put_policys_ego(environment, env, rules, scenario)
+    put_policys_ego(environment, env, rules, scenario)
     return _begun(rules, scenario, _policy_driver(environment, rules, scenario, None, env, guard, None, sight), guard)
 
 
@@ -133,9 +136,37 @@ def put_ego(env: Any, ego: Any) -> None:
     env.define_spaces()
 
 
-def _put_policys_ego(environment: GymEnvironment, env: Any, rules: Rules, scenario: Scenario) -> None:
-    vehicle_class, start = env.action_type.vehicle_class, rules.ego_position(scenario)
-    put_ego(env, vehicle_of(vehicle_class, env.road, start, scenario.ego_speed, environment.route))
+def put_policys_ego(environment: GymEnvironment, env: Any, rules: Rules, scenario: Scenario) -> None:
+    """Put the ego of a policy into an environment: of the class of its actions, or the class that its reset used.
+
+    An ego of a class of the user's own has the values that the reset gave it, such as by arguments of the class.
+
+    Raises:
+        WorldError: if the class cannot be called as highway-env calls those of its actions.
+    """
+    own, vehicle_class, start = env.vehicle, env.action_type.vehicle_class, rules.ego_position(scenario)
+    if type(own) is usual_class(env.action_type):
+        put_ego(env, vehicle_of(vehicle_class, env.road, start, scenario.ego_speed, environment.route))
+        return
+    signature = inspect.signature(type(own))
+    try:
+        signature.bind(None, [0.0, 0.0], 0.0, 0.0)
+    except TypeError as error:
+        raise WorldError(
+            field="env_id",
+            expected="an ego whose class can be called with (road, position, heading, speed), to start elsewhere",
+            received=f"{type(own).__name__}{signature} ({error})",
+            fix="give its other arguments defaults",
+        ) from None
+    ego = vehicle_of(type(own), env.road, start, scenario.ego_speed, environment.route)
+    give_speeds(ego, getattr(own, "target_speeds", None))
+    there = (*own.position, own.heading), own.speed
+    plain, same = (vehicle_of(cls, env.road, *there, None) for cls in (Vehicle, type(own)))
+    for name, value in vars(own).items():
+        is_known = name in OF_HIGHWAY_ENV or name in vars(plain)
+        if not is_known and isinstance(value, PLAIN) and repr(value) != repr(getattr(same, name, None)):
+            setattr(ego, name, copy.deepcopy(value))
+    put_ego(env, ego)
 
 
 def _env_of(environment: GymEnvironment, scenario: Scenario) -> Any:
@@ -156,3 +187,17 @@ def _env_of(environment: GymEnvironment, scenario: Scenario) -> Any:
         env.road.steps = own.steps  # a reset has done some steps, and the count decides when rules are enforced next
     env.road.objects = copies_on(environment.unwrapped.road.objects, env.road)
     return env
+
+
+def usual_class(action_type: Any) -> Any:
+    """Return the class of the ego for which actions are made."""
+    vehicle_class = action_type.vehicle_class
+    return vehicle_class.func if isinstance(vehicle_class, functools.partial) else vehicle_class
+
+
+def give_speeds(ego: Any, speeds: Any) -> None:
+    """Give an ego the speeds of actions, if it is one that has them, as highway-env does when it makes one."""
+    if isinstance(ego, MDPVehicle) and speeds is not None and not np.array_equal(ego.target_speeds, speeds):
+        ego.target_speeds = np.array(speeds)
+        ego.speed_index = ego.speed_to_index(ego.speed)
+        ego.target_speed = ego.index_to_speed(ego.speed_index)

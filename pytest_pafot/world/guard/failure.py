@@ -13,7 +13,7 @@ from types import TracebackType
 from typing import Any
 
 from pytest_pafot.model.trace import AdsError
-from pytest_pafot.support.errors import BadAction, OutOfTime, WorldError
+from pytest_pafot.support.errors import BadAction, OutOfTime
 from pytest_pafot.support.text import one_line
 from pytest_pafot.world.guard import hang_guard
 from pytest_pafot.world.guard.hang_guard import AdsHang, HangGuard
@@ -32,24 +32,6 @@ DEBUGGER = "_pytest.debugging"
 """The module in which pytest ends the session when the user quits the debugger."""
 
 
-class EgoReplacedError(WorldError):
-    """An environment reads what only the ego that it made itself has; no failure of the ADS."""
-
-
-def ego_replaced(error: BaseException, env: Any) -> BaseException:
-    """Return the refusal of an environment that reads an attribute that the ego of a run lacks; else the same error."""
-    if not isinstance(error, AttributeError) or error.obj is None or error.obj is not env.vehicle:
-        return error
-    ego, name = type(error.obj).__name__, type(env).__name__
-    return EgoReplacedError(
-        field="env_id",
-        expected=f"an environment that can run with an ego of the class {ego}, which its action type names",
-        received=f"{name}, which reads `{error.name}` of that ego",
-        fix="it replaces the ego that the environment makes: set what is read on self.vehicle in `_reset`, or let the "
-        "action type's vehicle_class be the class that has it",
-    )
-
-
 def exits() -> tuple[type[BaseException], ...]:
     """Return the exception class of ``pytest.exit()`` in a tuple, which is empty if pytest has not been imported."""
     return (sys.modules["pytest"].exit.Exception,) if "pytest" in sys.modules else ()
@@ -64,7 +46,7 @@ def is_interruption(error: BaseException, *, is_of_ads: bool = False) -> bool:
     """
     if isinstance(error, BaseExceptionGroup):
         return any(is_interruption(each, is_of_ads=is_of_ads) for each in error.exceptions)
-    if isinstance(error, (KeyboardInterrupt, bdb.BdbQuit, OutOfTime, EgoReplacedError)):
+    if isinstance(error, (KeyboardInterrupt, bdb.BdbQuit, OutOfTime)):
         return True
     if isinstance(error, exits()):
         return not is_of_ads or (getattr(error, "returncode", None) != 0 and _is_from_outside(error))

@@ -106,6 +106,11 @@ def _successor(network: Any, last: Piece, route: Sequence[Any]) -> Piece | None:
     return min(found, key=lambda each: each[0])[1] if found else None
 
 
+def is_dead_end(network: Any, last: Piece) -> bool:
+    """Return whether a lane ends where the road goes on in others, such as next to it."""
+    return bool(network.graph.get(last.index[1])) and _successor(network, last, ()) is None
+
+
 def _predecessor(network: Any, piece: Piece) -> Piece | None:
     """Return the nearest piece that leads to a piece; highway-env's networks do not store predecessors."""
     point = np.asarray(piece.lane.position(0, 0))
@@ -116,10 +121,16 @@ def _predecessor(network: Any, piece: Piece) -> Piece | None:
 
 
 def is_drivable(last: Piece, piece: Piece) -> bool:
-    """Return whether a vehicle can drive from the end of one piece to the beginning of the next."""
+    """Return whether a vehicle can drive from the end of one piece to the beginning of the next.
+
+    It cannot if the next lane is beside the end, as where a ramp's lane ends: a vehicle changes lanes before.
+    """
     step = np.asarray(piece.lane.position(piece.begin, 0)) - np.asarray(last.lane.position(last.end, 0))
-    turn = piece.lane.heading_at(piece.begin) - last.lane.heading_at(last.end)
-    return float(np.hypot(*step)) <= WIDEST_GAP and abs(wrapped(float(turn))) <= SHARPEST_BEND
+    heading = float(last.lane.heading_at(last.end))
+    turn = wrapped(float(piece.lane.heading_at(piece.begin)) - heading)
+    sideways = abs(step[1] * math.cos(heading + turn / 2) - step[0] * math.sin(heading + turn / 2))
+    is_beside = sideways > 0.6 * float(last.lane.width_at(last.end))
+    return float(np.hypot(*step)) <= WIDEST_GAP and abs(turn) <= SHARPEST_BEND and not is_beside
 
 
 def line_of(pieces: Sequence[Piece]) -> Line:

@@ -16,7 +16,7 @@ from pytest_pafot.support.errors import WorldError
 from pytest_pafot.world.kernel.bodies import NPC_LENGTH
 from pytest_pafot.world.limits import NpcLimits
 from pytest_pafot.world.roads.network import Column, NetworkRoad, allowed_speeds, leans, sharpest_ahead
-from pytest_pafot.world.roads.route import STEP, LaneIndex, Line, Piece, line_of, way, wrapped
+from pytest_pafot.world.roads.route import STEP, LaneIndex, Line, Piece, is_dead_end, line_of, way, wrapped
 
 TIGHTEST = 1 / 6.5
 """The curvature of the tightest bend that an NPC can follow [1/m]."""
@@ -76,7 +76,7 @@ def survey(env: Any, name: str, limits: NpcLimits, ahead: float) -> NetworkRoad:
             f"y = {line.y[worst]:.0f} m",
         )
     start = _place(line, first, np.asarray(pieces[first].lane.position(at, 0)))
-    columns, lanes = _columns(line, strips, limits)
+    columns, lanes = _columns(line, strips, limits, is_dead_end=is_dead_end(network, pieces[-1]))
     sections = frozenset(piece.index[:2] for piece in pieces)
     others = {index: lane for index, lane in network.lanes_dict().items() if index[:2] not in sections}
     road = NetworkRoad(
@@ -251,8 +251,13 @@ def _curvature(direction: FloatArray, lengths: FloatArray) -> FloatArray:
     return np.convolve(padded, np.full(3, 1 / 3), mode="valid")
 
 
-def _columns(line: Line, strips: dict[int, _Strip], limits: NpcLimits) -> tuple[tuple[Column, ...], list[Lane]]:
-    """Return the lanes of the way for driving, and for the trace: the first part of each lane, then all other parts."""
+def _columns(
+    line: Line, strips: dict[int, _Strip], limits: NpcLimits, *, is_dead_end: bool = False
+) -> tuple[tuple[Column, ...], list[Lane]]:
+    """Return the lanes of the way for driving, and for the trace: the first part of each lane, then all other parts.
+
+    NPCs stop at the end of a lane before the end of the line, and where the ego's lane is a dead end.
+    """
     firsts: list[Lane] = []
     others: list[Lane] = []
     columns = []
@@ -274,7 +279,8 @@ def _columns(line: Line, strips: dict[int, _Strip], limits: NpcLimits) -> tuple[
             column["lean"][part] = leans(direction, lengths, NPC_LENGTH)
             curvature = _curvature(direction, lengths)
             column["sharpest"][part] = sharpest_ahead(curvature, lengths, LANE_CHANGE)
-            stops = None if part[-1] == len(line.x) - 1 else float(lengths[-1]) - STOP_BEFORE_END
+            goes_on = part[-1] == len(line.x) - 1 and not (is_dead_end and number == 0)
+            stops = None if goes_on else float(lengths[-1]) - STOP_BEFORE_END
             column["speed"][part] = allowed_speeds(curvature, strip.limit[part], stops, lengths, limits)
             lane = _lane(x, y, direction, lengths, float(strip.width[part].mean()), float(strip.limit[part].max()))
             part_of[part] = len(firsts) if order == 0 else len(numbers) + len(others)

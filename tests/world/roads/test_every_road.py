@@ -10,6 +10,7 @@ from dataclasses import replace
 import gymnasium
 import numpy as np
 import pytest
+from highway_env.envs.merge_env import MergeEnv
 from highway_env.road.lane import CircularLane, StraightLane
 from highway_env.road.road import Road, RoadNetwork
 from highway_env.vehicle.behavior import IDMVehicle
@@ -19,7 +20,7 @@ from pytest_pafot import criticality
 from pytest_pafot.findings.finding import disagreement
 from pytest_pafot.model.driving_style import STYLES, Traffic
 from pytest_pafot.model.scenario import LaneInstruction, PositionInstruction, Scenario, ScenarioError
-from pytest_pafot.model.trace import ACCELERATION, ACROSS, ALONG, HEADING, LANE, OFFSET, SPEED, Outcome, Y
+from pytest_pafot.model.trace import ACCELERATION, ACROSS, ALONG, HEADING, LANE, OFFSET, SPEED, Outcome, X, Y
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.searching import sample
 from pytest_pafot.world import NpcLimits, World, WorldError
@@ -403,6 +404,14 @@ class OwnTaper(OwnCircuit):
         self.road.vehicles.append(self.vehicle)
 
 
+class OwnRamp(MergeEnv):
+    """The ego starts next to the motorway of merge-v0, in the lane of the ramp, which ends there."""
+
+    def _make_vehicles(self):
+        self.vehicle = self.action_type.vehicle_class(self.road, [235.0, 8.0], speed=20.0)
+        self.road.vehicles.append(self.vehicle)
+
+
 class OwnMeeting(OwnCircuit):
     """A straight road from west to east, and a second one that meets or passes it."""
 
@@ -443,7 +452,7 @@ class OwnHalves(OwnCircuit):
 @pytest.fixture
 def registered():
     ids = {"OwnCircuit-v0": OwnCircuit, "OwnDeadEnd-v0": OwnDeadEnd, "OwnTaper-v0": OwnTaper}
-    ids |= {"OwnMeeting-v0": OwnMeeting, "OwnTraffic-v0": OwnTraffic, "OwnHalves-v0": OwnHalves}
+    ids |= {"OwnMeeting-v0": OwnMeeting, "OwnTraffic-v0": OwnTraffic, "OwnHalves-v0": OwnHalves, "OwnRamp-v0": OwnRamp}
     for env_id, entry_point in ids.items():
         gymnasium.register(id=env_id, entry_point=entry_point)
     yield
@@ -513,6 +522,20 @@ def test_ending_lane_is_left_before_its_end():
     trace = world.rollout(hold(world, 3, speed=10.0, ego_lane=0, ego_speed=10.0), constant)
     assert trace.npcs[0, 0, Y] == pytest.approx(4.0)
     assert trace.npcs[-1, 0, :2] == pytest.approx([185.0, 0.0], abs=15.0)
+
+
+@pytest.mark.usefixtures("registered")
+def test_way_ends_with_the_lane_of_a_ramp():
+    """The next lane is 4 m to the left of its end: an ego merges before, and an NPC stops before the fixed object."""
+    world = World("OwnRamp-v0")
+    assert world.road.route == (("j", "k", 0), ("k", "b", 0), ("b", "c", 2))
+    left, idle = 0, 1
+    trace = world.rollout(hold(world, 2, speed=20.0), lambda: lambda seen: left)
+    assert trace.outcome is Outcome.END_OF_ROAD
+    assert trace.ego[-1, Y] == pytest.approx(0.0, abs=0.1)
+    trace = world.rollout(hold(world, 2, speed=20.0), lambda: lambda seen: idle)
+    assert trace.outcome is Outcome.COLLISION
+    assert 290 < trace.npcs[-1, 0, X] < 306
 
 
 @pytest.mark.usefixtures("registered")
