@@ -335,7 +335,8 @@ class Simplification:
         self._check_time()
         self.tell(f"asking the policy of {found.scenario.id} again")
         self.neighbour_runs += 1
-        self.decisions += len(found.trace.actions)
+        is_whole = question is None or question.instead is None
+        self.decisions += len(found.trace.actions) if question is None or is_whole else question.number + 1
         from pytest_pafot.world.driving.policy import checked_action  # noqa: PLC0415  (it needs highway-env, helps do not)
 
         harness, record = self.loop.simulation.harness, self.loop.simulation.record

@@ -309,6 +309,27 @@ def expecting(run, **options):
     return Expect(failure="AssertionError", outcome=run.outcome, time=run.event_time, npc=0, **options)
 
 
+@pytest.mark.parametrize(("pure", "instead", "asked"), [
+    (False, None, 5), (False, "other", 3), (True, "other", 1), (True, None, 5),
+])  # fmt: skip
+def test_a_policy_is_asked_no_more_than_a_question_needs(pure, instead, asked):
+    seen = []
+
+    class Ads:
+        def __call__(self, observation):
+            seen.append(observation)
+            return 0.0, 0.0
+
+    Ads.pure = pure
+    aside = Aside()
+    drive = beside(Ads, [(1.0, 0.0)] * 5, lambda action: action, aside, Question(number=2, instead=instead))()
+    assert [drive(number) for number in range(5)] == [(1.0, 0.0)] * 5
+    assert len(seen) == asked
+    assert aside.of(2) == (0.0, 0.0)
+    assert (instead in seen) == (instead is not None)
+    assert aside.at == 2
+
+
 def test_the_deciding_moment_of_a_missing_response_is_the_last_that_avoids_it():
     run = crash(lambda: lambda seen: KEEPS)
     hz = run.trace.ads_hz

@@ -70,9 +70,15 @@ class Shadow:
         if aside.is_noted:
             with suppress(Exception):  # a class of the user's own may not be picklable
                 aside.seen.append(hashlib.blake2b(pickle.dumps(observation), digest_size=16).digest())
-        if self._question is not None and number == self._question.number:
+        question = self._question
+        if question is not None and question.instead is not None and number != question.number:
+            is_over = number > question.number or getattr(self._ads, "pure", False) is True
+            if is_over and number < len(self._actions):  # What it would decide here says nothing about the question.
+                aside.answers.append(self._actions[number])
+                return self._actions[number]
+        if question is not None and number == question.number:
             aside.at = copy.deepcopy(observation)  # the ADS may write into it
-            observation = observation if self._question.instead is None else self._question.instead
+            observation = observation if question.instead is None else question.instead
         try:
             answer = self._check(self._ads(observation))
         except Exception:  # noqa: BLE001  (an ADS may raise anything about an observation that it never had)
