@@ -1,6 +1,10 @@
 """Errors at the end of a session appear in its summary, together with the texts of all failures."""
 
 import errno
+import importlib
+import json
+import os
+import signal
 import sys
 from pathlib import Path
 
@@ -126,6 +130,28 @@ def test_interrupt_while_writing_report_loses_only_the_report(project, monkeypat
     result = project.run("--pafot-report=x/")
     assert is_whole(result)
     result.stdout.fnmatch_lines(["*problem: --pafot-report=x/: not written: KeyboardInterrupt*"])
+
+
+@pytest.mark.skipif(os.name == "nt", reason="processes have no signals there")
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("step", ["plugin.search_item.summarise", "campaign.search_loop.relative"])
+def test_a_signal_while_a_finding_is_reported_does_not_lose_it(project, monkeypatch, step, number):
+    """The first step reports the finding to pytest, the second follows the writing of its file."""
+    module, _, name = f"pytest_pafot.{step}".rpartition(".")
+    function, sent = getattr(importlib.import_module(module), name), []
+
+    def interrupted(*arguments, **named):
+        if not sent:
+            sent.append(os.kill(os.getpid(), number))
+        return function(*arguments, **named)
+
+    project.write(FAILS)
+    monkeypatch.setattr(f"{module}.{name}", interrupted)
+    result = project.run("--pafot-report=x.html", "--pafot-json=x.json", no_reraise_ctrlc=True)
+    record = json.loads((project.path / "x.json").read_text())
+    [file], [found] = project.files, record["findings"]
+    assert (result.ret, record["exit"], found["file"]) == (2, 2, file)
+    assert found["id"] in (project.path / "x.html").read_text()
 
 
 def test_an_interrupted_session_does_not_wait_for_pictures(project):
