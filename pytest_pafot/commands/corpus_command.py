@@ -36,13 +36,14 @@ from pytest_pafot.commands.history import added_in
 from pytest_pafot.commands.inventory import Inventory, collected
 from pytest_pafot.commands.results import day_argument
 from pytest_pafot.corpus.layout import files_in, folders_below, link_below
-from pytest_pafot.corpus.reader import content_of, load, parsed
+from pytest_pafot.corpus.reader import content_of, load, located, parsed
 from pytest_pafot.corpus.saved import named_file, of_one_kind, read_saved_file, refusal
 from pytest_pafot.corpus.writer import text_of
 from pytest_pafot.findings.finding import Finding
 from pytest_pafot.findings.shrink import sort_key
 from pytest_pafot.findings.signature import SLOW_DECISION
-from pytest_pafot.support.errors import CorpusError, RequestError, command, flag
+from pytest_pafot.model.scenario import ScenarioError
+from pytest_pafot.support.errors import CorpusError, RequestError, WorldError, command, flag
 from pytest_pafot.support.files import way_out, write_whole
 from pytest_pafot.support.text import ascii_text, plural, quiet_json, visible
 
@@ -257,7 +258,8 @@ def _join(folder: Path, *, write: bool) -> tuple[list[str], bool]:
 
     Of files that fail in the same way, the simplest by the order of shrinking stays. A file whose failure is accepted
     is preferred: so no acceptance is lost, and none passes to a scenario for which it was not written. A flaky file
-    stays only if there is no other. Files that name different tests are not joined.
+    stays only if there is no other. Files that name different tests are not joined; nor are files that no session would
+    run.
 
     Returns:
         The lines to print, and True if the user must correct something in the folder by hand.
@@ -267,6 +269,13 @@ def _join(folder: Path, *, write: bool) -> tuple[list[str], bool]:
     failed = bool(lines)
     for group in of_one_kind(files):
         findings = {saved.path: saved.finding for saved in group if saved.finding is not None}
+        for path, finding in tuple(findings.items()):
+            if why := _why_not_run(path, finding):
+                lines.append(f"left as it is: {why}")
+                failed = True
+                del findings[path]
+        if len(findings) < 2:
+            continue
         accepted = {finding.acceptance for finding in findings.values() if finding.xfail is not None}
         if len(accepted) > 1:
             names = ", ".join(path.name for path in findings)
@@ -291,6 +300,26 @@ def _join(folder: Path, *, write: bool) -> tuple[list[str], bool]:
             why = "accepted" if findings[kept].xfail is not None else why
             lines.append(f"{verb}: {path}: {problem or f'{kept.name} shows the same failure and is {why}'}")
     return lines, failed
+
+
+def _why_not_run(path: Path, finding: Finding) -> str:
+    """Return why a session would refuse to run the scenario of a file, as far as that is known without its test."""
+    # Worlds take longer to import than the other subcommands to run.
+    from pytest_pafot.campaign.saved_scenario import SavedScenario  # noqa: PLC0415
+    from pytest_pafot.world import codec  # noqa: PLC0415
+    from pytest_pafot.world.highway import Highway  # noqa: PLC0415
+
+    if codec.is_code(finding.world):
+        return ""
+    try:
+        world = SavedScenario(path=path, finding=finding).world
+        if isinstance(world, Highway):  # An environment may be registered only by its tests.
+            world.check_fits(finding.scenario)
+    except CorpusError as error:
+        return str(error)
+    except (ScenarioError, WorldError) as error:
+        return str(located(path, "scenario", error))
+    return ""
 
 
 def _order(finding: Finding) -> tuple[bool, bool, tuple[int, ...], str]:

@@ -80,6 +80,10 @@ def save(folder, **findings):
         write(folder / f"{name}.pafot.yaml", plain_finding(**{"id": name, "scenario": scenario} | changes))
 
 
+IN_LANE_3 = Scenario(npcs=((PositionInstruction(Cell.FRONT, 20.0),),), ego_lane=3)
+"""A scenario for a road of four lanes."""
+
+
 def names(folder):
     return sorted(path.name.removesuffix(".pafot.yaml") for path in folder.rglob("*.pafot.yaml"))
 
@@ -163,6 +167,24 @@ def test_join_ignores_broken_files_and_linked_folders(tmp_path, capsys, monkeypa
     assert main(["corpus", "join", "--write", "sub"]) == 2
     assert "received the link" in capsys.readouterr().err
     assert names(elsewhere) == ["b", "c"]
+
+
+@pytest.mark.parametrize(
+    ("world", "changes", "why"),
+    [
+        ({"lanes": 4000000}, {}, "world.lanes: expected a whole number from 3 to 6, received"),
+        ({"duration": 1e9}, {}, "world.duration: expected a number from"),
+        ({"lanes": 3}, {"scenario": IN_LANE_3}, "scenario.ego.lane: expected"),
+    ],
+    ids=["lanes", "duration", "scenario"],
+)
+def test_join_never_keeps_a_file_that_no_session_would_run(tmp_path, capsys, world, changes, why):
+    save(tmp_path, a=(1, {"world": plain_finding().world | world, **changes}), b=(2, {}), c=(3, {}))
+    code, lines = join(tmp_path, capsys, "--write")
+    assert (code, names(tmp_path)) == (1, ["a", "b"])
+    assert lines[0].startswith("left as it is: a.pafot.yaml:")
+    assert why in lines[0]
+    assert lines[1].startswith("removed: c.pafot.yaml: b.pafot.yaml shows")
 
 
 def test_join_reports_a_file_that_cannot_be_removed(tmp_path, capsys, monkeypatch):
