@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
-from contextlib import ExitStack
 
 import pytest
 
@@ -26,6 +25,7 @@ from pytest_pafot.plugin.session import (
     Shared,
     SummaryLines,
     Worker,
+    end_in_order,
     is_worker,
     shared_by_controller,
 )
@@ -63,14 +63,14 @@ def pytest_configure(config: pytest.Config) -> None:
         from pytest_pafot.plugin.merge_item import Merging  # noqa: PLC0415
 
         features["merging"] = Merging(config)
-    if is_parallel:
-        features["controller"] = Controller()
     if config.get_verbosity() > 0:
         features["header"] = Header()
     _register(config, features)
     # A controller of pytest-xdist collects no items, so it cannot wait for a marked one.
     if is_parallel or any(config.getoption(option.key) is not None for option in OPTIONS):
         _report(config)
+    if is_parallel:  # last, so that what it takes from workers that have ended comes before the reports
+        _register(config, {"controller": Controller()})
 
 
 def _check_that_it_searches(config: pytest.Config) -> None:
@@ -103,14 +103,9 @@ def pytest_collection_finish(session: pytest.Session) -> None:
         return  # these plugins import the simulation, and an editor that only lists tests would wait for it
     from pytest_pafot.plugin.failure_reports import Failures  # noqa: PLC0415
     from pytest_pafot.plugin.item_checks import Checks, Execution  # noqa: PLC0415
-    from pytest_pafot.support.interrupts import interrupted_by_signals  # noqa: PLC0415
-    from pytest_pafot.world.guard.hang_guard import note_interrupt  # noqa: PLC0415
 
     _register(config, {"checks": Checks(), "execution": Execution(), "failing": Failures()})
-    stack = ExitStack()
-    config.add_cleanup(stack.close)
-    # SIGTERM alone would leave processes and copies of revisions behind.
-    stack.enter_context(interrupted_by_signals(note_interrupt))
+    end_in_order(config)
 
 
 @pytest.hookimpl(trylast=True)

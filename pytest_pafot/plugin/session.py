@@ -9,7 +9,7 @@ import shutil
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass, field
 from datetime import date
 from importlib.machinery import EXTENSION_SUFFIXES
@@ -19,7 +19,7 @@ from typing import Any
 import pytest
 
 from pytest_pafot.campaign.options import OPTIONS, Settings
-from pytest_pafot.corpus.layout import chosen_folder, corpus_root, link_below
+from pytest_pafot.corpus.layout import SEARCH_PART, around, chosen_folder, corpus_root, link_below
 from pytest_pafot.corpus.saved import refusal
 from pytest_pafot.plugin.node_ids import SAVED_PART
 from pytest_pafot.plugin.option_sources import resolve
@@ -147,6 +147,16 @@ def unclaimed(config: pytest.Config) -> list[str]:
     return own
 
 
+def end_in_order(config: pytest.Config) -> None:
+    """Let SIGTERM and SIGHUP interrupt the session, which would otherwise leave processes and no results behind."""
+    from pytest_pafot.support.interrupts import interrupted_by_signals  # noqa: PLC0415
+    from pytest_pafot.world.guard.hang_guard import note_interrupt  # noqa: PLC0415
+
+    stack = ExitStack()
+    config.add_cleanup(stack.close)
+    stack.enter_context(interrupted_by_signals(note_interrupt))
+
+
 def exit_code(session: pytest.Session) -> int:
     """Return the exit code of a session that ends. A second Ctrl-C may come before pytest has noted the first one."""
     is_interrupted = isinstance(sys.exc_info()[1], KeyboardInterrupt)
@@ -214,8 +224,10 @@ class Controller:
         shared = node.config.stash[SHARED]
         if shared.frozen is None:
             # Under --dist=loadgroup the name of the group is appended.
-            names = (node_id[: node_id.rfind("]") + 1] for node_id in ids)
+            names = [node_id[: node_id.rfind("]") + 1] for node_id in ids]
             shared.frozen = frozenset(name for name in names if SAVED_PART in name)
+            if shared.frozen or any(around(SEARCH_PART, name) for name in names):
+                end_in_order(node.config)
 
     @pytest.hookimpl(optionalhook=True)
     def pytest_testnodedown(self, node: Any, error: object) -> None:
@@ -228,6 +240,14 @@ class Controller:
         unrun.orphans.update((Path(folder), Orphan(*orphan)) for folder, orphan in orphans.items())
         for known, other in zip(unrun[1:], others, strict=True):
             known.update(other)
+
+    def pytest_sessionfinish(self, session: pytest.Session) -> None:
+        """Take what the workers have reported and an interrupted controller has not read; they have ended by now."""
+        waiting = getattr(session.config.pluginmanager.get_plugin("dsession"), "queue", None)
+        while waiting is not None and not waiting.empty():
+            event, data = waiting.get_nowait()
+            if event == "testreport":
+                session.config.hook.pytest_runtest_logreport(report=data["rep"])
 
 
 class Worker:
