@@ -16,7 +16,7 @@ import subprocess
 import sys
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from datetime import date
 from pathlib import Path
 from typing import Any
@@ -182,10 +182,10 @@ def _list(files: Sequence[Path], arguments: argparse.Namespace) -> int:
     """Print the table of saved scenarios; return the exit code, 1 if a file cannot be read."""
     labels = labels_in(arguments.results)
     with ThreadPoolExecutor(max_workers=1) as pool:  # pytest collects while the files are read here.
-        collecting = None if arguments.no_tests or not files else pool.submit(_inventory)
+        collecting = None if arguments.no_tests or not files else pool.submit(collected)
         saved = [read_saved_file(file) for file in files]
         added = added_in({file.parent for file in files}, arguments.folders)
-        inventory = Inventory(root=Path()) if collecting is None else collecting.result()
+        inventory = Inventory(root=Path()) if collecting is None else _inventory(collecting)
     rows = rows_of(saved, inventory=inventory, added=added, labels=labels, today=arguments.today or date.today())
     if arguments.sort or arguments.format != "json":  # Programs that do not ask for an order get that of the files.
         rows = in_order(rows, arguments.sort)
@@ -194,10 +194,10 @@ def _list(files: Sequence[Path], arguments: argparse.Namespace) -> int:
     return int(any(each.finding is None for each in saved))
 
 
-def _inventory() -> Inventory:
-    """Let pytest collect the tests here; if it cannot, say so in a line, and go on without them."""
+def _inventory(collecting: Future[Inventory]) -> Inventory:
+    """Return the tests that pytest collects here; if it cannot, say so in a line, and go on without them."""
     try:
-        found = collected()
+        found = collecting.result()  # An interrupt comes here, and not in the thread that collects.
     except RequestError as error:
         found = Inventory(root=Path(), problem=str(error))
     lines = found.problem.splitlines() or ([] if found.tests else ["no test found here"])
