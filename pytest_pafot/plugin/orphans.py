@@ -45,6 +45,8 @@ _TEST_LINE = re.compile(rb"^test:[ \t]*([^\n:]*\.py::[^\n]+?)\s*$", re.MULTILINE
 MAX_NAME = 120  # length of the test's name in an error; the name is from a file, which may contain anything
 ERROR_ID = "pafot::saved_scenarios_without_a_test"
 """The node id of the error with which a session fails if the test of saved scenarios no longer exists."""
+LOST_ID = "pafot::findings_that_were_not_brought_along"
+"""The node id of the error with which a merging session fails if results name a finding whose file is missing."""
 UNNAMED_ID = "pafot::marked_tests_that_are_not_collected"
 """The node id of the error with which a session fails if pytest leaves out a marked test because of its name."""
 
@@ -189,16 +191,18 @@ def _errors(config: pytest.Config) -> dict[str, list[str]]:
 
     After the reason, each affected file and its test is named, and then what the user can do about it.
     """
+    unrun = config.stash[UNRUN]
+    lost = [f"{file}: {why}" for file, (why, fails) in sorted(unrun.unmerged.items()) if fails]
+    errors = {LOST_ID: lost and [f"{plural(len(lost), 'finding')} of other machines would be lost:", *lost]}
     strict, allow = BY_NAME["strict_health"], BY_NAME["allow_orphans"]
     cause = "CI is set" if is_ci(os.environ) else strict.flag if option_value(config, strict, {}) else ""
     if not cause or config.getoption("collectonly"):
-        return {}
-    unrun = config.stash[UNRUN]
+        return errors
     unnamed = [f"pytest does not collect {plural(len(unrun.unnamed), 'test')} with a mark of pafot ({cause}):"]
     for name, why in sorted(unrun.unnamed.items()):
         unnamed += [name, f"  {why}"]
     unnamed.append("  rename it, or set its __test__ to False if it is no test")
-    errors = {UNNAMED_ID: unnamed if unrun.unnamed else []}
+    errors[UNNAMED_ID] = unnamed if unrun.unnamed else []
     if option_value(config, allow, {}):
         return errors
     gone = {folder: orphan for folder, orphan in unrun.orphans.items() if orphan.is_gone}
