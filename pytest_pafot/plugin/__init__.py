@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
+from datetime import date
 
 import pytest
 
@@ -28,6 +29,7 @@ from pytest_pafot.plugin.session import (
     end_in_order,
     is_worker,
     shared_by_controller,
+    stale_day,
 )
 from pytest_pafot.plugin.unrun import UNRUN
 from pytest_pafot.support.errors import RequestError, flag
@@ -54,8 +56,10 @@ def pytest_configure(config: pytest.Config) -> None:
         config.stash[SHARED] = shared_by_controller(config)
         features["worker"] = Worker()
     else:
-        asked = config.getoption(BY_NAME["today"].key)
-        config.stash[SHARED] = Shared(today=asked) if asked else Shared()
+        shared = config.stash[SHARED] = Shared()
+        if asked := config.getoption(BY_NAME["today"].key):
+            config.stash[SUMMARY_LINES].warnings.extend(stale_day(asked, date.fromisoformat(shared.today)))
+            shared.today = asked
         if OF_COMMAND in os.environ:
             _check_that_it_searches(config)
     is_parallel = config.getoption("dist", "no") != "no"

@@ -33,7 +33,9 @@ from pytest_pafot.corpus.layout import (
     safe_name,
 )
 from pytest_pafot.corpus.saved import Saved, saved_in
+from pytest_pafot.plugin.marks import SEARCH_MARK
 from pytest_pafot.plugin.option_sources import option_value
+from pytest_pafot.plugin.session import SUMMARY_LINES
 from pytest_pafot.plugin.unrun import UNRUN, Collected, Orphan
 from pytest_pafot.support.errors import command
 from pytest_pafot.support.text import plural, visible
@@ -176,6 +178,28 @@ def advice(config: pytest.Config) -> str:
 class Guard:
     """The hook that fails a session, on the controller, if no test can replay saved scenarios or run a marked test."""
 
+    def __init__(self) -> None:
+        self._ended: set[str] = set()  # node ids of the items that have run
+
+    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+        """Note the items that have run, whatever came of them."""
+        if report.when == "teardown":
+            self._ended.add(report.nodeid)
+
+    @pytest.hookimpl(tryfirst=True)  # before the summary and the JSON file are written
+    def pytest_sessionfinish(self, session: pytest.Session) -> None:
+        """Let no session on CI end with 0 by ``pytest.exit(returncode=0)`` before its searches and replays have run."""
+        cause = _cause(session.config)
+        left = [item.nodeid for item in session.items if item.get_closest_marker(SEARCH_MARK) is not None]
+        left = [node_id for node_id in left if node_id not in self._ended]
+        if not cause or session.exitstatus != pytest.ExitCode.OK or not left or session.config.getoption("collectonly"):
+            return
+        session.exitstatus = pytest.ExitCode.INTERRUPTED
+        session.config.stash[SUMMARY_LINES].problems.append(
+            f"{plural(len(left), 'item')} did not run to the end, {left[0]} first, but the session was to end with the "
+            f"exit code 0, as by pytest.exit(returncode=0); it ends with 2 ({cause})"
+        )
+
     @pytest.hookimpl(wrapper=True, trylast=True)  # inside of the hook with which pytest ends the line of its results
     def pytest_runtestloop(self, session: pytest.Session) -> Generator[None, object, object]:
         """Fail the session after all items have run; only then have all pytest-xdist workers reported their items."""
@@ -186,6 +210,12 @@ class Guard:
         return result
 
 
+def _cause(config: pytest.Config) -> str:
+    """Return why a session must not pass if something was not tested; empty if it may."""
+    strict = BY_NAME["strict_health"]
+    return "CI is set" if is_ci(os.environ) else strict.flag if option_value(config, strict, {}) else ""
+
+
 def _errors(config: pytest.Config) -> dict[str, list[str]]:
     """Return the lines of each error of the session that say why it fails; no lines if it does not fail.
 
@@ -194,8 +224,7 @@ def _errors(config: pytest.Config) -> dict[str, list[str]]:
     unrun = config.stash[UNRUN]
     lost = [f"{file}: {why}" for file, (why, fails) in sorted(unrun.unmerged.items()) if fails]
     errors = {LOST_ID: lost and [f"{plural(len(lost), 'finding')} of other machines would be lost:", *lost]}
-    strict, allow = BY_NAME["strict_health"], BY_NAME["allow_orphans"]
-    cause = "CI is set" if is_ci(os.environ) else strict.flag if option_value(config, strict, {}) else ""
+    cause, allow = _cause(config), BY_NAME["allow_orphans"]
     if not cause or config.getoption("collectonly"):
         return errors
     unnamed = [f"pytest does not collect {plural(len(unrun.unnamed), 'test')} with a mark of pafot ({cause}):"]

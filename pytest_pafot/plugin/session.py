@@ -11,7 +11,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass, field
-from datetime import date
+from datetime import date, timedelta
 from importlib.machinery import EXTENSION_SUFFIXES
 from pathlib import Path
 from typing import Any
@@ -25,7 +25,7 @@ from pytest_pafot.plugin.node_ids import SAVED_PART
 from pytest_pafot.plugin.option_sources import resolve
 from pytest_pafot.plugin.unrun import UNRUN, Orphan
 from pytest_pafot.support.errors import RequestError, flag
-from pytest_pafot.support.text import plural
+from pytest_pafot.support.text import day_of, plural
 
 KERNEL = Path(__file__).parents[1] / "world" / "kernel"
 
@@ -104,6 +104,17 @@ def records_folder(item: pytest.Item, settings: Settings) -> Path:
         return cached
     corpus = corpus_root(item.path, settings.corpus, item.config.rootpath)
     return link_below(chosen_folder(item.path, settings.corpus), corpus) or corpus
+
+
+def stale_day(asked: str, today: date) -> list[str]:
+    """Return a warning about a day of ``--pafot-today`` that is over everywhere; empty for any other."""
+    day = day_of(asked)
+    if day is None or day >= today - timedelta(days=1):
+        return []
+    return [
+        f"{flag('today', asked)}: that day is over, so failures that were accepted up to a day since then count as "
+        "accepted; leave the option out, or give the day of this session"
+    ]
 
 
 def misspelt(environ: Mapping[str, str]) -> list[str]:
