@@ -12,7 +12,7 @@ from datetime import date
 
 import pytest
 
-from pytest_pafot.campaign.options import BY_NAME, OF_COMMAND, OPTIONS
+from pytest_pafot.campaign.options import BY_NAME, OF_COMMAND, OPTIONS, is_ci
 from pytest_pafot.plugin import fixtures
 from pytest_pafot.plugin.catalogue_item import Catalogued
 from pytest_pafot.plugin.collection import Collection
@@ -58,7 +58,8 @@ def pytest_configure(config: pytest.Config) -> None:
     else:
         shared = config.stash[SHARED] = Shared()
         if asked := config.getoption(BY_NAME["today"].key):
-            config.stash[SUMMARY_LINES].warnings.extend(stale_day(asked, date.fromisoformat(shared.today)))
+            if is_ci(os.environ):  # where a day may stay in a script for years
+                config.stash[SUMMARY_LINES].warnings.extend(stale_day(asked, date.fromisoformat(shared.today)))
             shared.today = asked
         if OF_COMMAND in os.environ:
             _check_that_it_searches(config)
