@@ -35,7 +35,7 @@ from pytest_pafot.commands.corpus_table import (
 from pytest_pafot.commands.history import added_in
 from pytest_pafot.commands.inventory import Inventory, collected
 from pytest_pafot.commands.results import day_argument
-from pytest_pafot.corpus.layout import files_in, folders_below, link_below
+from pytest_pafot.corpus.layout import files_in, folders_below, link_below, unlisted_below
 from pytest_pafot.corpus.reader import content_of, load, located, parsed
 from pytest_pafot.corpus.saved import named_file, of_one_kind, read_saved_file, refusal
 from pytest_pafot.corpus.writer import text_of
@@ -160,22 +160,25 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
         if arguments.what in ("join", "accept") and link is not None:
             sys.stderr.write(f"corpus: {visible(refusal(link))}\n")
             return NO_FOLDER
+    unlisted = {place: why for folder in arguments.folders for place, why in unlisted_below(folder).items()}
+    for place, why in unlisted.items():
+        sys.stderr.write(f"corpus: {visible(str(place))}: {why}\n")
     below = {below.resolve(): below for folder in arguments.folders for below in folders_below(folder)}
     if arguments.what == "join":
         joined = [_join(folder, write=arguments.write) for folder in sorted(below.values())]
         told = [ascii_text(line) for lines, _ in joined for line in lines] or ["nothing to join"]
         sys.stdout.write("".join(f"{line}\n" for line in told))
-        return int(any(failed for _, failed in joined))
+        return int(any(failed for _, failed in joined) or bool(unlisted))
     files = [file for folder in sorted(below.values()) for file in files_in(folder)]  # each once
     if arguments.what == "accept":
         return max(_accept(name, arguments) for name in arguments.ids)
     if arguments.what == "list":
-        return _list(files, arguments)
+        return max(_list(files, arguments), int(bool(unlisted)))
     rows = [data_of(read_saved_file(file)) for file in files]
     counts = _counts(rows)
     lines = [quiet_json(json.dumps(counts, indent=2))] if arguments.format == "json" else _lines(counts)
     sys.stdout.write("".join(f"{line}\n" for line in lines))
-    return int(any("error" in row for row in rows))
+    return int(any("error" in row for row in rows) or bool(unlisted))
 
 
 def _list(files: Sequence[Path], arguments: argparse.Namespace) -> int:

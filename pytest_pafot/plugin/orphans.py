@@ -31,6 +31,7 @@ from pytest_pafot.corpus.layout import (
     name_within,
     relative,
     safe_name,
+    unlisted_below,
 )
 from pytest_pafot.corpus.saved import Saved, saved_in
 from pytest_pafot.plugin.marks import SEARCH_MARK
@@ -82,6 +83,7 @@ def find_strays(collected: Collected, orphans: Collection[Path]) -> dict[str, tu
     strays: dict[str, tuple[str, bool]] = {}
     for root, directory in sorted(collected.roots.items()):
         is_asked_for = _is_asked_for(directory, collected)
+        strays |= {relative(folder, top): (why, is_asked_for) for folder, why in unlisted_below(root).items()}
         modules = modules_in(root)
         tests = {folder for module in modules for folder in modules_in(module)}
         # The walk follows no links, which may lead anywhere. A linked folder of a module or test is only listed.

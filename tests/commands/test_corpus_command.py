@@ -17,6 +17,7 @@ from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.scenario import PositionInstruction, Scenario
 from pytest_pafot.model.trace import Outcome
 from tests.findings.builders import plain_finding
+from tests.helpers.hostile import unlisted
 
 
 @pytest.fixture
@@ -45,6 +46,16 @@ def test_unreadable_file_is_counted_and_exits_with_1(folder, capsys):
 def test_a_folder_that_does_not_exist_is_refused(tmp_path, capsys):
     assert main(["corpus", "list", str(tmp_path / "none")]) == 2
     assert "corpus: expected a folder, received" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("what", ["list", "stats", "join"])
+def test_a_folder_that_cannot_be_listed_is_named(folder, capsys, monkeypatch, what):
+    unlisted(monkeypatch, folder / "test_it")
+    assert main(["corpus", what, str(folder)]) == 1
+    assert capsys.readouterr().err == (
+        f"corpus: {folder / 'test_it'}: expected a folder that can be listed, received Permission denied; let this "
+        "user read it, or move it away\n"
+    )
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows does not remove the current folder of a process")
