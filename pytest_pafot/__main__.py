@@ -76,10 +76,10 @@ def main_in_child(arguments: list[str]) -> int:
         received_code = taken_receipt(folder, left)
     if received_code is not None:
         return received_code
-    if -left in received:
+    if received:  # The child may be at a point at which Python itself ends it.
         sys.stderr.write(f"{arguments[0]}: interrupted\n")
-    else:
-        sys.stderr.write(f"{arguments[0]}: {unfinished(left)}\n")
+        return 128 + received[0]
+    sys.stderr.write(f"{arguments[0]}: {unfinished(left)}\n")
     return ended_with(left) or 2
 
 

@@ -309,8 +309,8 @@ class Settings:
     today: str | None = option(
         "day",
         "Compare the last days of accepted failures with this day instead of today.",
-        "The session then shows which of them will be reported on that day. It is also `day` in the file of "
-        "`--pafot-json`.",
+        "The session then shows which of them will be reported on that day. With `CI` set, it warns of a day that is "
+        "over. It is also `day` in the file of `--pafot-json`.",
         everywhere=False,
         is_argument=False,
     )

@@ -49,6 +49,7 @@ from pytest_pafot.searching.ask_tell_loop import CheckpointError
 from pytest_pafot.searching.fitness import FitnessError, is_built_in, resolve
 from pytest_pafot.searching.space import SearchSpace, sample
 from pytest_pafot.support.errors import OutOfTime, RequestError, command, flag
+from pytest_pafot.support.interrupts import postponed
 from pytest_pafot.support.text import plural
 from pytest_pafot.world import WorldError, codec, protocol
 from pytest_pafot.world.driving.ads import is_vehicle_class, loading_hint, wants_env
@@ -308,15 +309,16 @@ class Search:
             reason = "interrupted" if is_interruption(error) else "error"
             raise
         finally:
-            recorder.release()
-            for each in retried:
-                if each.pending is not None:
-                    each.pending.discard()
-            self.process_notes += simulation.runner.notes
-            if simulation.record.error:
-                self.process_notes += [str(simulation.record.error)]
-            summary = self._summary(reason)
-            recorder.listener(summary)
+            with postponed():
+                recorder.release()
+                for each in retried:
+                    if each.pending is not None:
+                        each.pending.discard()
+                self.process_notes += simulation.runner.notes
+                if simulation.record.error:
+                    self.process_notes += [str(simulation.record.error)]
+                summary = self._summary(reason)
+                recorder.listener(summary)
         return SearchResult(
             summary=summary,
             kept=tuple(recorder.kept.values()),

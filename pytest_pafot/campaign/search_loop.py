@@ -45,6 +45,7 @@ from pytest_pafot.searching.evaluation import Evaluation, interaction_of
 from pytest_pafot.searching.health import Health
 from pytest_pafot.searching.space import SearchSpace
 from pytest_pafot.support.errors import OutOfTime, flag
+from pytest_pafot.support.interrupts import postponed
 from pytest_pafot.support.text import plural
 from pytest_pafot.world import codec, protocol
 from pytest_pafot.world.driving.ads import is_vehicle_class, weights_digest
@@ -635,14 +636,13 @@ class Recorder:
     kept: dict[str, FindTold] = field(default_factory=dict)  # the findings so far, by id
     unsaved: list[str] = field(default_factory=list)  # ids of findings above the limit of saved scenarios
     first: BaseException | None = None  # the exception of the first finding, for a debugger
-    # ids of findings that are not reported yet, since they may be a fault of the set-up; None if findings are reported
-    # at once
-    held: list[str] | None = field(default_factory=list)
+    held: list[str] = field(default_factory=list)  # ids of findings that are saved and not reported yet
+    is_holding: bool = True  # False once findings are reported at once, because they are no fault of the set-up
 
     @property
     def count(self) -> int:
         """The number of distinct findings so far, including findings above the limit, which are not saved."""
-        return len(self.kept) + len(self.unsaved) - len(self.held or ())
+        return len(self.kept) + len(self.unsaved) - len(self.held)
 
     @property
     def firm(self) -> int:
@@ -676,8 +676,11 @@ class Recorder:
             return finding.id
         # Saved before it is confirmed, so that nothing is lost if the session dies in the second run.
         origin = self._origin(generation, number)
-        kept = self._saved(finding, headline(run, verdict), origin, verdict.exception, verdict.is_timed)
-        kept = replace(kept, run=run, number=number, find=replace(kept.find, severity=verdict.severity))
+        with postponed():  # Whatever interrupts the search from here on, it ends with a report of what is held.
+            kept = self._saved(finding, headline(run, verdict), origin, verdict.exception, verdict.is_timed)
+            kept = replace(kept, run=run, number=number, find=replace(kept.find, severity=verdict.severity))
+            self.kept[kept.find.id] = kept
+            self.held.append(kept.find.id)
         differs = ""
         try:
             differs = "" if verdict.is_timed else self.confirmed(run)
@@ -686,11 +689,9 @@ class Recorder:
         finally:  # The finding must be reported even if these runs are interrupted.
             if differs:
                 kept = self.call_flaky(kept, differs)
-            if self.held is None:
+            self.kept[kept.find.id] = kept
+            if not self.is_holding:
                 self.tell(kept)
-            else:
-                self.kept[kept.find.id] = kept
-                self.held.append(kept.find.id)
         return kept.find.id
 
     def confirmed(self, run: Run) -> str:
@@ -707,8 +708,8 @@ class Recorder:
 
     def release(self) -> None:
         """Report the findings that were held back; from now on, each new finding is reported at once."""
-        held, self.held = self.held or [], None
-        for find_id in held:
+        self.is_holding = False
+        for find_id in tuple(self.held):
             self.tell(self.kept[find_id])
 
     def withdraw(self) -> None:
@@ -716,7 +717,9 @@ class Recorder:
 
         A finding whose file cannot be removed is reported.
         """
-        withdrawn, self.held = [self.kept.pop(find_id) for find_id in self.held or ()], None
+        withdrawn = [self.kept.pop(find_id) for find_id in self.held]
+        self.held.clear()
+        self.is_holding = False
         self.unsaved.clear()
         for kept in withdrawn:
             try:
@@ -732,10 +735,13 @@ class Recorder:
 
     def tell(self, told: FindTold) -> None:
         """Report a new finding, or an update of a reported finding, to the listener."""
-        self.kept[told.find.id] = told
-        if self.first is None or told.find.id == next(iter(self.kept)):
-            self.first = told.exception
-        self.listener(told)
+        with postponed():
+            self.kept[told.find.id] = told
+            if self.first is None or told.find.id == next(iter(self.kept)):
+                self.first = told.exception
+            self.listener(told)
+            if told.find.id in self.held:
+                self.held.remove(told.find.id)
 
     def call_flaky(self, kept: FindTold, difference: str) -> FindTold:
         """Mark a finding as flaky, also in its file; return it. ``difference`` is what did not repeat."""
@@ -774,7 +780,8 @@ class Recorder:
             expect, line = expectation(again), _headline(again)
         finding = self._death(scenario, expect, self._found(0, "crash"), leftover.world)
         is_timed = again is not None and again.is_hang
-        self.tell(self._saved(finding, line, "the record of a session that died", PlainFailure(text), is_timed))
+        with postponed():
+            self.tell(self._saved(finding, line, "the record of a session that died", PlainFailure(text), is_timed))
 
     def keep_lost(self, lost: LostRun, generation: int, number: int) -> str:
         """Save and report a scenario whose process died or hung; return its id. The numbers are as in :meth:`keep`."""
@@ -783,8 +790,9 @@ class Recorder:
         text += cause(lost, f"{flag('workers', 1)} finds nothing here; delete the file")
         finding = self._death(lost.task, expectation(lost), self._found(generation), None)
         origin = self._origin(generation, number)
-        kept = self._saved(finding, _headline(lost), origin, PlainFailure(text), lost.is_hang)
-        self.tell(kept)
+        with postponed():
+            kept = self._saved(finding, _headline(lost), origin, PlainFailure(text), lost.is_hang)
+            self.tell(kept)
         return kept.find.id
 
     @property

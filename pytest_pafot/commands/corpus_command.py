@@ -16,7 +16,7 @@ import subprocess
 import sys
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from datetime import date
 from pathlib import Path
 from typing import Any
@@ -35,14 +35,15 @@ from pytest_pafot.commands.corpus_table import (
 from pytest_pafot.commands.history import added_in
 from pytest_pafot.commands.inventory import Inventory, collected
 from pytest_pafot.commands.results import day_argument
-from pytest_pafot.corpus.layout import files_in, folders_below, link_below
-from pytest_pafot.corpus.reader import content_of, load, parsed
+from pytest_pafot.corpus.layout import files_in, folders_below, link_below, unlisted_below
+from pytest_pafot.corpus.reader import content_of, load, located, parsed
 from pytest_pafot.corpus.saved import named_file, of_one_kind, read_saved_file, refusal
 from pytest_pafot.corpus.writer import text_of
 from pytest_pafot.findings.finding import Finding
 from pytest_pafot.findings.shrink import sort_key
 from pytest_pafot.findings.signature import SLOW_DECISION
-from pytest_pafot.support.errors import CorpusError, RequestError, command, flag
+from pytest_pafot.model.scenario import ScenarioError
+from pytest_pafot.support.errors import CorpusError, RequestError, WorldError, command, flag
 from pytest_pafot.support.files import way_out, write_whole
 from pytest_pafot.support.text import ascii_text, plural, quiet_json, visible
 
@@ -159,32 +160,35 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
         if arguments.what in ("join", "accept") and link is not None:
             sys.stderr.write(f"corpus: {visible(refusal(link))}\n")
             return NO_FOLDER
+    unlisted = {place: why for folder in arguments.folders for place, why in unlisted_below(folder).items()}
+    for place, why in unlisted.items():
+        sys.stderr.write(f"corpus: {visible(str(place))}: {why}\n")
     below = {below.resolve(): below for folder in arguments.folders for below in folders_below(folder)}
     if arguments.what == "join":
         joined = [_join(folder, write=arguments.write) for folder in sorted(below.values())]
         told = [ascii_text(line) for lines, _ in joined for line in lines] or ["nothing to join"]
         sys.stdout.write("".join(f"{line}\n" for line in told))
-        return int(any(failed for _, failed in joined))
+        return int(any(failed for _, failed in joined) or bool(unlisted))
     files = [file for folder in sorted(below.values()) for file in files_in(folder)]  # each once
     if arguments.what == "accept":
         return max(_accept(name, arguments) for name in arguments.ids)
     if arguments.what == "list":
-        return _list(files, arguments)
+        return max(_list(files, arguments), int(bool(unlisted)))
     rows = [data_of(read_saved_file(file)) for file in files]
     counts = _counts(rows)
     lines = [quiet_json(json.dumps(counts, indent=2))] if arguments.format == "json" else _lines(counts)
     sys.stdout.write("".join(f"{line}\n" for line in lines))
-    return int(any("error" in row for row in rows))
+    return int(any("error" in row for row in rows) or bool(unlisted))
 
 
 def _list(files: Sequence[Path], arguments: argparse.Namespace) -> int:
     """Print the table of saved scenarios; return the exit code, 1 if a file cannot be read."""
     labels = labels_in(arguments.results)
     with ThreadPoolExecutor(max_workers=1) as pool:  # pytest collects while the files are read here.
-        collecting = None if arguments.no_tests or not files else pool.submit(_inventory)
+        collecting = None if arguments.no_tests or not files else pool.submit(collected)
         saved = [read_saved_file(file) for file in files]
         added = added_in({file.parent for file in files}, arguments.folders)
-        inventory = Inventory(root=Path()) if collecting is None else collecting.result()
+        inventory = Inventory(root=Path()) if collecting is None else _inventory(collecting)
     rows = rows_of(saved, inventory=inventory, added=added, labels=labels, today=arguments.today or date.today())
     if arguments.sort or arguments.format != "json":  # Programs that do not ask for an order get that of the files.
         rows = in_order(rows, arguments.sort)
@@ -193,10 +197,10 @@ def _list(files: Sequence[Path], arguments: argparse.Namespace) -> int:
     return int(any(each.finding is None for each in saved))
 
 
-def _inventory() -> Inventory:
-    """Let pytest collect the tests here; if it cannot, say so in a line, and go on without them."""
+def _inventory(collecting: Future[Inventory]) -> Inventory:
+    """Return the tests that pytest collects here; if it cannot, say so in a line, and go on without them."""
     try:
-        found = collected()
+        found = collecting.result()  # An interrupt comes here, and not in the thread that collects.
     except RequestError as error:
         found = Inventory(root=Path(), problem=str(error))
     lines = found.problem.splitlines() or ([] if found.tests else ["no test found here"])
@@ -257,7 +261,8 @@ def _join(folder: Path, *, write: bool) -> tuple[list[str], bool]:
 
     Of files that fail in the same way, the simplest by the order of shrinking stays. A file whose failure is accepted
     is preferred: so no acceptance is lost, and none passes to a scenario for which it was not written. A flaky file
-    stays only if there is no other. Files that name different tests are not joined.
+    stays only if there is no other. Files that name different tests are not joined; nor are files that no session would
+    run.
 
     Returns:
         The lines to print, and True if the user must correct something in the folder by hand.
@@ -267,6 +272,13 @@ def _join(folder: Path, *, write: bool) -> tuple[list[str], bool]:
     failed = bool(lines)
     for group in of_one_kind(files):
         findings = {saved.path: saved.finding for saved in group if saved.finding is not None}
+        for path, finding in tuple(findings.items()):
+            if why := _why_not_run(path, finding):
+                lines.append(f"left as it is: {why}")
+                failed = True
+                del findings[path]
+        if len(findings) < 2:
+            continue
         accepted = {finding.acceptance for finding in findings.values() if finding.xfail is not None}
         if len(accepted) > 1:
             names = ", ".join(path.name for path in findings)
@@ -291,6 +303,26 @@ def _join(folder: Path, *, write: bool) -> tuple[list[str], bool]:
             why = "accepted" if findings[kept].xfail is not None else why
             lines.append(f"{verb}: {path}: {problem or f'{kept.name} shows the same failure and is {why}'}")
     return lines, failed
+
+
+def _why_not_run(path: Path, finding: Finding) -> str:
+    """Return why a session would refuse to run the scenario of a file, as far as that is known without its test."""
+    # Worlds take longer to import than the other subcommands to run.
+    from pytest_pafot.campaign.saved_scenario import SavedScenario  # noqa: PLC0415
+    from pytest_pafot.world import codec  # noqa: PLC0415
+    from pytest_pafot.world.highway import Highway  # noqa: PLC0415
+
+    if codec.is_code(finding.world):
+        return ""
+    try:
+        world = SavedScenario(path=path, finding=finding).world
+        if isinstance(world, Highway):  # An environment may be registered only by its tests.
+            world.check_fits(finding.scenario)
+    except CorpusError as error:
+        return str(error)
+    except (ScenarioError, WorldError) as error:
+        return str(located(path, "scenario", error))
+    return ""
 
 
 def _order(finding: Finding) -> tuple[bool, bool, tuple[int, ...], str]:

@@ -79,6 +79,20 @@ def files_below(root: Path) -> list[Path]:
     return sorted(Path(folder, name) for folder, _, names in os.walk(root) for name in names if name.endswith(SUFFIX))
 
 
+def unlisted_below(root: Path) -> dict[Path, str]:
+    """Return the folders in a tree that exist and cannot be listed, each with the error; nothing sees their files."""
+    errors: list[OSError] = []
+    for _ in os.walk(root, onerror=errors.append):
+        pass
+    return {
+        Path(
+            error.filename
+        ): f"expected a folder that can be listed, received {error.strerror}; let this user read it, or move it away"
+        for error in errors
+        if not isinstance(error, FileNotFoundError)
+    }
+
+
 def folders_below(root: Path) -> list[Path]:
     """Return the folders with corpus files in a folder tree, whatever its layout is."""
     return sorted({path.parent for path in files_below(root)})

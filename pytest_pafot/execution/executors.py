@@ -51,6 +51,9 @@ TASKS = 2
 WORKERS = 64
 """The assumed number of workers of an executor that does not say how many it has."""
 
+SOON = 5.0
+"""The time after which a session says that it waits for the first worker of a Dask scheduler [s]."""
+
 IDLE = 60.0
 """The time without a task after which the child process of a worker ends [s]."""
 
@@ -240,8 +243,11 @@ def _result(future: Future[Any]) -> Any:
 
 
 @contextmanager
-def dask_executor(address: str, *, timeout: float = 10.0) -> Iterator[Executor]:
+def dask_executor(address: str, tell: Callable[[str], object], *, timeout: float = 10.0) -> Iterator[Executor]:
     """Provide an executor for the workers of a Dask scheduler, which must answer within ``timeout`` [s].
+
+    A scheduler may begin without workers, and start some when there is work. ``tell`` receives what is waited for if
+    none is there soon.
 
     Raises:
         ExecutionError: if Dask is not installed, the scheduler does not answer, or a worker has different versions.
@@ -253,6 +259,14 @@ def dask_executor(address: str, *, timeout: float = 10.0) -> Iterator[Executor]:
     with ExitStack() as stack:
         try:
             client = stack.enter_context(Client(address, timeout=timeout, set_as_default=False))
+            try:
+                client.wait_for_workers(1, timeout=SOON)
+            except TimeoutError:
+                tell(
+                    f"{flag('dask', address)}: the scheduler has no worker, so no scenario runs until one joins; start "
+                    f"one by `dask worker {address}`, or end this session by Ctrl-C"
+                )
+                client.wait_for_workers(1)
             workers = client.run(pickle.loads, pickle.dumps(_Call(_difference, versions_here())))
         except Exception as error:  # noqa: BLE001  (any network error, or a worker without a package)
             raise ExecutionError(

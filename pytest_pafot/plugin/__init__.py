@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
-from contextlib import ExitStack
+from datetime import date
 
 import pytest
 
-from pytest_pafot.campaign.options import BY_NAME, OF_COMMAND, OPTIONS
+from pytest_pafot.campaign.options import BY_NAME, OF_COMMAND, OPTIONS, is_ci
 from pytest_pafot.plugin import fixtures
 from pytest_pafot.plugin.catalogue_item import Catalogued
 from pytest_pafot.plugin.collection import Collection
@@ -26,8 +26,10 @@ from pytest_pafot.plugin.session import (
     Shared,
     SummaryLines,
     Worker,
+    end_in_order,
     is_worker,
     shared_by_controller,
+    stale_day,
 )
 from pytest_pafot.plugin.unrun import UNRUN
 from pytest_pafot.support.errors import RequestError, flag
@@ -54,8 +56,11 @@ def pytest_configure(config: pytest.Config) -> None:
         config.stash[SHARED] = shared_by_controller(config)
         features["worker"] = Worker()
     else:
-        asked = config.getoption(BY_NAME["today"].key)
-        config.stash[SHARED] = Shared(today=asked) if asked else Shared()
+        shared = config.stash[SHARED] = Shared()
+        if asked := config.getoption(BY_NAME["today"].key):
+            if is_ci(os.environ):  # where a day may stay in a script for years
+                config.stash[SUMMARY_LINES].warnings.extend(stale_day(asked, date.fromisoformat(shared.today)))
+            shared.today = asked
         if OF_COMMAND in os.environ:
             _check_that_it_searches(config)
     is_parallel = config.getoption("dist", "no") != "no"
@@ -63,14 +68,14 @@ def pytest_configure(config: pytest.Config) -> None:
         from pytest_pafot.plugin.merge_item import Merging  # noqa: PLC0415
 
         features["merging"] = Merging(config)
-    if is_parallel:
-        features["controller"] = Controller()
     if config.get_verbosity() > 0:
         features["header"] = Header()
     _register(config, features)
     # A controller of pytest-xdist collects no items, so it cannot wait for a marked one.
     if is_parallel or any(config.getoption(option.key) is not None for option in OPTIONS):
         _report(config)
+    if is_parallel:  # last, so that what it takes from workers that have ended comes before the reports
+        _register(config, {"controller": Controller()})
 
 
 def _check_that_it_searches(config: pytest.Config) -> None:
@@ -103,14 +108,9 @@ def pytest_collection_finish(session: pytest.Session) -> None:
         return  # these plugins import the simulation, and an editor that only lists tests would wait for it
     from pytest_pafot.plugin.failure_reports import Failures  # noqa: PLC0415
     from pytest_pafot.plugin.item_checks import Checks, Execution  # noqa: PLC0415
-    from pytest_pafot.support.interrupts import interrupted_by_signals  # noqa: PLC0415
-    from pytest_pafot.world.guard.hang_guard import note_interrupt  # noqa: PLC0415
 
     _register(config, {"checks": Checks(), "execution": Execution(), "failing": Failures()})
-    stack = ExitStack()
-    config.add_cleanup(stack.close)
-    # SIGTERM alone would leave processes and copies of revisions behind.
-    stack.enter_context(interrupted_by_signals(note_interrupt))
+    end_in_order(config)
 
 
 @pytest.hookimpl(trylast=True)

@@ -89,10 +89,12 @@ def pafot_executor(pytestconfig: pytest.Config) -> Iterator[Executor | None]:
         return
     from pytest_pafot.execution.executors import dask_executor  # noqa: PLC0415
     from pytest_pafot.execution.scenario_pool import ExecutionError  # noqa: PLC0415
+    from pytest_pafot.plugin.terminal_reporter import LiveTerminal  # noqa: PLC0415
 
+    live = LiveTerminal(pytestconfig)
     with ExitStack() as stack:
         try:
-            executor = stack.enter_context(dask_executor(address))
+            executor = stack.enter_context(dask_executor(address, lambda text: live.write(["", f"pafot: {text}"])))
         except ExecutionError as error:
             pytest.fail(str(error), pytrace=False)
         yield executor

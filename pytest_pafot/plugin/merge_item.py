@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
 
 from pytest_pafot.campaign.options import BY_NAME
-from pytest_pafot.corpus.layout import counterparts, folder_of_test, folders_below, relative
+from pytest_pafot.commands.results import read_results
+from pytest_pafot.corpus.layout import counterparts, files_in, folder_of_test, folders_below, relative
 from pytest_pafot.plugin import messages
 from pytest_pafot.plugin.collection import is_search
 from pytest_pafot.plugin.marks import arguments_of
 from pytest_pafot.plugin.node_ids import base_id, qualified_name
 from pytest_pafot.plugin.option_sources import corpus_name
 from pytest_pafot.plugin.unrun import UNRUN
-from pytest_pafot.support.errors import flag
+from pytest_pafot.support.errors import RequestError, flag
 
 if TYPE_CHECKING:
     from pytest_pafot.campaign.request import Request
@@ -46,7 +48,8 @@ class Merging:
         others = [item for item in items if not is_search(item)]
         items[:] = [item for item in items if is_search(item)]
         config.hook.pytest_deselected(items=others)
-        names = {}
+        names, unmerged = {}, config.stash[UNRUN].unmerged
+        unmerged.update(_not_brought(self._roots, config.rootpath))
         for item in items:
             corpus = corpus_name(config, arguments_of(item) or {})
             if corpus is not None:
@@ -55,7 +58,7 @@ class Merging:
             folders = folders_below(root)
             if not folders and not any(root.rglob("*.json")):  # a machine that found nothing has results
                 why = "it has neither saved scenarios nor results, pafot.json; see whether its machine has searched"
-                config.stash[UNRUN].unmerged[relative(root, config.rootpath)] = why
+                unmerged[relative(root, config.rootpath)] = why, False
             for folder in folders:
                 tests = [names[own] for own in counterparts(folder.relative_to(root), names)]
                 if len(tests) == 1:
@@ -64,7 +67,21 @@ class Merging:
                 why = (
                     f"it matches {' and '.join(tests)}; give the folder above it" if tests else "no test was collected"
                 )
-                config.stash[UNRUN].unmerged[relative(folder, config.rootpath)] = why
+                unmerged[relative(folder, config.rootpath)] = why, False
+
+
+def _not_brought(roots: Iterable[Path], rootpath: Path) -> Iterator[tuple[str, tuple[str, bool]]]:
+    """Yield the new findings that results in some folders name as saved, if their file is neither there nor here."""
+    brought = {file.name for root in roots for folder in folders_below(root) for file in files_in(folder)}
+    for results in sorted(file for root in roots for file in root.rglob("pafot.json")):
+        try:
+            findings = read_results(results).findings
+        except RequestError:  # something else of this name
+            continue
+        for file in [each["file"] for each in findings if each.get("status") == "new" and each.get("file")]:
+            if Path(file).name not in brought and not (rootpath / file).is_file():
+                why = f"{relative(results, rootpath)} names it as a new finding; bring the corpus of its machine along"
+                yield file, (why, True)
 
 
 def run_merge(item: pytest.Function, request: Request) -> None:
@@ -88,8 +105,6 @@ def run_merge(item: pytest.Function, request: Request) -> None:
 
 def _refuse(file: Path, job: Job, scenario: Scenario) -> None:
     """Raise an error instead of replaying in a separate session, which could not replay a file of another project."""
-    from pytest_pafot.support.errors import RequestError  # noqa: PLC0415
-
     raise RequestError(
         f"{file}: expected an ADS that can be sent to another process, since the scenario may end the process that "
         f"runs it, received an ADS that cannot be pickled; use {flag('isolate')} and an ADS that can be pickled, or "

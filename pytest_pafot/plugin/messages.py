@@ -6,7 +6,7 @@ once, like every report. Other plugins take it for the report of a passed phase 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, MutableSequence
+from collections.abc import Generator, Iterable, Iterator, Mapping, MutableSequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -16,6 +16,7 @@ import pytest
 
 from pytest_pafot.corpus.layout import relative
 from pytest_pafot.corpus.saved import Saved
+from pytest_pafot.support.interrupts import postponed
 from pytest_pafot.support.text import visible
 
 if TYPE_CHECKING:
@@ -47,6 +48,13 @@ def send(item: pytest.Item, kind: str, data: Mapping[str, Any]) -> None:
         pafot=(kind, dict(data)),
     )
     item.ihook.pytest_runtest_logreport(report=report)
+
+
+@pytest.hookimpl(wrapper=True, tryfirst=True)
+def pytest_runtest_logreport() -> Generator[None, object, object]:
+    """Let all that listen to a report take it, before an interrupt ends the session."""
+    with postponed():
+        return (yield)
 
 
 def received(report: pytest.TestReport | pytest.CollectReport) -> Message | None:

@@ -31,9 +31,12 @@ from pytest_pafot.corpus.layout import (
     name_within,
     relative,
     safe_name,
+    unlisted_below,
 )
 from pytest_pafot.corpus.saved import Saved, saved_in
+from pytest_pafot.plugin.marks import SEARCH_MARK
 from pytest_pafot.plugin.option_sources import option_value
+from pytest_pafot.plugin.session import SUMMARY_LINES
 from pytest_pafot.plugin.unrun import UNRUN, Collected, Orphan
 from pytest_pafot.support.errors import command
 from pytest_pafot.support.text import plural, visible
@@ -45,6 +48,8 @@ _TEST_LINE = re.compile(rb"^test:[ \t]*([^\n:]*\.py::[^\n]+?)\s*$", re.MULTILINE
 MAX_NAME = 120  # length of the test's name in an error; the name is from a file, which may contain anything
 ERROR_ID = "pafot::saved_scenarios_without_a_test"
 """The node id of the error with which a session fails if the test of saved scenarios no longer exists."""
+LOST_ID = "pafot::findings_that_were_not_brought_along"
+"""The node id of the error with which a merging session fails if results name a finding whose file is missing."""
 UNNAMED_ID = "pafot::marked_tests_that_are_not_collected"
 """The node id of the error with which a session fails if pytest leaves out a marked test because of its name."""
 
@@ -78,6 +83,7 @@ def find_strays(collected: Collected, orphans: Collection[Path]) -> dict[str, tu
     strays: dict[str, tuple[str, bool]] = {}
     for root, directory in sorted(collected.roots.items()):
         is_asked_for = _is_asked_for(directory, collected)
+        strays |= {relative(folder, top): (why, is_asked_for) for folder, why in unlisted_below(root).items()}
         modules = modules_in(root)
         tests = {folder for module in modules for folder in modules_in(module)}
         # The walk follows no links, which may lead anywhere. A linked folder of a module or test is only listed.
@@ -192,6 +198,28 @@ def advice(config: pytest.Config) -> str:
 class Guard:
     """The hook that fails a session, on the controller, if no test can replay saved scenarios or run a marked test."""
 
+    def __init__(self) -> None:
+        self._ended: set[str] = set()  # node ids of the items that have run
+
+    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+        """Note the items that have run, whatever came of them."""
+        if report.when == "teardown":
+            self._ended.add(report.nodeid)
+
+    @pytest.hookimpl(tryfirst=True)  # before the summary and the JSON file are written
+    def pytest_sessionfinish(self, session: pytest.Session) -> None:
+        """Let no session on CI end with 0 by ``pytest.exit(returncode=0)`` before its searches and replays have run."""
+        cause = _cause(session.config)
+        left = [item.nodeid for item in session.items if item.get_closest_marker(SEARCH_MARK) is not None]
+        left = [node_id for node_id in left if node_id not in self._ended]
+        if not cause or session.exitstatus != pytest.ExitCode.OK or not left or session.config.getoption("collectonly"):
+            return
+        session.exitstatus = pytest.ExitCode.INTERRUPTED
+        session.config.stash[SUMMARY_LINES].problems.append(
+            f"{plural(len(left), 'item')} did not run to the end, {left[0]} first, but the session was to end with the "
+            f"exit code 0, as by pytest.exit(returncode=0); it ends with 2 ({cause})"
+        )
+
     @pytest.hookimpl(wrapper=True, trylast=True)  # inside of the hook with which pytest ends the line of its results
     def pytest_runtestloop(self, session: pytest.Session) -> Generator[None, object, object]:
         """Fail the session after all items have run; only then have all pytest-xdist workers reported their items."""
@@ -202,21 +230,28 @@ class Guard:
         return result
 
 
+def _cause(config: pytest.Config) -> str:
+    """Return why a session must not pass if something was not tested; empty if it may."""
+    strict = BY_NAME["strict_health"]
+    return "CI is set" if is_ci(os.environ) else strict.flag if option_value(config, strict, {}) else ""
+
+
 def _errors(config: pytest.Config) -> dict[str, list[str]]:
     """Return the lines of each error of the session that say why it fails; no lines if it does not fail.
 
     After the reason, each affected file and its test is named, and then what the user can do about it.
     """
-    strict, allow = BY_NAME["strict_health"], BY_NAME["allow_orphans"]
-    cause = "CI is set" if is_ci(os.environ) else strict.flag if option_value(config, strict, {}) else ""
-    if not cause or config.getoption("collectonly"):
-        return {}
     unrun = config.stash[UNRUN]
+    lost = [f"{file}: {why}" for file, (why, fails) in sorted(unrun.unmerged.items()) if fails]
+    errors = {LOST_ID: lost and [f"{plural(len(lost), 'finding')} of other machines would be lost:", *lost]}
+    cause, allow = _cause(config), BY_NAME["allow_orphans"]
+    if not cause or config.getoption("collectonly"):
+        return errors
     unnamed = [f"pytest does not collect {plural(len(unrun.unnamed), 'test')} with a mark of pafot ({cause}):"]
     for name, why in sorted(unrun.unnamed.items()):
         unnamed += [name, f"  {why}"]
     unnamed.append("  rename or move it, or set its __test__ to False if it is no test")
-    errors = {UNNAMED_ID: unnamed if unrun.unnamed else []}
+    errors[UNNAMED_ID] = unnamed if unrun.unnamed else []
     if option_value(config, allow, {}):
         return errors
     gone = {folder: orphan for folder, orphan in unrun.orphans.items() if orphan.is_gone}

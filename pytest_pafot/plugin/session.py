@@ -9,9 +9,9 @@ import shutil
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass, field
-from datetime import date
+from datetime import date, timedelta
 from importlib.machinery import EXTENSION_SUFFIXES
 from pathlib import Path
 from typing import Any
@@ -19,13 +19,13 @@ from typing import Any
 import pytest
 
 from pytest_pafot.campaign.options import OPTIONS, Settings
-from pytest_pafot.corpus.layout import chosen_folder, corpus_root, link_below
+from pytest_pafot.corpus.layout import SEARCH_PART, around, chosen_folder, corpus_root, link_below
 from pytest_pafot.corpus.saved import refusal
 from pytest_pafot.plugin.node_ids import SAVED_PART
 from pytest_pafot.plugin.option_sources import resolve
 from pytest_pafot.plugin.unrun import UNRUN, Orphan
 from pytest_pafot.support.errors import RequestError, flag
-from pytest_pafot.support.text import plural
+from pytest_pafot.support.text import day_of, plural
 
 KERNEL = Path(__file__).parents[1] / "world" / "kernel"
 
@@ -106,6 +106,17 @@ def records_folder(item: pytest.Item, settings: Settings) -> Path:
     return link_below(chosen_folder(item.path, settings.corpus), corpus) or corpus
 
 
+def stale_day(asked: str, today: date) -> list[str]:
+    """Return a warning about a day of ``--pafot-today`` that is over everywhere; empty for any other."""
+    day = day_of(asked)
+    if day is None or day >= today - timedelta(days=1):
+        return []
+    return [
+        f"{flag('today', asked)}: that day is over, so failures that were accepted up to a day since then count as "
+        "accepted; leave the option out, or give the day of this session"
+    ]
+
+
 def misspelt(environ: Mapping[str, str]) -> list[str]:
     """Return warnings about environment variables whose name is similar to the variable of an option."""
     read = [*(option.variable for option in OPTIONS if option.everywhere), HERE, "PAFOT_KERNEL"]
@@ -145,6 +156,16 @@ def unclaimed(config: pytest.Config) -> list[str]:
             f"{plural(len(others), 'record')} from elsewhere or from before a restart; they are ignored: delete them"
         )
     return own
+
+
+def end_in_order(config: pytest.Config) -> None:
+    """Let SIGTERM and SIGHUP interrupt the session, which would otherwise leave processes and no results behind."""
+    from pytest_pafot.support.interrupts import interrupted_by_signals  # noqa: PLC0415
+    from pytest_pafot.world.guard.hang_guard import note_interrupt  # noqa: PLC0415
+
+    stack = ExitStack()
+    config.add_cleanup(stack.close)
+    stack.enter_context(interrupted_by_signals(note_interrupt))
 
 
 def exit_code(session: pytest.Session) -> int:
@@ -214,8 +235,10 @@ class Controller:
         shared = node.config.stash[SHARED]
         if shared.frozen is None:
             # Under --dist=loadgroup the name of the group is appended.
-            names = (node_id[: node_id.rfind("]") + 1] for node_id in ids)
+            names = [node_id[: node_id.rfind("]") + 1] for node_id in ids]
             shared.frozen = frozenset(name for name in names if SAVED_PART in name)
+            if shared.frozen or any(around(SEARCH_PART, name) for name in names):
+                end_in_order(node.config)
 
     @pytest.hookimpl(optionalhook=True)
     def pytest_testnodedown(self, node: Any, error: object) -> None:
@@ -228,6 +251,14 @@ class Controller:
         unrun.orphans.update((Path(folder), Orphan(*orphan)) for folder, orphan in orphans.items())
         for known, other in zip(unrun[1:], others, strict=True):
             known.update(other)
+
+    def pytest_sessionfinish(self, session: pytest.Session) -> None:
+        """Take what the workers have reported and an interrupted controller has not read; they have ended by now."""
+        waiting = getattr(session.config.pluginmanager.get_plugin("dsession"), "queue", None)
+        while waiting is not None and not waiting.empty():
+            event, data = waiting.get_nowait()
+            if event == "testreport":
+                session.config.hook.pytest_runtest_logreport(report=data["rep"])
 
 
 class Worker:

@@ -202,7 +202,7 @@ class Reporter:
                 (self._relative(folder), [each.name for each in files], why) for folder, why, files in left if files
             ],
             strays=[*sorted(unrun.unnamed.items()), *((file, why) for file, (why, _) in sorted(unrun.strays.items()))],
-            unmerged=sorted(unrun.unmerged.items()),
+            unmerged=[(name, why) for name, (why, _) in sorted(unrun.unmerged.items())],
             way_out=orphans.advice(self._config),
             problems=self._lines.problems,
             written=self._lines.reports,

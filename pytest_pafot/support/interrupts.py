@@ -6,6 +6,7 @@ import os
 import signal
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
@@ -14,6 +15,8 @@ ENDS = tuple(getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(
 """The signals that end a process without giving it time, unless it handles them."""
 AGAIN_SECONDS = 0.05
 """The time after which an interrupt that Python could not raise comes again [s]."""
+PATIENCE = 2.0
+"""The time for which :func:`postponed` lets its context go on after an interrupt, unless there is another [s]."""
 
 
 class Ended(KeyboardInterrupt):
@@ -75,6 +78,36 @@ def interrupted_by_signals(note: Callable[[KeyboardInterrupt], None] = lambda in
         for number, handler in handlers.items():
             if signal.getsignal(number) is handler:  # The user's code may handle it since.
                 signal.signal(number, before[number])
+
+
+@contextmanager
+def postponed() -> Iterator[None]:
+    """Let an interrupt that comes in this context be raised at its end, so that what it does is not left half done.
+
+    Another interrupt after :data:`PATIENCE` is raised at once, as what the context waits for may never come.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, *ENDS)}
+    came: list[tuple[int, float]] = []
+
+    def received(number: int, frame: FrameType | None) -> None:
+        handler = before[number]
+        if came and time.monotonic() - came[0][1] > PATIENCE and callable(handler):
+            handler(number, frame)
+        came.append((number, time.monotonic()))
+
+    mine = [number for number, handler in before.items() if callable(handler) or handler == signal.SIG_DFL]
+    for number in mine:  # those that are ignored, as by ``nohup``, stay so
+        signal.signal(number, received)
+    try:
+        yield
+    finally:
+        for number in mine:
+            signal.signal(number, before[number])
+        for number, _ in came[:1]:
+            signal.raise_signal(number)
 
 
 @contextmanager

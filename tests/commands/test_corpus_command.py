@@ -17,6 +17,7 @@ from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.scenario import PositionInstruction, Scenario
 from pytest_pafot.model.trace import Outcome
 from tests.findings.builders import plain_finding
+from tests.helpers.hostile import unlisted
 
 
 @pytest.fixture
@@ -45,6 +46,16 @@ def test_unreadable_file_is_counted_and_exits_with_1(folder, capsys):
 def test_a_folder_that_does_not_exist_is_refused(tmp_path, capsys):
     assert main(["corpus", "list", str(tmp_path / "none")]) == 2
     assert "corpus: expected a folder, received" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("what", ["list", "stats", "join"])
+def test_a_folder_that_cannot_be_listed_is_named(folder, capsys, monkeypatch, what):
+    unlisted(monkeypatch, folder / "test_it")
+    assert main(["corpus", what, str(folder)]) == 1
+    assert capsys.readouterr().err == (
+        f"corpus: {folder / 'test_it'}: expected a folder that can be listed, received Permission denied; let this "
+        "user read it, or move it away\n"
+    )
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows does not remove the current folder of a process")
@@ -78,6 +89,10 @@ def save(folder, **findings):
     for name, (genes, changes) in findings.items():
         scenario = Scenario(npcs=((PositionInstruction(Cell.FRONT, 20.0), PositionInstruction(Cell(2), 8.0)) * genes,))
         write(folder / f"{name}.pafot.yaml", plain_finding(**{"id": name, "scenario": scenario} | changes))
+
+
+IN_LANE_3 = Scenario(npcs=((PositionInstruction(Cell.FRONT, 20.0),),), ego_lane=3)
+"""A scenario for a road of four lanes."""
 
 
 def names(folder):
@@ -163,6 +178,24 @@ def test_join_ignores_broken_files_and_linked_folders(tmp_path, capsys, monkeypa
     assert main(["corpus", "join", "--write", "sub"]) == 2
     assert "received the link" in capsys.readouterr().err
     assert names(elsewhere) == ["b", "c"]
+
+
+@pytest.mark.parametrize(
+    ("world", "changes", "why"),
+    [
+        ({"lanes": 4000000}, {}, "world.lanes: expected a whole number from 3 to 6, received"),
+        ({"duration": 1e9}, {}, "world.duration: expected a number from"),
+        ({"lanes": 3}, {"scenario": IN_LANE_3}, "scenario.ego.lane: expected"),
+    ],
+    ids=["lanes", "duration", "scenario"],
+)
+def test_join_never_keeps_a_file_that_no_session_would_run(tmp_path, capsys, world, changes, why):
+    save(tmp_path, a=(1, {"world": plain_finding().world | world, **changes}), b=(2, {}), c=(3, {}))
+    code, lines = join(tmp_path, capsys, "--write")
+    assert (code, names(tmp_path)) == (1, ["a", "b"])
+    assert lines[0].startswith("left as it is: a.pafot.yaml:")
+    assert why in lines[0]
+    assert lines[1].startswith("removed: c.pafot.yaml: b.pafot.yaml shows")
 
 
 def test_join_reports_a_file_that_cannot_be_removed(tmp_path, capsys, monkeypatch):

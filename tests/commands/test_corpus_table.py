@@ -6,6 +6,7 @@ import json
 import os
 import re
 import shutil
+import signal
 import subprocess
 import sys
 from dataclasses import replace
@@ -21,6 +22,7 @@ from pytest_pafot.corpus.writer import write
 from pytest_pafot.findings.finding import Bounded
 from pytest_pafot.findings.neighbours import Breadth
 from pytest_pafot.model.trace import Outcome
+from pytest_pafot.support.errors import RequestError
 from tests.findings.builders import plain_finding
 
 AHEAD = {"outcome": Outcome.SAFE, "time": 5.9, "cell": None, "side": None, "responsibility": "none"}
@@ -257,6 +259,18 @@ def test_a_list_goes_on_without_tests(here, capsys, module, why):
     assert told.err.endswith("; --no-tests is quicker\n")
     assert told.err.count("\n") == 1
     assert "\x1b" not in told.err
+
+
+@pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
+def test_an_interrupted_list_says_only_that(here, capsys, monkeypatch):
+    def interrupted():  # as Ctrl-C ends the pytest that collects, too
+        os.kill(os.getpid(), signal.SIGINT)
+        raise RequestError("expected pytest to collect the tests here, received exit code -2")
+
+    save(here, finding("a"))
+    monkeypatch.setattr(corpus_command, "collected", interrupted)
+    assert main(["corpus", "list"]) == 130
+    assert capsys.readouterr() == ("", "\ncorpus: interrupted\n")
 
 
 def test_no_test_is_collected_if_nothing_is_saved(here, capsys, monkeypatch):

@@ -133,6 +133,12 @@ def test_assertions_that_are_off_are_refused_and_own_checks_hold(tmp_path):
 
 
 @pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
+def test_a_child_that_an_interrupt_ends_without_a_receipt_is_no_fault_of_the_policy(tmp_path):
+    how = "signal.signal(signal.SIGTERM, signal.SIG_IGN); os.kill(os.getppid(), signal.SIGTERM); os._exit(1)"
+    assert ended(tmp_path, "map", ON_IMPORT=how) == (143, "map: interrupted\n")
+
+
+@pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
 def test_a_signal_to_the_command_ends_the_process_that_drives(tmp_path, number):
     line = [sys.executable, "-m", "pytest_pafot", *COMMANDS["map"].replace("10:60:2", "10:60:200").split()]

@@ -1,5 +1,7 @@
-"""Texts with which a malicious file could control a terminal, a CI runner or a reader's browser."""
+"""Texts with which a malicious file could control a terminal, a CI runner or a browser; folders without permission."""
 
+import errno
+import os
 import re
 import unicodedata
 
@@ -31,3 +33,16 @@ def obeyed(text: str) -> list[str]:
         each for each in text if unicodedata.category(each)[0] == "C" or unicodedata.category(each) in ("Zl", "Zp")
     }
     return [*commands, *sorted(map(ascii, other - {"\n"}))]
+
+
+def unlisted(monkeypatch, folder):
+    """Let a folder be one that this user may not list; root may list any."""
+    for name in ("listdir", "scandir"):
+        function = getattr(os, name)
+
+        def refuse(path=".", function=function):
+            if os.fspath(path) == os.fspath(folder):
+                raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), os.fspath(path))
+            return function(path)
+
+        monkeypatch.setattr(os, name, refuse)

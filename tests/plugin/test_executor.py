@@ -117,7 +117,7 @@ def test_dask_worker_may_die_and_another_join(cluster, tmp_path):
 
     scenarios = [scenario(number) for number in range(60)]
     job = Job(world=Toy(), ads=make, records=tmp_path, owner="test_it.py::test_it", root=Path(__file__).parents[1])
-    with dask_executor(cluster.scheduler_address) as executor:
+    with dask_executor(cluster.scheduler_address, print) as executor:
         pool = ExecutorPool(job, executor)
         pool.expect(scenarios)
         answers = [pool.fetch(each) for each in scenarios[:10]]
@@ -131,5 +131,22 @@ def test_dask_worker_may_die_and_another_join(cluster, tmp_path):
 def test_a_scheduler_that_does_not_answer_is_named():
     pytest.importorskip("distributed")
     with pytest.raises(ExecutionError, match=r"--pafot-dask=tcp://127\.0\.0\.1:9: expected a scheduler"):  # noqa: SIM117
-        with dask_executor("tcp://127.0.0.1:9", timeout=0.2):
+        with dask_executor("tcp://127.0.0.1:9", print, timeout=0.2):
             pass
+
+
+def test_a_session_says_that_it_waits_for_the_first_worker(monkeypatch):
+    distributed = pytest.importorskip("distributed")
+    monkeypatch.setattr("pytest_pafot.execution.executors.SOON", 0.1)
+    with distributed.LocalCluster(n_workers=0, threads_per_worker=1, dashboard_address=None) as empty:
+        told = []
+
+        def tell(text):
+            told.append(text)
+            empty.scale(1)
+
+        with dask_executor(empty.scheduler_address, tell) as executor:
+            assert executor.submit(int, "7").result() == 7
+    [text] = told
+    assert text.startswith(f"--pafot-dask={empty.scheduler_address}: the scheduler has no worker, so no scenario runs")
+    assert f"`dask worker {empty.scheduler_address}`" in text

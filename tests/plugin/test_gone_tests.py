@@ -2,9 +2,11 @@
 
 import json
 import shutil
+from pathlib import Path
 
 import pytest
 
+from tests.helpers.hostile import unlisted
 from tests.helpers.tables import table
 from tests.plugin.conftest import FAILING
 from tests.plugin.test_prune import links
@@ -86,6 +88,17 @@ def test_a_renamed_test_fails_only_a_strict_session(saved, monkeypatch, tmp_path
     assert '<error message="failed on setup with &quot;the test of 1 saved' in (saved.path / "j.xml").read_text()
     shutil.move(saved.path / FOLDER, saved.path / f"{FOLDER}_fast")
     replay(saved).assert_outcomes(passed=1, skipped=1)
+
+
+@pytest.mark.parametrize("depth", [0, 2])
+def test_a_corpus_that_cannot_be_listed_is_not_taken_for_an_empty_one(saved, ci, monkeypatch, depth):
+    place = Path(FOLDER).parts[: depth + 1]
+    unlisted(monkeypatch, saved.path.joinpath(*place))
+    result = replay(saved)
+    assert is_red(result)
+    result.stdout.fnmatch_lines(
+        [f"not run: {'/'.join(place)}: expected a folder that can be listed, received Permission denied; let*"]
+    )
 
 
 def test_what_lets_a_session_pass_all_the_same(saved, ci, monkeypatch):

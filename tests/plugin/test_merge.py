@@ -211,3 +211,15 @@ def test_a_folder_that_is_none_is_refused(failing):
     result = merge(failing, "nowhere")
     assert result.ret == pytest.ExitCode.USAGE_ERROR
     result.stderr.fnmatch_lines(["*--pafot-merge: expected the folder of a corpus, received *, which is no folder"])
+
+
+def test_a_finding_without_its_file_fails_the_merge(failing, other):
+    """Otherwise a job that keeps only the results of a machine would lose what the machine has found."""
+    (failing.path / "results").mkdir()
+    failing.run(UNSHRUNK, "--pafot-json=results/pafot.json")
+    shutil.rmtree(failing.path / "pafot_corpus")
+    result = merge(failing, "results")
+    result.assert_outcomes(passed=1, errors=1)
+    assert result.ret == pytest.ExitCode.TESTS_FAILED
+    result.stdout.fnmatch_lines(["*pafot_corpus/test_it/*.pafot.yaml: results/pafot.json names it as a new finding;*"])
+    assert merge(failing, "results", other).ret == pytest.ExitCode.OK

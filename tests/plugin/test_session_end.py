@@ -1,12 +1,18 @@
 """Errors at the end of a session appear in its summary, together with the texts of all failures."""
 
 import errno
+import importlib
+import json
+import os
+import signal
 import sys
+from datetime import date
 from pathlib import Path
 
 import pytest
 
 import pytest_pafot.report.page  # noqa: F401  pytester forgets modules that a run imports; this one is patched
+from pytest_pafot.plugin.session import stale_day
 
 FAILS = """
 @pafot.search(SHORT, stop_after=1, shrink_rollouts=0)
@@ -128,6 +134,28 @@ def test_interrupt_while_writing_report_loses_only_the_report(project, monkeypat
     result.stdout.fnmatch_lines(["*problem: --pafot-report=x/: not written: KeyboardInterrupt*"])
 
 
+@pytest.mark.skipif(os.name == "nt", reason="processes have no signals there")
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("step", ["plugin.search_item.summarise", "campaign.search_loop.relative"])
+def test_a_signal_while_a_finding_is_reported_does_not_lose_it(project, monkeypatch, step, number):
+    """The first step reports the finding to pytest, the second follows the writing of its file."""
+    module, _, name = f"pytest_pafot.{step}".rpartition(".")
+    function, sent = getattr(importlib.import_module(module), name), []
+
+    def interrupted(*arguments, **named):
+        if not sent:
+            sent.append(os.kill(os.getpid(), number))
+        return function(*arguments, **named)
+
+    project.write(FAILS)
+    monkeypatch.setattr(f"{module}.{name}", interrupted)
+    result = project.run("--pafot-report=x.html", "--pafot-json=x.json", no_reraise_ctrlc=True)
+    record = json.loads((project.path / "x.json").read_text())
+    [file], [found] = project.files, record["findings"]
+    assert (result.ret, record["exit"], found["file"]) == (2, 2, file)
+    assert found["id"] in (project.path / "x.html").read_text()
+
+
 def test_an_interrupted_session_does_not_wait_for_pictures(project):
     project.write(IS_CUT)
     result = project.run("--pafot-report=x/", no_reraise_ctrlc=True)
@@ -135,3 +163,29 @@ def test_an_interrupted_session_does_not_wait_for_pictures(project):
     text = text_of(result)
     assert "the page was written, but not all pictures, after an interrupt" in text
     assert "FAILED test_it.py::test_fails[saved-" in text
+
+
+EXITS = """
+@pytest.fixture
+def leaves():
+    pytest.exit("enough", returncode=0)
+
+@pafot.search(SHORT)
+def test_in_fixture(run, leaves):
+    pass
+"""
+
+
+@pytest.mark.parametrize(("ci", "code"), [("", 0), ("true", 2)])
+def test_no_session_on_ci_passes_without_its_searches(project, monkeypatch, ci, code):
+    monkeypatch.setenv("CI", ci)
+    project.write(EXITS)
+    result = project.run("--pafot-json=x.json")
+    assert (result.ret, json.loads((project.path / "x.json").read_text())["exit"]) == (code, code)
+    problem = "problem: 1 item did not run to the end, test_it.py::test_in_fixture[search] first"
+    assert (problem in text_of(result)) is bool(code)
+
+
+@pytest.mark.parametrize(("day", "is_told"), [("2026-10-29", True), ("2026-10-30", False), ("2026-11-30", False)])
+def test_a_day_that_is_over_is_told(day, is_told):
+    assert bool(stale_day(day, date(2026, 10, 31))) is is_told

@@ -1,5 +1,7 @@
 """Workers of pytest-xdist, hash seeds and kills do not change what is found, saved and reported."""
 
+import json
+import os
 import re
 import subprocess
 import sys
@@ -157,3 +159,25 @@ def test_kill_loses_no_announced_finding_or_file(project):
     assert [load(project.path / name).test for name in project.files]
     result = project.run(generations=0)
     assert result.parseoutcomes()["failed"] >= 2
+
+
+@pytest.mark.skipif(os.name == "nt", reason="processes have no signals there")
+def test_a_signal_to_the_controller_loses_nothing_that_workers_have_saved(project):
+    project.write(TWO.replace("SHORT", "SHORT, runs=100000"))
+    command = [sys.executable, "-m", "pytest", "-q", "-n2", "-p", "xdist", "-p", "pafot"]
+    with begun(
+        [*command, "--pafot-json=x.json", "--pafot-report=x.html"], stdout=subprocess.PIPE, text=True
+    ) as session:
+        told = ""
+        while "pafot: found" not in told:
+            line = session.stdout.readline()
+            assert line, told
+            told += line
+        session.terminate()
+        rest, _ = session.communicate(timeout=100)
+    record, page = json.loads((project.path / "x.json").read_text()), (project.path / "x.html").read_text()
+    assert (session.returncode, record["exit"]) == (2, 2)
+    assert {each["reason"] for each in record["searches"]} == {"interrupted"}
+    assert {each["file"] for each in record["findings"]} == set(project.files)
+    assert all(each["id"] in page for each in record["findings"])
+    assert "received SIGTERM" in rest

@@ -7,7 +7,8 @@ import time
 
 import pytest
 
-from pytest_pafot.support.interrupts import ENDS, Ended, interrupted_by_signals, undisturbed
+from pytest_pafot.support import interrupts
+from pytest_pafot.support.interrupts import ENDS, Ended, interrupted_by_signals, postponed, undisturbed
 
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="processes have no signals there")
 
@@ -92,3 +93,43 @@ def test_clean_up_is_disturbed_by_no_signal():
                 os.kill(os.getpid(), number)
         with pytest.raises(Ended):
             os.kill(os.getpid(), signal.SIGTERM)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, *ENDS])
+def test_a_postponed_interrupt_comes_at_the_end(number):
+    done = []
+
+    def work():
+        with postponed():
+            os.kill(os.getpid(), number)
+            done.append("all")
+        done.append("more")
+
+    before = [signal.getsignal(each) for each in (signal.SIGINT, *ENDS)]
+    with pytest.raises(KeyboardInterrupt), interrupted_by_signals():
+        work()
+    assert done == ["all"]
+    assert [signal.getsignal(each) for each in (signal.SIGINT, *ENDS)] == before
+
+
+def test_a_later_interrupt_ends_what_waits_for_ever(monkeypatch):
+    monkeypatch.setattr(interrupts, "PATIENCE", 0.0)
+
+    def work():
+        with postponed():
+            os.kill(os.getpid(), signal.SIGINT)
+            time.sleep(0.01)
+            os.kill(os.getpid(), signal.SIGINT)
+            time.sleep(60)
+
+    with pytest.raises(KeyboardInterrupt):
+        work()
+
+
+def test_a_signal_that_is_ignored_is_not_postponed():
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        with postponed():
+            assert signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
+    finally:
+        signal.signal(signal.SIGHUP, before)

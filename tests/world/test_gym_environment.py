@@ -42,7 +42,7 @@ from pytest_pafot.findings.finding import Expect, disagreement, is_same_event
 from pytest_pafot.findings.signature import Failure
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.scenario import PositionInstruction, Scenario, ScenarioError
-from pytest_pafot.model.trace import ACCELERATION, HEADING, SPEED, STEERING, Collision
+from pytest_pafot.model.trace import ACCELERATION, HEADING, SPEED, STEERING, Collision, Outcome
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.searching.evaluation import ended_at_object
 from pytest_pafot.searching.fitness import before_impact
@@ -1332,3 +1332,21 @@ def test_lowest_speed_is_that_of_the_ego_after_its_reset(register):
 
     register("mine-v0", entry_point=Braked)
     assert World("mine-v0").least_action_speed == 0.0
+
+
+class Cautious(HighwayEnv):
+    """A version of highway-v0 that calls less than 20 m to the vehicle ahead a crash, and ends the episode there."""
+
+    def step(self, action):
+        seen, reward, is_over, is_cut, info = super().step(action)
+        is_near = self.road.vehicles[1].position[0] - self.vehicle.position[0] < 20
+        self.vehicle.crashed |= bool(is_near)  # so that highway-env brakes it
+        return seen, reward, is_over or is_near, is_cut, info
+
+
+def test_a_crash_that_only_the_environment_sees_is_no_collision(register):
+    register("mine-v0", Cautious)
+    queue = Scenario(npcs=[[PositionInstruction(2, 5.0)]], gene_seconds=10.0)
+    assert World("highway-v0").rollout(queue, IDLE).outcome is Outcome.COLLISION
+    trace = World("mine-v0").rollout(queue, IDLE)
+    assert (trace.outcome, trace.duration) == (Outcome.SAFE, 10.0)
