@@ -64,7 +64,7 @@ class EgoDriver:
 
     def without_plan(self, answer: Any) -> Any:
         """Return the action in the answer of the ADS to the next decision, and note its plan if there is one."""
-        if isinstance(answer, Planned):
+        if type(answer) is Planned:  # isinstance would take half a per cent of a run
             self.plans[len(self.actions)] = answer.plan
             return answer.action
         return answer
