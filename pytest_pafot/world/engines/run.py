@@ -128,7 +128,7 @@ class VehiclesOfRun:
         road, plans = self.rules.road, dict(driver.plans)
         if isinstance(driver, GivenDriver) and not (isinstance(road, StraightRoad) and road.starts_at_origin):
             for number, plan in plans.items():
-                row = None if track is None else track[number * driver.every, 0]
+                row: Any = None if track is None else track[number * driver.every, 0]
                 plans[number] = tuple((t, *road.seen_at(x, y, row)) for t, x, y in plan)
         made = tuple(plans.get(number) for number in range(len(driver.actions)))
         return made if any(made) else ()

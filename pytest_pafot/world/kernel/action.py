@@ -93,7 +93,8 @@ def plain_action(answer: Any) -> Any:
 
 
 def _checked_plan(given: Any) -> Plan:
-    problem, places = f"1 to {MOST_PLACES} places (t [s], x [m], y [m]), finite numbers", np.empty(0)
+    problem = f"1 to {MOST_PLACES} places (t [s], x [m], y [m]), finite numbers"
+    places: Any = np.empty(0)
     with suppress(TypeError, ValueError):  # such as rows of different lengths
         places = np.asarray(given)
     if places.shape[1:] == (3,) and 1 <= len(places) <= MOST_PLACES and places.dtype.kind in "iuf":

@@ -65,7 +65,7 @@ class EgoDriver:
     def without_plan(self, answer: Any) -> Any:
         """Return the action in the answer of the ADS to the next decision, and note its plan if there is one."""
         if type(answer) is Planned:  # isinstance would take half a per cent of a run
-            self.plans[len(self.actions)] = answer.plan
+            self.plans[len(self.actions)] = cast("Plan", answer.plan)
             return answer.action
         return answer
 

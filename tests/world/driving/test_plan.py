@@ -11,6 +11,7 @@ import pytest
 
 from pytest_pafot import Drive, Highway, LaneInstruction, Perception, Planned, PositionInstruction, Run, Scenario, World
 from pytest_pafot.campaign.harness import is_same_run
+from pytest_pafot.episodes.ordinary_traffic import drive
 from pytest_pafot.execution.runner import DecisionCache
 from pytest_pafot.model.trace import AdsError, Trace, X, Y
 from pytest_pafot.searching.fitness import before_impact
@@ -264,3 +265,28 @@ def test_planner_beside_a_run_is_compared_by_its_actions():
     whole = world.rollout(SCENARIO, Planner)
     world.rollout(SCENARIO, beside(Planner, whole.actions, lambda action: action, aside))
     assert tuple(aside.answers) == whole.actions
+
+
+def test_plan_of_an_ads_that_is_wrong_about_its_place_is_wrong_by_as_much():
+    world = Highway(duration=4.0)
+    plan = lambda: lambda seen: Planned((0.0, 0.0), ahead(seen))  # noqa: E731
+    exact = Run(world.rollout(SCENARIO, plan)).off_plan(after=1.0)
+    trace = world.rollout(SCENARIO, Perception(plan, own_bias={"position": 0.5}))
+    t, x, y = trace.plans[0][0]
+    believed = math.dist((x, y), trace.ego[0, [X, Y]])
+    assert exact == pytest.approx(0.0, abs=1e-9)
+    assert t == 0.0
+    assert 0.0 < believed == pytest.approx(Run(trace).off_plan(after=1.0))
+
+
+@table("env_id", ["highway-fast-v0", "racetrack-v0"])
+def test_episodes_drive_by_the_action_alone(env_id):
+    world = World(env_id)
+    action = np.zeros(world.action_space.shape) if env_id.startswith("race") else 1
+
+    def driven(answer):
+        return drive(world.environment, lambda: lambda seen: answer, 3, hang_limit=60.0)
+
+    plain, planned = driven(action), driven(Planned(action, LONG[:3]))
+    assert planned.error is None
+    assert planned == plain
