@@ -405,8 +405,8 @@ def _with_run(view: FindingView, trace: Trace, clearance: float, check: Check | 
     )
 
 
-PLAN_POINTS = 12
-"""The largest number of places of a plan that a page has, to stay small: more show no other line."""
+PLAN_POINTS = 8
+"""The largest number of places of a plan that a page has: plans would take more of it than the vehicles."""
 
 
 def _plans(run: Run) -> tuple[PlanView, ...]:

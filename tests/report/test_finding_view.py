@@ -232,6 +232,6 @@ def test_view_has_the_plan_of_each_decision_where_the_page_draws_it(is_bent):
             continue
         assert math.dist(plan.line[0], trace.ego[tick, [X, Y]]) < 0.01
         assert math.dist(plan.line[-1], made[-1][1:]) < 0.01
-        assert len(plan.line) == min(13, 1 + sum(place[0] > 0 for place in made))
+        assert len(plan.line) == min(9, 1 + sum(place[0] > 0 for place in made))
     assert view_of(cut_in_trace()).plans == ()
     assert view_of(cut_in_trace()).planned(1.0) == ()

@@ -91,7 +91,7 @@ def test_plan_at_the_time_shown_is_drawn_ahead_of_the_ego(browser, tmp_path):
     seek = (seek + " s.dispatchEvent(new Event('input')); }})({})").format
     page.evaluate(seek(1.0))
     points = [[*map(float, point.split())] for point in page.evaluate(line)[1:].split("L")]
-    assert len(points) == 13
+    assert len(points) == 9
     assert points == sorted(points)
     page.evaluate(seek(0.9))
     assert not page.evaluate(line)
