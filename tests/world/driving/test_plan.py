@@ -137,14 +137,16 @@ def test_a_plan_is_stored_as_plain_numbers_and_cannot_change():
         planned.plan = ()
 
 
-@table("world", [Highway(duration=2.0), World("highway-v0", duration=2.0)])
-def test_action_inside_is_checked_like_an_action_alone(world):
-    bad, plan = "left", [(1.0, 0.0, 0.0)]
-    alone = world.rollout(SCENARIO, lambda: lambda seen: bad)
-    inside = world.rollout(SCENARIO, lambda: lambda seen: Planned(bad, plan))
+@table(("world", "good"), [(Highway(duration=2.0), (0.0, 0.0)), (World("highway-v0", duration=2.0), 1)])
+def test_action_inside_is_checked_like_an_action_alone(world, good):
+    def driven(bad):
+        answers = iter([good, bad])
+        return world.rollout(SCENARIO, lambda: lambda seen: next(answers))
+
+    alone, inside = driven("left"), driven(Planned("left", [(1.0, 0.0, 0.0)]))
     assert alone.error == inside.error
     assert inside.error.kind == "BadAction"
-    assert inside.plans == ()
+    assert (len(inside.actions), inside.plans) == (1, ())
 
 
 def test_bad_plan_is_an_error_of_the_ads():
