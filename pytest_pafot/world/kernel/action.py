@@ -60,6 +60,8 @@ class Drive:
 
 MOST_PLACES = 200
 """The largest number of places in a plan: 20 s at 10 Hz."""
+FARTHEST = 1e6
+"""The largest number in a plan [s, m]; pictures cannot show places much farther away."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +76,7 @@ class Planned:
         plan: 1 to 200 places ``(t, x, y)`` in the order of their times: t from the decision on, 0 or more [s], x and y
             in the coordinates of ``ego.x`` and ``ego.y`` in a planner's observation [m]. A policy of an environment
             plans in the environment's own coordinates, those of ``env.vehicle.position``. An array of shape [places, 3]
-            is converted.
+            is converted. No number may exceed a million.
 
     Raises:
         BadAction: if the plan is anything else.
@@ -93,14 +95,16 @@ def plain_action(answer: Any) -> Any:
 
 
 def _checked_plan(given: Any) -> Plan:
-    problem = f"1 to {MOST_PLACES} places (t [s], x [m], y [m]), finite numbers"
+    problem = f"1 to {MOST_PLACES} places (t [s], x [m], y [m]), numbers of at most a million"
     places: Any = np.empty(0)
     with suppress(TypeError, ValueError):  # such as rows of different lengths
         places = np.asarray(given)
     if places.shape[1:] == (3,) and 1 <= len(places) <= MOST_PLACES and places.dtype.kind in "iuf":
-        if np.isfinite(places).all() and places[0, 0] >= 0.0 and (np.diff(places[:, 0]) > 0.0).all():
-            return tuple(map(tuple, places.astype(float).tolist()))
-        if np.isfinite(places).all():
+        places = places.astype(float)
+        is_near = bool((np.abs(places) <= FARTHEST).all())
+        if is_near and places[0, 0] >= 0.0 and (np.diff(places[:, 0]) > 0.0).all():
+            return tuple(map(tuple, places.tolist()))
+        if is_near:
             problem = "places (t [s], x [m], y [m]) whose times rise, from 0 on, which is the time of the decision"
     raise BadAction(f"expected a plan of {problem}, received {shown(given)}; without a plan, return the action alone")
 

@@ -14,6 +14,10 @@ from pytest_pafot.campaign.harness import is_same_run
 from pytest_pafot.episodes.ordinary_traffic import drive
 from pytest_pafot.execution.runner import DecisionCache
 from pytest_pafot.model.trace import AdsError, Trace, X, Y
+from pytest_pafot.report.animation import animate
+from pytest_pafot.report.page import data_json
+from pytest_pafot.report.page_data import Report
+from pytest_pafot.report.views import run_view
 from pytest_pafot.searching.fitness import before_impact
 from pytest_pafot.support.errors import BadAction
 from pytest_pafot.world.driving.shadow import Aside, beside
@@ -106,6 +110,8 @@ def test_ego_drives_the_same_with_and_without_plan(world, ads, mode):
         (None, "None"),
         ([(0.0, 1.0)], r"\[\(0.0, 1.0\)\]"),
         ([(0.0, 1.0, 2.0), (1.0, 2.0)], r"\[\(0.0, 1.0, 2.0\), "),
+        ([(0.0, 1.0, 2e6)], r"\[\(0.0, 1.0, 2000000.0\)\]"),
+        ([(0.0, 10**400, 2.0)], r"\[\(0.0, 1000"),
         ([(0.0, math.nan, 2.0)], r"\[\(0.0, nan, 2.0\)\]"),
         ([(0.0, "1", 2.0)], r"\[\(0.0, '1', 2.0\)\]"),
         ([(0.0, True, 2.0), (None, 1, 1)], r"\[\(0.0, True"),
@@ -114,8 +120,10 @@ def test_ego_drives_the_same_with_and_without_plan(world, ads, mode):
     ],
 )
 def test_something_that_is_no_plan_is_refused(plan, received):
-    message = rf"^expected a plan of 1 to 200 places \(t \[s\], x \[m\], y \[m\]\), finite numbers, received {received}"
-    with pytest.raises(BadAction, match=message + r".*; without a plan, return the action alone$"):
+    message = (
+        r"^expected a plan of 1 to 200 places \(t \[s\], x \[m\], y \[m\]\), numbers of at most a million, received "
+    )
+    with pytest.raises(BadAction, match=message + received + r".*; without a plan, return the action alone$"):
         Planned((0.0, 0.0), plan)
 
 
@@ -123,6 +131,22 @@ def test_something_that_is_no_plan_is_refused(plan, received):
 def test_times_of_a_plan_rise_from_the_decision_on(times):
     with pytest.raises(BadAction, match=r"places \(t \[s\], x \[m\], y \[m\]\) whose times rise, from 0 on"):
         Planned((0.0, 0.0), [(time, 0.0, 0.0) for time in times])
+    with pytest.raises(BadAction, match="whose times rise"):
+        Planned((0.0, 0.0), np.array([(2, 0, 0), (1, 0, 0)], dtype=np.uint8))
+
+
+@table("env_id", ["highway-v0", "roundabout-v1", "racetrack-v0", "intersection-v0"])
+def test_places_far_from_the_road_are_recorded_and_drawn(env_id):
+    far = [(1.0, 1e6, 0.0), (2.0, -1e6, 1e6), (3.0, 5.0, -1e6), (1e6, 0.0, 0.0)]
+    world, lane = World(env_id, planner_hz=5, duration=2.0), int(env_id.startswith("roundabout"))
+    scenario = Scenario(npcs=[[PositionInstruction(6, 5.0)]], ego_lane=lane, ego_speed=8.0)
+    trace = world.rollout(scenario, lambda: lambda seen: Planned((0.0, 0.0), far))
+    assert trace.error is None
+    assert np.isfinite(trace.plans).all()
+    view = run_view(trace)
+    assert data_json(Report.of(view))
+    pytest.importorskip("PIL")
+    assert animate(view).startswith(b"\x89PNG")
 
 
 def test_a_plan_is_stored_as_plain_numbers_and_cannot_change():
