@@ -55,6 +55,7 @@ if TYPE_CHECKING:
     from pytest_pafot.world import NpcLimits as NpcLimits
     from pytest_pafot.world import Observation as Observation
     from pytest_pafot.world import Perception as Perception
+    from pytest_pafot.world import Planned as Planned
     from pytest_pafot.world import World as World
     from pytest_pafot.world import WorldError as WorldError
     from pytest_pafot.world import WorldLike as WorldLike
@@ -78,6 +79,7 @@ _HOMES = {
     "Observation": "world",
     "Outcome": "model.trace",
     "Perception": "world",
+    "Planned": "world",
     "PositionInstruction": "model.scenario",
     "Run": "oracle.run",
     "SavedScenario": "campaign.saved_scenario",

@@ -7,7 +7,17 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from pytest_pafot import Cell, Highway, LaneInstruction, NpcLimits, Outcome, PositionInstruction, Scenario, World
+from pytest_pafot import (
+    Cell,
+    Highway,
+    LaneInstruction,
+    NpcLimits,
+    Outcome,
+    Planned,
+    PositionInstruction,
+    Scenario,
+    World,
+)
 from pytest_pafot.model.trace import ACCELERATION, HEADING, LANE, SPEED, STEERING, X, Y
 from pytest_pafot.testing import _check_lasting, check_world
 from pytest_pafot.testing.traces import contacts, places_at_start
@@ -741,3 +751,18 @@ def test_world_that_lasts_longer_needs_a_run_without_event():
         RuntimeWarning, match="no run without an event among 0 runs, so nothing about lasting was checked"
     ):
         _check_lasting(Lasting(), [], None)
+
+
+def test_planning_ads_is_checked_with_as_many_egos_as_one_without_plans():
+    counts = []
+    for answer in ((0.0, 0.0), Planned((0.0, 0.0), [(1.0, 20.0, 4.0)])):
+        driven = []
+
+        class Counting(Own):
+            def changed(self, trace, driven=driven):
+                driven.append(trace)
+                return trace
+
+        check_world(Counting(), runs=1, ads=lambda answer=answer: lambda seen: answer, **SHORT)
+        counts.append(len(driven))
+    assert counts[0] == counts[1]

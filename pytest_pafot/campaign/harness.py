@@ -447,7 +447,8 @@ def limits_of(world: Any) -> Limits:
 def is_same_run(a: Run, b: Run) -> bool:
     """Return whether two runs are identical to the last bit."""
     first, second = a.trace.states, b.trace.states
-    return a.outcome == b.outcome and first.shape == second.shape and first.tobytes() == second.tobytes()
+    is_same = a.outcome == b.outcome and first.shape == second.shape and first.tobytes() == second.tobytes()
+    return is_same and a.trace.plans == b.trace.plans
 
 
 def begins_alike(run: Run, longer: Run) -> bool:

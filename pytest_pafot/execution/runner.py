@@ -279,7 +279,7 @@ class DecisionCache:
     def remember(self, trace: Trace) -> None:
         """Cache the decisions of a run; they replace older decisions after the same genes."""
         actions, scenario = trace.actions, trace.scenario
-        if not actions or len(actions) > self._room:
+        if not actions or trace.plans or len(actions) > self._room:  # a run with cached decisions would have no plans
             return
         gene_ticks, ticks = round(scenario.gene_seconds * trace.physics_hz), trace.decision_ticks
         asked, driven = plain_chains(scenario), plain_chains(trace.executed)

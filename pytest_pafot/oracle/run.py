@@ -53,6 +53,8 @@ from pytest_pafot.model.trace import (
     FloatArray,
     Outcome,
     Trace,
+    X,
+    Y,
 )
 from pytest_pafot.support.errors import driven_by, install
 from pytest_pafot.support.shown import Shown
@@ -148,6 +150,7 @@ class Run(Shown):
         take_over: function that repeats the run with a reference driver that takes over in the middle, or None.
         avoided_by: last decision from which braking avoids the collision in simulation, which a search finds out for
             its findings. The sentences then require no braking that would come later.
+        driver: name of the reference driver that drives the ego, or None if the ADS does.
     """
 
     trace: Trace
@@ -155,6 +158,7 @@ class Run(Shown):
     world: ReferenceWorld | None = field(default=None, kw_only=True)
     take_over: TakeOver | None = field(default=None, kw_only=True)
     avoided_by: Avoidance | None = field(default=None, kw_only=True)
+    driver: str | None = field(default=None, kw_only=True)
 
     if not TYPE_CHECKING:  # type checkers know every name
 
@@ -280,6 +284,51 @@ class Run(Shown):
         """
         return tuple(filter(None, passages(self.trace)))
 
+    @cached_property
+    def plans(self) -> Mapping[int, FloatArray]:
+        """The plans that the ADS returned (``pafot.Planned``), by the tick of the decision; empty if it returned none.
+
+        Each is a float64 array of shape [places, 3] with the columns t, the time since the decision [s], x and y, which
+        are in the coordinates of ``trace.states`` [m].
+        """
+        decided = zip(self.trace.decision_ticks, self.trace.plans, strict=False)
+        return {tick: np.array(plan) for tick, plan in decided if plan is not None}
+
+    def off_plan(self, after: float) -> float:
+        """Return how far the ego was from where its plan of ``after`` seconds before put it, at most in the run [m].
+
+        Higher is worse. The planned place at a time is on the straight line between the two places of the plan around
+        it; before the first place, on the line from the ego's place at the decision. A plan is left out if it ends
+        earlier than ``after`` seconds, or if the run does. The result is 0 if the run is too short for all of them, and
+        for a reference driver, which has no plan.
+
+        Args:
+            after: time since each decision [s], above 0.
+
+        Raises:
+            ValueError: if ``after`` is not above 0, or if the ADS returned no plan that reaches that far.
+        """
+        if not after > 0.0:
+            raise ValueError(f"after: expected a time above 0 s, received {after!r:.100}")
+        trace = self.trace
+        reach = max((float(plan[-1, 0]) for plan in self.plans.values()), default=0.0)
+        if reach < after and self.driver is None:
+            raise ValueError(
+                f"run.off_plan: expected an ADS whose plans reach {after:g} s, received "
+                f"{f'plans of at most {reach:g} s' if self.plans else 'no plan'}; let it return "
+                "pafot.Planned(action, plan=[(t, x, y), ...])"
+            )
+        times, (x, y), off = trace.times, trace.ego[:, [X, Y]].T, 0.0
+        for tick, plan in self.plans.items():
+            then = times[tick] + after
+            if plan[-1, 0] < after or then > trace.duration + 1e-9:
+                continue
+            from_here = plan if plan[0, 0] == 0.0 else np.vstack(([0.0, x[tick], y[tick]], plan))
+            planned = (np.interp(after, from_here[:, 0], from_here[:, column]) for column in (1, 2))
+            driven = (np.interp(then, times, values) for values in (x, y))
+            off = max(off, math.dist(tuple(planned), tuple(driven)))
+        return off
+
     def signal(self, measure: Measure, npc: int | None = None) -> Signal:
         """Return a measure of your own as a signal; ``npc`` is the index of the NPC if it is a measure of each NPC.
 
@@ -368,7 +417,7 @@ class Run(Shown):
                 trace = self.world.rollout_reference(self.scenario, name)
                 if not isinstance(trace, Trace):
                     raise TypeError(f"expected a pafot.Trace, received {trace!r:.100}")
-            yield name, Run(trace, world=self.world)
+            yield name, Run(trace, world=self.world, driver=name)
 
     @cached_property
     def escape(self) -> Escape | None:

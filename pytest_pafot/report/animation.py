@@ -1,6 +1,7 @@
 """The end of a run as a moving picture (APNG), for places that cannot show a page: the road, the vehicles, the time.
 
-It uses the frames of the page's player as they are. Cells, targets, trails and zones are only in the page.
+It uses the frames of the page's player as they are, and the ego's plan. Cells, targets, trails and zones are only in
+the page.
 """
 
 from __future__ import annotations
@@ -122,6 +123,8 @@ def frame(finding: FindingView, index: int) -> Image:
         for start in range(math.floor((x - half) / 12) * 12, math.ceil(x + half), 12):
             across = lane - road.lane_width / 2
             pen.line([at(start, across), at(start + 3, across)], DASH, 2)
+    if len(plan := [at(*place) for place in finding.planned(finding.times[index])]) > 1:
+        pen.line(plan, INK, 2, joint="curve")
     has_collided = finding.event.kind == "collision" and finding.times[index] >= finding.event.time - 1e-6
     for number, vehicle in reversed(list(enumerate(finding.vehicles))):  # the ego last, on top
         along, across_, heading = vehicle.along[index], vehicle.across[index], vehicle.heading[index] or 0.0
@@ -140,7 +143,10 @@ def frame(finding: FindingView, index: int) -> Image:
     pen.rectangle((0, 0, WIDTH, BAR - 1), fill=PAPER)
     printable = (char if char.isprintable() and ord(char) < 0x250 else "?" for char in finding.headline[:150])
     words = f"{finding.times[index]:.1f} s  {''.join(printable)}"
+    legend = "line: the ego's plan" if finding.plans else ""
     fonts = [ImageFont.load_default(size) for size in (13, 12, 11, 10, 9, 8)]
-    font = next((font for font in fonts if font.getlength(words) <= WIDTH - 20), fonts[-1])
+    room = WIDTH - 20 - (fonts[2].getlength(legend) + 20 if legend else 0)
+    font = next((font for font in fonts if font.getlength(words) <= room), fonts[-1])
     pen.text((10, BAR / 2), words, INK, font, "lm")
+    pen.text((WIDTH - 10, BAR / 2), legend, INK, fonts[2], "rm")
     return image

@@ -129,6 +129,19 @@ class VehicleView:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class PlanView:
+    """The plan of the ego's ADS from a decision until its next one.
+
+    Attributes:
+        time: time of the decision.
+        line: the ego's place at the decision and the planned places, along and across; empty if it returned no plan.
+    """
+
+    time: float
+    line: tuple[tuple[float, float], ...] = ()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class InstructionView:
     """One instruction to one NPC: for a cell, for a lane, or for crossing the ego's way.
 
@@ -262,6 +275,7 @@ class FindingView:
         drive: all states of the run, which the page can save as a table; None without a recorded run or without a file.
         grid: poses of the eight cells at each frame of a bent road, None for a cell without a lane. Empty if all NPCs
             cross, because these use no cells.
+        plans: the plan of each decision, in order; empty if the ADS returned no plan.
     """
 
     id: str
@@ -293,6 +307,7 @@ class FindingView:
     shrink: ShrinkView | None = None
     drive: DriveView | None = None
     grid: tuple[tuple[Pose | None, ...], ...] = ()
+    plans: tuple[PlanView, ...] = ()
 
     @property
     def group(self) -> str:
@@ -303,6 +318,10 @@ class FindingView:
     def is_crossed(self) -> bool:
         """True if an NPC crosses."""
         return any(vehicle.zone is not None for vehicle in self.vehicles)
+
+    def planned(self, time: float) -> tuple[tuple[float, float], ...]:
+        """Return the line of the plan that the ADS follows at a time [s]; empty if there is none."""
+        return next((plan.line for plan in reversed(self.plans) if plan.time <= time + 1e-6), ())
 
     @property
     def duration(self) -> float:

@@ -233,6 +233,7 @@ def before_impact(trace: Trace) -> Trace:
         collision=None,
         states=trace.states[: last + 1],
         actions=trace.actions[: bisect_left(trace.decision_ticks, last)],
+        plans=trace.plans[: bisect_left(trace.decision_ticks, last)],
         decided=trace.decided[: bisect_left(trace.decided, last)],
         arrivals=tuple(
             tuple(

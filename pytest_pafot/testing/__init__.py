@@ -28,6 +28,7 @@ from pytest_pafot.world.codec import OWN, described, from_dict, is_code
 from pytest_pafot.world.driving.ads import is_vehicle_class, wants_env
 from pytest_pafot.world.driving.seeing import SeeingAds
 from pytest_pafot.world.guard.own_worlds import rollout_of, simulate_batch
+from pytest_pafot.world.kernel.action import plain_action
 
 Ads = Callable[[], Callable[..., Any]]
 
@@ -82,8 +83,9 @@ class _Calls:
         def decide(*seen: Any) -> Any:
             if seen and all(hasattr(seen[0], name) for name in OBSERVED):
                 noted.poses.append((seen[0].ego.x, seen[0].ego.y, seen[0].ego.speed))
-            noted.actions.append(one(*seen))
-            return noted.actions[-1]
+            answer = one(*seen)
+            noted.actions.append(plain_action(answer))
+            return answer
 
         return decide
 

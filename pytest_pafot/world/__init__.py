@@ -20,7 +20,7 @@ from pytest_pafot.world.codec import from_dict
 from pytest_pafot.world.driving.perception import Perception
 from pytest_pafot.world.gym_world import World
 from pytest_pafot.world.highway import Highway
-from pytest_pafot.world.kernel.action import Drive
+from pytest_pafot.world.kernel.action import Drive, Planned
 from pytest_pafot.world.kernel.observation import Observation, VehicleState
 from pytest_pafot.world.limits import NpcLimits
 from pytest_pafot.world.protocol import WorldLike
@@ -33,6 +33,7 @@ __all__ = [
     "NpcLimits",
     "Observation",
     "Perception",
+    "Planned",
     "VehicleState",
     "World",
     "WorldError",

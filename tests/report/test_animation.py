@@ -9,7 +9,7 @@ import pytest
 from pytest_pafot.report.animation import AnimationError, animate, frame, shown_frames
 from pytest_pafot.report.page_data import CheckView
 from tests.helpers.traces import trace_of, vehicle
-from tests.report.builders import HOSTILE, bend_trace, cut_in_trace, rear_trace, scenario, view_of
+from tests.report.builders import HOSTILE, bend_trace, cut_in_trace, planned_trace, rear_trace, scenario, view_of
 from tests.report.test_crossing_view import crash, mixed
 
 images = pytest.importorskip("PIL.Image", reason="Pillow draws the animations")
@@ -46,6 +46,20 @@ def test_ego_is_red_in_the_first_picture_which_is_the_impact():
     before = colours(frame(view, len(view.times) - 3))
     assert before[INK] > 100 < before[NPC]
     assert DANGER not in before
+
+
+def test_the_plan_is_drawn_while_it_is_followed():
+    view, plain = view_of(planned_trace()), view_of(cut_in_trace())
+    with_line, without = (
+        [colours(frame(each, index).crop((500, 26, 720, 500))).get(INK, 0) for index in range(20)]
+        for each in (view, plain)
+    )
+    planned = [bool(view.planned(time)) for time in view.times[:20]]
+    assert {True, False} == set(planned)
+    assert [more > some + 100 for more, some in zip(with_line, without, strict=True)] == planned
+    legend, nothing = (colours(frame(each, 3).crop((580, 0, 720, 26))) for each in (view, plain))
+    assert len(legend) > 10
+    assert len(nothing) == 1
 
 
 def test_first_frame_is_the_moment_of_a_failed_check():

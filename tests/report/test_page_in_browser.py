@@ -18,7 +18,15 @@ from pytest_pafot.report.page_data import CheckView, Report
 from pytest_pafot.report.views import drive_view, finding_view
 from tests.helpers.browser import Browser, find_chromium
 from tests.helpers.picture import picture_at
-from tests.report.builders import HOSTILE, bend_report, cut_in_trace, finding_of, real_report
+from tests.report.builders import (
+    HOSTILE,
+    bend_report,
+    cut_in_trace,
+    finding_of,
+    planned_trace,
+    real_report,
+    view_of,
+)
 
 CHROMIUM = find_chromium()
 FILES = Path(__file__).parents[1] / "corpus" / "saved"
@@ -70,6 +78,25 @@ def page(opened):
 def test_legend_explains_trails_even_with_imperfect_perception(page):
     legend = page.evaluate("document.querySelector('article.current .legend').textContent")
     assert "Dotted trails: the last 4 s relative to the ego." in legend
+
+
+def test_plan_at_the_time_shown_is_drawn_ahead_of_the_ego(browser, tmp_path):
+    path = tmp_path / "planned.html"
+    path.write_text(render_page(Report.of(view_of(planned_trace()))), encoding="utf-8")
+    page = browser.open(path.as_uri())
+    legend = page.evaluate("document.querySelector('article.current .legend').textContent")
+    assert "Thin line ahead of the ego: its plan at that time." in legend
+    line = "document.querySelector('article.current .stage svg .plan').getAttribute('d')"
+    seek = "(time => {{ const s = document.querySelector('article.current input[type=range]'); s.value = time;"
+    seek = (seek + " s.dispatchEvent(new Event('input')); }})({})").format
+    page.evaluate(seek(1.0))
+    points = [[*map(float, point.split())] for point in page.evaluate(line)[1:].split("L")]
+    assert len(points) == 9
+    assert points == sorted(points)
+    page.evaluate(seek(0.9))
+    assert not page.evaluate(line)
+    assert page.complaints == []
+    page.close()
 
 
 def test_page_draws_everything_without_network_requests(page, address):

@@ -234,7 +234,7 @@ def test_progress_is_one_line_with_the_name_cut():
     [
         (4, 0.5, {"decisions": 400}, "8/s"),
         (4, 4.0, {"decisions": 400}, "1/s, about 7 min left at 10 ms a decision"),
-        (4, 80.0, {"decisions": 400}, "20 s a run, about 2.2 h left at 200 ms a decision; --pafot-max-time=600 ends it"),
+        (4, 80.0, {"decisions": 400}, "2.2 h left at 200 ms a decision; --pafot-max-time=600 ends it"),
         (4, 80.0, {"is_limited": True}, "20 s a run, about 2.2 h left"),
         (400, 8000.0, {"decisions": 40_000}, "20 s a run"),
         (0, 0.0, {}, "0 new, 0/s"),
@@ -242,8 +242,9 @@ def test_progress_is_one_line_with_the_name_cut():
 )  # fmt: skip
 def test_progress_says_how_long_the_runs_take_that_are_left(runs, seconds, fields, end):
     progress = Progress(
-        node_id="x", generation=1, generations=None, budget=400, runs=runs, failing=0, finds=0, seconds=seconds, **fields
-    )
+        node_id="x", generation=1, generations=None, budget=400, runs=runs, seconds=seconds, failing=0, finds=0,
+        **fields,
+    )  # fmt: skip
     assert terminal.progress_line(progress, 200).endswith(end)
 
 

@@ -105,6 +105,7 @@ class Player {
       `E is the ego; NPCs carry their number and a pattern. Dotted trails: the last 4 s${this.scene.isWorld ? "" : " relative to the ego"}. ` +
       (goals ? `Dashed line: to the ${goals} that an NPC is to drive to. ` : "") +
       (this.scene.isCrossed ? "Dotted lines: the ways of NPCs that cross; shaded: the zones in which they meet the ego's. " : "") +
+      (this.finding.plans.length ? "Thin line ahead of the ego: its plan at that time. " : "") +
       "Bars at the rear: braking."));
     this.charts.replaceChildren(this.curves.root);
     this.draw();

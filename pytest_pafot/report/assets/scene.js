@@ -161,6 +161,7 @@ class Scene {
     this.trails = this.finding.vehicles.map((vehicle, index) => svg("path", {
       class: `trail ${index ? stroke(index) : "ego-trail"}`, "stroke-dasharray": index ? "1 5" : null, "stroke-linecap": "round",
     }));
+    this.plan = svg("path", { class: "plan" }, svg("title", {}, "the plan of the ego"));
     this.lines = this.finding.vehicles.slice(1).map((vehicle, npc) => [
       svg("path", { class: `target-line ${stroke(npc + 1)}` }), svg("rect", { class: `target ${stroke(npc + 1)}`, rx: 4 }),
     ]);
@@ -176,7 +177,7 @@ class Scene {
       svg("text", { class: "impact-label" }, this.impactText()),
     ]);
     this.root.append(
-      defs, ...ground, ...this.dashes, ...this.cells.flat(), ...this.trails, ...this.lines.flat(), ...names,
+      defs, ...ground, ...this.dashes, ...this.cells.flat(), ...this.trails, this.plan, ...this.lines.flat(), ...names,
       ...this.bodies.map((body) => body.group), ...this.pointers, this.impact, this.ruler(),
     );
   }
@@ -267,6 +268,7 @@ class Scene {
     states.forEach((state, index) => this.drawVehicle(state, index));
     states.forEach((state, index) => { if (index && state) this.drawPointer(state, index); });
     this.drawTrails(time, frame, ego);
+    this.drawPlan(time);
     this.drawImpact(states, time);
     return states;
   }
@@ -376,6 +378,11 @@ class Scene {
       });
       trail.setAttribute("d", linePath(points));
     });
+  }
+
+  drawPlan(time) {
+    const plan = this.finding.plans.findLast((each) => each.time <= time + 1e-6);
+    this.plan.setAttribute("d", linePath(plan ? plan.line.map(([along, across]) => [this.x(along), this.y(across)]) : []));
   }
 
   drawImpact(states, time) {

@@ -15,6 +15,7 @@ from pytest_pafot.support.errors import AdsFactoryError
 from pytest_pafot.world.driving.ads import AdsFactory, is_vehicle_class
 from pytest_pafot.world.driving.perception import DRIVES_ITSELF, ads_and_sight
 from pytest_pafot.world.driving.seeing import SeeingAds, lane_nearest, with_others
+from pytest_pafot.world.kernel.action import plain_action
 from pytest_pafot.world.kernel.observation import Observation
 
 Check = Callable[[Any], Any]
@@ -80,7 +81,7 @@ class Shadow:
             aside.at = copy.deepcopy(observation)  # the ADS may write into it
             observation = observation if question.instead is None else question.instead
         try:
-            answer = self._check(self._ads(observation))
+            answer = self._check(plain_action(self._ads(observation)))
         except Exception:  # noqa: BLE001  (an ADS may raise anything about an observation that it never had)
             answer = None
         aside.answers.append(answer)

@@ -11,11 +11,11 @@ from pytest_pafot.criticality.relative import RelativePositions
 from pytest_pafot.model.crossings import Zone
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.scenario import Scenario
-from pytest_pafot.model.trace import HEADING, SPEED, STEERING, AdsError, Collision, FloatArray, Outcome, Trace
+from pytest_pafot.model.trace import HEADING, SPEED, STEERING, AdsError, Collision, FloatArray, Outcome, Plan, Trace
 from pytest_pafot.world.guard.failure import UNFIT, error_of
 from pytest_pafot.world.guard.hang_guard import HangGuard
 from pytest_pafot.world.kernel.bodies import Body, Box, depth, overlap, side_hit
-from pytest_pafot.world.kernel.loop import EgoDriver, Loop
+from pytest_pafot.world.kernel.loop import EgoDriver, GivenDriver, Loop
 from pytest_pafot.world.kernel.observation import COLUMNS
 from pytest_pafot.world.kernel.places import Places, RoadPlaces
 from pytest_pafot.world.roads.straight import StraightRoad
@@ -111,6 +111,7 @@ class VehiclesOfRun:
             physics_hz=self.rules.physics_hz,
             ads_hz=self.rules.ads_hz,
             actions=tuple(driver.actions),
+            plans=self._plans(driver, track) if driver.plans else (),
             arrivals=self.director.arrivals,
             off_road_tick=off_road_tick,
             max_decision_seconds=driver.slowest,
@@ -121,6 +122,16 @@ class VehiclesOfRun:
             begun=self.director.begun,
             obstacles=self.rules.obstacles,
         )
+
+    def _plans(self, driver: EgoDriver, track: FloatArray | None) -> tuple[Plan | None, ...]:
+        """Return the plan of each action in the world's coordinates; a planner has made it in those it observes."""
+        road, plans = self.rules.road, dict(driver.plans)
+        if isinstance(driver, GivenDriver) and not (isinstance(road, StraightRoad) and road.starts_at_origin):
+            for number, plan in plans.items():
+                row: Any = None if track is None else track[number * driver.every, 0]
+                plans[number] = tuple((t, *road.seen_at(x, y, row)) for t, x, y in plan)
+        made = tuple(plans.get(number) for number in range(len(driver.actions)))
+        return made if any(made) else ()
 
     @property
     def _zones(self) -> tuple[Zone | None, ...]:

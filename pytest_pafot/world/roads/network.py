@@ -18,7 +18,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from pytest_pafot.model.grid import Cell
-from pytest_pafot.model.trace import FloatArray, Lane, Outcome
+from pytest_pafot.model.trace import ALONG, STRETCH, FloatArray, Lane, Outcome
 from pytest_pafot.world.kernel.bends import Bends
 from pytest_pafot.world.limits import BEND_SHARE, NpcLimits
 from pytest_pafot.world.roads.route import STEP, LaneIndex, Line
@@ -195,6 +195,24 @@ class NetworkRoad:
         x, y, heading = self.reference(longitudinal)
         across, direction, lean = self.lane_at(lane, longitudinal)
         return x - math.sin(heading) * across, y + math.cos(heading) * across, direction + lean
+
+    def seen_at(self, x: float, y: float, ego: FloatArray) -> tuple[float, float]:
+        """Return world x and y of a place in the coordinates that a planner observes [m].
+
+        It observes distances from itself as they are driven, and lanes of equal width; this is the inverse of
+        :class:`RoadSensor`. Where a bend begins or ends, observed distances jump by a tenth of their length or less,
+        and the place is as uncertain. ``ego`` is the ego's row of ``Trace.track`` at the time.
+        """
+        bends, own, stretch, along = self.bends, float(ego[ALONG]), float(ego[STRETCH]), x
+        for _ in range(8):  # the stretch and the lanes depend on the place along the road, and hardly change with it
+            lanes = [lane for lane in range(self.lane_count) if bends.exists(lane, along)] or [bends.nearest_lane(y)]
+            lane = min(lanes, key=lambda each: abs(y - self.centre(each)))
+            offset, side = y - self.centre(lane), math.copysign(1.0, y - self.centre(lane))
+            scale = abs(bends.in_lanes(lane, along, side) - self.centre(lane))
+            across = bends.across_at(lane, along) + offset / scale
+            along = own + 2.0 * (x - own) / (stretch + bends.stretch(along, across))
+        x0, y0, heading = self.reference(along)
+        return x0 - math.sin(heading) * across, y0 + math.cos(heading) * across
 
     def centre(self, lane: int) -> float:
         """Return the nominal position of a lane's centre across the road [m]."""

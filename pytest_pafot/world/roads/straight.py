@@ -72,6 +72,10 @@ class StraightRoad:
         x0, y0 = self._origin
         return x0 + longitudinal, y0 + self.centre(lane), 0.0
 
+    def seen_at(self, x: float, y: float, ego: object) -> tuple[float, float]:
+        """Return world x and y of a place in the coordinates that a planner observes [m]."""
+        return x + self._origin[0], y + self._origin[1]
+
     def centre(self, lane: int) -> float:
         """Return the position of a lane's centre across the road [m]."""
         return lane * self.lane_width
