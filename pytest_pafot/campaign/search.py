@@ -53,6 +53,7 @@ from pytest_pafot.support.text import plural
 from pytest_pafot.world import WorldError, codec, protocol
 from pytest_pafot.world.driving.ads import is_vehicle_class, loading_hint
 from pytest_pafot.world.driving.perception import sight_of
+from pytest_pafot.world.guard.chance import GENERATORS
 from pytest_pafot.world.guard.failure import is_interruption
 from pytest_pafot.world.guard.hang_guard import runs_end_in
 
@@ -288,7 +289,8 @@ class Search:
                 until=self.limit.until,
             )
             try:
-                work.run_all(f"; {flag('resume')} goes on" if self.sessions.go_on else "")
+                with GENERATORS.held():
+                    work.run_all(f"; {flag('resume')} goes on" if self.sessions.go_on else "")
             finally:  # Even after Ctrl-C, findings that were simplified must not be simplified again.
                 self._shrink_runs, self._neighbour_runs = work.runs, work.neighbour_runs
                 self.driver_notes += work.notes
