@@ -7,6 +7,7 @@ process. The generator of torch is seeded, too, if something else has imported t
 from __future__ import annotations
 
 import inspect
+import os
 import random
 import sys
 from collections.abc import Callable, Iterator
@@ -106,9 +107,10 @@ class _Generators:
     def __init__(self) -> None:
         self._holders = 0
         self._is_running = False
-        self._begin()
+        self.begin()
 
-    def _begin(self) -> None:
+    def begin(self) -> None:
+        """Forget the states that were saved, and what is known of the runs so far."""
         self._saved: list[tuple[_Generator, Any]] = []
         self._others: list[Callable[[], float]] = []  # those with the shared seed; empty if each run has its own
         self._may_share = True
@@ -127,7 +129,7 @@ class _Generators:
         if not self._holders:
             for generator, state in self._saved:
                 generator.give_back(state)
-            self._begin()
+            self.begin()
 
     def run(self, rollout: Callable[..., Any], scenario: Scenario, factory: Callable[..., Any], **given: Any) -> Any:
         """Make a run with seeded generators, and return its trace, which says whether it drew from them."""
@@ -191,3 +193,6 @@ class _Generators:
 
 GENERATORS = _Generators()
 """Those of this process."""
+
+if hasattr(os, "register_at_fork"):  # Python seeds its own generator in a forked process
+    os.register_at_fork(after_in_child=GENERATORS.begin)

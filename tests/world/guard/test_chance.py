@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import random
 from typing import Any
 
@@ -121,6 +122,20 @@ def test_an_unseeded_policy_draws_from_the_users_generators() -> None:
     again, later = drive(Unseeded(of_python)), drive(Unseeded(of_python))
     assert first.actions == again.actions != later.actions
     assert not first.drew
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="processes are forked on Unix alone")
+def test_a_forked_process_makes_no_run_twice() -> None:
+    Rare.draws = False
+    with GENERATORS.held():
+        drive(Rare)
+        drive(Rare)
+        Rare.made = 0
+        child = os.fork()
+        if not child:
+            drive(Rare)
+            os._exit(Rare.made)
+    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 1
 
 
 class Together:
