@@ -159,6 +159,8 @@ FILE_TEXTS: Mapping[str, str] = {
     "neighbours": "How many of the [neighbours](../explanation/findings.md#how-broad-it-is) with full steps failed in "
     "the same way when the scenario was found: `failing`, `of`. Like `expect.closing_speed`, it is for lists of files. "
     "A replay ignores it.",
+    "rate": "How often [a policy that draws random numbers](../guide/random-policies.md) fails in the scenario: "
+    "`failing` of `runs`, each with another seed, or of a flaky one with the same.",
     "flaky": "What differed when the scenario was run again. Remove the line when the ADS drives a scenario in the "
     "same way each time.",
     "xfail": "[Your reason to accept the failure](../guide/triage.md#accept-a-failure-for-a-while); the line that "
@@ -167,7 +169,7 @@ FILE_TEXTS: Mapping[str, str] = {
 }
 """Meanings of keys that no docstring explains for a reader of files, or only at length."""
 
-AT_THE_END = ("perception", "original", "shrunk", "neighbours", "flaky", "xfail")
+AT_THE_END = ("perception", "original", "shrunk", "neighbours", "rate", "flaky", "xfail")
 """Keys of a file that follow the keys of dataclasses. All are optional."""
 
 

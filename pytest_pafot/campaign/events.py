@@ -10,6 +10,7 @@ from typing import Any, Self
 from pytest_pafot.campaign.verdict import Verdict
 from pytest_pafot.corpus.layout import SEARCH_PART, name_without
 from pytest_pafot.findings.decisions import Answers, Moment
+from pytest_pafot.findings.failure_rate import FailureRate
 from pytest_pafot.findings.finding import Finding
 from pytest_pafot.findings.neighbours import Breadth
 from pytest_pafot.findings.severity import Severity
@@ -74,6 +75,8 @@ class Find:
         path: path of its file; empty if a new finding has none.
         detail: why a new finding has no file, or what differs from the file of a replayed one; may be empty.
         difference: what differed when the scenario of a new finding was run again; empty if nothing did.
+        rate: a sentence on how often a policy fails that draws random numbers; empty for any other.
+        rate_now: how often it fails in a replay; None for a new finding, and without a rate.
         is_timed: True if the failure depends on wall-clock time.
         unshrunk: why a new finding is not yet fully shrunk; empty if it is.
         breadth: how many neighbours of a new finding fail in the same way; None if that was not examined.
@@ -101,6 +104,8 @@ class Find:
     path: str = ""
     detail: str = ""
     difference: str = ""
+    rate: str = ""
+    rate_now: FailureRate | None = None
     is_timed: bool = False
     unshrunk: str = ""
     breadth: Breadth | None = None
@@ -153,7 +158,7 @@ class Find:
         flaky = f"flaky: {self.difference}" if self.is_flaky else ""
         timed = "depends on wall-clock time" if self.is_timed else ""
         breadth = "" if self.breadth is None else str(self.breadth)
-        return "; ".join(filter(None, [flaky, timed, self.unshrunk, breadth]))
+        return "; ".join(filter(None, [flaky, self.rate, timed, self.unshrunk, breadth]))
 
     @property
     def on_decisions(self) -> list[str]:
@@ -357,9 +362,19 @@ class FindTold:
 
     @property
     def is_firm(self) -> bool:
-        """True if the finding can be shrunk, because its scenario is expected to give the same run each time."""
+        """True if its scenario is expected to give the same run each time."""
         return not (self.find.is_flaky or self.find.is_timed or self.finding.expect.is_crash)
 
+    @property
+    def is_random(self) -> bool:
+        """True if the policy draws random numbers, so that the finding has a rate: its runs differ, or have drawn."""
+        is_other = self.find.difference.startswith((NOT_REPEATED, ENDED_OTHERWISE))
+        has_drawn = self.run is not None and (self.run.trace.drew or is_other)
+        return (self.finding.rate is not None or has_drawn) and not self.find.is_timed
+
+
+NOT_REPEATED, ENDED_OTHERWISE = "running it again gave a different run", "a later run of it ended differently"
+"""How the difference begins of a policy that drives the same scenario in different ways."""
 
 SearchEvent = SearchStarted | Judged | FindTold | Progress | SearchSummary | Event
 

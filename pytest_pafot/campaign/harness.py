@@ -32,7 +32,8 @@ from pytest_pafot.support.errors import DriverError, OutOfTime, RequestError
 from pytest_pafot.support.references import factory_named, referred_to
 from pytest_pafot.support.source_files import source_files
 from pytest_pafot.world import AdsFactoryError, WorldError, codec, protocol
-from pytest_pafot.world.driving.ads import hint_at_object, preload, weights_digest
+from pytest_pafot.world.driving.ads import hint_at_object, is_vehicle_class, preload, weights_digest
+from pytest_pafot.world.guard.chance import GENERATORS, Unseeded
 from pytest_pafot.world.guard.failure import exits, let_through
 
 # The reference of a search: a policy with which the tested one is compared, such as its version before a change.
@@ -178,13 +179,18 @@ class Harness:
         memory = self.request.settings.memory
         return Job(
             world=world,
-            ads=self.ads,
+            ads=self.drawing(self.ads),
             records=self.records,
             owner=owner,
             world_data=data,
             root=self.root,
             memory=memory,
         )
+
+    def drawing(self, ads: Callable[..., Any]) -> Callable[..., Any]:
+        """Return a factory with which the global random generators are seeded for each run, unless the test says no."""
+        is_seeded = not self.request.settings.unseeded or is_vehicle_class(ads) or isinstance(ads, RevisionPolicy)
+        return ads if is_seeded else Unseeded(ads)
 
     def seen(self, trace: Trace, world: Any = None) -> Run:
         """Return a trace as the test function sees it; ``world`` is by default the world of the search."""
@@ -245,7 +251,9 @@ class Harness:
         if self.against is None:
             return None
         with refusals():
-            return runner_for(replace(job, ads=self.against.ads, reference=self.against.shown), record, isolate=isolate)
+            return runner_for(
+                replace(job, ads=self.drawing(self.against.ads), reference=self.against.shown), record, isolate=isolate
+            )
 
     def judge_reference(self, runner: Runner, scenario: Scenario, world: Any = None) -> Verdict:
         """Return the verdict on the reference in a scenario. A reference that raises, hangs or dies has failed."""
@@ -274,7 +282,7 @@ class Harness:
     def fails_with(self, ads: Callable[..., Any], scenario: Scenario, record: CrashRecord) -> bool:
         """Return whether the test fails in a scenario with another ADS, such as the same ADS with perfect sight."""
         __tracebackhide__ = True
-        job = replace(self.job(), ads=ads)
+        job = replace(self.job(), ads=self.drawing(ads))
         with refusals(), runner_for(job, record, isolate=self.request.settings.isolate) as runner:
             try:
                 run = self.seen(runner.run(scenario, afresh=True))
@@ -396,7 +404,7 @@ class Simulation:
             elif self.harness.request.settings.isolate:
                 trace = replay_in_gym_apart(self.harness.job(), self.record, scenario)
             else:
-                trace = world.rollout_in_gym(scenario, ads)
+                trace = GENERATORS.run(world.rollout_in_gym, scenario, self.harness.drawing(ads))
         self.record.clear()
         return Run(trace, decision_limit=self.harness.request.decision_limit)
 

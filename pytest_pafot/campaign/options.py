@@ -265,6 +265,14 @@ class Settings:
         "`isolate=False` in the mark or `PAFOT_ISOLATE=0` switch that off.",
         default=False,
     )
+    unseeded: bool = option(
+        "switch",
+        "Leave the global random generators as they are, instead of seeding them for each run.",
+        "Those of Python's `random`, of numpy and of torch are otherwise [seeded from the "
+        "scenario](../guide/random-policies.md), so that a policy that draws from "
+        "them repeats its runs. Only for a policy that seeds them itself.",
+        default=False,
+    )
     memory: int | None = option(
         "integer",
         "Memory [MB] that a process of --pafot-isolate or --pafot-workers may use; 0 for no limit.",

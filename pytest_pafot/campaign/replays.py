@@ -24,6 +24,7 @@ from pytest_pafot.execution import scenario_pool
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.execution.runner import Runner, run_apart, runner_for
 from pytest_pafot.execution.scenario_pool import Job, LostRun, expectation
+from pytest_pafot.findings.failure_rate import FailureRate, with_other_seed
 from pytest_pafot.findings.finding import (
     DRIVEN_ON,
     HAS_EVENT,
@@ -102,6 +103,7 @@ class Replayed:
         is_hit: True if the NPC of the file's collision still touches the ego soon after the file's end, as the note
             says. Then the pass is no fix, whatever a reference does.
         around: the neighbours of the scenario.
+        rate: how often it fails now; None unless the file has a rate.
     """
 
     label: str
@@ -111,6 +113,7 @@ class Replayed:
     is_lost: bool = False
     is_hit: bool = False
     around: Around = Around()
+    rate: FailureRate | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -179,6 +182,8 @@ class Replays:
             now = first
             if not first.verdict.failed and not first.verdict.discarded and protocol.lasting(world) is not None:
                 now = self._repeated(saved, world, owner, first)
+            if _finding(saved).rate is not None and not first.verdict.discarded:
+                now = self._by_rate(saved, world, owner, now)
             now = self._with_neighbours(saved, world, owner, now)
         except ProcessLostError as error:
             return expectation(error).signature, False, False
@@ -233,7 +238,7 @@ class Replays:
             record.write(scenario)
             if trace is None:
                 with refusals(), _naming(saved.path):
-                    trace = rollout_of(world)(scenario, harness.ads)
+                    trace = rollout_of(world)(scenario, job.ads)
             run = _finding(saved).expect.known_of(harness.seen(trace, world))
             return run, harness.judge(run)
 
@@ -434,6 +439,9 @@ class Replays:
         Then neighbours of a scenario that passes are run. If one of them fails as the file says, the replay is
         ``still failing, nearby``, and has the neighbour's run.
 
+        A file with a rate is run many times, and what the replay says of the change of its rate is a note. It fails if
+        any of these runs does, and is ``fixed`` only if no run fails and so many are unlikely to be luck.
+
         With a reference, a failure is ``introduced`` if the reference passes, otherwise ``common``. A pass is ``fixed``
         if the reference fails and the situation occurred; otherwise a label ``fixed`` becomes ``fixed before``. The
         reference is driven on as well.
@@ -457,10 +465,12 @@ class Replays:
         if verdict.discarded:
             return now
         # A pass is tried once more and past the end of the file, because a slower policy fails a little later.
-        if not verdict.failed:
+        if not verdict.failed and not (finding.rate and finding.flaky):
             now = self._repeated(saved, world, owner, now)
-            if now.label == FLAKY:
-                return now
+        if finding.rate is not None:
+            now = self._by_rate(saved, world, owner, now)
+        if now.label == FLAKY:
+            return now
         # With a reference: is the failure, or its absence, new with the policy?
         if now.verdict.failed:
             shown = None if now.verdict.failure is None else of_failure(now.run, now.verdict.failure)
@@ -477,6 +487,38 @@ class Replays:
                 now = replace(now, label="fixed")
             now = self._with_neighbours(saved, world, owner, now)
         return replace(now, is_lost=now.is_lost or is_lost)
+
+    def _by_rate(self, saved: Saved, world: Any, owner: str, now: Replayed) -> Replayed:
+        """Run the scenario of a file with a rate with other seeds, or again and again, and compare how often it fails.
+
+        The runs end when as many were made as for the file, if one has failed, or else when they show a fix. One of
+        them must handle the situation of the file; the others may never come to it.
+        """
+        __tracebackhide__ = True
+        finding, harness = _finding(saved), self.harness
+        then, job = finding.rate, harness.job(world, owner)
+        assert then is not None  # noqa: S101  (only of such files)
+        shown, is_handled, runs, failing = _by_chance(finding, now), False, 0, 0
+        with (
+            harness.recording(job) as record,
+            runner_for(job, record, isolate=self._is_apart(saved, owner)) as runner,
+        ):
+            while runs < (then.runs if failing else max(then.runs, then.clean)):
+                runs += 1
+                scenario = finding.scenario if finding.flaky else with_other_seed(finding.scenario, runs)
+                run = finding.expect.known_of(harness.seen(runner.run(scenario, afresh=True), world))
+                verdict = harness.judge(run)
+                failing += verdict.failed
+                if verdict.failed and shown.label != "still failing":
+                    shown = _by_chance(finding, replace(now, run=run, verdict=verdict))
+                is_handled |= verdict.passes and replay_label(finding, run, None, harness.versions) == "fixed"
+        rate = FailureRate(failing=failing, runs=runs)
+        label, is_other = shown.label, bool(self.world_changes(finding) or self.sight_change(finding))
+        if label in ("fixed", "drifted") and not (shown.verdict.failed or shown.is_hit or is_other):
+            is_fixed = then.change(rate) == "fixed" and (label == "fixed" or is_handled)
+            label = "fixed" if is_fixed else "drifted"
+        note = "; ".join(filter(None, [now.note, then.compared(rate, finding.drawn)]))
+        return replace(shown, label=label, note=note, rate=rate)
 
     def _with_neighbours(self, saved: Saved, world: Any, owner: str, now: Replayed) -> Replayed:
         """Run neighbours of a scenario that passes; if one of them fails as the file says, the replay is that run.
@@ -611,6 +653,14 @@ def happened(finding: Finding, run: Run, failure: Failure | None) -> str:
     if finding.expect.check is not None:
         return ending(run) if failure is None else failure.kind
     return _event(run.outcome, run.event_time) if run.outcome is finding.expect.outcome else ending(run)
+
+
+def _by_chance(finding: Finding, now: Replayed) -> Replayed:
+    """Return a replay with the label of a failure that occurs by chance, and so at no certain time."""
+    failure = now.verdict.failure if now.verdict.failed else None
+    if failure is None:
+        return now
+    return replace(now, label="still failing" if is_same_failure(finding, now.run, failure) else "drifted")
 
 
 def _is_hit_soon(finding: Finding, run: Run, longer: Run) -> bool:

@@ -95,6 +95,7 @@ class SearchArguments(TypedDict, total=False):
     save: str
     workers: int | str
     isolate: bool
+    unseeded: bool
     memory: int
     report: str
     profile: str

@@ -54,6 +54,7 @@ from pytest_pafot.support.text import plural
 from pytest_pafot.world import WorldError, codec, protocol
 from pytest_pafot.world.driving.ads import is_vehicle_class, loading_hint, wants_env
 from pytest_pafot.world.driving.perception import sight_of
+from pytest_pafot.world.guard.chance import GENERATORS
 from pytest_pafot.world.guard.failure import is_interruption
 from pytest_pafot.world.guard.hang_guard import runs_end_in
 
@@ -292,7 +293,8 @@ class Search:
                 after_attempt=lambda: self.sessions.after_attempt(work.done),
             )
             try:
-                work.run_all(f"; {flag('resume')} goes on" if self.sessions.go_on else "")
+                with GENERATORS.held():
+                    work.run_all(f"; {flag('resume')} goes on" if self.sessions.go_on else "")
             finally:  # Even after Ctrl-C, findings that were simplified must not be simplified again.
                 self._shrink_runs, self._neighbour_runs = work.runs, work.neighbour_runs
                 self._shrink_decisions = work.shrink_decisions

@@ -14,7 +14,7 @@ from typing import Any
 
 from pytest_pafot.attribution.mistakes import mistake_of
 from pytest_pafot.attribution.responsibility import is_ego_responsible
-from pytest_pafot.campaign.events import Find, FindTold, Judged, Listener
+from pytest_pafot.campaign.events import NOT_REPEATED, Find, FindTold, Judged, Listener
 from pytest_pafot.campaign.harness import Harness, Simulation, is_same_run
 from pytest_pafot.campaign.run_table import columns_of, row_of
 from pytest_pafot.campaign.setup_fault import FirstGeneration, unit_doubt
@@ -561,8 +561,6 @@ class SearchLoop:
 
 # The recorder of new findings: it saves each finding, confirms it, and reports it. To confirm a finding, its run is
 # made once more, and once in highway-env's own environment.
-
-NOT_REPEATED = "running it again gave a different run"
 
 UNCONFIRMED = "not confirmed: out of time"
 """The remark on a finding that the time limit left no time to run again."""

@@ -8,14 +8,14 @@ then makes the same attempts in the same order, so it has the same result.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import nullcontext, suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
-from itertools import count
+from itertools import chain, count, islice
 from typing import Any, TypeVar
 
-from pytest_pafot.campaign.events import FindTold
+from pytest_pafot.campaign.events import ENDED_OTHERWISE, FindTold
 from pytest_pafot.campaign.harness import Harness, begins_alike, limits_of, refusals
 from pytest_pafot.campaign.moments import moment_of
 from pytest_pafot.campaign.search_loop import SearchLoop
@@ -35,6 +35,7 @@ from pytest_pafot.findings.decisions import (
     vehicle_of,
     window,
 )
+from pytest_pafot.findings.failure_rate import ENOUGH, FEW_RUNS, MANY_RUNS, FailureRate, with_other_seed
 from pytest_pafot.findings.finding import Expect, Perceived, ending, of_failure
 from pytest_pafot.findings.neighbours import Breadth, breadth_of
 from pytest_pafot.findings.shrink import OutOfBudget, Shrunk, Start, shrink
@@ -179,7 +180,7 @@ class Simplification:
     def run_all(self, way_on: str) -> None:
         """Simplify the findings in the order of discovery, except those that cannot be shrunk.
 
-        These are findings that are flaky, depend on wall-clock time or are crashes.
+        These are findings that depend on wall-clock time, are crashes, or are flaky in another way than by chance.
 
         With a time limit, each finding gets an equal share of the time that is left. Unused time goes to the next
         findings, then to findings that were cut. ``way_on`` says how the user can go on with a finding that stays cut.
@@ -200,7 +201,7 @@ class Simplification:
     def _shrink_all(self, way_on: str) -> None:
         __tracebackhide__ = True
         recorder = self.loop.recorder
-        finds, before = [find_id for find_id, kept in recorder.kept.items() if kept.is_firm], -1
+        finds, before = [find_id for find_id, kept in recorder.kept.items() if kept.is_firm or kept.is_random], -1
         while finds and self.runs > before:  # After a round without runs there is no time left.
             before, round_ = self.runs, finds
             for number, find_id in enumerate(round_):
@@ -381,12 +382,24 @@ class Simplification:
         """Shrink a finding, run the result again, try reference drivers, and report; return True if nothing is left."""
         __tracebackhide__ = True
         found = kept.finding.original or kept.finding.scenario
+        if kept.is_random and kept.finding.rate is None:
+            first = self._rate(kept, kept.finding.scenario)
+            kept = self.loop.recorder.rewritten(kept, replace(kept.finding, rate=first))
+            kept = replace(kept, find=replace(kept.find, rate=kept.finding.on_rate), is_new=False)
+            self.loop.recorder.tell(kept)
+        if kept.find.is_flaky and not (kept.finding.rate and kept.finding.rate.failing):
+            return True
         scenario, shrunk = self._shrunk(kept, found, turn)
         self.runs += turn.attempts
         is_as_told = turn.is_over and scenario == kept.finding.scenario
         if is_as_told or self.clock() + turn.to_conclude > self.until:
             return False
         run, verdict, differs = self._run_again(scenario, kept)
+        before, rate = kept.finding.rate, kept.finding.rate
+        if before is not None and not differs and scenario != kept.finding.scenario:
+            rate = after = self._rate(kept, scenario)
+            is_rarer = before.change(after) in ("better", "fixed")
+            differs = f"it fails in {after} runs, not in {before}" if is_rarer else ""
         if differs and len(self.answers[kept.find.id]) > turn.attempts:
             self.answers[kept.find.id].clear()  # Some are from earlier sessions: the ADS may have changed since.
             return self._refine(kept, _Turn(until=turn.until))
@@ -394,10 +407,15 @@ class Simplification:
             # The simplified scenario does not repeat, so fall back to the scenario as found, which may be flaky, too.
             scenario, shrunk, turn.is_over = found, Shrunk(rollouts=shrunk.rollouts, is_minimal=False), False
             run, verdict, differs = self._run_again(scenario, kept)
-        if differs:
-            self.loop.recorder.call_flaky(kept, differs)
-        else:
-            self._conclude(kept, scenario, shrunk, run, verdict)
+            rate = before
+        if differs and not kept.find.is_flaky:
+            kept = replace(self.loop.recorder.call_flaky(kept, differs), is_new=False)
+            self.loop.recorder.tell(kept)
+            if kept.is_random:  # the runs that confirmed it were the same by chance
+                self.answers[kept.find.id].clear()
+                return self._refine(kept, _Turn(until=turn.until))
+        elif not differs:
+            self._conclude(replace(kept, finding=replace(kept.finding, rate=rate)), scenario, shrunk, run, verdict)
         return bool(differs) or not turn.is_over
 
     def _shrunk(self, kept: FindTold, found: Scenario, turn: _Turn) -> tuple[Scenario, Shrunk]:
@@ -418,7 +436,7 @@ class Simplification:
                 self.tell(f"shrinking {kept.find.id}, run {asked + 1} of {rollouts}")
                 try:
                     with runs_end_in(turn.until - turn.to_conclude - began):
-                        shown = self._shown(kept.find.id, candidate, top_speed)
+                        shown = self._shown(kept, candidate, top_speed, asked)
                 except OutOfTime:
                     turn.is_over = True
                     raise OutOfBudget from None
@@ -473,14 +491,51 @@ class Simplification:
         longest_run = float(self.loop.simulation.harness.world.longest_run)
         return self.loop.recorder.pace * min(scenario.seconds, longest_run)
 
-    def _shown(self, find_id: str, candidate: Scenario, top_speed: float) -> Shown:
+    def _shown(self, kept: FindTold, candidate: Scenario, top_speed: float, attempt: int) -> Shown:
         """Run a simpler candidate for a finding; return the scenario as driven, with the ego's state at each gene.
 
-        Return None if the candidate does not show the finding's failure.
+        Return None if the candidate does not show the finding's failure. If the policy draws random numbers, it must
+        show it about as often, and stays as long as it is, because other runs of it may fail later.
         """
         __tracebackhide__ = True
-        run = self._showing(find_id, candidate)
-        return None if run is None else (driven(run), starts_of(run, top_speed))
+        rate, shows = kept.finding.rate, partial(self._showing, kept.find.id, candidate)
+        if rate is None or not kept.find.is_flaky:
+            run = shows()
+            if run is None or rate is None:
+                return None if run is None else (driven(run), starts_of(run, top_speed))
+            # With other seeds in each attempt: simple scenarios would else be fitted to a few seeds.
+            others = self._outcomes(kept, candidate, MANY_RUNS + 1 + attempt * FEW_RUNS)
+            is_as_often = rate.is_as_often(chain([True], others))
+            return (candidate, starts_of(run, top_speed)) if is_as_often else None
+        shown: list[Run] = []
+
+        def outcomes() -> Iterator[bool]:
+            while True:
+                run = shows()
+                shown.extend([] if run is None else [run])
+                yield run is not None
+
+        return (candidate, starts_of(shown[0], top_speed)) if rate.is_as_often(outcomes()) else None
+
+    def _outcomes(self, kept: FindTold, scenario: Scenario, first: int = 1) -> Iterator[bool]:
+        """Run a scenario with one other seed after another, or again and again, and yield whether each run fails."""
+        for number in count(first):
+            self._check_time()
+            self.runs += 1
+            other = scenario if kept.find.is_flaky else with_other_seed(scenario, number)
+            simulation = self.loop.simulation
+            run = simulation.run(other, afresh=True)
+            self.decisions += len(run.trace.actions)
+            yield simulation.judge(run).failed
+
+    def _rate(self, kept: FindTold, scenario: Scenario) -> FailureRate:
+        """Return how often a policy that draws random numbers fails in a scenario."""
+        self.tell(f"measuring how often {kept.find.id} fails")
+        outcomes = self._outcomes(kept, scenario)
+        failing, runs = sum(islice(outcomes, FEW_RUNS)), FEW_RUNS
+        if failing < ENOUGH:
+            failing, runs = failing + sum(islice(outcomes, MANY_RUNS - FEW_RUNS)), MANY_RUNS
+        return FailureRate(failing=failing, runs=runs)
 
     def _showing(self, find_id: str, candidate: Scenario) -> Run | None:
         """Run a scenario; return the run if it shows the failure of a finding, otherwise None."""
@@ -512,13 +567,16 @@ class Simplification:
     def _run_again(self, scenario: Scenario, kept: FindTold) -> tuple[Run, Verdict, str]:
         """Run a scenario from scratch; return the run, its verdict, and its difference from the finding, if any."""
         __tracebackhide__ = True
-        run = self.loop.simulation.run(scenario, afresh=True)
-        self.decisions += len(run.trace.actions)
-        verdict = self.loop.simulation.judge(run)
+        for _ in range(MANY_RUNS if kept.find.is_flaky else 1):
+            run = self.loop.simulation.run(scenario, afresh=True)
+            self.decisions += len(run.trace.actions)
+            verdict = self.loop.simulation.judge(run)
+            if self._shows(kept.find.id, run, verdict):
+                break
         if not self._shows(kept.find.id, run, verdict):
-            otherwise = f"a later run of it ended differently: {ending(run)}"
+            otherwise = f"{ENDED_OTHERWISE}: {ending(run)}"
             return run, verdict, "the reference failed when it ran again" if verdict.kind == "common" else otherwise
-        is_confirmed = scenario == kept.finding.scenario and not kept.find.unshrunk
+        is_confirmed = kept.find.is_flaky or (scenario == kept.finding.scenario and not kept.find.unshrunk)
         return run, verdict, "" if is_confirmed else self.loop.recorder.confirmed(run)
 
     def _conclude(self, kept: FindTold, scenario: Scenario, shrunk: Shrunk, run: Run, verdict: Verdict) -> None:
@@ -559,6 +617,7 @@ class Simplification:
         line = line if perception is None else f"{line}, {perception.sentence}"
         responsible = finding.expect.responsibility
         find = replace(kept.find, headline=line, severity=verdict.severity, responsible=responsible, unshrunk="")
+        find = replace(find, rate=finding.on_rate)
         recorder.tell(
             replace(recorder.rewritten(kept, finding), find=find, exception=exception, run=known, is_new=False)
         )

@@ -19,6 +19,7 @@ from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_
 from pytest_pafot.attribution.mistakes import LANE_CHANGES
 from pytest_pafot.corpus.layout import SUFFIX
 from pytest_pafot.corpus.yaml_document import MAX_BYTES, Field, Keys, one_of, parse
+from pytest_pafot.findings.failure_rate import MOST_CLEAN, FailureRate
 from pytest_pafot.findings.finding import (
     MAX_NUMBER,
     NOT_ACCEPTED,
@@ -57,7 +58,7 @@ DEFAULT_GENE_SECONDS = 10.0
 
 FILE = Keys(
     ("pafot", "test", "world", "scenario", "expect", "found"),
-    ("perception", "original", "shrunk", "neighbours", "flaky", "xfail"),
+    ("perception", "original", "shrunk", "neighbours", "rate", "flaky", "xfail"),
 )
 
 _BUILT_IN = ("clearance", "headway", "limits", "hang_limit")
@@ -183,6 +184,7 @@ def parsed(path: Path, content: bytes, loader: type[Any] | None = None) -> Findi
         original=_given(fields, "original", _scenario),
         shrunk=_given(fields, "shrunk", lambda field: _shrunk(field, scenario, npc)),
         neighbours=_given(fields, "neighbours", _neighbours),
+        rate=_given(fields, "rate", _rate),
         flaky=_given(fields, "flaky", lambda field: field.some_text("say what differed, or remove the line")),
         xfail=reason,
         xfail_until=until,
@@ -421,6 +423,12 @@ def _neighbours(field: Field) -> Breadth:
     fields = field.mapping(Keys(("failing", "of")))
     of = fields["of"].whole(1, MOST_NEIGHBOURS)
     return Breadth(failing=fields["failing"].whole(0, of), of=of, full=of)
+
+
+def _rate(field: Field) -> FailureRate:
+    fields = field.mapping(Keys(("failing", "runs")))
+    runs = fields["runs"].whole(1, MOST_CLEAN)
+    return FailureRate(failing=fields["failing"].whole(0, runs), runs=runs)
 
 
 def _perceived(field: Field) -> Perceived:

@@ -18,7 +18,7 @@ import time
 from collections.abc import Callable, Iterable
 from contextlib import suppress
 from dataclasses import dataclass, field
-from functools import cache
+from functools import cache, partial
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any, ClassVar, NoReturn, TypeVar
@@ -29,6 +29,7 @@ from pytest_pafot.model.trace import Trace
 from pytest_pafot.support.errors import AdsFactoryError, WorldError
 from pytest_pafot.support.text import one_line, visible
 from pytest_pafot.world import protocol
+from pytest_pafot.world.guard.chance import GENERATORS
 from pytest_pafot.world.guard.hang_guard import check_time
 from pytest_pafot.world.guard.own_worlds import rollout_of
 
@@ -139,7 +140,7 @@ def rolled(built: Any, method: str, world: Any, scenario: Scenario) -> Trace:
     Raises:
         RevisionError: if the policy did not find a file or a module, which says nothing about how it drives.
     """
-    run = rollout_of(world) if method == "rollout" else getattr(world, method)
+    run = rollout_of(world) if method == "rollout" else partial(GENERATORS.run, getattr(world, method))
     trace: Trace = run(scenario, built.factory)
     if trace.error is not None and trace.error.kind in MISSING:
         policy: RevisionPolicy = built.policy

@@ -13,7 +13,7 @@ from bisect import bisect_right
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Executor
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Self, TypeVar
@@ -49,6 +49,7 @@ from pytest_pafot.support.isolation import isolates
 from pytest_pafot.support.text import plural
 from pytest_pafot.world import Highway, protocol
 from pytest_pafot.world.driving.ads import is_vehicle_class, make_ads, wants_env
+from pytest_pafot.world.guard.chance import GENERATORS
 from pytest_pafot.world.guard.failure import closing
 from pytest_pafot.world.guard.own_worlds import rollout_of, simulate_batch
 from pytest_pafot.world.protocol import WorldLike, lock_stepping, resumable
@@ -136,6 +137,7 @@ class Runner:
 
     def __post_init__(self) -> None:
         self._prefetching: Processes | LockStep = self.processes
+        self._held = ExitStack()
         self._decisions: DecisionCache | None = None
         is_of_interest = (self.lock_step is not None or self.can_resume) and not is_vehicle_class(self.job.ads)
         self._factory = self._showing(self.job.ads) if is_of_interest else self.job.ads
@@ -151,9 +153,11 @@ class Runner:
         return self._prefetching is self.lock_step
 
     def __enter__(self) -> Self:
+        self._held.enter_context(GENERATORS.held())
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *rest: object) -> None:
+        self._held.close()
         self._prefetching.announce(())
         self.processes.groups = None
         self.processes.close(at_once=kind is not None)

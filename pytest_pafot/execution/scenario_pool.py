@@ -27,6 +27,7 @@ from pytest_pafot.findings.signature import PROCESS_CRASH
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Outcome, Trace
 from pytest_pafot.world import protocol
+from pytest_pafot.world.guard.chance import GENERATORS
 from pytest_pafot.world.guard.own_worlds import rollout_of
 
 # The output of code in a different process: printed text, log records and warnings. The process of the test repeats it,
@@ -289,7 +290,7 @@ def _run_task(job: Job, record: CrashRecord, task: Scenario | Places, tell: obje
 
     The record is closed after each task, since nothing would remove it after the session.
     """
-    with record:
+    with record, GENERATORS.held():
         if isinstance(task, Places):
             return _run_group(job, record, task)
         return _run_recorded(job, record, task, job.read)

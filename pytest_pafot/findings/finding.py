@@ -18,6 +18,7 @@ import numpy as np
 from pytest_pafot.attribution.mistakes import Manoeuvre, Mistake, manoeuvre_before, mistake_of
 from pytest_pafot.attribution.responsibility import Fault, Responsibility
 from pytest_pafot.attribution.takeovers import Avoidance, Escape
+from pytest_pafot.findings.failure_rate import FailureRate
 from pytest_pafot.findings.neighbours import Breadth
 from pytest_pafot.findings.shrink import Shrunk
 from pytest_pafot.findings.signature import (
@@ -335,6 +336,8 @@ class Finding(Shown):
         shrunk: the result of shrinking; None if the scenario was not shrunk.
         neighbours: how many neighbours of the scenario failed in the same way when it was found; None if that was not
             examined. A replay takes from it how many neighbours it drives.
+        rate: how many runs of the scenario fail, with other seeds, or of a flaky one with the same; None for a policy
+            that draws no random numbers.
         flaky: what differed when the scenario was run again, or None; a flaky finding is never reported as fixed.
         xfail: the user's reason to accept the failure, or None.
         xfail_until: the last day on which the failure is accepted; None for no end.
@@ -357,6 +360,7 @@ class Finding(Shown):
     original: Scenario | None = None
     shrunk: Shrunk | None = None
     neighbours: Breadth | None = None
+    rate: FailureRate | None = None
     flaky: str | None = None
     xfail: str | None = None
     xfail_until: date | None = None
@@ -392,6 +396,19 @@ class Finding(Shown):
     def signature(self) -> Signature:
         """The identity of the failure, as far as the file determines it."""
         return self.expect.signature
+
+    @property
+    def drawn(self) -> str:
+        """What differs between the runs of the rate: ``seeds`` of the scenario, or only the ``runs``."""
+        return "seeds" if self.flaky is None else "runs"
+
+    @property
+    def on_rate(self) -> str:
+        """A sentence on the rate; empty if there is none."""
+        if self.rate is None:
+            return ""
+        other = "other " if self.flaky is None else ""
+        return f"fails in {self.rate} {other}{self.drawn} ({self.rate.in_general})"
 
     @property
     def accepted(self) -> str:

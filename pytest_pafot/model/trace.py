@@ -167,6 +167,7 @@ class Trace(Shown):
         begun: for each NPC the ticks at which the steps of its manoeuvre began. Empty if no NPC has one.
         obstacles: the fixed objects on the road that vehicles can touch: x [m], y [m], heading [rad], length and width
             [m].
+        drew: True if the run drew from a global random generator, so that another seed may give another run.
     """
 
     scenario: Scenario
@@ -191,6 +192,7 @@ class Trace(Shown):
     driven: tuple[tuple[Cell, ...], ...] = ()
     begun: tuple[tuple[int, ...], ...] = ()
     obstacles: tuple[tuple[float, float, float, float, float], ...] = ()
+    drew: bool = False
     _readings: dict[Hashable, Any] = field(default_factory=dict, init=False, repr=False)
 
     def steps_begun(self, npc: int) -> tuple[int, ...]:

@@ -225,6 +225,7 @@ def _tell(
         is_accepted=is_accepted,
         may_pass=may_pass,
         neighbours=around.passing,
+        rate_now=None if now is None else now.rate,
     )
     if headline:
         set_properties(item.user_properties, severity=severity_text(find.severity))

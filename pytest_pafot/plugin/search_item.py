@@ -17,7 +17,15 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from pytest_pafot.campaign.events import FindTold, Listener, Progress, SearchEvent, SearchStarted, SearchSummary
+from pytest_pafot.campaign.events import (
+    NOT_REPEATED,
+    FindTold,
+    Listener,
+    Progress,
+    SearchEvent,
+    SearchStarted,
+    SearchSummary,
+)
 from pytest_pafot.campaign.harness import Harness, checked_factory, reference_of, source_file
 from pytest_pafot.campaign.options import BY_NAME, Settings
 from pytest_pafot.campaign.replays import Replays
@@ -31,7 +39,6 @@ from pytest_pafot.campaign.search import (
     prepared,
     time_limit,
 )
-from pytest_pafot.campaign.search_loop import NOT_REPEATED
 from pytest_pafot.campaign.verdict import PlainFailure, Test
 from pytest_pafot.corpus.layout import SUFFIX, chosen_folder, files_in, folder_of_test, link_below
 from pytest_pafot.corpus.saved import refusal
@@ -88,10 +95,10 @@ OF_ONE_CALL = {
 """The packages whose fixtures fail in a second call of the test function, with the reason."""
 
 BEST_ACTION = "or let a model take its best action (with Stable-Baselines3: predict(..., deterministic=True))"
-DRAWS = f"; the ADS probably draws random numbers: seed it in its factory, {BEST_ACTION}"
+DRAWS = f"the ADS probably draws from a generator of its own: seed it in its factory, {BEST_ACTION}"
 DRAWS_IN_WRAPPERS = (
-    "; the ADS or a wrapper probably draws random numbers: let a wrapper draw from self.np_random, and seed the ADS in "
-    f"its factory, {BEST_ACTION}"
+    "the ADS or a wrapper probably draws from a generator of its own: let a wrapper draw from self.np_random, and seed "
+    f"the ADS in its factory, {BEST_ACTION}"
 )
 
 
@@ -365,9 +372,9 @@ class SearchMessages:
         if not is_compact(config):
             details += [f"scenario   {kept.finding.scenario}", f"found by   {kept.origin}"]
             details += terminal.effort_lines(kept.finding)
-        advice = "it does not repeat, so it is not shrunk" if kept.find.is_flaky else ""
+        advice = "it does not repeat, so it is not shrunk" if kept.find.is_flaky and not kept.is_random else ""
         if kept.find.difference == NOT_REPEATED:
-            advice += DRAWS_IN_WRAPPERS if kept.finding.world.get("wrappers") else DRAWS
+            advice = DRAWS_IN_WRAPPERS if kept.finding.world.get("wrappers") else DRAWS
         # A file in a corpus of the command line can only be run with the same option.
         corpus = config.getoption(BY_NAME["corpus"].key)
         where = [] if corpus is None else [f"{flag('corpus')}={corpus}"]

@@ -67,6 +67,9 @@ class FindingRecord:
         runs: number of runs that failed in this way; 0 for a saved scenario, whose runs are in `known` of the search.
         seed, algorithm: seed (not the base seed) and algorithm of the search that found it.
         against: the reference that passed in this scenario when it was found; empty without one.
+        rate: how often a policy fails in its scenario that draws random numbers: `failing` of `runs`, each with another
+            seed if `of` is `seeds`, not `runs`; and of a replay `now`, with the `failing` of `runs` then, and `change`:
+            `fixed`, `better`, `as before` or `worse`. Null if the policy draws none.
         flaky: what differed when it was run again, as in the file; null if nothing did.
         unshrunk: that no time was left to confirm a new finding, or to shrink it fully; otherwise empty.
         breadth: how many neighbours of a new finding fail in the same way: `failing`, `of`, and `share`, the size of
@@ -120,6 +123,7 @@ class FindingRecord:
     seed: int | None = None
     algorithm: str = ""
     against: str = ""
+    rate: Mapping[str, Any] | None = None
     flaky: str | None = None
     unshrunk: str = ""
     breadth: Mapping[str, Any] | None = None
@@ -171,6 +175,7 @@ class FindingRecord:
             seed=finding.found.seed,
             algorithm=finding.found.algorithm,
             against=expect.against,
+            rate=_rate_of(finding, find),
             flaky=finding.flaky,
             unshrunk=find.unshrunk,
             breadth=None if find.breadth is None else asdict(find.breadth),
@@ -181,6 +186,16 @@ class FindingRecord:
             severity_before=None if find.severity_before is None else find.severity_before.data(),
             xfail=None if finding.xfail is None else accepted,
         )
+
+
+def _rate_of(finding: Finding, find: Find) -> dict[str, Any] | None:
+    then, now = finding.rate, find.rate_now
+    if then is None:
+        return None
+    return asdict(then) | {
+        "of": finding.drawn,
+        "now": None if now is None else asdict(now) | {"change": then.change(now)},
+    }
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

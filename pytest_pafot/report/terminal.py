@@ -250,7 +250,8 @@ def failure_message(search: SearchSummary) -> str:
     for find in _worst_first(search.finds):
         name = f"{find.id} ({plural(1 + find.repeats, 'run')}{'' if find.severity is None else f', {find.severity}'})"
         if find.is_flaky:
-            flaky.append(f"  {name} is flaky, so it is never reported as fixed: {find.difference}")
+            never = "" if find.rate else ", so it is never reported as fixed"
+            flaky.append(f"  {name} is flaky{never}: {'; '.join(filter(None, [find.difference, find.rate]))}")
         else:
             firm.append(name)
     count = plural(len(search.finds) + len(search.unsaved), "new finding")

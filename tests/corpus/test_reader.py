@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from pytest_pafot.corpus import yaml_document
 from pytest_pafot.corpus.reader import load, located, parsed
 from pytest_pafot.corpus.writer import text_of
+from pytest_pafot.findings.failure_rate import FailureRate
 from pytest_pafot.findings.finding import Perceived
 from pytest_pafot.findings.shrink import Shrunk, SpeedInterval
 from pytest_pafot.model.scenario import Scenario, ScenarioError
@@ -40,6 +41,7 @@ SHRUNK = plain_finding(
     ),
     original=Scenario(npcs=plain_finding().scenario.npcs, seed=9),
     shrunk=Shrunk(rollouts=41, is_minimal=False, speeds=(SpeedInterval(npc=0, gene=1, low=3.0, high=11.2),)),
+    rate=FailureRate(failing=14, runs=20),
     flaky="running it again gave a different run",
 )
 
@@ -634,6 +636,7 @@ def test_file_contains_original_perception_shrinking_and_flakiness(path):
     ) in text_of(SHRUNK)
     assert (
         "shrunk: {rollouts: 41, is_minimal: false, speeds: [{npc: 0, gene: 1, low: 3.0, high: 11.2}]}\n"
+        "rate: {failing: 14, runs: 20}\n"
         'flaky: "running it again gave a different run"\n'
     ) in text_of(SHRUNK)
     path.write_text(text_of(SHRUNK))
@@ -651,6 +654,8 @@ def test_file_contains_original_perception_shrinking_and_flakiness(path):
         ("low: 3.0", "low: .inf", "shrunk.speeds[0].low"),
         ("low: 3.0, high: 11.2", "low: 11.2, high: 3.0", "shrunk.speeds[0].high"),
         ('flaky: "running it again gave a different run"', 'flaky: " "', "flaky"),
+        ("failing: 14, runs", "failing: 21, runs", "rate.failing"),
+        ("runs: 20", "runs: 0", "rate.runs"),
         ("latency: 0.3", "latency: -0.3", "perception.latency"),
         ("latency: 0.3", "lag: 0.3", "perception.lag"),
         ("position: 0.5", "position: far", "perception.noise.position"),

@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from pytest_pafot.attribution.mistakes import LANE_CHANGES, Manoeuvre
 from pytest_pafot.attribution.takeovers import Avoidance, Escape
 from pytest_pafot.corpus.reader import LIMITS, WORLDS
+from pytest_pafot.findings.failure_rate import MOST_CLEAN, FailureRate
 from pytest_pafot.findings.finding import MAX_KEY, MAX_NUMBER, Bounded, Expect, Finding, Found, Perceived
 from pytest_pafot.findings.neighbours import Breadth
 from pytest_pafot.findings.shrink import Shrunk, SpeedInterval
@@ -212,6 +213,12 @@ def simplifications(draw, scenario):
     return Shrunk(rollouts=draw(st.integers(0, 10**6)), is_minimal=draw(st.booleans()), speeds=tuple(speeds))
 
 
+def rates():
+    return st.integers(1, MOST_CLEAN).flatmap(
+        lambda runs: st.builds(FailureRate, failing=st.integers(0, runs), runs=st.just(runs))
+    )
+
+
 def breadths():
     counts = st.tuples(st.integers(1, 1000), st.floats(0, 1))
     return counts.map(lambda each: Breadth(failing=int(each[0] * each[1]), of=each[0], full=each[0]))
@@ -256,6 +263,7 @@ def findings(draw):
         original=draw(st.one_of(st.none(), scenarios())),
         shrunk=draw(st.one_of(st.none(), simplifications(scenario))),
         neighbours=draw(st.none() | breadths()),
+        rate=draw(st.none() | rates()),
         flaky=draw(st.one_of(st.none(), texts(min_size=1).filter(str.strip))),
         xfail=reason,
         xfail_until=until,

@@ -222,6 +222,7 @@ def holds(finding: Finding) -> dict[str, Any]:
         "neighbours": None
         if finding.neighbours is None
         else {"failing": finding.neighbours.failing, "of": finding.neighbours.of},
+        "rate": None if finding.rate is None else asdict(finding.rate),
         "flaky": finding.flaky,
         "xfail": _accepted(finding),
     }

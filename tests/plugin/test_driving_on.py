@@ -45,9 +45,11 @@ def nudging():  # brakes, and hits the NPC more than two seconds after the end o
     drive = braking()
     return lambda seen: drive(seen) if seen.time < 9.0 else (4.0, 0.0)
 
+OWN = random.Random(1)
+
 def dicing():  # accelerates by chance after the end of the file
     drive = braking()
-    return lambda seen: drive(seen) if seen.time < 7.0 else (2.0 + random.random(), 0.0)
+    return lambda seen: drive(seen) if seen.time < 7.0 else (2.0 + OWN.random(), 0.0)
 
 def dying():
     drive = braking()

@@ -13,6 +13,7 @@ import pytest_pafot.world.engines.gym_replay  # pytester forgets modules that a 
 from example_ads import constant_speed
 from pytest_pafot.campaign.simplification import ROLLOUTS, ROLLOUTS_IN_KERNEL, _Turn, rollouts_for, starts_of
 from pytest_pafot.corpus.reader import load
+from pytest_pafot.findings.failure_rate import FailureRate
 from pytest_pafot.findings.shrink import OutOfBudget, sort_key
 from pytest_pafot.model.scenario import PositionInstruction, Scenario
 from pytest_pafot.oracle.run import Run
@@ -247,7 +248,7 @@ def test_vehicle_class_in_the_kernel_gets_more_rollouts():
     assert rollouts_without_an_option(lambda: lambda observation: (0.0, 0.0)) == ROLLOUTS
 
 
-def test_unrepeatable_finding_is_flaky_and_not_shrunk(project):
+def test_unrepeatable_finding_is_flaky_and_shrunk_by_its_rate(project):
     project.write(
         """
 calls = []
@@ -263,16 +264,20 @@ def test_brakes(run):
 """
     )
     result = run(project)
-    result.stdout.fnmatch_lines(["  * is flaky, so it is never reported as fixed: *", "*(flaky: running it*"])
+    result.stdout.fnmatch_lines(
+        ["  * is flaky: running it again gave a different run; fails in * of 20 runs *", "*(flaky: running it*"]
+    )
     result.stdout.fnmatch_lines(
         [
-            "note       flaky: running it again gave a different run; it does not repeat, so it is not shrunk; the ADS "
-            "probably draws random numbers: seed it in its factory, or * predict(..., deterministic=True))"
+            "note       flaky: running it again gave a different run; fails in 10 of 20 runs (95 %: 27.2 to 72.8 %); "
+            "the ADS probably draws from a generator of its own: seed it in its factory, or * predict(..., "
+            "deterministic=True))"
         ]
     )
     finding = load(project.only_file)
     assert finding.flaky == "running it again gave a different run"
-    assert finding.shrunk is None
+    assert finding.rate == FailureRate(failing=10, runs=20)
+    assert len(finding.scenario.npcs) < len(finding.original.npcs)
 
 
 def test_unrepeatable_finding_in_wrappers_may_be_by_them(project):
@@ -289,13 +294,13 @@ def drawing(env):
 
 WORLD = pafot.World("highway-v0", duration=2.0, wrappers=[drawing])
 
-@pafot.search(SHORT, ads=lambda: lambda seen: 1, world=WORLD, stop_after=1)
+@pafot.search(SHORT, ads=lambda: lambda seen: 1, world=WORLD, stop_after=1, shrink_rollouts=0)
 def test_drives(run):
     assert run.ego.speed.mean() < 1
 """
     )
     run(project).stdout.fnmatch_lines(
-        ["*it does not repeat*; the ADS or a wrapper probably draws random numbers: let a wrapper draw from *"]
+        ["*; the ADS or a wrapper probably draws from a generator of its own: let a wrapper draw from self.np_random*"]
     )
 
 

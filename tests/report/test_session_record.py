@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pytest_pafot.campaign.events import Find, SearchSummary
+from pytest_pafot.findings.failure_rate import FailureRate
 from pytest_pafot.model.driving_style import Traffic
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.plugin.failure_reports import SCENARIO
@@ -102,6 +103,15 @@ def test_a_finding_tells_what_its_file_does():
     assert (record.outcome, record.responsible, record.kind) == ("collision", "ego", finding.signature.slug)
     assert record.xfail == {"reason": "issue 12", "until": "2027-01-31", "flaky": False}
     assert FindingRecord.of(plain_finding(), FIND).xfail is None
+
+
+def test_a_finding_tells_how_often_it_fails_then_and_now():
+    finding, now = plain_finding(rate=FailureRate(failing=14, runs=20)), FailureRate(failing=2, runs=20)
+    assert FindingRecord.of(finding, FIND).rate == {"failing": 14, "runs": 20, "of": "seeds", "now": None}
+    record = FindingRecord.of(replace(finding, flaky="it differs"), replace(FIND, rate_now=now))
+    changed = {"failing": 2, "runs": 20, "change": "better"}
+    assert record.rate == {"failing": 14, "runs": 20, "of": "runs", "now": changed}
+    assert FindingRecord.of(plain_finding(), FIND).rate is None
 
 
 def test_no_duration_is_in_it():

@@ -14,6 +14,7 @@ from pytest_pafot.model.trace import AdsError, Outcome, Trace
 from pytest_pafot.support.errors import OutOfTime
 from pytest_pafot.world.driving.ads import is_vehicle_class
 from pytest_pafot.world.driving.seeing import SeeingAds
+from pytest_pafot.world.guard.chance import GENERATORS, is_unseeded
 from pytest_pafot.world.guard.failure import error_of
 from pytest_pafot.world.guard.hang_guard import AdsHang, HangGuard, unending
 from pytest_pafot.world.protocol import hang_limit
@@ -29,9 +30,11 @@ class Hang(Exception):  # noqa: N818  (a world that records the name of the exce
 
 
 def rollout_of(world: Any) -> Callable[..., Trace]:
-    """Return the ``rollout`` of any world, in which decisions that hang are ended: by the world, or else here."""
-    own: Callable[..., Trace] = world.rollout
-    return own if guards_ads(world) else partial(simulate, world)
+    """Return the ``rollout`` of any world, with seeded global generators.
+
+    Decisions that hang are ended: by the world, or else here.
+    """
+    return partial(GENERATORS.run, world.rollout if guards_ads(world) else partial(simulate, world))
 
 
 def simulate(world: Any, scenario: Scenario, ads_factory: Callable[..., Any], **given: Any) -> Trace:
@@ -52,17 +55,25 @@ def simulate(world: Any, scenario: Scenario, ads_factory: Callable[..., Any], **
 def simulate_batch(world: Any, scenarios: Sequence[Scenario], ads_factory: Callable[..., Any]) -> list[Trace]:
     """Simulate scenarios by any world's ``rollout_batch``, with the guard of :func:`simulate` if the world has none.
 
-    If a decision for many runs hangs, ``hang`` is the outcome of the runs that the world ended for it.
+    If a decision for many runs hangs, ``hang`` is the outcome of the runs that the world ended for it. If they draw
+    from a global generator, they are made one by one instead, so that each has the numbers of its own seed.
     """
     __tracebackhide__ = True
-    if guards_ads(world):
-        traces: list[Trace] = world.rollout_batch(scenarios, ads_factory)
-        return traces
-    with _Watch(hang_limit(world), 0) as watch:
-        made = world.rollout_batch(scenarios, watch.guarded(ads_factory))
-        if watch.is_cut:
-            raise OutOfTime
-        return [watch.told(trace) if trace.outcome is Outcome.ADS_ERROR else trace for trace in made]
+    is_seeded = not is_unseeded(ads_factory)
+    with GENERATORS.held():
+        if is_seeded:
+            GENERATORS.share()
+        if guards_ads(world):
+            made: list[Trace] = world.rollout_batch(scenarios, ads_factory)
+        else:
+            with _Watch(hang_limit(world), 0) as watch:
+                made = world.rollout_batch(scenarios, watch.guarded(ads_factory))
+                if watch.is_cut:
+                    raise OutOfTime
+                made = [watch.told(trace) if trace.outcome is Outcome.ADS_ERROR else trace for trace in made]
+        if is_seeded and not GENERATORS.is_shared():
+            made = [rollout_of(world)(each, ads_factory) for each in scenarios]
+        return made
 
 
 def guards_ads(world: Any) -> bool:

@@ -275,7 +275,7 @@ def test_only_the_class_itself_can_say_that_it_guards():
         guards_ads = True
 
     assert [guards_ads(world) for world in (ROAD, Derived(), Says(), Calls())] == [True, False, True, False]
-    assert rollout_of(ROAD) == ROAD.rollout
+    assert rollout_of(ROAD).args == (ROAD.rollout,)
     assert rollout_of(Calls())(AHEAD, hangs()).outcome is Outcome.HANG
 
 

@@ -1,0 +1,120 @@
+"""How often a policy that draws random numbers fails in one scenario, and whether it fails more or less often now.
+
+Source: Wald, "Sequential tests of statistical hypotheses", Annals of Mathematical Statistics 16(2), 1945.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from itertools import islice
+from typing import Literal
+
+from pytest_pafot.model.scenario import MAX_SEED, Scenario
+from pytest_pafot.support.proportions import CONFIDENCE, interval, percent, rarer, upper_bound
+
+FEW_RUNS, MANY_RUNS = 20, 60
+"""The number of runs for a rate, and the number if fewer than :data:`ENOUGH` of the first runs fail."""
+
+ENOUGH = 3
+"""The number of failures with which the runs that no longer fail can be told from luck."""
+
+CLEAN = 59
+"""The least number of runs without a failure that show a fix: 0.95 ** 59 < 0.05, so with 95 % confidence fewer than 5 %
+of all runs fail."""
+
+MOST_CLEAN = 300
+"""The largest number of runs of one replay."""
+
+ODDS = math.log(9)
+"""The logarithm of the odds, 9 to 1, at which a simpler scenario is given up."""
+
+Change = Literal["fixed", "better", "as before", "worse"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FailureRate:
+    """The number of runs of one scenario, and how many of them fail.
+
+    Raises:
+        ValueError: if there is no run, or if more runs fail than there are.
+    """
+
+    failing: int
+    runs: int
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.failing <= self.runs or not self.runs:
+            raise ValueError(f"failing: expected at most {self.runs} of at least one run, received {self.failing}")
+
+    def __str__(self) -> str:
+        return f"{self.failing or 'none'} of {self.runs}"
+
+    @property
+    def in_general(self) -> str:
+        """The share of all runs that fail, as far as these runs show it with 95 % confidence."""
+        low, high = (percent(each) for each in interval(self.failing, self.runs))
+        return f"95 %: {low.removesuffix(' %')} to {high}"
+
+    @property
+    def clean(self) -> int:
+        """The number of runs without any failure that a replay makes to show a fix.
+
+        If the policy still fails as often, so many runs without a failure have a chance of at most 5 %. If no possible
+        number has, because it fails too rarely, a replay makes the fewest.
+        """
+        return next(
+            (runs for runs in range(CLEAN, MOST_CLEAN) if self._is_rarer(FailureRate(failing=0, runs=runs))), CLEAN
+        )
+
+    def change(self, now: FailureRate) -> Change:
+        """Return whether fewer or more runs fail now than in this rate, if that is more than chance."""
+        if self._is_rarer(now):
+            return "better" if now.failing or now.runs < CLEAN else "fixed"
+        return "worse" if now._is_rarer(self) else "as before"
+
+    def _is_rarer(self, now: FailureRate) -> bool:
+        return self._chance(now) <= 1 - CONFIDENCE
+
+    def _chance(self, now: FailureRate) -> float:
+        return rarer(now.failing, now.runs, self.failing, self.runs)
+
+    def compared(self, now: FailureRate, what: str) -> str:
+        """Return a sentence on the change to a rate now; ``what`` is ``runs`` or ``seeds``."""
+        change = self.change(now)
+        chance = rarer(
+            *(
+                each
+                for rate in ((self, now) if change == "worse" else (now, self))
+                for each in (rate.failing, rate.runs)
+            )
+        )
+        sure = {
+            "fixed": f"fixed, 95 % sure to fail in less than {percent(upper_bound(0, now.runs, CONFIDENCE))} of all",
+            "as before": f"as before, {now.in_general}",
+        }.get(change, f"{change}, {now.in_general}, by chance with p = {chance:.2g}")
+        return f"fails in {now} {what}, {self} when it was found: {sure}"
+
+    def is_as_often(self, outcomes: Iterable[bool]) -> bool:
+        """Return whether a simpler scenario, of which ``outcomes`` says which runs fail, fails about as often.
+
+        It does if that is likelier than that it fails half as often, and than that it passes half as often. The runs
+        end early if one of these is nine times as likely, so a scenario that never fails takes two to ten runs.
+        """
+        share = min(self.failing / self.runs, 0.9)  # one run that passes must not decide
+        if not share:
+            return True  # too rare to compare
+        others = [share / 2, (1 + share) / 2] if share < 0.9 else [share / 2]
+        odds = [0.0 for _ in others]
+        for fails in islice(outcomes, FEW_RUNS):
+            steps = [math.log(share / other if fails else (1 - share) / (1 - other)) for other in others]
+            odds = [sum(each) for each in zip(odds, steps, strict=True)]
+            if min(odds) <= -ODDS:
+                break
+        return min(odds) > 0
+
+
+def with_other_seed(scenario: Scenario, number: int) -> Scenario:
+    """Return a scenario in which a policy draws other numbers; ``number`` is 0 for the scenario itself."""
+    return replace(scenario, seed=(scenario.seed + number) % (MAX_SEED + 1))

@@ -1,0 +1,198 @@
+"""The global random generators in runs: seeded from the scenario, and given back afterwards.
+
+A policy that calls ``random.gauss`` or ``numpy.random.rand`` then drives a scenario in the same way each time, in any
+process. The generator of torch is seeded, too, if something else has imported torch.
+"""
+
+from __future__ import annotations
+
+import inspect
+import os
+import random
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from functools import cache
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from pytest_pafot.model.scenario import Scenario
+from pytest_pafot.model.trace import Trace
+
+
+class _Generator(NamedTuple):
+    """What has to be done with one global generator."""
+
+    state: Callable[[], Any]
+    give_back: Callable[[Any], object]
+    seed: Callable[[int], object]
+    draw: Callable[[], float]
+    seeded: Callable[[int], Callable[[], float]]  # another generator, which draws the same numbers after the same seed
+
+
+def _words(seed: int) -> list[int]:
+    return [seed & 0xFFFFFFFF, seed >> 32]  # numpy's global generator takes 32 bits at a time
+
+
+OF_PYTHON = _Generator(
+    random.getstate,
+    random.setstate,
+    random.seed,
+    random.random,
+    lambda seed: random.Random(seed).random,  # noqa: S311  (no cryptography)
+)
+OF_NUMPY = _Generator(
+    np.random.get_state,
+    np.random.set_state,
+    lambda seed: np.random.seed(_words(seed)),
+    np.random.random_sample,
+    lambda seed: np.random.RandomState(_words(seed)).random_sample,
+)
+
+
+@cache
+def _of_torch(torch: Any) -> _Generator:
+    def state() -> Any:
+        return torch.get_rng_state(), torch.cuda.get_rng_state_all() if torch.cuda.is_initialized() else None
+
+    def give_back(states: Any) -> None:
+        torch.set_rng_state(states[0])
+        if states[1] is not None:
+            torch.cuda.set_rng_state_all(states[1])
+
+    def seeded(seed: int) -> Callable[[], float]:
+        own = torch.Generator().manual_seed(seed)
+        return lambda: float(torch.rand((), generator=own))
+
+    return _Generator(state, give_back, torch.manual_seed, lambda: float(torch.rand(())), seeded)
+
+
+@dataclass(frozen=True)
+class Unseeded:
+    """A factory of policies for which the global generators stay as they are."""
+
+    ads: Callable[..., Any]
+
+    @property
+    def __wrapped__(self) -> Callable[..., Any]:
+        """The wrapped factory, from which :mod:`inspect` takes the signature."""
+        return self.ads
+
+    def __call__(self, *arguments: Any, **named: Any) -> Any:
+        """Make a policy."""
+        return self.ads(*arguments, **named)
+
+
+def is_unseeded(factory: Callable[..., Any]) -> bool:
+    """Return whether a factory is an :class:`Unseeded`, or wraps one."""
+    return isinstance(inspect.unwrap(factory, stop=lambda each: isinstance(each, Unseeded)), Unseeded)
+
+
+def _uses_gpu() -> bool:
+    """Return whether draws may be on a GPU, where nothing is drawn in addition to see them."""
+    cuda = getattr(sys.modules.get("torch"), "cuda", None)
+    return cuda is not None and cuda.is_initialized()
+
+
+class _Generators:
+    """The global generators of this process while it makes runs.
+
+    Seeding takes a hundredth of a fast run, and few policies draw. So if the first run draws nothing, the next ones
+    share a seed: numbers from another generator with that seed show after each run whether it drew. A run that drew is
+    made again, with its own seed as all later ones.
+    """
+
+    def __init__(self) -> None:
+        self._holders = 0
+        self._is_running = False
+        self.begin()
+
+    def begin(self) -> None:
+        """Forget the states that were saved, and what is known of the runs so far."""
+        self._saved: list[tuple[_Generator, Any]] = []
+        self._others: list[Callable[[], float]] = []  # those with the shared seed; empty if each run has its own
+        self._may_share = True
+
+    @contextmanager
+    def held(self) -> Iterator[None]:
+        """Give the generators back as they were at the end of the outermost block, not after each run."""
+        self._holders += 1
+        try:
+            yield
+        finally:
+            self._release()
+
+    def _release(self) -> None:
+        self._holders -= 1
+        if not self._holders:
+            for generator, state in self._saved:
+                generator.give_back(state)
+            self.begin()
+
+    def run(self, rollout: Callable[..., Any], scenario: Scenario, factory: Callable[..., Any], **given: Any) -> Any:
+        """Make a run with seeded generators, and return its trace, which says whether it drew from them."""
+        __tracebackhide__ = True
+        if self._is_running or is_unseeded(factory):
+            return rollout(scenario, factory, **given)
+        self._is_running = True
+        self._holders += 1
+        try:
+            if self._others and not _uses_gpu():
+                trace = rollout(scenario, factory, **given)
+                if self.is_shared():
+                    return trace
+            self._save()
+            is_seeded = False
+            while not is_seeded or self._save():  # a second time if the first run has imported torch
+                is_seeded = True
+                self._seed(scenario.seed)
+                trace = rollout(scenario, factory, **given)
+            if self._drew(self._seeded(scenario.seed)):
+                trace = replace(trace, drew=True) if isinstance(trace, Trace) else trace
+            elif self._may_share and not _uses_gpu():
+                self.share()
+            self._may_share = False
+            return trace
+        finally:
+            self._is_running = False
+            self._release()
+
+    def share(self) -> None:
+        """Give a seed to all runs from now on, up to a run that draws."""
+        self._save()
+        self._seed(0)
+        self._others = self._seeded(0)
+
+    def is_shared(self) -> bool:
+        """Return whether no run has drawn from the shared seed; if one has, each run has its own seed from now on."""
+        if self._save() or self._drew(self._others):
+            self._others = []
+        return bool(self._others)
+
+    def _save(self) -> bool:
+        """Save the state of each generator that is not saved yet; return whether there was one."""
+        torch = sys.modules.get("torch")
+        known = [OF_PYTHON, OF_NUMPY, *([_of_torch(torch)] if hasattr(torch, "get_rng_state") else [])]
+        new = known[len(self._saved) :]
+        self._saved += [(each, each.state()) for each in new]
+        return bool(new)
+
+    def _seed(self, seed: int) -> None:
+        for generator, _ in self._saved:
+            generator.seed(seed)
+
+    def _seeded(self, seed: int) -> list[Callable[[], float]]:
+        return [generator.seeded(seed) for generator, _ in self._saved]
+
+    def _drew(self, others: list[Callable[[], float]]) -> bool:
+        drawn = [generator.draw() != other() for (generator, _), other in zip(self._saved, others, strict=True)]
+        return any(drawn)
+
+
+GENERATORS = _Generators()
+"""Those of this process."""
+
+if hasattr(os, "register_at_fork"):  # Python seeds its own generator in a forked process
+    os.register_at_fork(after_in_child=GENERATORS.begin)

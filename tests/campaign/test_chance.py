@@ -1,0 +1,139 @@
+"""Policies that draw random numbers: their findings have a rate, by which they are shrunk and replayed."""
+
+import random
+from dataclasses import replace
+
+import pytest
+
+import pytest_pafot as pafot
+from pytest_pafot.campaign.explore import replays_of, request_of
+from pytest_pafot.corpus.reader import load
+from pytest_pafot.corpus.saved import saved_in
+from pytest_pafot.corpus.writer import rewrite
+from pytest_pafot.findings.failure_rate import FailureRate
+
+SHORT = {"genes": 2, "gene_seconds": 2, "npcs": 2, "ego_lane": 1, "ego_speed": 22, "replay_neighbours": 0}
+NODE_ID = "test_it.py::test_brakes"
+
+
+def never_brakes(run):
+    assert run.hardest_brake < 1
+
+
+class Brakes:
+    """A policy that brakes in some runs, by numbers from ``draw``."""
+
+    draw = staticmethod(random.random)
+    share = 0.6
+
+    def __init__(self):
+        self.acceleration = -3.0 if self.draw() < self.share else 0.0
+
+    def __call__(self, seen):
+        return self.acceleration, 0.0
+
+
+OWN = random.Random(3)  # which nothing seeds, so it stands for os.urandom, but fails in the same way in each session
+
+
+class Unrepeatable(Brakes):
+    draw = OWN.random
+
+
+def found(ads, folder, **settings):
+    OWN.seed(3)
+    options = SHORT | {"shrink_rollouts": 40, "neighbours": 0, "stop_after": 1, "runs": 40} | settings
+    result = pafot.explore(ads, holds=never_brakes, node_id=NODE_ID, corpus=str(folder), **options)
+    (told,) = result.told
+    assert load(told.file) == replace(told.finding, trace=None)
+    return told
+
+
+def replayed(ads, folder, **settings):
+    request = request_of({"ads": ads, "runs": 1, "corpus": str(folder), **SHORT, **settings})
+    replays = replays_of(request, never_brakes, NODE_ID, folder)
+    (saved,) = saved_in(replays.harness.folder)
+    return replays.labelled(saved, "owner")
+
+
+def test_a_finding_that_draws_repeats_at_its_seed_and_says_in_how_many_others_it_fails(tmp_path):
+    told = found(Brakes, tmp_path)
+    finding = told.finding
+    assert finding.flaky is None
+    assert finding.rate.runs == 20
+    assert 8 <= finding.rate.failing <= 16
+    assert told.find.rate == f"fails in {finding.rate} other seeds ({finding.rate.in_general})"
+    assert told.find.rate in told.find.summary
+    assert len(finding.scenario.npcs) == 1
+
+
+def test_a_policy_that_draws_nothing_has_no_rate(tmp_path):
+    class Always(Brakes):
+        draw = staticmethod(lambda: 0.0)
+
+    assert found(Always, tmp_path).finding.rate is None
+
+
+def test_a_finding_that_does_not_repeat_has_a_rate_too_and_is_shrunk_by_it(tmp_path):
+    told = found(Unrepeatable, tmp_path)
+    assert told.finding.flaky == told.find.difference
+    assert told.find.rate.startswith(f"fails in {told.finding.rate} runs (95 %: ")
+    assert 8 <= told.finding.rate.failing <= 16
+    assert len(told.finding.scenario.npcs) == 1
+    assert told.finding.original is not None
+
+
+def test_unseeded_generators_are_the_users(tmp_path):
+    random.seed(1)
+    assert found(Brakes, tmp_path, unseeded=True).finding.flaky is not None
+
+
+@pytest.mark.parametrize("ads", [Brakes, Unrepeatable])
+@pytest.mark.parametrize(
+    ("then", "share", "label", "note"),
+    [
+        (12, 0.6, "still failing", ": as before, "),
+        (12, 0.0, "fixed", ": fixed, 95 % sure to fail in less than 5.0 % of all"),
+        (18, 0.3, "still failing", ": better, "),
+        (4, 0.95, "still failing", ": worse, "),
+    ],
+)
+def test_a_replay_compares_rates(tmp_path, ads, then, share, label, note):
+    told = found(ads, tmp_path, shrink_rollouts=0)
+    rewrite(told.file, replace(load(told.file), rate=FailureRate(failing=then, runs=20)))
+    now = replayed(type("Changed", (ads,), {"share": share}), tmp_path)
+    assert now.label == label
+    assert note in now.note
+    assert now.verdict.failed == (label != "fixed")
+    assert now.rate.runs == (59 if label == "fixed" else 20)
+
+
+def test_other_draws_are_no_fix(tmp_path):
+    class DrawsMore(Brakes):
+        def __init__(self):
+            while random.random() < 0.5:
+                pass
+            super().__init__()
+
+    found(Brakes, tmp_path, shrink_rollouts=0)
+    now = replayed(DrawsMore, tmp_path)
+    assert (now.label, now.verdict.failed) == ("still failing", True)
+    assert ": as before, " in now.note
+
+
+def test_what_fails_too_rarely_is_not_called_fixed(tmp_path):
+    told = found(Brakes, tmp_path, shrink_rollouts=0)
+    rewrite(told.file, replace(load(told.file), rate=FailureRate(failing=0, runs=60)))
+    now = replayed(type("Quiet", (Brakes,), {"share": 0.0}), tmp_path)
+    assert (now.label, now.verdict.failed) == ("drifted", False)
+    assert "fails in none of 60 seeds, none of 60 when it was found: as before" in now.note
+
+
+@pytest.mark.processes
+def test_isolation_and_workers_do_not_change_what_is_found(tmp_path):
+    contents = set()
+    for number, options in enumerate(({}, {"isolate": True}, {"workers": 2}, {"workers": 2, "isolate": True})):
+        told = found(Brakes, tmp_path / str(number), **options)
+        contents.add(told.file.read_text())
+        assert replayed(Brakes, tmp_path / str(number), **options).label == "still failing"
+    assert len(contents) == 1

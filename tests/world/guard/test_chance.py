@@ -1,0 +1,167 @@
+"""Global random generators are seeded for each run, and given back."""
+
+from __future__ import annotations
+
+import os
+import random
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pytest_pafot import Highway, PositionInstruction, Scenario
+from pytest_pafot.model.trace import Trace
+from pytest_pafot.world.guard.chance import GENERATORS, Unseeded
+from pytest_pafot.world.guard.own_worlds import rollout_of, simulate_batch
+
+WORLD = Highway(duration=2.0)
+
+
+def with_seed(seed: int) -> Scenario:
+    return Scenario(npcs=((PositionInstruction(8, 22.0),),), gene_seconds=2.0, seed=seed)
+
+
+def drive(ads: Any, seed: int = 1) -> Trace:
+    return rollout_of(WORLD)(with_seed(seed), ads)
+
+
+def of_python() -> Any:
+    return lambda seen: (random.gauss(0.0, 1.0), 0.0)
+
+
+def of_numpy() -> Any:
+    return lambda seen: (np.random.normal(), 0.0)
+
+
+def quiet() -> Any:
+    return lambda seen: (0.0, 0.0)
+
+
+class Rare:
+    """A policy that draws only in scenarios with an odd seed, which the number of its runs does not tell."""
+
+    made = 0
+
+    def __init__(self) -> None:
+        Rare.made += 1
+
+    def __call__(self, seen: Any) -> Any:
+        return (random.random(), 0.0) if seen.time > 1.0 and Rare.draws else (0.0, 0.0)
+
+    draws = False
+
+
+@pytest.mark.parametrize("ads", [of_python, of_numpy])
+def test_a_scenario_gives_the_same_draws_each_time_and_another_seed_others(ads: Any) -> None:
+    first, again, other = drive(ads), drive(ads), drive(ads, seed=2)
+    assert first.actions == again.actions != other.actions
+    assert first.drew
+    assert not drive(quiet).drew
+
+
+def test_numbers_that_only_the_factory_draws_are_seeded_too() -> None:
+    def ads() -> Any:
+        push = random.random()
+        return lambda seen: (push, 0.0)
+
+    assert drive(ads).actions == drive(ads).actions
+
+
+def test_the_order_of_runs_does_not_matter() -> None:
+    alone = [drive(of_numpy, seed).actions for seed in range(3)]
+    with GENERATORS.held():
+        drive(quiet)
+        assert [drive(of_numpy, seed).actions for seed in (2, 1, 0)] == alone[::-1]
+
+
+def test_a_run_that_draws_after_runs_that_did_not_is_made_again_with_its_seed() -> None:
+    Rare.draws = True
+    alone = drive(Rare)
+    with GENERATORS.held():
+        Rare.draws = False
+        assert not drive(Rare).drew
+        assert not drive(Rare).drew
+        Rare.draws, Rare.made = True, 0
+        assert drive(Rare).actions == alone.actions
+        assert Rare.made == 2
+        assert drive(Rare).actions == alone.actions
+        assert Rare.made == 3
+
+
+def test_the_users_generators_are_given_back() -> None:
+    random.seed(5)
+    np.random.seed(5)
+    expected = [random.gauss(0, 1), np.random.normal()]
+    random.seed(5)
+    np.random.seed(5)
+    drive(of_python)
+    with GENERATORS.held():
+        drive(quiet)
+        drive(of_numpy)
+    assert [random.gauss(0, 1), np.random.normal()] == expected
+
+
+def test_they_are_given_back_after_an_exception_of_the_factory() -> None:
+    random.seed(5)
+    expected = random.random()
+    random.seed(5)
+
+    def ads() -> Any:
+        random.random()
+        raise RuntimeError("no weights")
+
+    with pytest.raises(RuntimeError, match="no weights"):
+        drive(ads)
+    assert random.random() == expected
+
+
+def test_an_unseeded_policy_draws_from_the_users_generators() -> None:
+    random.seed(5)
+    first = drive(Unseeded(of_python))
+    random.seed(5)
+    again, later = drive(Unseeded(of_python)), drive(Unseeded(of_python))
+    assert first.actions == again.actions != later.actions
+    assert not first.drew
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="processes are forked on Unix alone")
+def test_a_forked_process_makes_no_run_twice() -> None:
+    Rare.draws = False
+    with GENERATORS.held():
+        drive(Rare)
+        drive(Rare)
+        Rare.made = 0
+        child = os.fork()
+        if not child:
+            drive(Rare)
+            os._exit(Rare.made)
+    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 1
+
+
+class Together:
+    """A policy that decides for many runs at once."""
+
+    def __call__(self, seen: Any) -> Any:
+        return np.random.normal(), 0.0
+
+    def batch(self, seen: Any) -> Any:
+        return [self(each) for each in seen]
+
+
+def test_runs_in_lock_step_that_draw_are_the_runs_one_by_one() -> None:
+    scenarios = [with_seed(seed) for seed in (1, 2)]
+    together = simulate_batch(WORLD, scenarios, Together)
+    assert [each.actions for each in together] == [drive(Together, seed).actions for seed in (1, 2)]
+    assert all(each.drew for each in together)
+
+
+def test_the_generator_of_torch_is_seeded_if_torch_is_imported() -> None:
+    torch = pytest.importorskip("torch")
+    before = torch.get_rng_state()
+
+    def ads() -> Any:
+        return lambda seen: (float(torch.rand(())), 0.0)
+
+    assert drive(ads).actions == drive(ads).actions != drive(ads, seed=2).actions
+    assert drive(ads).drew
+    assert torch.equal(torch.get_rng_state(), before)
