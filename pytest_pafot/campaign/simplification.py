@@ -382,7 +382,9 @@ class Simplification:
         """Shrink a finding, run the result again, try reference drivers, and report; return True if nothing is left."""
         __tracebackhide__ = True
         found = kept.finding.original or kept.finding.scenario
-        if kept.is_random and kept.finding.rate is None:
+        # Another thread of this process may have drawn in one run, but hardly in two.
+        is_new = kept.is_random and kept.finding.rate is None
+        if is_new and (kept.find.is_flaky or self.loop.simulation.rerun(kept.finding.scenario).trace.drew):
             first = self._rate(kept, kept.finding.scenario)
             kept = self.loop.recorder.rewritten(kept, replace(kept.finding, rate=first))
             kept = replace(kept, find=replace(kept.find, rate=kept.finding.on_rate), is_new=False)

@@ -153,7 +153,7 @@ class Runner:
         return self._prefetching is self.lock_step
 
     def __enter__(self) -> Self:
-        self._held.enter_context(GENERATORS.held())
+        self._held.enter_context(GENERATORS.held(may_share=not self.processes.is_elsewhere))  # clients have threads
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *rest: object) -> None:
@@ -406,6 +406,11 @@ class Processes:
         self._is_measured = False
         self._runs = self._runs_before = 0  # all runs, and the runs before processes were started
         self._warm_seconds = 0.0
+
+    @property
+    def is_elsewhere(self) -> bool:
+        """True if an executor makes the announced runs."""
+        return self._executor is not None
 
     @property
     def notes(self) -> list[str]:

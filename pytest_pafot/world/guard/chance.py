@@ -116,8 +116,12 @@ class _Generators:
         self._may_share = True
 
     @contextmanager
-    def held(self) -> Iterator[None]:
-        """Give the generators back as they were at the end of the outermost block, not after each run."""
+    def held(self, *, may_share: bool = True) -> Iterator[None]:
+        """Give the generators back as they were at the end of the outermost block, not after each run.
+
+        Without ``may_share``, because other threads of this process draw, no run is ever made again.
+        """
+        self._may_share = self._may_share and may_share
         self._holders += 1
         try:
             yield
