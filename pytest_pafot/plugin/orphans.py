@@ -106,8 +106,8 @@ def find_strays(collected: Collected, orphans: Collection[Path]) -> dict[str, tu
         _passed_by(collected),
         _in_other_corpora(collected),
         _not_collected(collected),
-        _no_folders(collected),
         strays.items(),
+        _no_folders(collected),
     )
     return dict(chain.from_iterable(found))
 

@@ -14,6 +14,7 @@ UNUSED = (
     "campaign", "campaign.options", "corpus", "corpus.layout", "corpus.saved", "support", "support.errors",
     "support.isolation", "support.text", "plugin", "plugin.catalogue_item", "plugin.collection", "plugin.fixtures",
     "plugin.marks", "plugin.node_ids", "plugin.option_sources", "plugin.session", "plugin.unrun",
+    "plugin.uncollected",
 )  # fmt: skip
 """The modules that every pytest session imports where the plugin is installed. Each costs it some time."""
 
