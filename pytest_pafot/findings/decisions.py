@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from bisect import bisect_left, bisect_right
 from dataclasses import dataclass, fields, is_dataclass
 from typing import Any
@@ -9,9 +10,10 @@ from typing import Any
 import numpy as np
 
 from pytest_pafot.attribution.manoeuvres import DRIFTING
+from pytest_pafot.attribution.responsibility import frame_of
 from pytest_pafot.attribution.sentences import BRAKES, What
 from pytest_pafot.findings.finding import Expect
-from pytest_pafot.model.trace import ACCELERATION, HEADING, SPEED, Trace, X, Y
+from pytest_pafot.model.trace import ACCELERATION, HEADING, LANE, SPEED, Trace, X, Y
 from pytest_pafot.oracle.run import Run
 
 PARTS = {
@@ -28,6 +30,10 @@ BEFORE_CHECK = 5.0
 """The time before a failed check from which on decisions count if no situation led to it [s]."""
 CENTRED = 0.25
 """The largest distance from the centre of a lane at which the ego drives along it [m]."""
+ALONG = DRIFTING / 10
+"""The sideways speed below which the ego drives along the road [m/s]."""
+STEADY = 0.003
+"""The sideways speed, or change of it from one decision to the next, that no steering causes [m/s]."""
 HARDER = 1.0
 """The least difference between two accelerations with which one decision brakes harder than another [m/s^2]."""
 
@@ -151,8 +157,8 @@ def deciding(run: Run, expect: Expect) -> int | None:
 
     For a collision that braking avoids, it is the last decision from which braking avoids it, by simulation if that was
     tried, else by the rules. If the ego already brakes there, it is the last one before at which it did not. For a
-    change of lanes it is the one that began the motion, and for braking for nothing the one that began to brake. For a
-    failed check it is the last one up to the check.
+    change of lanes it is the one that began the motion, or turned it back, and for braking for nothing the one that
+    began to brake. For a failed check it is the last one up to the check.
     """
     trace, attribution = run.trace, run.attribution
     ticks, hz = trace.decision_ticks, trace.physics_hz
@@ -165,7 +171,7 @@ def deciding(run: Run, expect: Expect) -> int | None:
     if run.collision is None or expect.check is not None:
         return None if expect.check is None else at(expect.time)
     if attribution.fault == "entered-lane":
-        return _begun(trace, at(attribution.time or 0.0))
+        return _begun(trace, attribution.tick or 0, at(attribution.time or 0.0))
     if attribution.fault in ("braked-for-nothing", "stopped-for-nothing"):
         return at(attribution.time or 0.0)
     facts = [fact.in_full for fact in attribution.facts if not fact.vehicle]
@@ -182,17 +188,33 @@ def deciding(run: Run, expect: Expect) -> int | None:
     return number
 
 
-def _begun(trace: Trace, number: int) -> int:
-    """Return the number of the decision that began a motion across the road: the first after driving along a lane."""
+def _begun(trace: Trace, tick: int, number: int) -> int:
+    """Return the number of the decision that began the motion with which the ego crosses a line at a tick.
+
+    ``number`` is that of the last decision up to the tick. After a motion to the other side, it is the decision that
+    turned back.
+    """
     ticks = trace.decision_ticks
     if trace.track is not None:
         return number
-    ego, centres = trace.ego, [lane.y for lane in trace.lanes]
-    while number:
-        row = ego[ticks[number]]
-        is_along = abs(row[SPEED] * np.sin(row[HEADING])) < DRIFTING / 10
-        if is_along and min((abs(row[Y] - centre) for centre in centres), default=0.0) < CENTRED:
-            return number
+    drifts = frame_of(trace).drift[0]
+    side = 1.0 if drifts[tick] > 0 else -1.0
+    lanes = [getattr(action, "lane", math.nan) for action in trace.actions[: number + 1]]
+    is_across = [side * (lane - trace.ego[tick, LANE]) >= 1 for lane in lanes]
+    if any(is_across):  # The ego is steered softly to an answered lane, so its motion shows the decision late.
+        while not is_across[number]:
+            number -= 1
+        while number and is_across[number - 1]:
+            number -= 1
+        return number
+    drift = (side * drifts[ticks]).tolist()
+    off_centre = np.abs(trace.ego[ticks, Y, None] - [lane.y for lane in trace.lanes]).min(axis=1, initial=math.inf)
+    while number and drift[number] >= ALONG:
+        number -= 1
+    # The ego turned back while it still moved to the other side, and turned off before it moved visibly.
+    while number and drift[number - 1] < drift[number] - STEADY:
+        if -ALONG < drift[number] < STEADY and off_centre[number] < CENTRED:
+            break
         number -= 1
     return number
 

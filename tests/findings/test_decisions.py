@@ -351,6 +351,44 @@ def test_where_the_ego_brakes_already_the_decision_before_it_counts():
     assert 2.7 < number / run.trace.ads_hz < 3.0
 
 
+def to_lanes(*plan):
+    """Return a planner that answers lanes, each from a time on."""
+    return lambda: lambda seen: pafot.Drive(lane=lane_at(seen.time, plan), acceleration=0.0)
+
+
+def steering(most):
+    """Return what makes a planner that steers to lanes, each from a time on, with at most an angle."""
+
+    def decided(seen, plan):
+        course = np.clip(0.04 * (seen.lane_centres[lane_at(seen.time, plan)] - seen.ego.y), -0.08, 0.08)
+        return 0.0, float(np.clip(0.5 * (course - seen.ego.heading), -most, most))
+
+    return lambda *plan: lambda: lambda seen: decided(seen, plan)
+
+
+def lane_at(time, plan):
+    return [lane for since, lane in plan if time > since - 1e-6][-1]
+
+
+@pytest.mark.parametrize(
+    ("planner", "plan", "moment"),
+    [
+        (to_lanes, [(0.0, 1), (2.0, 0)], 2.0),
+        (to_lanes, [(0.0, 1), (2.0, 2), (3.0, 0)], 3.0),
+        (to_lanes, [(0.0, 1), (2.0, 2), (10.0, 0)], 10.0),
+        (steering(0.002), [(0.0, 1), (2.0, 0)], 2.0),
+        (steering(0.03), [(0.0, 1), (2.0, 2), (3.0, 0)], 3.0),
+        (steering(0.03), [(0.0, 1), (2.0, 2), (15.0, 0)], 15.0),
+    ],
+)
+def test_the_moment_of_a_lane_change_is_the_decision_that_began_its_last_motion(planner, plan, moment):
+    """An opposite motion before, turned back or completed, is not part of it."""
+    scenario = pafot.Scenario(npcs=[[pafot.PositionInstruction(8, 9.0)]], gene_seconds=30.0, ego_speed=9)
+    run = pafot.Run(WORLD.rollout(scenario, planner(*plan)))
+    assert run.attribution.fault == "entered-lane"
+    assert run.trace.decision_ticks[deciding(run, expecting(run))] / run.trace.physics_hz == moment
+
+
 def test_a_failed_check_has_the_last_decision_up_to_it():
     run = pafot.Run(WORLD.rollout(SCENARIO, Listing))
     expect = Expect(
