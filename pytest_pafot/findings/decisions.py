@@ -11,9 +11,9 @@ import numpy as np
 
 from pytest_pafot.attribution.manoeuvres import DRIFTING
 from pytest_pafot.attribution.responsibility import frame_of
-from pytest_pafot.attribution.sentences import BRAKES, What
+from pytest_pafot.attribution.sentences import What
 from pytest_pafot.findings.finding import Expect
-from pytest_pafot.model.trace import ACCELERATION, HEADING, LANE, SPEED, Trace, X, Y
+from pytest_pafot.model.trace import HEADING, LANE, SPEED, Trace, X, Y
 from pytest_pafot.oracle.run import Run
 
 PARTS = {
@@ -156,9 +156,9 @@ def deciding(run: Run, expect: Expect) -> int | None:
     """Return the number of the last decision that could have avoided a failure; None if none is known.
 
     For a collision that braking avoids, it is the last decision from which braking avoids it, by simulation if that was
-    tried, else by the rules. If the ego already brakes there, it is the last one before at which it did not. For a
-    change of lanes it is the one that began the motion, or turned it back, and for braking for nothing the one that
-    began to brake. For a failed check it is the last one up to the check.
+    tried, else by the rules; the ego may brake there, but too softly. For a change of lanes it is the one that began
+    the motion, or turned it back, and for braking for nothing the one that began to brake. For a failed check it is the
+    last one up to the check.
     """
     trace, attribution = run.trace, run.attribution
     ticks, hz = trace.decision_ticks, trace.physics_hz
@@ -180,12 +180,7 @@ def deciding(run: Run, expect: Expect) -> int | None:
         due = [expect.avoided_by.time]
     elif expect.escaped_by is not None:
         due = [expect.escaped_by.time]
-    if not due:
-        return None
-    number = at(max(due))
-    while number and trace.ego[min(ticks[number] + 1, trace.ticks), ACCELERATION] <= -BRAKES:
-        number -= 1
-    return number
+    return at(max(due)) if due else None
 
 
 def _begun(trace: Trace, tick: int, number: int) -> int:
