@@ -263,10 +263,11 @@ def _parts(action: Any) -> dict[str, Any]:
 
 
 def _told(action: Any, other: Any) -> list[str]:
-    """Return the names of the parts in which a planner's decision differs from another one; all if that is None."""
+    """Return the names of the parts in which a planner's decision differs from another one, else from its defaults."""
     parts = _parts(action)
     if type(action) is not type(other) or is_si(action) is not is_si(other):
-        return list(parts)
+        defaults = {} if is_si(action) else {field.name: field.default for field in fields(action)}
+        return [name for name, value in parts.items() if name not in defaults or value != defaults[name]]
     names = []
     for name, there in _parts(other).items():
         here, (least, _) = parts[name], PARTS.get(name, (0.0, ""))
@@ -277,7 +278,7 @@ def _told(action: Any, other: Any) -> list[str]:
 
 
 def text_of(action: Any, other: Any = None) -> str:
-    """Describe an action; of a planner's, only the parts in which it differs from another action, if there is one."""
+    """Describe an action; of a planner's, the parts in which it differs from another action, or from defaults."""
     if action is None:
         return "no decision"
     if not (is_si(action) or is_dataclass(action)):

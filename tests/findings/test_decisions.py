@@ -79,6 +79,13 @@ def test_decisions_that_hardly_differ_are_the_same(action, other, expected):
         ((-0.0, 0.03), (0.0, 0.0), "steering 0.03 rad"),
         (3, 1, "3"),
         (pafot.Drive(lane=0, speed=5.0), pafot.Drive(lane=1, acceleration=-4.0), "lane 0, speed 5.0 m/s"),
+        (pafot.Drive(lane=0, speed=5.0), None, "lane 0, speed 5.0 m/s"),
+        (pafot.Drive(lane=0, speed=5.0, lateral_jerk=2.0), None, "lane 0, speed 5.0 m/s, lateral jerk 2.0 m/s^3"),
+        (
+            pafot.Drive(lane=0, speed=5.0),
+            pafot.Drive(lane=0, speed=5.0, lateral_jerk=2.0),
+            "lateral jerk 3.0 m/s^3",
+        ),
         (np.array([0.5]), np.array([0.1]), "[0.5]"),
         (None, KEEPS, "no decision"),
     ],
