@@ -4,16 +4,32 @@ from __future__ import annotations
 
 import pickle
 from collections.abc import Callable
+from dataclasses import is_dataclass
 from typing import Any
 
-from pytest_pafot.findings.decisions import HARDER, Moment, differ, is_si, placed, seen_of, text_of
+import numpy as np
+
+from pytest_pafot.findings.decisions import (
+    HARDER,
+    PARTS,
+    Moment,
+    differ,
+    is_si,
+    parts_of,
+    placed,
+    seen_of,
+    told_parts,
+)
 from pytest_pafot.model.sight import Sight
 from pytest_pafot.model.trace import Trace
 from pytest_pafot.world.driving.shadow import Aside, changed
+from pytest_pafot.world.kernel.action import possible_acceleration, possible_steering
 from pytest_pafot.world.kernel.observation import Observation
 
 OTHER_STEERING = 0.05
 """The least difference between two steering angles with which one is another decision [rad]."""
+POSSIBLE = {"acceleration": possible_acceleration, "steering": possible_steering}
+"""The parts of a planner's decision with limits, and the functions that limit them to what an ego can do."""
 
 
 def moment_of(
@@ -87,3 +103,20 @@ def _changes(seen: Observation, npc: int) -> list[tuple[str, tuple[float, float,
         if size <= other.speed:
             found.append((2 * size, f"{size:g} m/s slower", (0.0, 0.0, -size)))
     return [(words, by) for _, words, by in sorted(found, key=lambda each: each[0])]
+
+
+def text_of(action: Any, other: Any = None) -> str:
+    """Describe an action; of a planner's, the parts in which it differs from another action, or from defaults."""
+    if action is None:
+        return "no decision"
+    if not (is_si(action) or is_dataclass(action)):
+        return f"{action.tolist() if isinstance(action, (np.ndarray, np.generic)) else action!r}"[:80]
+    parts, shown = parts_of(action), []
+    for name in told_parts(action, other):
+        least, form = PARTS.get(name, (0.0, "{}"))
+        if parts[name] is None or (other is None and name == "steering" and abs(parts[name]) < least):
+            continue
+        value, driven = form.format(parts[name]), form.format(POSSIBLE.get(name, lambda same: same)(parts[name]))
+        limit = f", limited to {driven.split()[0]}" if driven != value else ""
+        shown.append(f"{name.replace('_', ' ')} {value}{limit}")
+    return ", ".join(shown)

@@ -17,7 +17,7 @@ from typing import Any, TypeVar
 
 from pytest_pafot.campaign.events import ENDED_OTHERWISE, FindTold
 from pytest_pafot.campaign.harness import Harness, begins_alike, limits_of, refusals
-from pytest_pafot.campaign.moments import moment_of
+from pytest_pafot.campaign.moments import moment_of, text_of
 from pytest_pafot.campaign.search_loop import SearchLoop
 from pytest_pafot.campaign.state_file import Answer, Shown
 from pytest_pafot.campaign.verdict import Verdict, headline
@@ -31,7 +31,6 @@ from pytest_pafot.findings.decisions import (
     counted,
     deciding,
     differ,
-    text_of,
     vehicle_of,
     window,
 )

@@ -237,7 +237,7 @@ def differ(action: Any, other: Any) -> bool:
     if other is None or type(action) is not type(other):
         return action is not other
     if is_si(action) or is_dataclass(action):
-        return bool(_told(action, other))
+        return bool(told_parts(action, other))
     if isinstance(action, (float, np.ndarray, np.floating)) and np.asarray(action).dtype.kind == "f":
         is_like = np.shape(action) == np.shape(other)
         return not is_like or bool(np.max(np.abs(np.subtract(action, other)), initial=0) >= SHARE)
@@ -255,38 +255,23 @@ def is_si(action: Any) -> bool:
     return type(action) is tuple and len(action) == 2 and all(isinstance(each, float) for each in action)
 
 
-def _parts(action: Any) -> dict[str, Any]:
+def parts_of(action: Any) -> dict[str, Any]:
     """Return the named parts of a planner's decision, which is a pair or a :class:`pytest_pafot.Drive`."""
     if is_si(action):
         return dict(zip(("acceleration", "steering"), action, strict=True))
     return {field.name: getattr(action, field.name) for field in fields(action)}
 
 
-def _told(action: Any, other: Any) -> list[str]:
+def told_parts(action: Any, other: Any) -> list[str]:
     """Return the names of the parts in which a planner's decision differs from another one, else from its defaults."""
-    parts = _parts(action)
+    parts = parts_of(action)
     if type(action) is not type(other) or is_si(action) is not is_si(other):
         defaults = {} if is_si(action) else {field.name: field.default for field in fields(action)}
         return [name for name, value in parts.items() if name not in defaults or value != defaults[name]]
     names = []
-    for name, there in _parts(other).items():
+    for name, there in parts_of(other).items():
         here, (least, _) = parts[name], PARTS.get(name, (0.0, ""))
         is_number = isinstance(here, float) and isinstance(there, float)
         if abs(here - there) >= least if is_number else here != there:
             names.append(name)
     return names
-
-
-def text_of(action: Any, other: Any = None) -> str:
-    """Describe an action; of a planner's, the parts in which it differs from another action, or from defaults."""
-    if action is None:
-        return "no decision"
-    if not (is_si(action) or is_dataclass(action)):
-        return f"{action.tolist() if isinstance(action, (np.ndarray, np.generic)) else action!r}"[:80]
-    parts, shown = _parts(action), []
-    for name in _told(action, other):
-        least, form = PARTS.get(name, (0.0, "{}"))
-        if parts[name] is None or (other is None and name == "steering" and abs(parts[name]) < least):
-            continue
-        shown.append(f"{name.replace('_', ' ')} {form.format(parts[name])}")
-    return ", ".join(shown)

@@ -9,7 +9,7 @@ import pytest
 
 import pytest_pafot as pafot
 from pytest_pafot.attribution.takeovers import Avoidance
-from pytest_pafot.campaign.moments import moment_of
+from pytest_pafot.campaign.moments import moment_of, text_of
 from pytest_pafot.findings.decisions import (
     Answers,
     Moment,
@@ -17,7 +17,6 @@ from pytest_pafot.findings.decisions import (
     deciding,
     differ,
     placed,
-    text_of,
     vehicle_of,
     window,
 )
@@ -77,6 +76,8 @@ def test_decisions_that_hardly_differ_are_the_same(action, other, expected):
     [
         ((0.0, 0.0), None, "acceleration 0.0 m/s^2"),
         ((-0.0, 0.03), (0.0, 0.0), "steering 0.03 rad"),
+        ((26.68, 0.9), None, "acceleration 26.7 m/s^2, limited to 6.0, steering 0.90 rad, limited to 0.79"),
+        (pafot.Drive(lane=0, acceleration=-12.0), None, "lane 0, acceleration -12.0 m/s^2, limited to -9.8"),
         (3, 1, "3"),
         (pafot.Drive(lane=0, speed=5.0), pafot.Drive(lane=1, acceleration=-4.0), "lane 0, speed 5.0 m/s"),
         (pafot.Drive(lane=0, speed=5.0), None, "lane 0, speed 5.0 m/s"),
