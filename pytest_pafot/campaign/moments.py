@@ -50,8 +50,9 @@ def moment_of(
     is_planner = isinstance(seen, Observation)
     where = ""
     if is_planner and npc in seen.ids:
-        other = seen.others[seen.ids.index(npc)]
-        where = placed(other.x - seen.ego.x, other.y - seen.ego.y, other.speed - seen.ego.speed)
+        ego, other = seen.ego, seen.others[seen.ids.index(npc)]
+        boxes = ((each.heading, each.length, each.width) for each in (ego, other))
+        where = placed(other.x - ego.x, other.y - ego.y, other.speed - ego.speed, *boxes)
     elif is_planner or pickle.dumps(seen) == pickle.dumps(without_it.at):
         where = "nowhere"
     elif sight is None or sight.is_exact:  # otherwise only the environment knows where it seemed to be

@@ -216,18 +216,24 @@ def _begun(trace: Trace, tick: int, number: int) -> int:
 
 def seen_of(trace: Trace, npc: int, number: int) -> str:
     """Return where a vehicle was at a decision, relative to the ego."""
-    tick = trace.decision_ticks[number]
-    x, y, heading, speed = trace.ego[tick, [X, Y, HEADING, SPEED]]
-    other = trace.states[tick, npc + 1]
-    dx, dy = other[X] - x, other[Y] - y
-    ahead, right = dx * np.cos(heading) + dy * np.sin(heading), dy * np.cos(heading) - dx * np.sin(heading)
-    return placed(float(ahead), float(right), float(other[SPEED] - speed))
+    ego, other = trace.states[trace.decision_ticks[number], [0, npc + 1]]
+    turn = trace.lanes[0].heading if trace.track is None else ego[HEADING]  # on a straight road as in a verdict
+    (dx, dy), cos, sin = other[[X, Y]] - ego[[X, Y]], np.cos(turn), np.sin(turn)
+    boxes = [(each[HEADING] - turn, *trace.sizes[index]) for each, index in ((ego, 0), (other, npc + 1))]
+    return placed(dx * cos + dy * sin, dy * cos - dx * sin, other[SPEED] - ego[SPEED], *boxes)
 
 
-def placed(ahead: float, right: float, faster: float) -> str:
-    """Return a place relative to the ego in words: distances between centres [m] and a difference in speed [m/s]."""
-    words = [f"{abs(ahead):.1f} m {'ahead' if ahead >= 0 else 'behind'}"]
-    words += [f"{abs(right):.1f} m to the {'right' if right > 0 else 'left'}"] if abs(right) >= 0.05 else []
+def placed(ahead: float, right: float, faster: float, *boxes: tuple[float, float, float]) -> str:
+    """Return a place relative to the ego in words: the gaps between two boxes [m] and a difference in speed [m/s].
+
+    ``ahead`` and ``right`` are between the centres [m]; a box is a heading [rad], a length and a width [m].
+    """
+    along, across = abs(ahead), abs(right)
+    for angle, length, width in boxes:
+        along -= (length * abs(np.cos(angle)) + width * abs(np.sin(angle))) / 2
+        across -= (length * abs(np.sin(angle)) + width * abs(np.cos(angle))) / 2
+    words = [f"{along:.1f} m {'ahead' if ahead >= 0 else 'behind'}" if along > 0 else "next to the ego"]
+    words += [f"{across:.1f} m to the {'right' if right > 0 else 'left'}"] if across >= 0.05 else []
     pace = f"{abs(faster):.1f} m/s {'faster' if faster > 0 else 'slower'}" if abs(faster) >= 0.05 else "as fast"
     return ", ".join([*words, pace])
 

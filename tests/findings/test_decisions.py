@@ -17,6 +17,7 @@ from pytest_pafot.findings.decisions import (
     deciding,
     differ,
     placed,
+    seen_of,
     vehicle_of,
     window,
 )
@@ -24,6 +25,7 @@ from pytest_pafot.findings.finding import Bounded, Expect
 from pytest_pafot.world.driving.perception import without
 from pytest_pafot.world.driving.shadow import Aside, Question, beside, changed
 from pytest_pafot.world.kernel.action import checked_si_action
+from tests.helpers.situations import lane_change
 
 KEEPS, BRAKES = (0.0, 0.0), (-4.0, 0.0)
 SI = partial(checked_si_action, lanes=9)
@@ -117,8 +119,31 @@ def test_where_no_decision_was_due_in_the_danger_the_last_one_before_counts_at_i
     assert counted(trace, 4.2, 5.0) == (range(5, 6), 4.2)
 
 
+CAR = (0.0, 5.0, 2.0)
+
+
+@pytest.mark.parametrize(
+    ("offset", "heading", "place"),
+    [
+        ((5.2, 0.3), 0.0, "0.2 m ahead, as fast"),
+        ((-9.4, 4.0), 0.0, "4.4 m behind, 2.0 m to the right, as fast"),
+        ((3.0, -4.0), 0.0, "next to the ego, 2.0 m to the left, as fast"),
+        ((10.0, 4.0), np.pi / 2, "6.5 m ahead, 0.5 m to the right, as fast"),
+    ],
+)
+def test_a_place_is_told_as_gaps_between_boxes_like_those_of_a_verdict(offset, heading, place):
+    assert placed(*offset, 0.0, CAR, (heading, 5.0, 2.0)) == place
+
+
+def test_a_verdict_and_a_moment_tell_the_same_gap():
+    run = pafot.Run(lane_change(10.0, faster=8.0, speed=20.0))
+    number = run.trace.decision_ticks.index(run.attribution.tick)
+    gap = seen_of(run.trace, 0, number).partition(" m behind")[0]
+    assert f", {gap} m ahead of NPC 0." in run.attribution.sentences[0]
+
+
 def test_a_moment_is_told_in_one_line():
-    moment = Moment(time=4.9, npc=0, seen=placed(12.3, -0.2, -6.1), action="acceleration 0.0 m/s^2")
+    moment = Moment(time=4.9, npc=0, seen=placed(17.3, -2.2, -6.1, CAR, CAR), action="acceleration 0.0 m/s^2")
     start = "4.9 s: it saw NPC 0 12.3 m ahead, 0.2 m to the left, 6.1 m/s slower, and answered acceleration 0.0 m/s^2"
     assert str(moment) == start
     probed = replace(moment, hidden="", otherwise="2 m nearer acceleration -4.0 m/s^2")
@@ -175,8 +200,9 @@ def test_a_vehicle_is_found_by_its_id_among_ghosts_in_any_order():
         hidden = asked(factory, trace, question=Question(number=number, instead=changed(whole.at, 0, None)))
         assert hidden.answers[number] == without_it.answers[number]
         moment = moment_of(trace, 0, number, whole, without_it, lambda _: None)
-        x, y, _, speed = (trace.npcs[trace.decision_ticks[number], 0] - trace.ego[trace.decision_ticks[number]])[:4]
-        assert moment.seen == placed(x, y, speed)
+        ego, other = trace.states[trace.decision_ticks[number], :2]
+        boxes = [(state[2], *size) for state, size in zip((ego, other), trace.sizes, strict=False)]
+        assert moment.seen == placed(*(other - ego)[[0, 1, 3]], *boxes)
 
 
 @pytest.mark.parametrize(
@@ -224,8 +250,8 @@ def test_the_smallest_change_that_flips_an_answer_is_found():
     assert moment.action == "acceleration 0.0 m/s^2"
     assert moment.hidden == ""
     assert moment.otherwise.endswith("m nearer acceleration -3.0 m/s^2")
-    first = float(moment.seen.partition(" m ahead")[0])
-    assert first >= 25.0 >= first - float(moment.otherwise.partition(" m nearer")[0])
+    gap = float(moment.seen.partition(" m ahead")[0])
+    assert gap >= 20.0 >= gap - float(moment.otherwise.partition(" m nearer")[0])
 
 
 def test_a_changed_observation_differs_in_that_vehicle_alone():
