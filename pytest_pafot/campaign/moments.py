@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pickle
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import is_dataclass
 from typing import Any
 
@@ -13,6 +13,7 @@ from pytest_pafot.findings.decisions import (
     HARDER,
     PARTS,
     Moment,
+    braking_of,
     differ,
     is_si,
     parts_of,
@@ -77,6 +78,29 @@ def moment_of(
             break
     time = round(trace.decision_ticks[number] / trace.physics_hz, 3)
     return Moment(time=time, npc=npc, seen=where, action=text_of(action), hidden=hidden, otherwise=otherwise)
+
+
+def braked_for(
+    number: int, whole: Aside, others: Mapping[int, Aside], ask: Callable[[Any], Aside | None], *, is_needless: bool
+) -> int | None:
+    """Return the vehicle on which it depends most that a policy brakes at a decision, or does not; None if on none.
+
+    Each vehicle is hidden in this one decision. ``others`` has the decisions of a policy without each of them, and
+    ``is_needless`` is whether the policy should not have braked. Of another policy than a planner it is not known how
+    much it brakes, so that there any other decision counts, and only if it should not have braked.
+    """
+    action, found, largest = whole.of(number), None, 0.0
+    for npc, without_it in others.items():
+        aside = ask(without_it.at)
+        if aside is None or aside.of(number) is None:
+            continue
+        answer = aside.of(number)
+        change = (braking_of(answer) - braking_of(action)) * (-1.0 if is_needless else 1.0)
+        if is_needless and not isinstance(whole.at, Observation) and differ(action, answer):
+            change = HARDER
+        if change >= HARDER and change > largest:
+            found, largest = npc, change
+    return found
 
 
 def _is_other(action: Any, other: Any) -> bool:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from pytest_pafot.attribution.manoeuvres import DRIFTING
-from pytest_pafot.attribution.responsibility import frame_of
+from pytest_pafot.attribution.responsibility import Fault, frame_of
 from pytest_pafot.attribution.sentences import What
 from pytest_pafot.findings.finding import Expect
 from pytest_pafot.model.trace import HEADING, LANE, SPEED, Trace, X, Y
@@ -36,6 +36,8 @@ STEADY = 0.003
 """The sideways speed, or change of it from one decision to the next, that no steering causes [m/s]."""
 HARDER = 1.0
 """The least difference between two accelerations with which one decision brakes harder than another [m/s^2]."""
+NEEDLESS: tuple[Fault, ...] = ("braked-for-nothing", "stopped-for-nothing")
+"""The faults of an ego that should not have braked."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -172,7 +174,7 @@ def deciding(run: Run, expect: Expect) -> int | None:
         return None if expect.check is None else at(expect.time)
     if attribution.fault == "entered-lane":
         return _begun(trace, attribution.tick or 0, at(attribution.time or 0.0))
-    if attribution.fault in ("braked-for-nothing", "stopped-for-nothing"):
+    if attribution.fault in NEEDLESS:
         return at(attribution.time or 0.0)
     facts = [fact.in_full for fact in attribution.facts if not fact.vehicle]
     due = [fact.due_s for fact in facts if fact.due_s is not None and fact.what is not What.HAD_NO_TIME]

@@ -9,7 +9,8 @@ import pytest
 
 import pytest_pafot as pafot
 from pytest_pafot.attribution.takeovers import Avoidance
-from pytest_pafot.campaign.moments import moment_of, text_of
+from pytest_pafot.campaign.events import FindTold
+from pytest_pafot.campaign.moments import braked_for, moment_of, text_of
 from pytest_pafot.findings.decisions import (
     Answers,
     Moment,
@@ -331,6 +332,47 @@ def test_a_policy_that_decides_otherwise_before_the_moment_is_not_asked(factory,
     moment = moment_of(trace, 0, number, *asides, lambda _: asked(factory, trace))
     assert moment.action
     assert (moment.hidden, moment.otherwise) == (None, None)
+
+
+class Timid:
+    """Brakes hard for a vehicle ahead in another lane."""
+
+    def __call__(self, seen):
+        ahead = [o.x - seen.ego.x for o in seen.others if o.lane != seen.ego.lane and o.x > seen.ego.x]
+        return (-8.0 if min(ahead, default=99.0) < 30.0 else 0.0), 0.0
+
+
+def test_the_moment_of_a_needless_braking_is_about_the_vehicle_that_it_depends_on():
+    def holds(run):
+        assert run.attribution.fault != "braked-for-nothing"
+
+    found = []
+    small = {"runs": 40, "npcs": 2, "genes": 2, "gene_seconds": 5, "neighbours": 1, "shrink_rollouts": 20}
+    pafot.explore(Timid, holds=holds, seed=3, stop_after=1, instructions="cells", on_event=found.append, **small)
+    (find,) = {each.find for each in found if isinstance(each, FindTold) and each.find.moment is not None}
+    assert str(find.answers).startswith("0 of its ")
+    assert {find.answers.npc, find.moment.npc} == {0, 1}
+    assert (find.moment.action, find.moment.hidden) == ("acceleration -8.0 m/s^2", "acceleration 0.0 m/s^2")
+
+
+class Trusting:
+    """Brakes for a vehicle ahead, unless there is one behind."""
+
+    def __call__(self, seen):
+        ahead = [other.x - seen.ego.x for other in seen.others]
+        return (-6.0 if 0 < min(ahead, default=99.0) < 60.0 else 0.0), 0.0
+
+
+def test_a_vehicle_that_masks_another_is_the_one_that_the_lack_of_braking_depends_on():
+    trace = WORLD.rollout(SCENARIO, Trusting)
+    number = 5
+    whole, without_it = (asked(Trusting, trace, npc=npc, question=Question(number=number)) for npc in (None, 1))
+
+    def ask(instead):
+        return asked(Trusting, trace, question=Question(number=number, instead=instead))
+
+    assert braked_for(number, whole, {1: without_it}, ask, is_needless=False) == 1
+    assert braked_for(number, whole, {1: without_it}, ask, is_needless=True) is None
 
 
 def crash(ads):
