@@ -226,16 +226,16 @@ def seen_of(trace: Trace, npc: int, number: int) -> str:
 
 
 def placed(ahead: float, right: float, faster: float, *boxes: tuple[float, float, float]) -> str:
-    """Return a place relative to the ego in words: the gaps between two boxes [m] and a difference in speed [m/s].
+    """Return a place relative to the ego in words, with the gap between two boxes along the road as a verdict has it.
 
-    ``ahead`` and ``right`` are between the centres [m]; a box is a heading [rad], a length and a width [m].
+    ``ahead`` and ``right`` are between the centres [m], ``faster`` is in m/s; a box is a heading [rad], a length and a
+    width [m].
     """
-    along, across = abs(ahead), abs(right)
+    gap = abs(ahead)
     for angle, length, width in boxes:
-        along -= (length * abs(np.cos(angle)) + width * abs(np.sin(angle))) / 2
-        across -= (length * abs(np.sin(angle)) + width * abs(np.cos(angle))) / 2
-    words = [f"{along:.1f} m {'ahead' if ahead >= 0 else 'behind'}" if along > 0 else "next to the ego"]
-    words += [f"{across:.1f} m to the {'right' if right > 0 else 'left'}"] if across >= 0.05 else []
+        gap -= (length * abs(np.cos(angle)) + width * abs(np.sin(angle))) / 2
+    words = [f"{gap:.1f} m {'ahead' if ahead >= 0 else 'behind'}" if gap > 0 else "next to the ego"]
+    words += [f"{abs(right):.1f} m to the {'right' if right > 0 else 'left'}"] if abs(right) >= 0.05 else []
     pace = f"{abs(faster):.1f} m/s {'faster' if faster > 0 else 'slower'}" if abs(faster) >= 0.05 else "as fast"
     return ", ".join([*words, pace])
 

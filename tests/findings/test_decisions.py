@@ -126,13 +126,13 @@ CAR = (0.0, 5.0, 2.0)
 @pytest.mark.parametrize(
     ("offset", "heading", "place"),
     [
-        ((5.2, 0.3), 0.0, "0.2 m ahead, as fast"),
-        ((-9.4, 4.0), 0.0, "4.4 m behind, 2.0 m to the right, as fast"),
-        ((3.0, -4.0), 0.0, "next to the ego, 2.0 m to the left, as fast"),
-        ((10.0, 4.0), np.pi / 2, "6.5 m ahead, 0.5 m to the right, as fast"),
+        ((5.2, 0.0), 0.0, "0.2 m ahead, as fast"),
+        ((-9.4, 4.0), 0.0, "4.4 m behind, 4.0 m to the right, as fast"),
+        ((3.0, -4.0), 0.0, "next to the ego, 4.0 m to the left, as fast"),
+        ((10.0, 0.3), np.pi / 2, "6.5 m ahead, 0.3 m to the right, as fast"),
     ],
 )
-def test_a_place_is_told_as_gaps_between_boxes_like_those_of_a_verdict(offset, heading, place):
+def test_a_place_is_told_with_the_gap_between_the_boxes_along_the_road(offset, heading, place):
     assert placed(*offset, 0.0, CAR, (heading, 5.0, 2.0)) == place
 
 
@@ -144,7 +144,7 @@ def test_a_verdict_and_a_moment_tell_the_same_gap():
 
 
 def test_a_moment_is_told_in_one_line():
-    moment = Moment(time=4.9, npc=0, seen=placed(17.3, -2.2, -6.1, CAR, CAR), action="acceleration 0.0 m/s^2")
+    moment = Moment(time=4.9, npc=0, seen=placed(17.3, -0.2, -6.1, CAR, CAR), action="acceleration 0.0 m/s^2")
     start = "4.9 s: it saw NPC 0 12.3 m ahead, 0.2 m to the left, 6.1 m/s slower, and answered acceleration 0.0 m/s^2"
     assert str(moment) == start
     probed = replace(moment, hidden="", otherwise="2 m nearer acceleration -4.0 m/s^2")
