@@ -27,8 +27,8 @@ from pytest_pafot.world.driving.shadow import Aside, changed
 from pytest_pafot.world.kernel.action import possible_acceleration, possible_steering
 from pytest_pafot.world.kernel.observation import Observation
 
-OTHER_STEERING = 0.05
-"""The least difference between two steering angles with which one is another decision [rad]."""
+LITTLE = {"acceleration": HARDER, "steering": 0.05}
+"""The least differences of an acceleration [m/s^2] and a steering angle [rad] with which a decision is another one."""
 POSSIBLE = {"acceleration": possible_acceleration, "steering": possible_steering}
 """The parts of a planner's decision with limits, and the functions that limit them to what an ego can do."""
 
@@ -105,9 +105,16 @@ def braked_for(
 
 def _is_other(action: Any, other: Any) -> bool:
     """Return whether an action is another decision, and not a little more or less of the same."""
-    if is_si(action) and is_si(other):
-        return bool(abs(action[0] - other[0]) >= HARDER or abs(action[1] - other[1]) >= OTHER_STEERING)
-    return differ(action, other)
+    if type(action) is not type(other) or not (is_si(action) or is_dataclass(action)):
+        return differ(action, other)
+    here, there = parts_of(action), parts_of(other)
+
+    def is_little(name: str) -> bool:
+        if name not in LITTLE or here[name] is None or there[name] is None:
+            return False
+        return abs(POSSIBLE[name](here[name]) - POSSIBLE[name](there[name])) < LITTLE[name]
+
+    return not all(is_little(name) for name in told_parts(action, other))
 
 
 def _changes(seen: Observation, npc: int) -> list[tuple[str, tuple[float, float, float] | None]]:

@@ -255,6 +255,20 @@ def test_the_smallest_change_that_flips_an_answer_is_found():
     assert gap >= 20.0 >= gap - float(moment.otherwise.partition(" m nearer")[0])
 
 
+@pytest.mark.parametrize(
+    ("far", "near", "is_told"), [(0.0, -3.0, True), (0.0, -0.9, False), (20.0, 9.0, False), (9.0, 5.5, False)]
+)
+def test_a_change_is_told_only_if_a_car_drives_otherwise_by_one_unit(far, near, is_told):
+    def ads(seen):
+        gap = min((each.x - seen.ego.x for each in seen.others if each.x > seen.ego.x), default=99.0)
+        return pafot.Drive(lane=1, acceleration=near if gap < 25.0 else far)
+
+    trace = WORLD.rollout(SCENARIO, lambda: lambda seen: pafot.Drive(lane=1, acceleration=far))
+    number = 5
+    moment = moment_at(number, lambda: ads, trace)
+    assert bool(moment.otherwise) is is_told
+
+
 def test_a_changed_observation_differs_in_that_vehicle_alone():
     seen = []
     WORLD.rollout(SCENARIO, lambda: lambda observation: seen.append(observation) or KEEPS)
