@@ -45,6 +45,7 @@ from pytest_pafot.attribution.responses import (
     GIVING_WAY,
     HEADWAY,
     HELD,
+    LOST,
     VISIBLY,
     answer,
     room_to_leave,
@@ -919,11 +920,20 @@ class Conflict:
         if over is not None and since is not None:
             return self._answer(behind, since, tick, CUT_OFF)
         pause, slowed = math.ceil(LET_GO * self._hz), braking(self._trace, behind)
-        for at in (each for each in ticks if closing[each] > 0 and each + pause <= self._end):
-            has_let_go = slowed[at] >= BRAKES and (slowed[at + 1 : at + 1 + pause] < BRAKES).all()
-            if has_let_go and pursuit.avoided_from(at, HELD) is not None:
-                return Fact(What.LET_BRAKES_GO, behind, self._at(at))
-        return None
+        lost = {last - 1: slowed[first:last].sum() / self._hz for first, last in stretches(slowed >= BRAKES)}
+        let_go = [
+            at
+            for at in ticks
+            if at in lost
+            and closing[at] > 0
+            and at + pause <= self._end
+            and (slowed[at + 1 : at + 1 + pause] < BRAKES).all()
+            and pursuit.avoided_from(at, HELD) is not None
+        ]
+        told = next((at for at in let_go if lost[at] >= LOST), None)  # a twitch has no brakes to release
+        if told is not None:
+            return Fact(What.LET_BRAKES_GO, behind, self._at(told))
+        return self._answer(behind, max(tick, self._before), tick) if let_go else None
 
     def _eased(self, tick: int, pursuit: Pursuit, change: LaneChange | None) -> Fact | None:
         """Return the fact that the ego already braked when it became dangerous, and then braked less; None if not.

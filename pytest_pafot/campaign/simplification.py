@@ -17,7 +17,7 @@ from typing import Any, TypeVar
 
 from pytest_pafot.campaign.events import ENDED_OTHERWISE, FindTold
 from pytest_pafot.campaign.harness import Harness, begins_alike, limits_of, refusals
-from pytest_pafot.campaign.moments import moment_of
+from pytest_pafot.campaign.moments import braked_for, moment_of, text_of
 from pytest_pafot.campaign.search_loop import SearchLoop
 from pytest_pafot.campaign.state_file import Answer, Shown
 from pytest_pafot.campaign.verdict import Verdict, headline
@@ -25,13 +25,13 @@ from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.execution.runner import call_apart, runner_for
 from pytest_pafot.findings.decisions import (
     HARDER,
+    NEEDLESS,
     Answers,
     Moment,
     braking_of,
     counted,
     deciding,
     differ,
-    text_of,
     vehicle_of,
     window,
 )
@@ -308,7 +308,18 @@ class Simplification:
             def ask(instead: Any) -> Aside | None:
                 return self._beside(found, None, Question(number=decided, instead=instead))
 
-            moment = moment_of(trace, npc, number, whole, without_it, ask, sight_of(harness.ads))
+            sight = sight_of(harness.ads)
+            moment = moment_of(trace, npc, number, whole, without_it, ask, sight)
+            if moment.hidden == "" and expect.check is None and found.attribution.fault != "entered-lane":
+                others = {
+                    other: aside
+                    for other in range(len(found.scenario.npcs))
+                    if other != npc and (aside := self._beside(found, other, question)) is not None
+                }
+                is_needless = found.attribution.fault in NEEDLESS
+                about = braked_for(number, whole, others, ask, is_needless=is_needless)
+                if about is not None:
+                    moment = moment_of(trace, about, number, whole, others[about], ask, sight)
         return answers, moment
 
     def _first_difference(self, trace: Trace) -> Moment | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from bisect import bisect_left, bisect_right
 from dataclasses import dataclass, fields, is_dataclass
 from typing import Any
@@ -9,9 +10,10 @@ from typing import Any
 import numpy as np
 
 from pytest_pafot.attribution.manoeuvres import DRIFTING
-from pytest_pafot.attribution.sentences import BRAKES, What
+from pytest_pafot.attribution.responsibility import Fault, frame_of
+from pytest_pafot.attribution.sentences import What
 from pytest_pafot.findings.finding import Expect
-from pytest_pafot.model.trace import ACCELERATION, HEADING, SPEED, Trace, X, Y
+from pytest_pafot.model.trace import HEADING, LANE, SPEED, Trace, X, Y
 from pytest_pafot.oracle.run import Run
 
 PARTS = {
@@ -28,8 +30,14 @@ BEFORE_CHECK = 5.0
 """The time before a failed check from which on decisions count if no situation led to it [s]."""
 CENTRED = 0.25
 """The largest distance from the centre of a lane at which the ego drives along it [m]."""
+ALONG = DRIFTING / 10
+"""The sideways speed below which the ego drives along the road [m/s]."""
+STEADY = 0.003
+"""The sideways speed, or change of it from one decision to the next, that no steering causes [m/s]."""
 HARDER = 1.0
 """The least difference between two accelerations with which one decision brakes harder than another [m/s^2]."""
+NEEDLESS: tuple[Fault, ...] = ("braked-for-nothing", "stopped-for-nothing")
+"""The faults of an ego that should not have braked."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -150,9 +158,9 @@ def deciding(run: Run, expect: Expect) -> int | None:
     """Return the number of the last decision that could have avoided a failure; None if none is known.
 
     For a collision that braking avoids, it is the last decision from which braking avoids it, by simulation if that was
-    tried, else by the rules. If the ego already brakes there, it is the last one before at which it did not. For a
-    change of lanes it is the one that began the motion, and for braking for nothing the one that began to brake. For a
-    failed check it is the last one up to the check.
+    tried, else by the rules; the ego may brake there, but too softly. For a change of lanes it is the one that began
+    the motion, or turned it back, and for braking for nothing the one that began to brake. For a failed check it is the
+    last one up to the check.
     """
     trace, attribution = run.trace, run.attribution
     ticks, hz = trace.decision_ticks, trace.physics_hz
@@ -165,8 +173,8 @@ def deciding(run: Run, expect: Expect) -> int | None:
     if run.collision is None or expect.check is not None:
         return None if expect.check is None else at(expect.time)
     if attribution.fault == "entered-lane":
-        return _begun(trace, at(attribution.time or 0.0))
-    if attribution.fault in ("braked-for-nothing", "stopped-for-nothing"):
+        return _begun(trace, attribution.tick or 0, at(attribution.time or 0.0))
+    if attribution.fault in NEEDLESS:
         return at(attribution.time or 0.0)
     facts = [fact.in_full for fact in attribution.facts if not fact.vehicle]
     due = [fact.due_s for fact in facts if fact.due_s is not None and fact.what is not What.HAD_NO_TIME]
@@ -174,42 +182,59 @@ def deciding(run: Run, expect: Expect) -> int | None:
         due = [expect.avoided_by.time]
     elif expect.escaped_by is not None:
         due = [expect.escaped_by.time]
-    if not due:
-        return None
-    number = at(max(due))
-    while number and trace.ego[min(ticks[number] + 1, trace.ticks), ACCELERATION] <= -BRAKES:
-        number -= 1
-    return number
+    return at(max(due)) if due else None
 
 
-def _begun(trace: Trace, number: int) -> int:
-    """Return the number of the decision that began a motion across the road: the first after driving along a lane."""
+def _begun(trace: Trace, tick: int, number: int) -> int:
+    """Return the number of the decision that began the motion with which the ego crosses a line at a tick.
+
+    ``number`` is that of the last decision up to the tick. After a motion to the other side, it is the decision that
+    turned back.
+    """
     ticks = trace.decision_ticks
     if trace.track is not None:
         return number
-    ego, centres = trace.ego, [lane.y for lane in trace.lanes]
-    while number:
-        row = ego[ticks[number]]
-        is_along = abs(row[SPEED] * np.sin(row[HEADING])) < DRIFTING / 10
-        if is_along and min((abs(row[Y] - centre) for centre in centres), default=0.0) < CENTRED:
-            return number
+    drifts = frame_of(trace).drift[0]
+    side = 1.0 if drifts[tick] > 0 else -1.0
+    lanes = [getattr(action, "lane", math.nan) for action in trace.actions[: number + 1]]
+    is_across = [side * (lane - trace.ego[tick, LANE]) >= 1 for lane in lanes]
+    if any(is_across):  # The ego is steered softly to an answered lane, so its motion shows the decision late.
+        while not is_across[number]:
+            number -= 1
+        while number and is_across[number - 1]:
+            number -= 1
+        return number
+    drift = (side * drifts[ticks]).tolist()
+    off_centre = np.abs(trace.ego[ticks, Y, None] - [lane.y for lane in trace.lanes]).min(axis=1, initial=math.inf)
+    while number and drift[number] >= ALONG:
+        number -= 1
+    # The ego turned back while it still moved to the other side, and turned off before it moved visibly.
+    while number and drift[number - 1] < drift[number] - STEADY:
+        if -ALONG < drift[number] < STEADY and off_centre[number] < CENTRED:
+            break
         number -= 1
     return number
 
 
 def seen_of(trace: Trace, npc: int, number: int) -> str:
     """Return where a vehicle was at a decision, relative to the ego."""
-    tick = trace.decision_ticks[number]
-    x, y, heading, speed = trace.ego[tick, [X, Y, HEADING, SPEED]]
-    other = trace.states[tick, npc + 1]
-    dx, dy = other[X] - x, other[Y] - y
-    ahead, right = dx * np.cos(heading) + dy * np.sin(heading), dy * np.cos(heading) - dx * np.sin(heading)
-    return placed(float(ahead), float(right), float(other[SPEED] - speed))
+    ego, other = trace.states[trace.decision_ticks[number], [0, npc + 1]]
+    turn = trace.lanes[0].heading if trace.track is None else ego[HEADING]  # on a straight road as in a verdict
+    (dx, dy), cos, sin = other[[X, Y]] - ego[[X, Y]], np.cos(turn), np.sin(turn)
+    boxes = [(each[HEADING] - turn, *trace.sizes[index]) for each, index in ((ego, 0), (other, npc + 1))]
+    return placed(dx * cos + dy * sin, dy * cos - dx * sin, other[SPEED] - ego[SPEED], *boxes)
 
 
-def placed(ahead: float, right: float, faster: float) -> str:
-    """Return a place relative to the ego in words: distances between centres [m] and a difference in speed [m/s]."""
-    words = [f"{abs(ahead):.1f} m {'ahead' if ahead >= 0 else 'behind'}"]
+def placed(ahead: float, right: float, faster: float, *boxes: tuple[float, float, float]) -> str:
+    """Return a place relative to the ego in words, with the gap between two boxes along the road as a verdict has it.
+
+    ``ahead`` and ``right`` are between the centres [m], ``faster`` is in m/s; a box is a heading [rad], a length and a
+    width [m].
+    """
+    gap = abs(ahead)
+    for angle, length, width in boxes:
+        gap -= (length * abs(np.cos(angle)) + width * abs(np.sin(angle))) / 2
+    words = [f"{gap:.1f} m {'ahead' if ahead >= 0 else 'behind'}" if gap > 0 else "next to the ego"]
     words += [f"{abs(right):.1f} m to the {'right' if right > 0 else 'left'}"] if abs(right) >= 0.05 else []
     pace = f"{abs(faster):.1f} m/s {'faster' if faster > 0 else 'slower'}" if abs(faster) >= 0.05 else "as fast"
     return ", ".join([*words, pace])
@@ -220,7 +245,7 @@ def differ(action: Any, other: Any) -> bool:
     if other is None or type(action) is not type(other):
         return action is not other
     if is_si(action) or is_dataclass(action):
-        return bool(_told(action, other))
+        return bool(told_parts(action, other))
     if isinstance(action, (float, np.ndarray, np.floating)) and np.asarray(action).dtype.kind == "f":
         is_like = np.shape(action) == np.shape(other)
         return not is_like or bool(np.max(np.abs(np.subtract(action, other)), initial=0) >= SHARE)
@@ -238,37 +263,23 @@ def is_si(action: Any) -> bool:
     return type(action) is tuple and len(action) == 2 and all(isinstance(each, float) for each in action)
 
 
-def _parts(action: Any) -> dict[str, Any]:
+def parts_of(action: Any) -> dict[str, Any]:
     """Return the named parts of a planner's decision, which is a pair or a :class:`pytest_pafot.Drive`."""
     if is_si(action):
         return dict(zip(("acceleration", "steering"), action, strict=True))
     return {field.name: getattr(action, field.name) for field in fields(action)}
 
 
-def _told(action: Any, other: Any) -> list[str]:
-    """Return the names of the parts in which a planner's decision differs from another one; all if that is None."""
-    parts = _parts(action)
+def told_parts(action: Any, other: Any) -> list[str]:
+    """Return the names of the parts in which a planner's decision differs from another one, else from its defaults."""
+    parts = parts_of(action)
     if type(action) is not type(other) or is_si(action) is not is_si(other):
-        return list(parts)
+        defaults = {} if is_si(action) else {field.name: field.default for field in fields(action)}
+        return [name for name, value in parts.items() if name not in defaults or value != defaults[name]]
     names = []
-    for name, there in _parts(other).items():
+    for name, there in parts_of(other).items():
         here, (least, _) = parts[name], PARTS.get(name, (0.0, ""))
         is_number = isinstance(here, float) and isinstance(there, float)
         if abs(here - there) >= least if is_number else here != there:
             names.append(name)
     return names
-
-
-def text_of(action: Any, other: Any = None) -> str:
-    """Describe an action; of a planner's, only the parts in which it differs from another action, if there is one."""
-    if action is None:
-        return "no decision"
-    if not (is_si(action) or is_dataclass(action)):
-        return f"{action.tolist() if isinstance(action, (np.ndarray, np.generic)) else action!r}"[:80]
-    parts, shown = _parts(action), []
-    for name in _told(action, other):
-        least, form = PARTS.get(name, (0.0, "{}"))
-        if parts[name] is None or (other is None and name == "steering" and abs(parts[name]) < least):
-            continue
-        shown.append(f"{name.replace('_', ' ')} {form.format(parts[name])}")
-    return ", ".join(shown)

@@ -9,7 +9,8 @@ import pytest
 
 import pytest_pafot as pafot
 from pytest_pafot.attribution.takeovers import Avoidance
-from pytest_pafot.campaign.moments import moment_of
+from pytest_pafot.campaign.events import FindTold
+from pytest_pafot.campaign.moments import braked_for, moment_of, text_of
 from pytest_pafot.findings.decisions import (
     Answers,
     Moment,
@@ -17,7 +18,7 @@ from pytest_pafot.findings.decisions import (
     deciding,
     differ,
     placed,
-    text_of,
+    seen_of,
     vehicle_of,
     window,
 )
@@ -25,6 +26,7 @@ from pytest_pafot.findings.finding import Bounded, Expect
 from pytest_pafot.world.driving.perception import without
 from pytest_pafot.world.driving.shadow import Aside, Question, beside, changed
 from pytest_pafot.world.kernel.action import checked_si_action
+from tests.helpers.situations import lane_change
 
 KEEPS, BRAKES = (0.0, 0.0), (-4.0, 0.0)
 SI = partial(checked_si_action, lanes=9)
@@ -77,8 +79,17 @@ def test_decisions_that_hardly_differ_are_the_same(action, other, expected):
     [
         ((0.0, 0.0), None, "acceleration 0.0 m/s^2"),
         ((-0.0, 0.03), (0.0, 0.0), "steering 0.03 rad"),
+        ((26.68, 0.9), None, "acceleration 26.7 m/s^2, limited to 6.0, steering 0.90 rad, limited to 0.79"),
+        (pafot.Drive(lane=0, acceleration=-12.0), None, "lane 0, acceleration -12.0 m/s^2, limited to -9.8"),
         (3, 1, "3"),
         (pafot.Drive(lane=0, speed=5.0), pafot.Drive(lane=1, acceleration=-4.0), "lane 0, speed 5.0 m/s"),
+        (pafot.Drive(lane=0, speed=5.0), None, "lane 0, speed 5.0 m/s"),
+        (pafot.Drive(lane=0, speed=5.0, lateral_jerk=2.0), None, "lane 0, speed 5.0 m/s, lateral jerk 2.0 m/s^3"),
+        (
+            pafot.Drive(lane=0, speed=5.0),
+            pafot.Drive(lane=0, speed=5.0, lateral_jerk=2.0),
+            "lateral jerk 3.0 m/s^3",
+        ),
         (np.array([0.5]), np.array([0.1]), "[0.5]"),
         (None, KEEPS, "no decision"),
     ],
@@ -109,8 +120,31 @@ def test_where_no_decision_was_due_in_the_danger_the_last_one_before_counts_at_i
     assert counted(trace, 4.2, 5.0) == (range(5, 6), 4.2)
 
 
+CAR = (0.0, 5.0, 2.0)
+
+
+@pytest.mark.parametrize(
+    ("offset", "heading", "place"),
+    [
+        ((5.2, 0.0), 0.0, "0.2 m ahead, as fast"),
+        ((-9.4, 4.0), 0.0, "4.4 m behind, 4.0 m to the right, as fast"),
+        ((3.0, -4.0), 0.0, "next to the ego, 4.0 m to the left, as fast"),
+        ((10.0, 0.3), np.pi / 2, "6.5 m ahead, 0.3 m to the right, as fast"),
+    ],
+)
+def test_a_place_is_told_with_the_gap_between_the_boxes_along_the_road(offset, heading, place):
+    assert placed(*offset, 0.0, CAR, (heading, 5.0, 2.0)) == place
+
+
+def test_a_verdict_and_a_moment_tell_the_same_gap():
+    run = pafot.Run(lane_change(10.0, faster=8.0, speed=20.0))
+    number = run.trace.decision_ticks.index(run.attribution.tick)
+    gap = seen_of(run.trace, 0, number).partition(" m behind")[0]
+    assert f", {gap} m ahead of NPC 0." in run.attribution.sentences[0]
+
+
 def test_a_moment_is_told_in_one_line():
-    moment = Moment(time=4.9, npc=0, seen=placed(12.3, -0.2, -6.1), action="acceleration 0.0 m/s^2")
+    moment = Moment(time=4.9, npc=0, seen=placed(17.3, -0.2, -6.1, CAR, CAR), action="acceleration 0.0 m/s^2")
     start = "4.9 s: it saw NPC 0 12.3 m ahead, 0.2 m to the left, 6.1 m/s slower, and answered acceleration 0.0 m/s^2"
     assert str(moment) == start
     probed = replace(moment, hidden="", otherwise="2 m nearer acceleration -4.0 m/s^2")
@@ -167,8 +201,9 @@ def test_a_vehicle_is_found_by_its_id_among_ghosts_in_any_order():
         hidden = asked(factory, trace, question=Question(number=number, instead=changed(whole.at, 0, None)))
         assert hidden.answers[number] == without_it.answers[number]
         moment = moment_of(trace, 0, number, whole, without_it, lambda _: None)
-        x, y, _, speed = (trace.npcs[trace.decision_ticks[number], 0] - trace.ego[trace.decision_ticks[number]])[:4]
-        assert moment.seen == placed(x, y, speed)
+        ego, other = trace.states[trace.decision_ticks[number], :2]
+        boxes = [(state[2], *size) for state, size in zip((ego, other), trace.sizes, strict=False)]
+        assert moment.seen == placed(*(other - ego)[[0, 1, 3]], *boxes)
 
 
 @pytest.mark.parametrize(
@@ -216,8 +251,22 @@ def test_the_smallest_change_that_flips_an_answer_is_found():
     assert moment.action == "acceleration 0.0 m/s^2"
     assert moment.hidden == ""
     assert moment.otherwise.endswith("m nearer acceleration -3.0 m/s^2")
-    first = float(moment.seen.partition(" m ahead")[0])
-    assert first >= 25.0 >= first - float(moment.otherwise.partition(" m nearer")[0])
+    gap = float(moment.seen.partition(" m ahead")[0])
+    assert gap >= 20.0 >= gap - float(moment.otherwise.partition(" m nearer")[0])
+
+
+@pytest.mark.parametrize(
+    ("far", "near", "is_told"), [(0.0, -3.0, True), (0.0, -0.9, False), (20.0, 9.0, False), (9.0, 5.5, False)]
+)
+def test_a_change_is_told_only_if_a_car_drives_otherwise_by_one_unit(far, near, is_told):
+    def ads(seen):
+        gap = min((each.x - seen.ego.x for each in seen.others if each.x > seen.ego.x), default=99.0)
+        return pafot.Drive(lane=1, acceleration=near if gap < 25.0 else far)
+
+    trace = WORLD.rollout(SCENARIO, lambda: lambda seen: pafot.Drive(lane=1, acceleration=far))
+    number = 5
+    moment = moment_at(number, lambda: ads, trace)
+    assert bool(moment.otherwise) is is_told
 
 
 def test_a_changed_observation_differs_in_that_vehicle_alone():
@@ -299,6 +348,47 @@ def test_a_policy_that_decides_otherwise_before_the_moment_is_not_asked(factory,
     assert (moment.hidden, moment.otherwise) == (None, None)
 
 
+class Timid:
+    """Brakes hard for a vehicle ahead in another lane."""
+
+    def __call__(self, seen):
+        ahead = [o.x - seen.ego.x for o in seen.others if o.lane != seen.ego.lane and o.x > seen.ego.x]
+        return (-8.0 if min(ahead, default=99.0) < 30.0 else 0.0), 0.0
+
+
+def test_the_moment_of_a_needless_braking_is_about_the_vehicle_that_it_depends_on():
+    def holds(run):
+        assert run.attribution.fault != "braked-for-nothing"
+
+    found = []
+    small = {"runs": 40, "npcs": 2, "genes": 2, "gene_seconds": 5, "neighbours": 1, "shrink_rollouts": 20}
+    pafot.explore(Timid, holds=holds, seed=3, stop_after=1, instructions="cells", on_event=found.append, **small)
+    (find,) = {each.find for each in found if isinstance(each, FindTold) and each.find.moment is not None}
+    assert str(find.answers).startswith("0 of its ")
+    assert {find.answers.npc, find.moment.npc} == {0, 1}
+    assert (find.moment.action, find.moment.hidden) == ("acceleration -8.0 m/s^2", "acceleration 0.0 m/s^2")
+
+
+class Trusting:
+    """Brakes for a vehicle ahead, unless there is one behind."""
+
+    def __call__(self, seen):
+        ahead = [other.x - seen.ego.x for other in seen.others]
+        return (-6.0 if 0 < min(ahead, default=99.0) < 60.0 else 0.0), 0.0
+
+
+def test_a_vehicle_that_masks_another_is_the_one_that_the_lack_of_braking_depends_on():
+    trace = WORLD.rollout(SCENARIO, Trusting)
+    number = 5
+    whole, without_it = (asked(Trusting, trace, npc=npc, question=Question(number=number)) for npc in (None, 1))
+
+    def ask(instead):
+        return asked(Trusting, trace, question=Question(number=number, instead=instead))
+
+    assert braked_for(number, whole, {1: without_it}, ask, is_needless=False) == 1
+    assert braked_for(number, whole, {1: without_it}, ask, is_needless=True) is None
+
+
 def crash(ads):
     scenario = pafot.Scenario(npcs=[[pafot.PositionInstruction(2, 0.0)]], gene_seconds=20.0, ego_speed=22)
     trace = WORLD.rollout(scenario, ads)
@@ -345,10 +435,49 @@ def test_the_deciding_moment_of_a_missing_response_is_the_last_that_avoids_it():
     assert numbers.stop == len(run.trace.decision_ticks)
 
 
-def test_where_the_ego_brakes_already_the_decision_before_it_counts():
+def test_an_ego_that_brakes_too_softly_has_the_last_decision_that_avoids_it_too():
     run = crash(lambda: lambda seen: (-2.0 if seen.time >= 3.0 else 0.0, 0.0))
     number = deciding(run, expecting(run, avoided_by=Avoidance(time=4.0, braking=6.0)))
-    assert 2.7 < number / run.trace.ads_hz < 3.0
+    assert number / run.trace.ads_hz == 4.0
+    assert text_of(run.trace.actions[number]) == "acceleration -2.0 m/s^2"
+
+
+def to_lanes(*plan):
+    """Return a planner that answers lanes, each from a time on."""
+    return lambda: lambda seen: pafot.Drive(lane=lane_at(seen.time, plan), acceleration=0.0)
+
+
+def steering(most):
+    """Return what makes a planner that steers to lanes, each from a time on, with at most an angle."""
+
+    def decided(seen, plan):
+        course = np.clip(0.04 * (seen.lane_centres[lane_at(seen.time, plan)] - seen.ego.y), -0.08, 0.08)
+        return 0.0, float(np.clip(0.5 * (course - seen.ego.heading), -most, most))
+
+    return lambda *plan: lambda: lambda seen: decided(seen, plan)
+
+
+def lane_at(time, plan):
+    return [lane for since, lane in plan if time > since - 1e-6][-1]
+
+
+@pytest.mark.parametrize(
+    ("planner", "plan", "moment"),
+    [
+        (to_lanes, [(0.0, 1), (2.0, 0)], 2.0),
+        (to_lanes, [(0.0, 1), (2.0, 2), (3.0, 0)], 3.0),
+        (to_lanes, [(0.0, 1), (2.0, 2), (10.0, 0)], 10.0),
+        (steering(0.002), [(0.0, 1), (2.0, 0)], 2.0),
+        (steering(0.03), [(0.0, 1), (2.0, 2), (3.0, 0)], 3.0),
+        (steering(0.03), [(0.0, 1), (2.0, 2), (15.0, 0)], 15.0),
+    ],
+)
+def test_the_moment_of_a_lane_change_is_the_decision_that_began_its_last_motion(planner, plan, moment):
+    """An opposite motion before, turned back or completed, is not part of it."""
+    scenario = pafot.Scenario(npcs=[[pafot.PositionInstruction(8, 9.0)]], gene_seconds=30.0, ego_speed=9)
+    run = pafot.Run(WORLD.rollout(scenario, planner(*plan)))
+    assert run.attribution.fault == "entered-lane"
+    assert run.trace.decision_ticks[deciding(run, expecting(run))] / run.trace.physics_hz == moment
 
 
 def test_a_failed_check_has_the_last_decision_up_to_it():
