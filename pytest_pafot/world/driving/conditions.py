@@ -22,8 +22,8 @@ import numpy as np
 
 from pytest_pafot.support.text import visible
 
-ROWS, LETTERS = 6, 100
-"""The largest number of rows, and the approximate number of characters of each."""
+ROWS, LETTERS, VALUES = 6, 100, 55
+"""The largest number of rows, the approximate one of characters of each, and the largest one of those of its values."""
 
 _RECORDER = "pytest-pafot: the recorder of conditions"
 """A constant in the copied code, in whose place the recorder is put; so the code needs no name for it."""
@@ -138,7 +138,7 @@ class _Marking(ast.NodeTransformer):
     def _condition(self, node: Any, *, is_test: bool = False) -> Any:
         if node is None or isinstance(node, ast.Constant):  # a case without a guard; `while True`
             return node
-        name = ast.Constant(f"{self._place}line {node.lineno}: {_cut(ast.unparse(node), 45)}")
+        name = ast.Constant(f"{self._place}line {node.lineno}: {ast.unparse(node)}")
         value = _Values(self, name).visit(node)
         if is_test:  # Its truth is asked for once, because the code that does it may be the user's.
             value = ast.UnaryOp(ast.Not(), ast.UnaryOp(ast.Not(), value))
@@ -204,14 +204,15 @@ class _Recorder:
                     for text, shown in values.items()
                     if shown != text and (text, shown) != (is_all, outcome)
                 ]
-                room, fitting = max(LETTERS - len(f"{condition}  () -> {outcome}"), 40), len(told)
-                while len(", ".join(told[:fitting])) > room:
+                fitting = len(told)
+                while len(", ".join(told[:fitting])) > VALUES:
                     fitting -= 1
-                told = told if fitting == len(told) else [*told[:fitting], "..."]
-                row = f"{condition}  ({', '.join(told)}) -> {outcome}"
+                told[fitting:] = ["..."] if fitting < len(told) else []
+                ending = f"  ({', '.join(told)}) -> {outcome}" if told else f" -> {outcome}"
+                row = f"{_cut(condition, max(LETTERS - len(ending), LETTERS - VALUES))}{ending}"
                 outcomes = self._outcomes.pop(condition, {})
                 count, _ = outcomes.pop(outcome, (0, ""))
-                outcomes[outcome] = count + 1, row if told else f"{condition} -> {outcome}"
+                outcomes[outcome] = count + 1, row
                 self._outcomes[condition] = outcomes  # behind the others, because it was evaluated last
         return value
 
