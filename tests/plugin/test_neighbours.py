@@ -197,16 +197,14 @@ class Planner:
     def braking(self, gap):
         return 0.0 if gap < 90.0 or self.decisions < 1 else 0.5
 
-ADS
-
-@pafot.search(npcs=1, genes=2, gene_seconds=5, ego_speed=22, stop_after=1, ads=make, instructions="cells")
+@pafot.search(npcs=1, genes=2, gene_seconds=5, ego_speed=22, stop_after=1, ads=Planner, instructions="cells")
 def test_collides(run):
     assert not run.collision
 """
 
 
 def test_the_conditions_of_the_moment_are_told_also_if_the_policy_is_isolated(project):
-    project.write(READS.replace("ADS", "make = Planner"))
+    project.write(READS)
     line = 1 + (project.path / "test_it.py").read_text().splitlines().index(
         "        return 0.0 if gap < 90.0 or self.decisions < 1 else 0.5"
     )
@@ -221,13 +219,10 @@ def test_the_conditions_of_the_moment_are_told_also_if_the_policy_is_isolated(pr
     assert apart["moment"] == record["moment"]
 
 
-def test_no_conditions_are_told_of_a_policy_that_decides_otherwise_than_in_the_finding(project):
-    """It counts its objects, and the last one, which is asked for its conditions, brakes at once."""
-    project.write(READS.replace("ADS", "made = []\n\ndef make():\n    made.append(Planner())\n    return made[-1]"))
-    conditions = "pytest_pafot.campaign.simplification.Conditions"
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(conditions, lambda *_: Otherwise())
-        moment = run(project, "--pafot-neighbours=8", "--pafot-shrink-rollouts=0", generations=20)[1]["moment"]
+def test_no_conditions_are_told_of_a_policy_that_decides_otherwise_when_it_is_asked(project, monkeypatch):
+    monkeypatch.setattr("pytest_pafot.campaign.simplification.Conditions", lambda *_: Otherwise())
+    project.write(READS)
+    moment = run(project, "--pafot-neighbours=8", "--pafot-shrink-rollouts=0", generations=20)[1]["moment"]
     assert moment["action"]
     assert moment["conditions"] == []
 

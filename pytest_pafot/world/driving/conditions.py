@@ -58,7 +58,7 @@ class Conditions:
                 tree = ast.fix_missing_locations(_Marking(place).visit(ast.parse(source)))
                 plain = compile(source, file, "exec", dont_inherit=True)
                 marked = self._with_recorder(compile(tree, file, "exec", dont_inherit=True))
-                self._copies[str(file)] = dict(_pairs(plain, marked))
+                self._copies[str(file)] = {code: copy for code, copy in _pairs(plain, marked) if code != copy}
         # A forked process freezes all that exists, so that it would not find these functions.
         self._functions = self._found()
 
@@ -70,7 +70,7 @@ class Conditions:
     def recorded(self, ads: Any, rows: list[str]) -> Iterator[None]:
         """Record the conditions that this thread evaluates while an ADS decides, and add them to rows, the last first.
 
-        Nothing is added for a generator, which runs the code with which it has begun.
+        Nothing is added for a generator with conditions, because it runs the code with which it has begun.
         """
         before: list[tuple[FunctionType, CodeType]] = []
         try:
@@ -86,7 +86,7 @@ class Conditions:
         held = [ads]
         for _ in range(3):  # to the methods, attributes and variables of the ADS, and what is in lists of these
             held = gc.get_referents(*held)
-            if any(isinstance(each, GeneratorType) and self._copy(each.gi_code) for each in held):
+            if any(type(each) is GeneratorType and self._copy(each.gi_code) for each in held):
                 return
         rows += self._recorder.rows()
 

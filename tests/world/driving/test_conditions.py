@@ -231,11 +231,11 @@ def test_other_threads_are_not_recorded(module):
 @pytest.mark.parametrize(
     "ads", ["lambda seen: running.send(seen)", "running.send", "Planner()"], ids=["closure", "method", "attribute"]
 )
-def test_nothing_is_told_of_a_generator(module, ads):
+def test_nothing_is_told_of_a_generator_whose_conditions_would_be_missing(module, ads):
     source = f"""
     def steps():
         seen = yield
-        while True:
+        while seen != 0:
             seen = yield other(seen)
 
     def other(seen):
@@ -265,5 +265,7 @@ def test_nothing_is_told_of_a_file_that_changed_or_cannot_be_read(module):
         with Conditions([file], module.root).recorded(policy, rows):
             assert policy(2)
         assert rows == []
+    file.write_text("def decide(seen):\n    return 1\n")
+    assert not Conditions([file], module.root)  # it has no condition
     file.unlink()
     assert not Conditions([file, module.root], module.root)
