@@ -162,9 +162,11 @@ class Find:
 
     @property
     def on_decisions(self) -> list[str]:
-        """The lines on the policy's decisions, each with a title of ten letters at most."""
+        """The lines on the policy's decisions, each with a title of ten letters at most, or indented below one."""
         told = [f"answers    {self.answers}"] if self.answers is not None else []
-        return [*told, f"moment     {self.moment}"] if self.moment is not None else told
+        if self.moment is not None:
+            told += [f"moment     {self.moment}", *(f"  {each}" for each in self.moment.conditions)]
+        return told
 
     @property
     def summary(self) -> str:

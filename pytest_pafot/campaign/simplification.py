@@ -44,9 +44,11 @@ from pytest_pafot.model.sight import Sight
 from pytest_pafot.model.trace import LANE, SPEED, Trace
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.support.errors import DriverError, OutOfTime, RequestError
+from pytest_pafot.support.source_files import source_files
 from pytest_pafot.support.text import one_line
 from pytest_pafot.world import codec, protocol
 from pytest_pafot.world.driving.ads import is_vehicle_class, wants_env
+from pytest_pafot.world.driving.conditions import Conditions
 from pytest_pafot.world.driving.perception import Perception, sight_of, without
 from pytest_pafot.world.driving.shadow import Aside, Question, beside
 from pytest_pafot.world.guard.failure import is_interruption
@@ -234,6 +236,9 @@ class Simplification:
                     answers, moment = self._decisions(kept, found)
                     find = replace(find, answers=answers, moment=moment)
                     self.loop.recorder.tell(replace(kept, find=find, is_new=False))
+                    told = "conditions"
+                    find = replace(find, moment=self._with_conditions(found, moment))
+                    self.loop.recorder.tell(replace(kept, find=find, is_new=False))
         except OutOfTime:
             self.notes.append(f"no {told} of saved-{find.id}: out of time")
         except Exception as error:
@@ -321,6 +326,19 @@ class Simplification:
                 if about is not None:
                     moment = moment_of(trace, about, number, whole, others[about], ask, sight)
         return answers, moment
+
+    def _with_conditions(self, found: Run, moment: Moment | None) -> Moment | None:
+        """Return a moment with the conditions that a fresh policy evaluates in it, if it decides as the run's did."""
+        harness, trace = self.loop.simulation.harness, found.trace
+        conditions = None if moment is None else Conditions(source_files(harness.ads), harness.root)
+        if moment is None or not conditions:
+            return moment
+        times = [round(tick / trace.physics_hz, 3) for tick in trace.decision_ticks]
+        number = times.index(moment.time)
+        aside = self._beside(found, None, Question(number=number, conditions=conditions))
+        if aside is None or any(differ(each, aside.of(at)) for at, each in enumerate(trace.actions[: number + 1])):
+            return moment
+        return replace(moment, conditions=tuple(aside.conditions))
 
     def _first_difference(self, trace: Trace) -> Moment | None:
         """Return the first decision that differs from the one of the reference in the same scenario."""

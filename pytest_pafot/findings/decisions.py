@@ -94,6 +94,8 @@ class Moment:
         otherwise: the smallest change of the vehicle, of those tried, with which it answers otherwise, and that answer;
             empty if none of them changes the answer, None if none was tried.
         reference: what the reference answered, if the test has one and this is the first decision that differs.
+        conditions: the conditions that the policy evaluated in this decision, the last one first, each with its line in
+            the source, its values and its outcome; empty if that is unknown.
     """
 
     time: float
@@ -103,6 +105,7 @@ class Moment:
     hidden: str | None = None
     otherwise: str | None = None
     reference: str = ""
+    conditions: tuple[str, ...] = ()
 
     def __str__(self) -> str:
         if self.reference:

@@ -82,7 +82,8 @@ class FindingRecord:
         moment: the last decision that could have avoided it: `time` [s]; `npc`; `seen`, `action`, `hidden`, `otherwise`
             and `reference`, in words: where the policy saw the NPC, what it answered, what it answers with the NPC
             hidden (empty for the same, null if unknown), with the smallest change of it that changes the answer, and
-            what the reference answered. Null if none is known.
+            what the reference answered; and `conditions`, a list of those that it evaluated in this decision, the last
+            one first, each with its line in the source, its values and its outcome. Null if none is known.
         neighbours: number of neighbours of a replayed scenario that were driven and pass.
         searched: number of runs of the search of its test that found no such failure, if `status` is `fixed` or `fixed
             before` and that search ran to its end in this session; otherwise 0.

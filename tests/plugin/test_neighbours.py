@@ -1,6 +1,7 @@
 """The option `neighbours`: how broad each new finding is."""
 
 import json
+from contextlib import contextmanager
 
 import pytest
 
@@ -181,3 +182,55 @@ def test_collides(run):
     moment = record["moment"]
     assert (moment["action"], moment["reference"]) == ("acceleration 0.0 m/s^2", "acceleration -6.0 m/s^2")
     result.stdout.re_match_lines([r"moment +\d+\.\d s, the first that differs: acceleration 0\.0 m/s\^2; .*"])
+
+
+READS = """
+class Planner:
+    def __init__(self):
+        self.decisions = 0
+
+    def __call__(self, seen):
+        self.decisions += 1
+        return self.braking(min(o.x for o in seen.others) - seen.ego.x), 0.0
+
+    def braking(self, gap):
+        return 0.0 if gap < 90.0 or self.decisions < 1 else 0.5
+
+@pafot.search(npcs=1, genes=2, gene_seconds=5, ego_speed=22, stop_after=1, ads=Planner, instructions="cells")
+def test_collides(run):
+    assert not run.collision
+"""
+
+
+def test_the_conditions_of_the_moment_are_told_also_if_the_policy_is_isolated(project):
+    project.write(READS)
+    line = 1 + (project.path / "test_it.py").read_text().splitlines().index(
+        "        return 0.0 if gap < 90.0 or self.decisions < 1 else 0.5"
+    )
+    options = ("--pafot-neighbours=8", "--pafot-shrink-rollouts=0")
+    result, record, _ = run(project, *options, "--pafot-report=out.html", generations=20)
+    (row,) = record["moment"]["conditions"]
+    assert row.startswith(f"line {line}: gap < 90.0 or self.decisions < 1  (gap = ")
+    assert row.endswith(") -> True")
+    result.stdout.re_match_lines([r"moment +\d+\.\d s: .*", rf"  line {line}: gap < 90\.0 or self\.decisions < 1  .*"])
+    assert f"line {line}: gap" in (project.path / "out.html").read_text()
+    apart = run(project, *options, "--pafot-isolate", generations=20)[1]
+    assert apart["moment"] == record["moment"]
+
+
+def test_no_conditions_are_told_of_a_policy_that_decides_otherwise_when_it_is_asked(project, monkeypatch):
+    monkeypatch.setattr("pytest_pafot.campaign.simplification.Conditions", lambda *_: Otherwise())
+    project.write(READS)
+    moment = run(project, "--pafot-neighbours=8", "--pafot-shrink-rollouts=0", generations=20)[1]["moment"]
+    assert moment["action"]
+    assert moment["conditions"] == []
+
+
+class Otherwise:
+    """Conditions in whose decision a policy raises an error."""
+
+    @contextmanager
+    def recorded(self, ads, rows):
+        rows.append("line 1: of another run -> True")
+        raise RuntimeError
+        yield

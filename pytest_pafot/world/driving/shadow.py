@@ -7,12 +7,13 @@ import functools
 import hashlib
 import pickle
 from collections.abc import Callable, Sequence
-from contextlib import suppress
+from contextlib import AbstractContextManager, nullcontext, suppress
 from dataclasses import dataclass, field
 from typing import Any
 
 from pytest_pafot.support.errors import AdsFactoryError
 from pytest_pafot.world.driving.ads import AdsFactory, is_vehicle_class
+from pytest_pafot.world.driving.conditions import Conditions
 from pytest_pafot.world.driving.perception import DRIVES_ITSELF, ads_and_sight
 from pytest_pafot.world.driving.seeing import SeeingAds, lane_nearest, with_others
 from pytest_pafot.world.kernel.action import plain_action
@@ -31,12 +32,14 @@ class Aside:
         is_noted: whether to note what it sees, which takes longer than a decision.
         seen: digests of its observations; those that cannot be pickled are left out.
         at: what it would have seen at the decision of a question, had nothing been changed; None without one.
+        conditions: those that it evaluated in this decision, with their values, if the question is about them.
     """
 
     is_noted: bool = True
     answers: list[Any] = field(default_factory=list)
     seen: list[bytes] = field(default_factory=list)
     at: Any = None
+    conditions: list[str] = field(default_factory=list)
 
     def of(self, number: int) -> Any:
         """Return the action of a decision; None without one."""
@@ -50,10 +53,12 @@ class Question:
     Attributes:
         number: the number of the decision.
         instead: what it sees there instead; None for what there is to see.
+        conditions: what records the conditions that it evaluates there; None if nothing does.
     """
 
     number: int
     instead: Any = None
+    conditions: Conditions | None = None
 
 
 class Shadow:
@@ -72,6 +77,7 @@ class Shadow:
             with suppress(Exception):  # a class of the user's own may not be picklable
                 aside.seen.append(hashlib.blake2b(pickle.dumps(observation), digest_size=16).digest())
         question = self._question
+        recording: AbstractContextManager[None] = nullcontext()
         if question is not None and question.instead is not None and number != question.number:
             is_over = number > question.number or getattr(self._ads, "pure", False) is True
             if is_over and number < len(self._actions):  # What it would decide here says nothing about the question.
@@ -80,8 +86,11 @@ class Shadow:
         if question is not None and number == question.number:
             aside.at = copy.deepcopy(observation)  # the ADS may write into it
             observation = observation if question.instead is None else question.instead
+            if question.conditions is not None:
+                recording = question.conditions.recorded(self._ads, aside.conditions)
         try:
-            answer = self._check(plain_action(self._ads(observation)))
+            with recording:
+                answer = self._check(plain_action(self._ads(observation)))
         except Exception:  # noqa: BLE001  (an ADS may raise anything about an observation that it never had)
             answer = None
         aside.answers.append(answer)

@@ -1,0 +1,248 @@
+"""The conditions that a policy evaluates in one decision, with their values, for policies whose source can be read.
+
+For this decision, the user's functions run a copy of their code, which is compiled from the same source, with each
+condition in a call of a recorder. So nothing is evaluated twice, and the values are those that the policy used.
+"""
+
+from __future__ import annotations
+
+import ast
+import gc
+import warnings
+from collections import deque
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, suppress
+from enum import Enum
+from pathlib import Path
+from threading import get_ident
+from types import CodeType, FunctionType, GeneratorType
+from typing import Any
+
+import numpy as np
+
+from pytest_pafot.support.text import visible
+
+ROWS, LETTERS, VALUES = 6, 100, 55
+"""The largest number of rows, the approximate one of characters of each, and the largest one of those of its values."""
+
+_RECORDER = "pytest-pafot: the recorder of conditions"
+"""A constant in the copied code, in whose place the recorder is put; so the code needs no name for it."""
+
+_TESTS = {ast.If: "test", ast.While: "test", ast.IfExp: "test", ast.comprehension: "ifs", ast.match_case: "guard"}
+"""The nodes that have conditions, and under which name."""
+
+_OTHERS = (ast.Lambda, ast.IfExp, ast.ListComp, ast.SetComp, ast.DictComp, ast.GeneratorExp, ast.JoinedStr)
+"""Parts of a condition whose names are not its values: they have names or conditions of their own."""
+
+_SIMPLE = (bool, int, float, str, type(None))
+
+
+class Conditions:
+    """The functions of a policy, each with a copy of its code that records conditions.
+
+    A function has none unless its source compiles to the code that it runs. So nothing is recorded of a file that has
+    changed since it was imported, or of a function that pytest rewrote because it has an ``assert``.
+    """
+
+    def __init__(self, files: Iterable[Path], root: Path) -> None:
+        """Compile the Python files that are below a folder, as far as they can be read."""
+        root, self._recorder = root.resolve(), _Recorder()
+        self._copies: dict[str, dict[CodeType, CodeType]] = {}  # by file
+        self._real: dict[str, str] = {}
+        sources = [file for file in files if file.suffix == ".py" and file.is_relative_to(root)]
+        for file in sources:
+            place = f"{file.relative_to(root).as_posix()} " if len(sources) > 1 else ""
+            with suppress(OSError, SyntaxError, ValueError, RecursionError), warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # Python has warned of this source when it was imported.
+                source = file.read_bytes()
+                tree = ast.fix_missing_locations(_Marking(place).visit(ast.parse(source)))
+                plain = compile(source, file, "exec", dont_inherit=True)
+                marked = self._with_recorder(compile(tree, file, "exec", dont_inherit=True))
+                self._copies[str(file)] = {code: copy for code, copy in _pairs(plain, marked) if code != copy}
+        # A forked process freezes all that exists, so that it would not find these functions.
+        self._functions = self._found()
+
+    def __bool__(self) -> bool:
+        """Return whether conditions of any function can be recorded."""
+        return any(self._copies.values())
+
+    @contextmanager
+    def recorded(self, ads: Any, rows: list[str]) -> Iterator[None]:
+        """Record the conditions that this thread evaluates while an ADS decides, and add them to rows, the last first.
+
+        Nothing is added for a generator with conditions, because it runs the code with which it has begun.
+        """
+        before: list[tuple[FunctionType, CodeType]] = []
+        try:
+            for function in {*self._functions, *self._found()}:
+                before.append((function, function.__code__))
+                function.__code__ = self._copy(function.__code__) or function.__code__
+            self._recorder.start()
+            yield
+        finally:
+            self._recorder.thread = None
+            for function, code in before:
+                function.__code__ = code
+        held = [ads]
+        for _ in range(3):  # to the methods, attributes and variables of the ADS, and what is in lists of these
+            held = gc.get_referents(*held)
+            if any(type(each) is GeneratorType and self._copy(each.gi_code) for each in held):
+                return
+        rows += self._recorder.rows()
+
+    def _found(self) -> list[FunctionType]:
+        return [each for each in gc.get_objects() if type(each) is FunctionType and self._copy(each.__code__)]
+
+    def _copy(self, code: CodeType) -> CodeType | None:
+        file = self._real.get(code.co_filename)
+        if file is None:
+            file = self._real[code.co_filename] = str(Path(code.co_filename).resolve())
+        return self._copies[file].get(code) if file in self._copies else None
+
+    def _with_recorder(self, code: CodeType) -> CodeType:
+        def put(const: Any) -> Any:
+            if type(const) is CodeType:
+                return self._with_recorder(const)
+            return self._recorder if type(const) is str and const == _RECORDER else const
+
+        return code.replace(co_consts=tuple(map(put, code.co_consts)))
+
+
+def _pairs(plain: CodeType, marked: CodeType) -> Iterator[tuple[CodeType, CodeType]]:
+    """Yield the code of each function with its copy: those in a function are in the same order in both."""
+    inner, copies = ([each for each in code.co_consts if type(each) is CodeType] for code in (plain, marked))
+    if [(each.co_name, each.co_freevars) for each in inner] == [(each.co_name, each.co_freevars) for each in copies]:
+        for each, copy in zip(inner, copies, strict=True):
+            yield each, copy
+            yield from _pairs(each, copy)
+
+
+class _Marking(ast.NodeTransformer):
+    """Puts each condition of a file, and each value in it, into a call of the recorder."""
+
+    def __init__(self, place: str) -> None:
+        self._place = place
+
+    def visit(self, node: Any) -> Any:
+        """Return a node of the source as it is in the copy."""
+        name = _TESTS.get(type(node))
+        if name is not None:
+            tests = getattr(node, name)
+            setattr(node, name, [] if isinstance(tests, list) else None)
+            self.generic_visit(node)
+            marked = [self._condition(each, is_test=True) for each in (tests if isinstance(tests, list) else [tests])]
+            setattr(node, name, marked if isinstance(tests, list) else marked[0])
+            return node
+        return self._condition(node) if isinstance(node, (ast.Compare, ast.BoolOp)) else self.generic_visit(node)
+
+    def _condition(self, node: Any, *, is_test: bool = False) -> Any:
+        if node is None or isinstance(node, ast.Constant):  # a case without a guard; `while True`
+            return node
+        name = ast.Constant(f"{self._place}line {node.lineno}: {ast.unparse(node)}")
+        value = _Values(self, name).visit(node)
+        if is_test:  # Its truth is asked for once, because the code that does it may be the user's.
+            value = ast.UnaryOp(ast.Not(), ast.UnaryOp(ast.Not(), value))
+        return _called("end", node, name, _called("begin", node), value)
+
+
+class _Values(ast.NodeTransformer):
+    """Puts the values in a condition into calls of the recorder: names, attributes, items and results of calls."""
+
+    def __init__(self, marking: _Marking, condition: ast.Constant) -> None:
+        self._marking, self._condition = marking, condition
+
+    def visit(self, node: Any) -> Any:
+        """Return a part of a condition as it is in the copy."""
+        if isinstance(node, (ast.Name, ast.Attribute, ast.Subscript, ast.Call, ast.NamedExpr)):
+            text = ast.Constant(ast.unparse(node.target if isinstance(node, ast.NamedExpr) else node))
+            return _called("value", node, self._condition, text, self._marking.generic_visit(node))
+        return (self._marking.visit if isinstance(node, _OTHERS) else self.generic_visit)(node)
+
+
+def _called(method: str, place: Any, *arguments: Any) -> Any:
+    """Return a call of the recorder, at the place of a node."""
+    recorder = ast.Attribute(ast.Constant(_RECORDER), method, ast.Load())
+    return ast.copy_location(ast.Call(recorder, list(arguments), []), place)
+
+
+class _Recorder:
+    """What copied code calls with its values, each of which it returns. Out of the thread that it is for, that is all.
+
+    Functions that were made in the decision may be called after it, so they call it then, too.
+    """
+
+    def __init__(self) -> None:
+        self.thread: int | None = None
+        self._values: list[tuple[str, str, Any]] = []
+        self._outcomes: dict[str, dict[str, tuple[int, str]]] = {}
+
+    def start(self) -> None:
+        """Record from now on what this thread evaluates, and forget what was recorded before."""
+        self.thread = get_ident()
+        self._values.clear()
+        self._outcomes.clear()
+
+    def begin(self) -> int:
+        """Return the number of values so far, at the beginning of a condition."""
+        return len(self._values)
+
+    def value(self, condition: str, text: str, value: Any) -> Any:
+        """Note a value in a condition."""
+        if self.thread == get_ident():
+            self._values.append((condition, text, value))
+        return value
+
+    def end(self, condition: str, since: int, value: Any) -> Any:
+        """Note the outcome of a condition, unless it is no simple value, such as an array of booleans."""
+        if self.thread == get_ident():
+            values = {text: _text(value) for whose, text, value in self._values[since:] if whose == condition}
+            del self._values[since:]
+            if type(_plain(value)) in _SIMPLE:
+                outcome, is_all = _text(value), condition.partition(": ")[2]
+                told = [
+                    f"{_cut(text, 24)} = {shown}"
+                    for text, shown in values.items()
+                    if shown != text and (text, shown) != (is_all, outcome)
+                ]
+                fitting = len(told)
+                while len(", ".join(told[:fitting])) > VALUES:
+                    fitting -= 1
+                told[fitting:] = ["..."] if fitting < len(told) else []
+                ending = f"  ({', '.join(told)}) -> {outcome}" if told else f" -> {outcome}"
+                row = f"{_cut(condition, max(LETTERS - len(ending), LETTERS - VALUES))}{ending}"
+                outcomes = self._outcomes.pop(condition, {})
+                count, _ = outcomes.pop(outcome, (0, ""))
+                outcomes[outcome] = count + 1, row
+                self._outcomes[condition] = outcomes  # behind the others, because it was evaluated last
+        return value
+
+    def rows(self) -> list[str]:
+        """Return a row for each condition, the last one first: of its rarest outcome, with the last values of that."""
+        last_first = [reversed(outcomes.values()) for outcomes in reversed(self._outcomes.values())]
+        return [visible(min(outcomes, key=lambda each: each[0])[1]) for outcomes in last_first[:ROWS]]
+
+
+def _text(value: Any) -> str:
+    """Return a short text of a value, for which none of the user's code is called."""
+    kind, value = type(value), _plain(value)
+    if type(value) is float:
+        is_plain = value == 0 or 1e-3 <= abs(value) < 1e6
+        return f"{value:.3f}".rstrip("0").rstrip(".") if is_plain else f"{value:.3g}"
+    if type(value) is str:
+        return repr(_cut(value, 20))
+    if type(value) in _SIMPLE and not (type(value) is int and value.bit_length() > 64):
+        return repr(value)
+    if issubclass(kind, Enum):
+        return f"{kind.__name__}.{value._name_}"
+    if kind in (list, tuple, set, frozenset, dict, deque):
+        return f"{kind.__name__} of {len(value)}"
+    return f"array of shape {value.shape}" if kind is np.ndarray else kind.__name__
+
+
+def _plain(value: Any) -> Any:
+    """Return a number of numpy as one of Python, and anything else as it is."""
+    return value.item() if issubclass(type(value), np.generic) else value
+
+
+def _cut(text: str, most: int) -> str:
+    return text if len(text) <= most else f"{text[: most - 3]}..."

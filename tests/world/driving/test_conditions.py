@@ -1,0 +1,271 @@
+"""The conditions of one decision: what is recorded of small policies, and that the policy stays as it was."""
+
+import importlib.util
+import sys
+import threading
+from textwrap import dedent
+
+import pytest
+
+from pytest_pafot.world.driving.conditions import LETTERS, ROWS, VALUES, Conditions
+
+
+@pytest.fixture
+def module(tmp_path, monkeypatch):
+    """Return a function that imports a module from the source of a policy, in a folder of its own."""
+    monkeypatch.syspath_prepend(tmp_path)
+
+    def load(source, name="policy_of_conditions"):
+        (tmp_path / f"{name}.py").write_text(dedent(source))
+        spec = importlib.util.spec_from_file_location(name, tmp_path / f"{name}.py")
+        loaded = importlib.util.module_from_spec(spec)
+        monkeypatch.setitem(sys.modules, name, loaded)
+        spec.loader.exec_module(loaded)
+        return loaded
+
+    load.root = tmp_path
+    return load
+
+
+def recorded(module, source, seen, ads="decide"):
+    """Return the rows of a decision of a policy, which decides the same as without them."""
+    loaded = module(source)
+    policy = getattr(loaded, ads)
+    plain, rows = policy(seen), []
+    with Conditions([module.root / "policy_of_conditions.py"], module.root).recorded(policy, rows):
+        assert policy(seen) == plain
+    return rows
+
+
+@pytest.mark.parametrize(
+    ("body", "rows"),
+    [
+        (
+            """
+            if seen > 5: return 1
+            elif seen > 2: return 2
+            """,
+            ["line 4: seen > 2  (seen = 3.142) -> True", "line 3: seen > 5  (seen = 3.142) -> False"],
+        ),
+        (
+            "return seen < 3 and missing > 1 or None is None",
+            ["line 2: seen < 3 and missing > 1 or None is None  (seen = 3.142) -> True"],
+        ),
+        ("return 1 if not seen else 2", ["line 2: not seen  (seen = 3.142) -> False"]),
+        (
+            """
+            while seen > 1: seen -= 1
+            """,
+            ["line 3: seen > 1  (seen = 0.142) -> False"],
+        ),
+        (
+            """
+            for lane in range(5):
+                if lane == 2: pass
+            """,
+            ["line 4: lane == 2  (lane = 2) -> True"],
+        ),
+        ("return [each for each in (1, 2, 9, 3) if each > 5]", ["line 2: each > 5  (each = 9) -> True"]),
+        ("return any(each > seen for each in (1, 9))", ["line 2: each > seen  (each = 9, seen = 3.142) -> True"]),
+        ("return (near := round(seen)) > 2", ["line 2: (near := round(seen)) > 2  (near = 3) -> True"]),
+        ("return (lambda lane: lane < 3)(1)", ["line 2: lane < 3  (lane = 1) -> True"]),
+        (
+            """
+            match seen:
+                case float() if seen > 3: return 1
+            """,
+            ["line 4: seen > 3  (seen = 3.142) -> True"],
+        ),
+        ("while True: return 1", []),
+    ],
+    ids=["elif", "and", "ternary", "while", "for", "comprehension", "any", "walrus", "lambda", "match", "constant"],
+)
+def test_conditions_are_told_with_their_values_the_last_one_first(module, body, rows):
+    source = "def decide(seen):\n" + "\n".join(f"    {line}" for line in dedent(body).splitlines())
+    assert recorded(module, source, 3.14159) == rows
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [
+        ("1e-9", "1e-09"),
+        ("20.0", "20"),
+        ("float('inf')", "inf"),
+        ("np.float32(0.5)", "0.5"),
+        ("np.zeros((2, 3))", "array of shape (2, 3)"),
+        ("[1, 2]", "list of 2"),
+        ("'x' * 99", "'xxxxxxxxxxxxxxxxx...'"),
+        ("10 ** 5000", "int"),
+        ("Mode.FOLLOW", "Mode.FOLLOW"),
+        ("Vain()", "Vain"),
+        ("'a ::error \\x1b'", r"'a \x3a:error \x1b'"),
+    ],
+)
+def test_values_are_short_safe_and_call_no_code_of_the_user(module, value, text):
+    source = f"""
+    import enum
+    import numpy as np
+
+    class Mode(enum.Enum):
+        FOLLOW = 1
+
+    class Vain:
+        def __repr__(self):
+            raise ValueError
+        __str__ = __len__ = __format__ = __repr__
+
+        def __getattr__(self, name):
+            raise ValueError
+
+    def decide(value):
+        return value is None
+    ads = lambda seen: decide(seen)
+    value = {value}
+    """
+    loaded = module(source)
+    rows = []
+    with Conditions([module.root / "policy_of_conditions.py"], module.root).recorded(loaded.ads, rows):
+        loaded.ads(loaded.value)
+    assert rows == [f"line 17: value is None  (value = {text}) -> False"]
+
+
+def test_truth_is_asked_for_once(module):
+    source = """
+    class Counting:
+        calls = 0
+
+        def __bool__(self):
+            self.calls += 1
+            return self.calls > 9
+
+    def decide(seen):
+        counting = Counting()
+        if counting or seen:
+            pass
+        return counting.calls
+    """
+    (row,) = recorded(module, source, 0)[:1]
+    assert row == "line 11: counting or seen  (counting = Counting, seen = 0) -> False"
+
+
+def test_rows_are_few_and_short(module):
+    name = "a_name_that_is_longer_than_most"
+    lines = [f"    if {name}.real > {number} and {name}.imag < {'1' * 40}: pass" for number in range(9)]
+    rows = recorded(module, "\n".join([f"def decide({name}):", *lines]), 3.0)
+    assert len(rows) == ROWS
+    assert rows[0].startswith("line 10: ")
+    assert max(map(len, rows)) <= LETTERS + VALUES / 2
+
+
+TWO_FILES = """
+from helper_of_conditions import gap
+
+class Planner:
+    __limit = 5.0
+
+    def __call__(self, seen):
+        return super().__class__ is Planner or gap(seen) < self.__limit
+
+decide = Planner()
+"""
+
+
+def test_conditions_of_several_files_are_told_with_the_file(module):
+    module("def gap(seen):\n    return seen if seen > 0 else 0.0\n", "helper_of_conditions")
+    policy = module(TWO_FILES).decide
+    files = [module.root / f"{name}_of_conditions.py" for name in ("policy", "helper")]
+    rows = []
+    with Conditions(files, module.root).recorded(policy, rows):
+        assert policy(3.0)
+    helper = "helper_of_conditions.py line 2: seen > 0  (seen = 3) -> True"
+    assert rows[-1] == helper
+    assert rows[0].startswith("policy_of_conditions.py line 8: ")
+    assert "gap(seen) = 3" in rows[0]
+    assert not Conditions(files, module.root / "elsewhere")
+
+
+CLOSURE = """
+def make():
+    state = []
+
+    def decide(seen):
+        state.append(seen)
+        if seen > 9:
+            raise RuntimeError
+        state.append(lambda other: other > 1)
+        return len(state) > 2
+    return decide
+"""
+
+
+@pytest.mark.parametrize("seen", [1, 10], ids=["decides", "raises"])
+def test_a_policy_with_state_in_a_closure_is_left_as_it_was(module, seen):
+    policy = module(CLOSURE).make()
+    conditions, code = Conditions([module.root / "policy_of_conditions.py"], module.root), policy.__code__
+    for number in range(2):
+        rows = []
+        try:
+            with conditions.recorded(policy, rows):
+                assert policy(seen) is (number == 1)
+        except RuntimeError:
+            assert (seen, rows) == (10, [])
+        else:
+            value = 2 + 2 * number
+            assert rows[0] == f"line 10: len(state) > 2  (len(state) = {value}) -> {number == 1}"
+        assert policy.__code__ is code
+    cells = policy.__closure__[0].cell_contents
+    assert len(cells) == (4 if seen == 1 else 2)
+    assert [each(2) for each in cells if callable(each)] == [True] * (2 if seen == 1 else 0)
+
+
+def test_other_threads_are_not_recorded(module):
+    policy = module("def decide(seen):\n    return seen > 1\n").decide
+    rows = []
+    with Conditions([module.root / "policy_of_conditions.py"], module.root).recorded(policy, rows):
+        thread = threading.Thread(target=policy, args=[3])
+        thread.start()
+        thread.join()
+    assert rows == []
+
+
+@pytest.mark.parametrize(
+    "ads", ["lambda seen: running.send(seen)", "running.send", "Planner()"], ids=["closure", "method", "attribute"]
+)
+def test_nothing_is_told_of_a_generator_whose_conditions_would_be_missing(module, ads):
+    source = f"""
+    def steps():
+        seen = yield
+        while seen != 0:
+            seen = yield other(seen)
+
+    def other(seen):
+        return seen > 1
+
+    def make():
+        running = steps()
+        next(running)
+
+        class Planner:
+            def __init__(self):
+                self.running = running
+
+            def __call__(self, seen):
+                return self.running.send(seen)
+        return {ads}
+    decide = make()
+    """
+    assert recorded(module, source, 3) == []
+
+
+def test_nothing_is_told_of_a_file_that_changed_or_cannot_be_read(module):
+    policy, file = module("def decide(seen):\n    return seen > 1\n").decide, module.root / "policy_of_conditions.py"
+    for text in ("def decide(seen):\n    return seen > 2\n", "def decide(", "\0"):
+        file.write_text(text)
+        rows = []
+        with Conditions([file], module.root).recorded(policy, rows):
+            assert policy(2)
+        assert rows == []
+    file.write_text("def decide(seen):\n    return 1\n")
+    assert not Conditions([file], module.root)  # it has no condition
+    file.unlink()
+    assert not Conditions([file, module.root], module.root)
