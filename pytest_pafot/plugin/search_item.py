@@ -17,7 +17,15 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from pytest_pafot.campaign.events import FindTold, Listener, Progress, SearchEvent, SearchStarted, SearchSummary
+from pytest_pafot.campaign.events import (
+    NO_WORSE,
+    FindTold,
+    Listener,
+    Progress,
+    SearchEvent,
+    SearchStarted,
+    SearchSummary,
+)
 from pytest_pafot.campaign.harness import Harness, checked_factory, reference_of, source_file
 from pytest_pafot.campaign.options import BY_NAME, Settings
 from pytest_pafot.campaign.replays import Replays
@@ -357,6 +365,11 @@ class SearchMessages:
 
     def _find(self, kept: FindTold) -> None:
         config = self.item.config
+        if kept.find.label == NO_WORSE:  # it was told as new before, and gets no item
+            self.told.pop(kept.find.id, None)
+            note = kept.find.detail
+            tell_finding(self.item, self.settings, kept.finding, kept.find, run=kept.run, note=note, is_new=False)
+            return
         self.told[kept.find.id] = kept
         width = config.stash[SHARED].width
         explanation = "" if kept.run is None else explained(kept.run, kept.exception, config)
