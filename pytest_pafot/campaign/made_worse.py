@@ -20,7 +20,7 @@ from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.searching.ask_tell_loop import generation_rng
 from pytest_pafot.searching.space import SearchSpace, sample
-from pytest_pafot.support.errors import OutOfTime, flag
+from pytest_pafot.support.errors import OutOfTime
 from pytest_pafot.support.proportions import FEWEST
 from pytest_pafot.world.guard.hang_guard import runs_end_in
 
@@ -121,7 +121,8 @@ class MadeWorse:
         if expect.outcome in (Outcome.ADS_ERROR, Outcome.HANG) or expect.failure == SLOW_DECISION:
             return
         harness = loop.simulation.harness
-        way_out = "" if harness.request.settings.save == "all" else f"; {flag('save', 'all')} saves it"
-        loop.recorder.dismiss(kept, f"fails elsewhere, no worse than {harness.against_name}: {self.paired}{way_out}")
+        way_out = f"{harness.request.option('pairs', 0)} counts and saves it"
+        told = f"fails elsewhere, no worse than {harness.against_name}: {self.paired}; {way_out}"
+        loop.recorder.dismiss(kept, told)
         # A later session that finds it again decides again.
         loop.finds = {signature: id_ for signature, id_ in loop.finds.items() if id_ != kept.find.id}

@@ -171,8 +171,8 @@ class Settings:
     pairs: int = option(
         "integer",
         "Largest number of random scenarios that ADS and reference both drive if a search has findings.",
-        "They decide whether its findings count, and end as soon as that is clear. With 0 there are none, and every "
-        "failure counts that the reference passes.",
+        "They decide whether its findings count and are saved, and end as soon as that is clear. With 0 there are "
+        "none, and every failure counts that the reference passes.",
         default=500,
     )
     copy: str | None = option(
@@ -253,10 +253,9 @@ class Settings:
     )
     save: str = option(
         "text",
-        "Which findings are written to the corpus: the new ones, none, or all, also those that do not count.",
-        "A finding does not count if a comparison with a reference shows that the change made the policy no worse.",
+        "Which findings are written to the corpus: the new ones, or none.",
         default="new",
-        choices=("new", "none", "all"),
+        choices=("new", "none"),
     )
     workers: int = option(
         "workers",

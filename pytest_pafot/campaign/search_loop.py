@@ -734,9 +734,9 @@ class Recorder:
             self._remove_folders()
 
     def dismiss(self, kept: FindTold, why: str) -> None:
-        """Report that a finding does not count, and remove its file, unless all are saved."""
+        """Report that a finding does not count, and remove its file."""
         file, find = kept.file, replace(kept.find, label=NO_WORSE, detail=why, unshrunk="")
-        if file is not None and self.harness.request.settings.save != "all":
+        if file is not None:
             with suppress(OSError):  # A file that cannot be removed stays, and is told with its path.
                 file.unlink(missing_ok=True)
                 find = replace(find, path="")

@@ -338,7 +338,7 @@ def _comparison(search: SearchSummary) -> list[str]:
     lines = [search.compared] if search.compared else []
     if search.no_worse:
         told = [f"{id_} ({headline})" if headline else id_ for id_, headline in search.no_worse.items()]
-        lines.append(f"fails elsewhere: {_listed(told)}; {flag('save', 'all')} saves what does not count")
+        lines.append(f"fails elsewhere: {_listed(told)}; {flag('pairs', 0)} counts and saves it")
     return lines
 
 
