@@ -181,23 +181,28 @@ class Paired:
         runs: the number of these scenarios.
         only_new: the number of those in which only the new policy failed.
         only_reference: the number of those in which only the reference failed.
-        is_cut: True if the time was over before they were enough.
+        most: the number that was to be driven if it did not become clear before.
     """
 
     runs: int = 0
     only_new: int = 0
     only_reference: int = 0
-    is_cut: bool = False
+    most: int
 
     @property
     def is_worse(self) -> bool | None:
         """True if the new policy fails more often; None if these scenarios do not tell."""
-        return hits_more(self.only_new, self.only_reference)
+        return hits_more(self.only_new, self.only_reference, is_last=self.runs >= self.most)
+
+    @property
+    def is_cut(self) -> bool:
+        """True if the time was over before it was clear."""
+        return self.is_worse is None and self.runs < self.most
 
     def with_run(self, *, new: bool, old: bool) -> Paired:
         """Return the counts with one more scenario, in which only the new policy failed, or only the old one."""
         only_new, only_reference = self.only_new + new, self.only_reference + old
-        return Paired(runs=self.runs + 1, only_new=only_new, only_reference=only_reference)
+        return replace(self, runs=self.runs + 1, only_new=only_new, only_reference=only_reference)
 
     def __str__(self) -> str:
         cut = ", where the time was over" if self.is_cut else ""
@@ -241,9 +246,9 @@ class SearchSummary:
             `random_otherwise` and `random_runs` count these scenarios, and no random ones.
         drawn, coverage: a line on the range of scenarios from which the search sampled, and one on what NPCs reached.
         against: the reference that failures were compared with; empty without one.
-        paired: random scenarios that both drove to decide whether the findings count: `runs`; `only_new` and
-            `only_reference`, in how many only one of them failed; `is_cut`, whether the time was over before they were
-            enough. Null if there was nothing to decide.
+        paired: random scenarios that both drove to decide whether the findings count: `runs`, their number; `most`, if
+            it does not become clear before; `only_new` and `only_reference`, in how many only one of them failed. Null
+            if there was nothing to decide.
         no_worse: its new findings that do not count, because the reference fails as often elsewhere: headlines by id.
         warnings, notes: warnings about its health, and all other remarks except those on processes.
         requirements, title, owner: ids of the requirements that its test checks, what they ask for, and who answers for

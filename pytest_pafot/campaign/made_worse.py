@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from itertools import islice
 
 from pytest_pafot.campaign.events import FindTold, Paired
@@ -21,7 +21,6 @@ from pytest_pafot.model.trace import Outcome
 from pytest_pafot.searching.ask_tell_loop import generation_rng
 from pytest_pafot.searching.space import SearchSpace, sample
 from pytest_pafot.support.errors import OutOfTime
-from pytest_pafot.support.proportions import FEWEST
 from pytest_pafot.world.guard.hang_guard import runs_end_in
 
 AHEAD = 64
@@ -48,7 +47,10 @@ class MadeWorse:
     clock: Callable[[], float]
     until: float
     tell: Callable[[str], None]
-    paired: Paired = field(default_factory=Paired, init=False)
+    paired: Paired = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.paired = Paired(most=self.most)
 
     def compare(self, space: SearchSpace) -> None:
         """Drive random scenarios with both policies, and dismiss the findings if the new one does not fail more often.
@@ -66,7 +68,6 @@ class MadeWorse:
                 runner.announce(ahead)
                 for scenario in ahead:
                     self.tell(f"comparing in random scenario {self.paired.runs + 1} of {self.most}")
-                    self.paired = replace(self.paired, is_cut=True)
                     with runs_end_in(self.until - self.clock()):
                         new, old = self._fail(scenario)
                     self.paired = self.paired.with_run(new=new, old=old)
@@ -74,7 +75,8 @@ class MadeWorse:
                         break
                 if self.paired.is_worse is not None:
                     break
-        if self._counts is False:
+        # What no time was left to decide counts.
+        if self.paired.is_worse is False:
             recorder = self.loop.recorder
             for kept in list(recorder.kept.values()):
                 self._dismiss(kept)
@@ -83,21 +85,10 @@ class MadeWorse:
 
     def conclude(self) -> None:
         """Dismiss findings that are not broad, if the random scenarios hardly tell the two policies apart."""
-        if self._counts is None:
+        if self.paired.is_worse is None and not self.paired.is_cut:
             for kept in list(self.loop.recorder.kept.values()):
                 if kept.find.breadth is not None and kept.find.breadth.word != "broad":
                     self._dismiss(kept)
-
-    @property
-    def _counts(self) -> bool | None:
-        """Whether findings count; None if too few of the random scenarios differ to tell.
-
-        What no time was left to decide counts.
-        """
-        paired = self.paired
-        if paired.is_worse is None and paired.only_new + paired.only_reference < FEWEST and not paired.is_cut:
-            return None
-        return paired.is_worse or paired.is_cut
 
     def _fail(self, scenario: Scenario) -> tuple[bool, bool]:
         """Return whether only the new policy fails in a scenario, and whether only the reference does."""

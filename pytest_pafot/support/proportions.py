@@ -21,7 +21,7 @@ WORSE = 0.8
 MISSED = 0.05
 """The largest chance with which a first that is clearly worse may be called no worse."""
 _UNEVEN, _EVEN = math.log((1 - MISSED) / LEVEL), math.log(MISSED / (1 - LEVEL))
-FEWEST = math.ceil(_UNEVEN / math.log(2 * WORSE))
+FEWEST = math.ceil(-math.log2(LEVEL))
 """The smallest number of trials that only one hit with which :func:`hits_more` can say that the first hits more."""
 
 
@@ -54,14 +54,19 @@ def mcnemar(first_only: int, second_only: int) -> float:
     return 1.0 if trials == 0 else min(1.0, 2 * _at_most(min(first_only, second_only), trials, 0.5))
 
 
-def hits_more(first_only: int, second_only: int) -> bool | None:
-    """Return whether the first hits more of the same trials than the second; None as long as more trials must tell.
+def hits_more(first_only: int, second_only: int, *, is_last: bool = False) -> bool | None:
+    """Return whether the first hits more of the same trials than the second; None if that is not known.
 
     This is Wald's sequential test. It may be asked after each trial, so that clear cases end early. Of the trials that
-    only one hits, the first hits half if both are alike, and :data:`WORSE` of them if it is clearly worse.
+    only one hits, the first hits half if both are alike, and :data:`WORSE` of them if it is clearly worse. After the
+    last trial, the exact sign test decides what lies between, unless fewer than :data:`FEWEST` trials differ.
     """
     evidence = first_only * math.log(2 * WORSE) + second_only * math.log(2 * (1 - WORSE))
-    return True if evidence >= _UNEVEN else False if evidence <= _EVEN else None
+    if evidence >= _UNEVEN or evidence <= _EVEN:
+        return evidence > 0
+    if not is_last or first_only + second_only < FEWEST:
+        return None
+    return first_only > second_only and mcnemar(first_only, second_only) <= 2 * LEVEL  # of one side
 
 
 def difference(first_only: int, second_only: int, trials: int) -> tuple[float, float]:

@@ -40,9 +40,9 @@ def test_paired_shares_are_compared_by_mcnemar_test(first, second):
     assert mcnemar(first, second) == pytest.approx(exact, rel=1e-9)
 
 
-def chances(share, trials):
+def chances(share, trials, *, is_last=False):
     """Return the chances that ``hits_more`` ends with True and with False, if the first hits this share of trials."""
-    open_, ended = {(0, 0): 1.0}, {True: 0.0, False: 0.0}
+    open_, ended = {(0, 0): 1.0}, {True: 0.0, False: 0.0, None: 0.0}
     for _ in range(trials):
         after = {}
         for (first, second), chance in open_.items():
@@ -53,6 +53,8 @@ def chances(share, trials):
                 else:
                     ended[answer] += chance * part
         open_ = after
+    for counts, chance in open_.items():
+        ended[hits_more(*counts, is_last=is_last)] += chance
     return ended
 
 
@@ -62,10 +64,13 @@ def test_sequential_test_is_wrong_as_seldom_as_it_promises():
     assert alike[False] > 0.98
     assert worse[False] < 0.05
     assert worse[True] > 0.95
+    assert max(chances(0.5, trials, is_last=True)[True] for trials in range(60)) < 0.02
 
 
-def test_sequential_test_needs_ten_trials_or_more_that_only_one_hit():
-    assert FEWEST == 10
+def test_sequential_test_ends_early_and_after_its_last_trial():
+    assert FEWEST == 7
+    last = ((7, 0), (6, 0), (5, 1), (26, 10), (31, 15), (3, 4))
+    assert [hits_more(*counts, is_last=True) for counts in last] == [True, None, None, True, False, False]
     assert [hits_more(first, 0) for first in (0, 9, 10)] == [None, None, True]
     assert [hits_more(0, second) for second in (3, 4)] == [None, False]
     assert [hits_more(*counts) for counts in ((12, 1), (11, 1), (6, 6), (40, 40))] == [True, None, None, False]
