@@ -173,7 +173,7 @@ class Settings:
         "Largest number of random scenarios that ADS and reference both drive if a search has findings.",
         "They decide whether its findings count and are saved, and end as soon as that is clear. With 0 there are "
         "none, and every failure counts that the reference passes.",
-        default=500,
+        default=700,
     )
     copy: str | None = option(
         "text",

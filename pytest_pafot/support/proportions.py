@@ -16,7 +16,7 @@ CONFIDENCE = 0.95
 LEVEL = 0.01
 """The largest chance with which a comparison of two versions of a policy may claim a difference where there is none.
 Policies are compared after each change: with 0.05, one of twenty changes without an effect might be called worse."""
-WORSE = 0.8
+WORSE = 0.7
 """The share of trials that only the first hit, of those that only one hit, from which on the first is clearly worse."""
 MISSED = 0.05
 """The largest chance with which a first that is clearly worse may be called no worse."""

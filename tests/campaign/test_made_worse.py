@@ -69,8 +69,8 @@ def test_policy_that_fails_as_often_elsewhere_is_no_worse(tmp_path, monkeypatch)
 def test_policy_that_fails_more_often_is_worse():
     found, told = compared(ALL, NONE)
     assert [find.label for find in told] == ["new"] * len(found.findings) != []
-    assert found.summary.paired == Paired(runs=10, only_new=10, most=500)
-    assert found.summary.compared == "worse than the reference: of 10 random scenarios, 10 fail only now, 0 only before"
+    assert found.summary.paired == Paired(runs=14, only_new=14, most=700)
+    assert found.summary.compared == "worse than the reference: of 14 random scenarios, 14 fail only now, 0 only before"
 
 
 def test_findings_that_are_not_saved_do_not_count_either():

@@ -59,7 +59,7 @@ def chances(share, trials, *, is_last=False):
 
 
 def test_sequential_test_is_wrong_as_seldom_as_it_promises():
-    alike, worse = chances(0.5, 150), chances(0.8, 150)
+    alike, worse = chances(0.5, 400), chances(0.7, 400)
     assert alike[True] < 0.01
     assert alike[False] > 0.98
     assert worse[False] < 0.05
@@ -71,9 +71,9 @@ def test_sequential_test_ends_early_and_after_its_last_trial():
     assert FEWEST == 7
     last = ((7, 0), (6, 0), (5, 1), (26, 10), (31, 15), (3, 4))
     assert [hits_more(*counts, is_last=True) for counts in last] == [True, None, None, True, False, False]
-    assert [hits_more(first, 0) for first in (0, 9, 10)] == [None, None, True]
-    assert [hits_more(0, second) for second in (3, 4)] == [None, False]
-    assert [hits_more(*counts) for counts in ((12, 1), (11, 1), (6, 6), (40, 40))] == [True, None, None, False]
+    assert [hits_more(first, 0) for first in (0, 13, 14)] == [None, None, True]
+    assert [hits_more(0, second) for second in (5, 6)] == [None, False]
+    assert [hits_more(*counts) for counts in ((16, 1), (15, 1), (10, 10), (40, 40))] == [True, None, None, False]
 
 
 def test_share_is_printed_with_interval_or_upper_bound():
