@@ -7,7 +7,7 @@ So both policies drive the same random scenarios, and those in which only one of
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from dataclasses import dataclass, field
 from itertools import islice
@@ -78,17 +78,15 @@ class MadeWorse:
         # What no time was left to decide counts.
         if self.paired.is_worse is False:
             recorder = self.loop.recorder
-            for kept in list(recorder.kept.values()):
-                self._dismiss(kept)
             recorder.dismissed.update(dict.fromkeys(recorder.unsaved, ""))
             recorder.unsaved.clear()
+            self._dismiss(recorder.kept.values())
 
     def conclude(self) -> None:
         """Dismiss findings that are not broad, if the random scenarios hardly tell the two policies apart."""
         if self.paired.is_worse is None and not self.paired.is_cut:
-            for kept in list(self.loop.recorder.kept.values()):
-                if kept.find.breadth is not None and kept.find.breadth.word != "broad":
-                    self._dismiss(kept)
+            found = ((kept, kept.find.breadth) for kept in self.loop.recorder.kept.values())
+            self._dismiss(kept for kept, breadth in found if breadth is not None and breadth.word != "broad")
 
     def _fail(self, scenario: Scenario) -> tuple[bool, bool]:
         """Return whether only the new policy fails in a scenario, and whether only the reference does."""
@@ -106,14 +104,14 @@ class MadeWorse:
         simulation.record.clear()
         return False, reference.failed
 
-    def _dismiss(self, kept: FindTold) -> None:
-        """Take a finding back, unless the policy itself raised, hung or was slow: that is no question of how often."""
-        expect, loop = kept.finding.expect, self.loop
-        if expect.outcome in (Outcome.ADS_ERROR, Outcome.HANG) or expect.failure == SLOW_DECISION:
-            return
-        harness = loop.simulation.harness
+    def _dismiss(self, finds: Iterable[FindTold]) -> None:
+        """Take findings back, unless the policy itself raised, hung or was slow: that is no question of how often."""
+        loop, harness = self.loop, self.loop.simulation.harness
         way_out = f"{harness.request.option('pairs', 0)} counts and saves it"
         told = f"fails elsewhere, no worse than {harness.against_name}: {self.paired}; {way_out}"
-        loop.recorder.dismiss(kept, told)
-        # A later session that finds it again decides again.
-        loop.finds = {signature: id_ for signature, id_ in loop.finds.items() if id_ != kept.find.id}
+        for kept in list(finds):
+            expect = kept.finding.expect
+            if expect.outcome not in (Outcome.ADS_ERROR, Outcome.HANG) and expect.failure != SLOW_DECISION:
+                loop.recorder.dismiss(kept, told)
+        # A later session that finds one again decides again.
+        loop.finds = {signature: id_ for signature, id_ in loop.finds.items() if id_ not in loop.recorder.dismissed}
