@@ -65,10 +65,11 @@ make = Policy
 """
 
 
-def test_policy_that_fails_as_often_elsewhere_passes(project):
+def test_policy_that_fails_as_often_elsewhere_passes(project, monkeypatch):
+    monkeypatch.setenv("GITHUB_STEP_SUMMARY", str(project.path / "summary.md"))
     project.write(TEST.replace("MORE", ""))
     policies(project, ELSEWHERE.replace("PART", "0"), ELSEWHERE.replace("PART", "1") + "# before")
-    result = project.run_once(AGAINST, "--pafot-json=pafot.json", "--pafot-report=pafot.html")
+    result = project.run(AGAINST, "--pafot-json=pafot.json", "--pafot-report=pafot.html")
     result.assert_outcomes(passed=1)
     told = json.loads((project.path / "pafot.json").read_text())
     (search,), (finding,) = told["searches"], told["findings"]
@@ -89,6 +90,10 @@ def test_policy_that_fails_as_often_elsewhere_passes(project):
     assert finding["scenario"]
     assert counts in finding["detail"]
     assert counts in (project.path / "pafot.html").read_text()
+    summary = (project.path / "summary.md").read_text()
+    assert summary.startswith("### pafot: nothing new, 1 no worse")
+    assert "\nNo worse than planner" in summary
+    assert f"random scenarios, {counts}." in summary
     assert project.files == []
     project.run(AGAINST, "--pafot-pairs=0").assert_outcomes(failed=2)
     assert [id_ in file for file in project.files] == [True]
