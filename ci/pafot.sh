@@ -11,8 +11,9 @@
 # Each session runs all tests: one that calls pafot.sweep or uses pafot_simulate looks like any other one before it runs.
 # Further arguments are options of pytest, such as the folder of the tests. Each session leaves pafot.json and pafot.xml,
 # and pafot.html if a search or a replay ran. It ends with pytest's exit code, or with 2 where pytest ends with 0 and
-# pafot.json does not say so, and where a pull request could not be compared. The environment says the rest; what is empty
-# or not set is left out:
+# pafot.json does not say so, and where a pull request could not be compared. A finding of a
+# pull request fails it only if the policy became worse, and not if that of before fails as often. The environment says the
+# rest; what is empty or not set is left out:
 #
 #   REQUIREMENTS  a file for `pip install -r`
 #   RUNS, SEED    of each search

@@ -18,6 +18,7 @@ from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.searching.events import Event
 from pytest_pafot.support.errors import flag
+from pytest_pafot.support.proportions import hits_more
 from pytest_pafot.support.text import ascii_text, plural
 
 # Reports of a search: its progress, each new finding, and its summary.
@@ -55,6 +56,9 @@ PASSING = ("fixed", "fixed before", ELSEWHERE)
 PASSES = "passes"
 """The result of a replay with the label ``fixed`` that no search confirms, see :attr:`Find.result`."""
 
+NO_WORSE = "no worse"
+"""The label of a new finding that does not speak against a policy, since the reference fails as often elsewhere."""
+
 DONE, ALL_RUN = "all generations done", "all runs done"
 """The reasons for which a search ends that ran to its end."""
 
@@ -68,12 +72,14 @@ class Find:
         node_id: node id of the item that replays it, in this session or, if it is new, from the next one on.
         test: node id of the test of a replayed one, as it is in this session.
         signature: text of the signature of a replayed one, as its file says.
-        label: ``new``, or of a replay ``fixed``, ``still failing``, ``still failing, nearby``, ``drifted``, ``flaky``;
-            in a comparison with a reference also ``introduced``, ``common`` or ``fixed before``. The search of the test
-            may make it ``still failing elsewhere``, see :func:`concluded`.
+        label: ``new``, or ``no worse`` if it is new and does not count in a comparison; of a replay ``fixed``, ``still
+            failing``, ``still failing, nearby``, ``drifted``, ``flaky``; in a comparison with a reference also
+            ``introduced``, ``common`` or ``fixed before``. The search of the test may make it ``still failing
+            elsewhere``, see :func:`concluded`.
         headline: how the run failed; empty if it passes.
         path: path of its file; empty if a new finding has none.
-        detail: why a new finding has no file, or what differs from the file of a replayed one; may be empty.
+        detail: why a new finding has no file or does not count, or what differs from the file of a replayed one; may be
+            empty.
         difference: what differed when the scenario of a new finding was run again; empty if nothing did.
         rate: a sentence on how often a policy fails that draws random numbers; empty for any other.
         rate_now: how often it fails in a replay; None for a new finding, and without a rate.
@@ -175,6 +181,43 @@ class Find:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Paired:
+    """The random scenarios that a policy and its reference both drove.
+
+    Attributes:
+        runs: the number of these scenarios.
+        only_new: the number of those in which only the new policy failed.
+        only_reference: the number of those in which only the reference failed.
+        most: the number that was to be driven if it did not become clear before.
+    """
+
+    runs: int = 0
+    only_new: int = 0
+    only_reference: int = 0
+    most: int
+
+    @property
+    def is_worse(self) -> bool | None:
+        """True if the new policy fails more often; None if these scenarios do not tell."""
+        return hits_more(self.only_new, self.only_reference, is_last=self.runs >= self.most)
+
+    @property
+    def is_cut(self) -> bool:
+        """True if the time was over before it was clear."""
+        return self.is_worse is None and self.runs < self.most
+
+    def with_run(self, *, new: bool, old: bool) -> Paired:
+        """Return the counts with one more scenario, in which only the new policy failed, or only the old one."""
+        only_new, only_reference = self.only_new + new, self.only_reference + old
+        return replace(self, runs=self.runs + 1, only_new=only_new, only_reference=only_reference)
+
+    def __str__(self) -> str:
+        cut = ", where the time was over" if self.is_cut else ""
+        counts = f"{self.only_new} fail only now, {self.only_reference} only before"
+        return f"of {plural(self.runs, 'random scenario')}{cut}, {counts}"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class SearchSummary:
     """A search at its end, or one that could not begin because its item failed; programs read all of it but the last.
 
@@ -210,6 +253,10 @@ class SearchSummary:
             `random_otherwise` and `random_runs` count these scenarios, and no random ones.
         drawn, coverage: a line on the range of scenarios from which the search sampled, and one on what NPCs reached.
         against: the reference that failures were compared with; empty without one.
+        paired: random scenarios that both drove to decide whether the findings count: `runs`, their number; `most`, if
+            it does not become clear before; `only_new` and `only_reference`, in how many only one of them failed. Null
+            if there was nothing to decide.
+        no_worse: its new findings that do not count, because the reference fails as often elsewhere: headlines by id.
         warnings, notes: warnings about its health, and all other remarks except those on processes.
         requirements, title, owner: ids of the requirements that its test checks, what they ask for, and who answers for
             the test.
@@ -255,6 +302,8 @@ class SearchSummary:
     drawn: str = ""
     coverage: str = ""
     against: str = ""
+    paired: Paired | None = None
+    no_worse: Mapping[str, str] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     requirements: tuple[str, ...] = ()  # these three are known only to the controller
@@ -269,6 +318,19 @@ class SearchSummary:
         """The command-line options that request the same search."""
         given = (("generations", self.asked), ("runs", self.budget), ("seed", self.base_seed))
         return " ".join(flag(name, value) for name, value in given if value is not None)
+
+    @property
+    def compared(self) -> str:
+        """What random scenarios say of the policy and its reference; empty if nothing was to be decided."""
+        if self.paired is None:
+            return ""
+        if self.paired.is_worse:
+            how = f"worse than {self.against}"
+        elif self.finds or self.unsaved:
+            how = f"random scenarios do not tell {self.against} and the new policy apart"
+        else:
+            how = f"no worse than {self.against}"
+        return f"{how}: {self.paired}"
 
     @property
     def began(self) -> bool:

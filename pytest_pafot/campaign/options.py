@@ -164,8 +164,16 @@ class Settings:
         "text",
         "Count only failures that this reference passes: rev:REVISION, or module:factory for a second ADS.",
         "`rev:main` is the policy of the test in that revision of the repository. The mark also takes a factory or "
-        "the name of its fixture. In a search the reference runs only if the ADS fails.",
+        "the name of its fixture. In a search the reference runs only if the ADS fails. A session fails only if the "
+        "change [made the policy worse](../guide/what-broke.md#made-worse-or-failing-elsewhere).",
         or_class=True,
+    )
+    pairs: int = option(
+        "integer",
+        "Largest number of random scenarios that ADS and reference both drive if a search has findings.",
+        "They decide whether its findings count and are saved, and end as soon as that is clear. With 0 there are "
+        "none, and every failure counts that the reference passes.",
+        default=700,
     )
     copy: str | None = option(
         "text",

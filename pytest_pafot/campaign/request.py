@@ -82,6 +82,7 @@ class SearchArguments(TypedDict, total=False):
     seed: int
     algorithm: str | type[Algorithm[Any]]
     against: str | Callable[..., Any]
+    pairs: int
     copy: str
     max_time: float
     resume: str

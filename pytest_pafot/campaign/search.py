@@ -28,6 +28,7 @@ from pytest_pafot.campaign.events import (
     SearchSummary,
 )
 from pytest_pafot.campaign.harness import Harness, Simulation, refusals
+from pytest_pafot.campaign.made_worse import MadeWorse
 from pytest_pafot.campaign.options import FULL, LOCAL, PROFILES, Settings
 from pytest_pafot.campaign.replays import Replays
 from pytest_pafot.campaign.request import build_space
@@ -233,6 +234,7 @@ class Search:
     _neighbour_runs: int = field(init=False, default=0)
     _shrink_decisions: int = field(init=False, default=0)
     _neighbour_decisions: int = field(init=False, default=0)
+    _worse: MadeWorse | None = field(init=False, default=None)  # of a search with findings and a reference
     _manners: dict[str, Manner] = field(init=False, default_factory=dict)  # of the saved scenarios, by id
     _told_at: float = field(init=False)
 
@@ -280,6 +282,23 @@ class Search:
             # All findings are reported and the state is stored before shrinking, which takes long and may be cut.
             recorder.release()
             self.sessions.store()
+            # With a reference, the findings that do not show that the policy became worse are not even shrunk.
+            if (
+                harness.against is not None
+                and loop.space is not None
+                and recorder.count
+                and harness.request.settings.pairs
+            ):
+                now = self.sessions.clock()
+                self._worse = MadeWorse(
+                    loop=loop,
+                    seed=self.sessions.seed,
+                    most=harness.request.settings.pairs,
+                    clock=self.sessions.clock,
+                    until=now + (self.limit.until - now) / 2,
+                    tell=lambda phase: self._tell_progress(phase, "comparison"),
+                )
+                self._worse.compare(loop.space)
             plain = None if loop.space is None else (loop.space.ego_lane, loop.space.ego_speed)
             work = Simplification(
                 loop=loop,
@@ -295,6 +314,8 @@ class Search:
             try:
                 with GENERATORS.held():
                     work.run_all(f"; {flag('resume')} goes on" if self.sessions.go_on else "")
+                    if self._worse is not None:
+                        self._worse.conclude()
             finally:  # Even after Ctrl-C, findings that were simplified must not be simplified again.
                 self._shrink_runs, self._neighbour_runs = work.runs, work.neighbour_runs
                 self._shrink_decisions = work.shrink_decisions
@@ -459,13 +480,16 @@ class Search:
         """
         loop, clock, settings = self.loop, self.sessions.clock, self.harness.request.settings
         to_simplify = RUNS_TO_CONFIRM + rollouts_for(self.harness) + RUNS_A_NEIGHBOUR * settings.neighbours
+        to_compare = 0 if self.harness.against is None else 2 * settings.pairs
 
         def ends() -> float:
             run_seconds = (clock() - began) * settings.workers / max(loop.runs - runs_before, 1)
             firm = loop.recorder.firm
             if firm and self.sessions.decides_for_many:
                 return search_until
-            return max(search_until, self.limit.until - (firm * to_simplify or RUNS_TO_CONFIRM) * run_seconds)
+            return max(
+                search_until, self.limit.until - (firm * to_simplify + to_compare or RUNS_TO_CONFIRM) * run_seconds
+            )
 
         return ends
 
@@ -549,6 +573,8 @@ class Search:
             notes=(*self.sessions.notes, *self.driver_notes, *filter(None, notes), *cut, *self._left_undone(reason)),
             process_notes=tuple(self.process_notes),
             against=self.harness.against_name,
+            paired=None if self._worse is None else self._worse.paired,
+            no_worse=loop.recorder.dismissed,
             random_failing=0 if is_cut_short else beginning.at_fault,
             random_runs=0 if is_cut_short else beginning.runs,
             random_otherwise=0 if is_cut_short else beginning.otherwise,

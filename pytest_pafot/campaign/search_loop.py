@@ -14,7 +14,7 @@ from typing import Any
 
 from pytest_pafot.attribution.mistakes import mistake_of
 from pytest_pafot.attribution.responsibility import is_ego_responsible
-from pytest_pafot.campaign.events import NOT_REPEATED, Find, FindTold, Judged, Listener
+from pytest_pafot.campaign.events import NO_WORSE, NOT_REPEATED, Find, FindTold, Judged, Listener
 from pytest_pafot.campaign.harness import Harness, Simulation, is_same_run
 from pytest_pafot.campaign.run_table import columns_of, row_of
 from pytest_pafot.campaign.setup_fault import FirstGeneration, unit_doubt
@@ -635,6 +635,7 @@ class Recorder:
     unsaved: list[str] = field(default_factory=list)  # ids of findings above the limit of saved scenarios
     first: BaseException | None = None  # the exception of the first finding, for a debugger
     held: list[str] = field(default_factory=list)  # ids of findings that are saved and not reported yet
+    dismissed: dict[str, str] = field(default_factory=dict)  # headlines of findings that do not count, by id
     is_holding: bool = True  # False once findings are reported at once, because they are no fault of the set-up
 
     @property
@@ -728,8 +729,26 @@ class Recorder:
         if not any(kept.file for kept in withdrawn):
             return  # Nothing was saved, and the folders may be behind a link, where nothing may be removed.
         with suppress(OSError):  # Folders with other content stay.
-            for folder in (self.harness.folder, *self.harness.folder.parents[:2]):
-                folder.rmdir()
+            self._remove_folders()
+
+    def dismiss(self, kept: FindTold, why: str) -> None:
+        """Report that a finding does not count, and remove its file."""
+        file, find = kept.file, replace(kept.find, label=NO_WORSE, detail=why, unshrunk="")
+        if file is not None:
+            with suppress(OSError):  # A file that cannot be removed stays, and is told with its path.
+                file.unlink(missing_ok=True)
+                find = replace(find, path="")
+            with suppress(OSError):  # Folders with other content stay.
+                self._remove_folders()
+        with postponed():
+            del self.kept[find.id]
+            self.dismissed[find.id] = find.headline
+            self.first = next((each.exception for each in self.kept.values()), None)
+            self.listener(replace(kept, find=find, is_new=False))
+
+    def _remove_folders(self) -> None:
+        for folder in (self.harness.folder, *self.harness.folder.parents[:2]):
+            folder.rmdir()
 
     def tell(self, told: FindTold) -> None:
         """Report a new finding, or an update of a reported finding, to the listener."""

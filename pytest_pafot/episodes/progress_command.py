@@ -48,7 +48,7 @@ from pytest_pafot.oracle.run import Run
 from pytest_pafot.searching.space import sample, space_on
 from pytest_pafot.support.errors import RequestError, command
 from pytest_pafot.support.files import way_out, write_whole
-from pytest_pafot.support.proportions import difference, holm, mcnemar
+from pytest_pafot.support.proportions import LEVEL, difference, holm, mcnemar
 from pytest_pafot.support.references import described
 from pytest_pafot.support.text import ascii_text, csv_text, markdown_table, one_line, plural, visible
 from pytest_pafot.support.versions import installed_versions
@@ -57,9 +57,6 @@ from pytest_pafot.world.protocol import first_decision, reference_world, road_st
 
 # Comparison of two versions of a policy in the same situations, as values and in words.
 
-LEVEL = 0.01
-"""The largest adjusted p-value with which a line of the table claims a difference. Policies are compared after each
-change: with 0.05, one of twenty changes without an effect might be called better or worse."""
 APART = "not told apart"
 
 
@@ -466,7 +463,7 @@ def _rows(plan: ProgressPlan, part: str, numbers: range, tick: Tick) -> Iterator
         (side, other), runs = ("old", "new") if part == "alone_old" else ("new", "old"), count(1)
         found = explore(
             plan.factory(side), against=plan.factory(other), holds=plan.holds, world=plan.world,
-            blame="ego", runs=plan.scenarios, seed=plan.seed, node_id=plan.test, shrink_rollouts=0,
+            blame="ego", runs=plan.scenarios, seed=plan.seed, node_id=plan.test, shrink_rollouts=0, pairs=0,
             on_event=lambda event: tick(min(1.0, next(runs) / plan.scenarios)) if isinstance(event, Judged) else None,
         )  # fmt: skip
         old, new = Result(failed=side == "old"), Result(failed=side == "new")

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from pytest_pafot.campaign.events import (
+    NO_WORSE,
     NOT_REPEATED,
     FindTold,
     Listener,
@@ -364,6 +365,11 @@ class SearchMessages:
 
     def _find(self, kept: FindTold) -> None:
         config = self.item.config
+        if kept.find.label == NO_WORSE:  # it was told as new before, and gets no item
+            self.told.pop(kept.find.id, None)
+            note = kept.find.detail
+            tell_finding(self.item, self.settings, kept.finding, kept.find, run=kept.run, note=note, is_new=False)
+            return
         self.told[kept.find.id] = kept
         width = config.stash[SHARED].width
         explanation = "" if kept.run is None else explained(kept.run, kept.exception, config)
@@ -395,7 +401,9 @@ class SearchMessages:
         if kept.is_new and not self.new:
             story = [] if kept.run is None else kept.run.explain(instructions=False).splitlines()
             is_told = bool(story) and story[0].partition(":")[0] in kept.find.headline
-            again = rerun(["pytest", kept.find.path], os.environ, *where, saved=kept.find.id)
+            # A file whose finding does not count in a comparison will be removed.
+            is_sure = self.settings.against is None or not self.settings.pairs
+            again = rerun(["pytest", kept.find.path], os.environ, *where, saved=kept.find.id) if is_sure else ""
             whole = {"story": story[is_told:], "again": again}
         self.new.extend([kept.find.id] if kept.is_new else [])
         check = kept.exception.check if isinstance(kept.exception, CheckFailed) else None

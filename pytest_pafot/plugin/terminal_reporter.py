@@ -218,7 +218,7 @@ class Reporter:
 
     def _take(self, report: pytest.TestReport, message: Message) -> None:
         """Process a message of an item. Messages for the report page are left to a separate plugin."""
-        from pytest_pafot.campaign.events import NEW, Find, Progress, SearchSummary  # noqa: PLC0415
+        from pytest_pafot.campaign.events import NEW, NO_WORSE, Find, Progress, SearchSummary  # noqa: PLC0415
         from pytest_pafot.report import terminal  # noqa: PLC0415
         from pytest_pafot.searching.plain import from_plain  # noqa: PLC0415
 
@@ -238,6 +238,8 @@ class Reporter:
                 if find.label == NEW:
                     self._explained[find.id] = data.get("record", {}).get("sentences", [])
                     self._take_find(report, find, data)
+                elif find.label == NO_WORSE:
+                    self._pending.get(report.nodeid, {}).pop(find.node_id, None)
                 else:
                     self._replays.append(find)
                     self._neighbour_seconds += data["seconds"]

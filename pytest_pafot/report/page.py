@@ -26,7 +26,7 @@ from types import MappingProxyType
 from typing import Any
 from urllib.parse import quote
 
-from pytest_pafot.campaign.events import NEW, Find, SearchSummary, concluded
+from pytest_pafot.campaign.events import NEW, NO_WORSE, Find, SearchSummary, concluded
 from pytest_pafot.campaign.options import is_page_file
 from pytest_pafot.corpus.layout import SUFFIX
 from pytest_pafot.findings.finding import JUDGED_OTHERWISE
@@ -608,7 +608,7 @@ class Draft:
         if campaign is not None:
             self.campaigns[campaign.node_id] = campaign
             self.seeds[base_seed] = None
-        if find is not None and find.label != NEW:
+        if find is not None and find.label not in (NEW, NO_WORSE):
             self.replays[find.node_id] = find
 
     def report(

@@ -15,7 +15,7 @@ from dataclasses import asdict, dataclass, field
 from types import MappingProxyType
 from typing import Any, Self
 
-from pytest_pafot.campaign.events import ELSEWHERE, NEW, PASSES, Find, SearchSummary
+from pytest_pafot.campaign.events import ELSEWHERE, NEW, NO_WORSE, PASSES, Find, SearchSummary
 from pytest_pafot.findings.finding import JUDGED_OTHERWISE, NEARBY, Finding, portable
 from pytest_pafot.findings.neighbours import Breadth
 from pytest_pafot.findings.severity import Severity, worsening, worst_first
@@ -48,8 +48,9 @@ class FindingRecord:
         node_id: node id of the item that replays it, in this session or, if it is new, from the next one on.
         id: name of its file without the suffix.
         test: node id of its test.
-        status: `new`; the result of its replay, as in the summary; or `error` if it could not be read or run. Then only
-            its ids, `test`, `result`, `file`, `replay` and `detail` are known.
+        status: `new`; `no worse` if it is new and does not count in a comparison with a reference; the result of its
+            replay, as in the summary; or `error` if it could not be read or run. Then only its ids, `test`, `result`,
+            `file`, `replay` and `detail` are known.
         result: result of the item: `passed`, `skipped`, `xfailed`, `failed`, `error`; empty if the item did not end.
         file, replay: path relative to the rootdir, null if it was not saved, and the command that replays it.
         scenario: its scenario, which `pafot.Scenario.from_canonical` reads; null if `status` is `error`.
@@ -327,6 +328,7 @@ _GROUPS: Mapping[str, str] = MappingProxyType(
     {
         NEW: "New",
         "introduced": "Introduced by the change",
+        NO_WORSE: "New, but no worse: the reference fails as often, elsewhere",
         ERROR: "Could not be read or run",
         "still failing": "Known, still failing",
         NEARBY: "Still failing nearby: the saved scenario passes, a neighbour of it does not",
@@ -393,6 +395,8 @@ def _search_lines(record: SessionRecord) -> Iterator[str]:
     against = ", ".join(code(name) for name in dict.fromkeys(search.against for search in ran) if name)
     if against:
         yield f"A run counts as a failure only if {against} passes it."
+    for told in dict.fromkeys(plain(search.compared) for search in ran if search.compared):
+        yield f"{told[0].upper()}{told[1:]}."
 
 
 def _rank(finding: FindingRecord) -> tuple[Any, ...]:

@@ -272,7 +272,7 @@ def search_lines(
         f"{''.join(short)}ended: {search.reason}"
     )
     drawn = [search.drawn] if search.drawn else []
-    texts = [_figures(search), *_decisions(search), *_find_lines(search), origin, *drawn]
+    texts = [_figures(search), *_decisions(search), *_find_lines(search), *_comparison(search), origin, *drawn]
     failing, counted = search.random_failing, search.random_runs
     if counted:
         # Nobody drew the saved scenarios at random, so their share is no estimate of anything.
@@ -334,6 +334,15 @@ def _find_lines(search: SearchSummary) -> list[str]:
     return [first, *(f"not saved: {problem}" for problem in problems), *_unsaved_lines(search)]
 
 
+def _comparison(search: SearchSummary) -> list[str]:
+    """Say whether the policy became worse, and which findings do not count because it did not."""
+    lines = [search.compared] if search.compared else []
+    if search.no_worse:
+        told = [f"{id_} ({headline})" if headline else id_ for id_, headline in search.no_worse.items()]
+        lines.append(f"fails elsewhere: {_listed(told)}; {flag('pairs', 0)} counts and saves it")
+    return lines
+
+
 def _unsaved_lines(search: SearchSummary) -> list[str]:
     names = [f"{id_} ({plural(count, 'run')})" for id_, count in search.unsaved.items()]
     count = plural(len(names), "further finding")
@@ -375,6 +384,8 @@ def against_lines(session: SessionSummary, width: int = WIDTH) -> list[str]:
         found = sum(len(each.finds) + len(each.unsaved) for each in session.searches if each.against == name)
         introduced = plural(found + labels["introduced"], "failure")
         text = f"against {name}: introduces {introduced}, fixes {labels['fixed']}, {labels['common']} as before"
+        elsewhere = sum(len(each.no_worse) for each in session.searches if each.against == name)
+        text += f", {elsewhere} elsewhere" if elsewhere else ""
         lines += wrapped_to(text, width)
         common = [each for each in session.replays if each.against == name and each.label == "common"]
         changes = [(each.id, worsening(each.severity, each.severity_before)) for each in common]

@@ -3,7 +3,8 @@
 Sources: Clopper, Pearson, "The use of confidence or fiducial limits illustrated in the case of the binomial",
 Biometrika 26(4), 1934; McNemar, "Note on the sampling error of the difference between correlated proportions or
 percentages", Psychometrika 12(2), 1947, in its exact form; Holm, "A simple sequentially rejective multiple test
-procedure", Scandinavian Journal of Statistics 6(2), 1979; Fisher, "The design of experiments", 1935, chapter 2.
+procedure", Scandinavian Journal of Statistics 6(2), 1979; Fisher, "The design of experiments", 1935, chapter 2; Wald,
+"Sequential tests of statistical hypotheses", The Annals of Mathematical Statistics 16(2), 1945.
 """
 
 from __future__ import annotations
@@ -12,6 +13,16 @@ import math
 from collections.abc import Sequence
 
 CONFIDENCE = 0.95
+LEVEL = 0.01
+"""The largest chance with which a comparison of two versions of a policy may claim a difference where there is none.
+Policies are compared after each change: with 0.05, one of twenty changes without an effect might be called worse."""
+WORSE = 0.7
+"""The share of trials that only the first hit, of those that only one hit, from which on the first is clearly worse."""
+MISSED = 0.05
+"""The largest chance with which a first that is clearly worse may be called no worse."""
+_UNEVEN, _EVEN = math.log((1 - MISSED) / LEVEL), math.log(MISSED / (1 - LEVEL))
+FEWEST = math.ceil(-math.log2(LEVEL))
+"""The smallest number of trials that only one hit with which :func:`hits_more` can say that the first hits more."""
 
 
 def interval(hits: int, trials: int, confidence: float = CONFIDENCE) -> tuple[float, float]:
@@ -49,6 +60,21 @@ def mcnemar(first_only: int, second_only: int) -> float:
     """Return the two-sided p-value of McNemar's test from the trials that only the first, or only the second, hit."""
     trials = first_only + second_only
     return 1.0 if trials == 0 else min(1.0, 2 * _at_most(min(first_only, second_only), trials, 0.5))
+
+
+def hits_more(first_only: int, second_only: int, *, is_last: bool = False) -> bool | None:
+    """Return whether the first hits more of the same trials than the second; None if that is not known.
+
+    This is Wald's sequential test. It may be asked after each trial, so that clear cases end early. Of the trials that
+    only one hits, the first hits half if both are alike, and :data:`WORSE` of them if it is clearly worse. After the
+    last trial, the exact sign test decides what lies between, unless fewer than :data:`FEWEST` trials differ.
+    """
+    evidence = first_only * math.log(2 * WORSE) + second_only * math.log(2 * (1 - WORSE))
+    if evidence >= _UNEVEN or evidence <= _EVEN:
+        return evidence > 0
+    if not is_last or first_only + second_only < FEWEST:
+        return None
+    return first_only > second_only and mcnemar(first_only, second_only) <= 2 * LEVEL  # of one side
 
 
 def difference(first_only: int, second_only: int, trials: int) -> tuple[float, float]:

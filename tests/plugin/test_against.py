@@ -47,6 +47,58 @@ def test_regression_is_saved_with_its_passing_reference(changed):
     )
 
 
+ELSEWHERE = """
+from zlib import crc32
+
+
+class Policy:
+    number = 0
+
+    def __call__(self, seen):
+        self.number += 1
+        if self.number == 10:
+            self.faster = crc32(repr([other.x for other in seen.others]).encode()) % 2 == PART
+        return float(self.number >= 10 and self.faster), 0.0
+
+
+make = Policy
+"""
+
+
+def test_policy_that_fails_as_often_elsewhere_passes(project, monkeypatch):
+    monkeypatch.setenv("GITHUB_STEP_SUMMARY", str(project.path / "summary.md"))
+    project.write(TEST.replace("MORE", ""))
+    policies(project, ELSEWHERE.replace("PART", "0"), ELSEWHERE.replace("PART", "1") + "# before")
+    result = project.run(AGAINST, "--pafot-json=pafot.json", "--pafot-report=pafot.html")
+    result.assert_outcomes(passed=1)
+    told = json.loads((project.path / "pafot.json").read_text())
+    (search,), (finding,) = told["searches"], told["findings"]
+    paired, id_ = search["paired"], finding["id"]
+    counts = f"{paired['only_new']} fail only now, {paired['only_reference']} only before"
+    result.stdout.fnmatch_lines(
+        [
+            f"*found test_it.py::test_keeps_its_speed?saved-{id_}?",
+            f"*no worse than planner_before:make: of {paired['runs']} random scenarios, {counts[:6]}*",
+            f"*fails elsewhere: {id_} *",
+            "against planner_before:make: introduces 0 failures, fixes 0, 0 as before, 1 elsewhere",
+        ]
+    )
+    result.stdout.no_fnmatch_line("*saved; run it*")
+    assert told["exit"] == 0
+    assert (search["result"], search["finds"], list(search["no_worse"])) == ("passed", [], [id_])
+    assert (finding["status"], finding["file"], finding["result"]) == ("no worse", None, "")
+    assert finding["scenario"]
+    assert counts in finding["detail"]
+    assert counts in (project.path / "pafot.html").read_text()
+    summary = (project.path / "summary.md").read_text()
+    assert summary.startswith("### pafot: nothing new, 1 no worse")
+    assert "\nNo worse than planner" in summary
+    assert f"random scenarios, {counts}." in summary
+    assert project.files == []
+    project.run(AGAINST, "--pafot-pairs=0").assert_outcomes(failed=2)
+    assert [id_ in file for file in project.files] == [True]
+
+
 def test_saved_scenario_label_compares_policy_and_reference(changed):
     for now, before, label, told in (
         (SPEEDS, KEEPS, "introduced", "introduces 1 failure, fixes 0, 0 as before"),

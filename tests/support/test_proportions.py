@@ -7,7 +7,17 @@ import scipy
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pytest_pafot.support.proportions import difference, holm, interval, interval_text, mcnemar, percent, upper_bound
+from pytest_pafot.support.proportions import (
+    FEWEST,
+    difference,
+    hits_more,
+    holm,
+    interval,
+    interval_text,
+    mcnemar,
+    percent,
+    upper_bound,
+)
 from tests.helpers.tables import table
 
 
@@ -28,6 +38,42 @@ def test_upper_bound_puts_all_error_at_one_end():
 def test_paired_shares_are_compared_by_mcnemar_test(first, second):
     exact = scipy.stats.binomtest(first, first + second).pvalue if first + second else 1.0
     assert mcnemar(first, second) == pytest.approx(exact, rel=1e-9)
+
+
+def chances(share, trials, *, is_last=False):
+    """Return the chances that ``hits_more`` ends with True and with False, if the first hits this share of trials."""
+    open_, ended = {(0, 0): 1.0}, {True: 0.0, False: 0.0, None: 0.0}
+    for _ in range(trials):
+        after = {}
+        for (first, second), chance in open_.items():
+            for counts, part in (((first + 1, second), share), ((first, second + 1), 1 - share)):
+                answer = hits_more(*counts)
+                if answer is None:
+                    after[counts] = after.get(counts, 0.0) + chance * part
+                else:
+                    ended[answer] += chance * part
+        open_ = after
+    for counts, chance in open_.items():
+        ended[hits_more(*counts, is_last=is_last)] += chance
+    return ended
+
+
+def test_sequential_test_is_wrong_as_seldom_as_it_promises():
+    alike, worse = chances(0.5, 400), chances(0.7, 400)
+    assert alike[True] < 0.01
+    assert alike[False] > 0.98
+    assert worse[False] < 0.05
+    assert worse[True] > 0.95
+    assert max(chances(0.5, trials, is_last=True)[True] for trials in range(60)) < 0.02
+
+
+def test_sequential_test_ends_early_and_after_its_last_trial():
+    assert FEWEST == 7
+    last = ((7, 0), (6, 0), (5, 1), (26, 10), (31, 15), (3, 4))
+    assert [hits_more(*counts, is_last=True) for counts in last] == [True, None, None, True, False, False]
+    assert [hits_more(first, 0) for first in (0, 13, 14)] == [None, None, True]
+    assert [hits_more(0, second) for second in (5, 6)] == [None, False]
+    assert [hits_more(*counts) for counts in ((16, 1), (15, 1), (10, 10), (40, 40))] == [True, None, None, False]
 
 
 def test_share_is_printed_with_interval_or_upper_bound():

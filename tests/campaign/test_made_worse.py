@@ -1,0 +1,116 @@
+"""A finding counts against a reference only if the policy became worse, and not if both fail as often."""
+
+from zlib import crc32
+
+import pytest
+
+import pytest_pafot as pafot
+from pytest_pafot.campaign.events import NO_WORSE, FindTold, Paired
+from pytest_pafot.campaign.made_worse import MadeWorse
+from pytest_pafot.support.errors import OutOfTime
+from tests.helpers.tables import table
+
+SHORT = {"genes": 2, "gene_seconds": 5, "npcs": 2, "generations": 3, "shrink_rollouts": 5, "seed": 4}
+ROAD = pafot.Highway(duration=10.0)
+
+
+def keeps_its_speed(run):
+    assert abs(run.ego.speed - run.ego.speed[0]).max() < 0.3
+
+
+def fails_in(parts, of=2, how=lambda: (1.0, 0.0)):
+    """Make a policy that fails in some parts of all scenarios, which no other similarity of scenarios tells apart."""
+
+    class Policy:
+        number = 0
+
+        def __call__(self, seen):
+            self.number += 1
+            if self.number == 10:
+                self.is_failing = crc32(repr([other.x for other in seen.others]).encode()) % of in parts
+            return how() if self.number >= 10 and self.is_failing else (0.0, 0.0)
+
+    return Policy
+
+
+def raises():
+    raise KeyError("lanes")
+
+
+EVEN, ODD, ALL, NONE = fails_in({0}), fails_in({1}), fails_in({0, 1}), fails_in({})
+
+
+def compared(new, old, **more):
+    told = []
+    arguments = {"holds": keeps_its_speed, "world": ROAD, "on_event": told.append, **SHORT, **more}
+    found = pafot.explore(new, against=old, **arguments)
+    last = {event.find.id: event.find for event in told if isinstance(event, FindTold)}
+    return found, list(last.values())
+
+
+def test_policy_that_fails_as_often_elsewhere_is_no_worse(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    found, told = compared(EVEN, ODD, corpus="saved")
+    assert found.findings == found.summary.finds == ()
+    assert found.summary.shrink_runs == 0
+    assert [find.label for find in told] == [NO_WORSE]
+    assert found.summary.no_worse == {told[0].id: told[0].headline}
+    paired = found.summary.paired
+    assert told[0].detail == f"fails elsewhere, no worse than the reference: {paired}; pairs=0 counts and saves it"
+    assert found.summary.compared == f"no worse than the reference: {paired}"
+    assert paired.is_worse is False
+    assert min(paired.only_new, paired.only_reference) > 0
+    assert not any(tmp_path.iterdir())
+    _, (again,) = compared(EVEN, ODD, corpus="saved", pairs=0)
+    assert (again.id, again.label) == (told[0].id, "new")
+    assert (tmp_path / again.path).is_file()
+
+
+def test_policy_that_fails_more_often_is_worse():
+    found, told = compared(ALL, NONE)
+    assert [find.label for find in told] == ["new"] * len(found.findings) != []
+    assert found.summary.paired == Paired(runs=14, only_new=14, most=700)
+    assert found.summary.compared == "worse than the reference: of 14 random scenarios, 14 fail only now, 0 only before"
+
+
+def test_findings_that_are_not_saved_do_not_count_either():
+    def keeps_its_speed_in_its_lane(run):
+        faster = abs(run.ego.speed - run.ego.speed[0]).max()
+        if run.scenario.ego_lane < 2:
+            assert faster < 0.3
+        else:
+            assert not faster >= 0.3
+
+    found, _ = compared(EVEN, ODD, max_saved=1, holds=keeps_its_speed_in_its_lane)
+    assert len(found.summary.no_worse) > 1
+    assert found.summary.unsaved == {}
+
+
+def test_error_of_the_policy_itself_always_counts():
+    found, _ = compared(fails_in({0}, how=raises), fails_in({1}, how=raises))
+    assert found.summary.paired.is_worse is False
+    assert [finding.expect.failure for finding in found.findings] == ["KeyError"]
+
+
+@table(("new", "is_broad"), [(ALL, True), (fails_in({0}, of=8), False)])
+def test_neighbours_tell_where_random_scenarios_hardly_differ(new, is_broad):
+    found, told = compared(new, NONE, pairs=6, neighbours=10)
+    assert found.summary.paired.is_worse is None
+    assert bool(found.findings) == is_broad
+    assert [find.breadth.word == "broad" for find in told] == [is_broad]
+
+
+def test_what_no_time_is_left_to_decide_counts(monkeypatch):
+    def fail(self, scenario):
+        raise OutOfTime
+
+    monkeypatch.setattr(MadeWorse, "_fail", fail)
+    found, _ = compared(EVEN, ODD)
+    assert found.findings
+    assert "of 0 random scenarios, where the time was over" in found.summary.compared
+
+
+@pytest.mark.processes
+def test_number_of_processes_changes_no_decision():
+    one, two = (compared(EVEN, ODD, workers=workers)[0].summary for workers in (1, 2))
+    assert (one.paired, one.no_worse) == (two.paired, two.no_worse)
