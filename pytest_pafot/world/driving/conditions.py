@@ -22,8 +22,11 @@ import numpy as np
 
 from pytest_pafot.support.text import visible
 
-ROWS, LETTERS, VALUES = 6, 100, 55
-"""The largest number of rows, the approximate one of characters of each, and the largest one of those of its values."""
+ROWS = 6
+"""The largest number of rows."""
+
+LETTERS, VALUES = 100, 55
+"""The approximate length of a row, and the largest length of the values in it [characters]."""
 
 _RECORDER = "pytest-pafot: the recorder of conditions"
 """A constant in the copied code, in whose place the recorder is put; so the code needs no name for it."""
