@@ -99,6 +99,10 @@ class TimeLimit(NamedTuple):
     until: float
 
 
+LOST = 10
+"""How many times longer than a run before it a run has to be, when the time of the search cuts it, to be told."""
+
+
 def time_limit(settings: Settings, *, now: float, began: float, left: int) -> TimeLimit:
     """Return the time limit of a search: its own limit or its share of the session's limit, whichever ends first.
 
@@ -425,6 +429,13 @@ class Search:
             return for_batches if generation and self.sessions.decides_for_many else algorithm
 
         runs_before, campaign_began = loop.runs, self.sessions.clock()
+        last = campaign_began  # the end of the last run
+
+        def tick() -> None:
+            nonlocal last
+            last = self.sessions.clock()
+            self._tell_progress()
+
         campaign_ends = self._campaign_ends(campaign_began, runs_before, search_until)
 
         # A run may be cut when the time is over; the first run gets its time in any case.
@@ -460,7 +471,7 @@ class Search:
                 border=self.sessions.at_border,
             )
             loop.seconds_left = seconds_left
-            loop.follow(events, self._tell_progress)
+            loop.follow(events, tick)
         except CheckpointError as error:
             raise self.sessions.refused(error) from None
         except FitnessError as error:
@@ -468,6 +479,13 @@ class Search:
         except skips() as error:
             raise RequestError(no_skip("the fitness", error)) from None
         reasons = {"generations": DONE, "runs": ALL_RUN, "time": self.limit.flag, "stopped": "enough findings"}
+        lost, runs = self.sessions.clock() - last, loop.runs - runs_before
+        is_cut = loop.finished is not None and loop.finished.reason == "time"
+        if is_cut and lost > max(1.0, LOST * (last - campaign_began) / (runs + 1)):
+            self.driver_notes.append(
+                f"{self.limit.flag} cut a run after {lost:.1f} s, with {plural(runs, 'run')} before it: if a decision "
+                "hangs, a longer limit or a shorter hang_limit of the world shows it"
+            )
         return "interrupted" if loop.finished is None else reasons[loop.finished.reason]
 
     def _campaign_ends(self, began: float, runs_before: int, search_until: float) -> Callable[[], float]:

@@ -7,7 +7,9 @@ parts.
 
 from __future__ import annotations
 
+import sys
 import tempfile
+import threading
 import time
 from bisect import bisect_right
 from collections import deque
@@ -46,7 +48,7 @@ from pytest_pafot.model.trace import Outcome, Trace
 from pytest_pafot.searching.evaluation import Chains, plain_chains
 from pytest_pafot.support.errors import flag, page
 from pytest_pafot.support.isolation import isolates
-from pytest_pafot.support.text import plural
+from pytest_pafot.support.text import listed, plural, visible
 from pytest_pafot.world import Highway, protocol
 from pytest_pafot.world.driving.ads import is_vehicle_class, make_ads, wants_env
 from pytest_pafot.world.guard.chance import GENERATORS
@@ -330,6 +332,9 @@ DEAR = 0.010
 
 A run in a different process takes half a millisecond longer, and starting a process takes as long as several runs.
 """
+
+OWN = __name__.partition(".")[0]
+"""This package, whose threads no policy needs."""
 
 WARM_RUNS = 2
 """The number of runs, after the first run of a search, that decide whether other processes are used.
@@ -740,10 +745,13 @@ def must_stay_here(job: Job, scenario: Scenario) -> str:
 
     The ADS may decide for many runs at once, which is faster. Or it works only in the process that has begun: a model
     is on a GPU there, or a thread that its decisions wait for. A separate process makes it and drives a scenario, since
-    it may end its process. If it raises or hangs at its first decision, this process judges that.
+    it may end its process. If it raises or hangs at its first decision, this process judges that. A policy that does
+    without an answer of its thread would decide otherwise there, so no code of the project may run in a thread.
     """
     if is_vehicle_class(job.ads) or isinstance(job.ads, RevisionPolicy):
         return ""
+    if threads := _threads_below(job.root):
+        return f"may need {listed(threads)}, which no other process has"
     patience = protocol.hang_limit(job.world)
 
     def asked(_: str, tell: object) -> str:
@@ -763,6 +771,18 @@ def must_stay_here(job: Job, scenario: Scenario) -> str:
     if isinstance(answer, ProcessLostError):
         return "hangs in another process" if answer.is_hang else ""
     return answer if isinstance(answer, str) else f"raises {type(answer).__name__} in another process"
+
+
+def _threads_below(root: Path) -> list[str]:
+    """Return the names of the threads of this process that run a function or a class of a module below a folder."""
+    found = []
+    for thread in threading.enumerate():
+        target = getattr(thread, "_target", None)  # only a running thread has one
+        names = {getattr(target, "__module__", None) or "", type(thread).__module__}
+        files = [getattr(sys.modules.get(name), "__file__", None) for name in names if name.partition(".")[0] != OWN]
+        if any(each and "site-packages" not in each and Path(each).is_relative_to(root) for each in files):
+            found.append(f"the thread {visible(thread.name)}")
+    return found
 
 
 def replay_in_gym_apart(job: Job, record: CrashRecord, scenario: Scenario) -> Trace:

@@ -18,7 +18,7 @@ from pytest_pafot.corpus import layout
 from pytest_pafot.corpus.saved import Saved, refusal, refused_in, saved_in
 from pytest_pafot.plugin.marks import DEFAULT_ARG, SAVED_MARK, SEARCH_MARK, arguments_of
 from pytest_pafot.plugin.node_ids import base_id, qualified_name, saved_part
-from pytest_pafot.plugin.option_sources import corpus_name
+from pytest_pafot.plugin.option_sources import corpus_name, resolve
 from pytest_pafot.plugin.session import SHARED, SUMMARY_LINES, base_line
 from pytest_pafot.plugin.uncollected import Left, beside_test_files, is_base, left_out, replaced_in
 from pytest_pafot.plugin.unrun import UNRUN, Collected, Unrun
@@ -253,9 +253,13 @@ class Collection:
                 above = {each for folder in self._folders_given for each in folder.parents}
                 met += [each / corpus for each in sorted(above) if each.is_relative_to(self._rootpath)]
                 if self._config.args_source is pytest.Config.ArgsSource.TESTPATHS:
-                    outside = {*self._rootpath.glob(corpus), *self._rootpath.glob(f"*/{corpus}")}
-                    met += sorted(each for each in not_merged(outside) if each not in roots)
+                    met += [each for each in not_merged(self._corpora_outside(corpus)) if each not in {*roots, *met}]
             roots = dict(_roots_in(met, Path(corpus), self._rootpath)) | roots
+        if corpus is not None and Path(corpus).is_absolute() and not os.path.lexists(corpus):
+            settings = resolve(self._config, {}, 0)
+            if items and not settings.is_search:  # A search makes the folder.
+                why = "expected the folder of the option corpus, which does not exist, so nothing is replayed"
+                self._config.stash[UNRUN].strays[corpus] = why, True
         links = {root: layout.link_out(directory, root, self._rootpath) for root, directory in roots.items()}
         for link in sorted(set(filter(None, links.values()))):  # A link is refused before its target is listed.
             self._config.stash[SUMMARY_LINES].problems.append(refusal(link))
@@ -279,6 +283,19 @@ class Collection:
         unrun = self._config.stash[UNRUN]
         unrun.orphans.update(find_orphans(collected))
         unrun.strays.update(find_strays(collected, unrun.orphans))
+
+    def _corpora_outside(self, corpus: str) -> Iterator[Path]:
+        """Yield the corpora in the rootdir, up to four folders deep, whatever ``testpaths`` names."""
+        passed_by = self._config.getini("norecursedirs")
+        folders = [self._rootpath]
+        for _ in range(5):
+            yield from (folder / corpus for folder in folders if layout.is_folder(folder / corpus))
+            below = [each for folder in folders for each in layout.modules_in(folder)]
+            folders = [
+                each
+                for each in below
+                if not any(fnmatch(each.name, pattern) for pattern in passed_by) and not each.is_symlink()
+            ]
 
     def _is_beside_given(self, item: pytest.Item) -> bool:
         """Return whether an item's module was collected only to replay a corpus file, which is not the item's file."""

@@ -45,6 +45,8 @@ from pytest_pafot.support.text import plural, visible
 _TEST_LINE = re.compile(rb"^test:[ \t]*([^\n:]*\.py::[^\n]+?)\s*$", re.MULTILINE)
 
 
+PACKED = (".gz", ".bz2", ".xz", ".zst", ".dvc")
+"""Suffixes of a saved scenario that has to be unpacked or fetched, and whose content says nothing until then."""
 MAX_NAME = 120  # length of the test's name in an error; the name is from a file, which may contain anything
 ERROR_ID = "pafot::saved_scenarios_without_a_test"
 """The node id of the error with which a session fails if the test of saved scenarios no longer exists."""
@@ -310,8 +312,8 @@ def _is_test_folder(folder: Path, root: Path, tests: Collection[Path], collected
 def _is_meant_as_saved(file: Path, root: Path) -> bool:
     """Return whether a file with another suffix is a saved scenario: by its name, or in a corpus by its content."""
     if original := name_within(file.name):  # not a backup, whose original is next to it, and not any other file
-        is_alone = not os.path.lexists(file.with_name(original))
-        return is_alone and file.is_relative_to(root) and bool(_named_test(file))
+        is_alone = not os.path.lexists(file.with_name(original)) and file.is_relative_to(root)
+        return is_alone and (file.suffix in PACKED or bool(_named_test(file)))
     return ".pafot." in file.name.lower() or (file.is_relative_to(root) and bool(_named_test(file)))
 
 

@@ -592,6 +592,32 @@ def test_saved_scenario_outside_of_testpaths_is_named(saved, ci):
     assert result.ret == 0
     result.stdout.fnmatch_lines(["not run: pafot_corpus/*: the setting testpaths leaves out test_it.py"])
     replay(saved, "tests").stdout.no_fnmatch_line("not run: *")
+    (saved.path / "tests" / "a").mkdir()
+    for each in ("test_it.py", "pafot_corpus"):
+        (saved.path / each).rename(saved.path / "tests" / "a" / each)
+    (saved.path / "tests" / "b").mkdir()
+    (saved.path / "tests" / "test_other.py").rename(saved.path / "tests" / "b" / "test_other.py")
+    saved.pytester.makeini("[pytest]\ntestpaths = tests/b\n")
+    result = replay(saved)
+    assert result.ret == 0
+    result.stdout.fnmatch_lines(
+        ["not run: tests/a/pafot_corpus/*: the setting testpaths leaves out tests/a/test_it.py"]
+    )
+
+
+def test_absolute_corpus_that_does_not_exist_fails_a_ci_session_without_a_search(saved, ci):
+    corpus = saved.path / "mistyped"
+    result = replay(saved, f"--pafot-corpus={corpus}")
+    assert is_red(result)
+    result.stdout.fnmatch_lines([f"not run: {corpus}: expected the folder of the option corpus, which does not exist*"])
+
+
+@pytest.mark.parametrize("suffix", [".gz", ".dvc"])
+def test_packed_saved_scenario_fails_a_ci_session(saved, ci, suffix):
+    file = saved.only_file
+    file.with_name(file.name + suffix).write_bytes(b"\x1f\x8b")
+    file.unlink()
+    assert is_red(replay(saved))
 
 
 @pytest.mark.parametrize("place", ["pafot_corpus", "pafot_corpus/test_it", "pafot_corpus/test_it/test_fails"])

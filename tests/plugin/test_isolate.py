@@ -335,6 +335,42 @@ def test_policy_that_waits_for_a_thread_of_the_session_stays_there(isolated, mon
     assert same == contents != {}
 
 
+ANSWERS = """
+from queue import Empty, Queue
+from threading import Thread
+
+ASKED, ANSWERED = Queue(), Queue()
+
+def answer():
+    while True:
+        ANSWERED.put(keep(ASKED.get()))
+
+Thread(target=answer, name="planning", daemon=True).start()
+
+def falls_back(observation):
+    ASKED.put(observation)
+    try:
+        return ANSWERED.get(timeout=TIMEOUT)
+    except Empty:
+        return -8.0, 0.0
+"""
+
+
+@pytest.mark.processes
+def test_policy_that_does_without_its_thread_in_another_process_stays_in_the_session(isolated, monkeypatch):
+    project = isolated("falls_back", ANSWERS.replace("TIMEOUT", "5.0"))
+    options = {"generations": 1, "seed": 0, "fresh": True}  # a new interpreter, in which the thread ends, too
+    project.run(*QUICK, **options)
+    contents = project.contents
+    project.forget()
+    monkeypatch.setenv("CI", "true")
+    result = project.run(*QUICK, **options)
+    result.stdout.re_match_lines([r"  note: the ADS runs in this process although the profile ci isolates, .*"])
+    told = "it may need the thread planning, which no other process has"
+    assert told in " ".join(result.stdout.str().split())
+    assert project.contents == contents != {}
+
+
 EXITS = """
 import os
 

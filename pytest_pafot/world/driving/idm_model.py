@@ -21,6 +21,8 @@ POSITIVE = ("LENGTH", "WIDTH", "COMFORT_ACC_MAX", "DELTA", "LANE_CHANGE_DELAY")
 """Those that must be positive for the model; with others, highway-env's code runs and gets NaN or worse."""
 PURSUIT = 0.1
 """The time constant of highway-env's steering [s], which is also the kernel's."""
+OF_UTILS = ("not_zero", "wrap_to_pi")
+"""The functions of ``highway_env.utils`` that the model calls."""
 ORDINARY = frozenset({
     "__module__", "__qualname__", "__doc__", "__annotations__", "__annotate__", "__annotate_func__",
     "__firstlineno__", "__static_attributes__", "__abstractmethods__", "_abc_impl",
@@ -68,7 +70,12 @@ def idm_model(ads: Any) -> IdmModel | None:
     only_sets_constants = all(set(vars(base)) <= ORDINARY | set(CONSTANTS) for base in own)
     if whole.args or set(options) - {"enable_lane_change"} or not only_sets_constants:
         return None
-    if type(cls).__call__ is not type.__call__ or any(map(is_patched, stock.__mro__)) or stock.TAU_PURSUIT != PURSUIT:
+    utils, roads = sys.modules["highway_env.utils"], sys.modules["highway_env.road.road"]
+    other_code = any(map(is_patched, [*stock.__mro__, roads.Road, roads.RoadNetwork])) or any(
+        (each.__module__, each.__qualname__) != (utils.__name__, name)
+        for name, each in ((name, getattr(utils, name)) for name in OF_UTILS)
+    )
+    if type(cls).__call__ is not type.__call__ or other_code or stock.TAU_PURSUIT != PURSUIT:
         return None
     constants = {name: inspect.getattr_static(cls, name) for name in CONSTANTS}  # a descriptor is no constant
     if not takes(constants):

@@ -6,6 +6,8 @@ import functools
 from dataclasses import replace
 
 import pytest
+from highway_env import utils
+from highway_env.road import road
 from highway_env.vehicle.behavior import AggressiveVehicle, IDMVehicle, LinearVehicle
 from highway_env.vehicle.controller import MDPVehicle
 from highway_env.vehicle.kinematics import Vehicle
@@ -74,6 +76,10 @@ def test_class_with_code_of_its_own_is_not_driven_by_the_model(monkeypatch):
     for cls, name in ((IDMVehicle, "acceleration"), (MDPVehicle.__base__, "steering_control"), (Vehicle, "step")):
         with monkeypatch.context() as patch:
             patch.setattr(cls, name, lambda *_, **__: 0.0)
+            assert idm_model(Own) is None
+    for thing, name in ((road.Road, "neighbour_vehicles"), (utils, "not_zero")):
+        with monkeypatch.context() as patch:
+            patch.setattr(thing, name, lambda *given: None)
             assert idm_model(Own) is None
     assert idm_model(Own) is not None
 
