@@ -259,7 +259,7 @@ class Collection:
             settings = resolve(self._config, {}, 0)
             if items and not settings.is_search:  # A search makes the folder.
                 why = "expected the folder of the option corpus, which does not exist, so nothing is replayed"
-                self._config.stash[UNRUN].strays[corpus] = why, True
+                self._config.stash[UNRUN].strays[corpus] = why, False  # A policy that never failed has none.
         links = {root: layout.link_out(directory, root, self._rootpath) for root, directory in roots.items()}
         for link in sorted(set(filter(None, links.values()))):  # A link is refused before its target is listed.
             self._config.stash[SUMMARY_LINES].problems.append(refusal(link))

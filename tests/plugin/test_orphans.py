@@ -76,7 +76,7 @@ def told(result):
 
 
 def test_misplaced_file_is_found_above_its_test_and_where_pytest_collects(saved):
-    for folder in ("safety/near", "notes"):
+    for folder in ("safety/near", "notes", "all"):
         (saved.path / folder).mkdir(parents=True)
     (saved.path / "test_it.py").rename(saved.path / "safety" / "near" / "test_it.py")
     content = saved.only_file.read_text().replace("test: test_it", "test: safety/near/test_it")
