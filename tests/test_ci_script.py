@@ -143,7 +143,9 @@ class TestAPullRequest:
         assert re.fullmatch(
             rf"- rev:{base[:7]} and now \({head}\): 1 of \d+ files of the policy differ: planner.py\n", compared
         )
-        assert told == (
+        counts = re.search(r"\nWorse than rev:&#8203;(\w+): of \d+ random scenarios, \d+ fail only now, .*\n", told)
+        assert counts[1] == base[:7]
+        assert told.replace(counts[0], "\n") == (
             "### pafot: 1 new\n\n"
             "1 search, 150 runs; repeat with `--pafot-runs=150 --pafot-seed=5`.\n"
             f"A run counts as a failure only if `{against}` passes it.\n\n"

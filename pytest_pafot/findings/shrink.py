@@ -219,9 +219,8 @@ def shrink(
 
     Args:
         scenario: failing scenario, as driven.
-        attempt: runs a scenario, at first ``scenario`` itself. It is never called twice with the same scenario, and
-            equal results lead to the same order of calls. To end the search early, it must raise :class:`OutOfBudget`
-            in this call and all later ones.
+        attempt: runs a scenario. It is never called twice with the same scenario, and equal results lead to the same
+            order of calls. To end the search early, it must raise :class:`OutOfBudget` in this call and all later ones.
         rollouts: largest number of calls of ``attempt``.
         top_speed: highest speed of any instruction [m/s].
         starts: returns the ego's lane and speed at the start of each gene, so that the scenario can begin later.
@@ -236,20 +235,15 @@ def shrink(
     least = 0.0 if top_speed == MAX_SPEED else scenario.traffic.least_speed(top_speed)
     low = min(round(least * SPEED_STEPS_PER_MPS), slowest)
     gate = _Gate(
-        best=scenario, attempt=attempt, rollouts=rollouts // FIRST_PART, low=low, top=top, tried={},
+        best=scenario, attempt=attempt, rollouts=rollouts // FIRST_PART, low=low, top=top, tried={scenario: scenario},
         ahead=ahead, expect=expect,
     )  # fmt: skip
     intervals: list[SpeedInterval] = []
     is_minimal = False
     plainer: Pass = partial(_plainer_start, plain=plain)
     longer: Pass = partial(_plainer_duration, seconds=plain_seconds)
-    later: Pass = partial(_later, starts=starts)
-    # A later start is early among them, because every run drives through all that is before the failure. It is behind
-    # the first small scenarios, which often fail with the start that was found, and not with a later one.
-    deletions: tuple[Pass, ...] = (plainer, longer, later, *PASSES)
+    deletions: tuple[Pass, ...] = (plainer, longer, *PASSES, partial(_later, starts=starts))
     with suppress(OutOfBudget):
-        if gate.driven(scenario) is None:  # driven again, so that ``starts`` is known of it
-            return scenario, Shrunk(rollouts=gate.spent, is_minimal=False)
         gate.exhausts(_ending)  # first, because a run that does not fail lasts as long as its scenario
         gate.exhausts(_alone)
     small = partial(_small, found=gate.best, plain=plain or (scenario.ego_lane, scenario.ego_speed))

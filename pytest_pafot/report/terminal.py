@@ -313,9 +313,9 @@ def _figures(search: SearchSummary) -> str:
 
 
 def _decisions(search: SearchSummary) -> list[str]:
-    """Count the decisions of a policy by what they were for, if they take most of the time."""
+    """Count the decisions of a policy by what they were for, if a search takes long and they take most of the time."""
     counts = (search.decisions, search.shrink_decisions, search.neighbour_decisions)
-    if not sum(counts) or search.seconds < DEAR * sum(counts):
+    if not sum(counts) or search.seconds < max(MINUTE, DEAR * sum(counts)):
         return []
     what = (f"{search.decisions:,} decisions", f"{counts[1]:,} to shrink", f"{counts[2]:,} of neighbours")
     return [listed([told for told, number in zip(what, counts, strict=True) if number])]

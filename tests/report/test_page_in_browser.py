@@ -87,13 +87,13 @@ def test_plan_at_the_time_shown_is_drawn_ahead_of_the_ego(browser, tmp_path):
     legend = page.evaluate("document.querySelector('article.current .legend').textContent")
     assert "Thin line ahead of the ego: its plan at that time." in legend
     line = "document.querySelector('article.current .stage svg .plan').getAttribute('d')"
-    seek = "(time => {{ const s = document.querySelector('article.current input[type=range]'); s.value = time;"
-    seek = (seek + " s.dispatchEvent(new Event('input')); }})({})").format
-    page.evaluate(seek(1.0))
+    page.press("Home")
     points = [[*map(float, point.split())] for point in page.evaluate(line)[1:].split("L")]
     assert len(points) == 9
     assert points == sorted(points)
-    page.evaluate(seek(0.9))
+    page.press("ArrowRight", shift=True)
+    page.press("ArrowLeft")
+    assert page.evaluate(TIME) == pytest.approx(0.9)  # the decision at 0.8 s had no plan
     assert not page.evaluate(line)
     assert page.complaints == []
     page.close()
