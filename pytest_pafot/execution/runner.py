@@ -746,31 +746,36 @@ def must_stay_here(job: Job, scenario: Scenario) -> str:
     The ADS may decide for many runs at once, which is faster. Or it works only in the process that has begun: a model
     is on a GPU there, or a thread that its decisions wait for. A separate process makes it and drives a scenario, since
     it may end its process. If it raises or hangs at its first decision, this process judges that. A policy that does
-    without an answer of its thread would decide otherwise there, so no code of the project may run in a thread.
+    without the answer of a thread decides otherwise there: so if a thread runs code of the project, both drive.
     """
     if is_vehicle_class(job.ads) or isinstance(job.ads, RevisionPolicy):
         return ""
-    if threads := _threads_below(job.root):
-        return f"may need {listed(threads)}, which no other process has"
     patience = protocol.hang_limit(job.world)
 
-    def asked(_: str, tell: object) -> str:
+    def asked(_: str, tell: object) -> tuple[str, str]:
         if not wants_env(job.ads):
             ads = make_ads(job.ads)
             with closing(ads, patience):  # as at the end of a run: it may have opened what only one can have
                 if callable(getattr(ads, "batch", None)):
-                    return "decides for many runs at once"
+                    return "decides for many runs at once", ""
         trace = rollout_of(job.world)(scenario, job.ads)
         if trace.error is None or trace.actions:
-            return ""
-        return f"{'hangs' if trace.outcome is Outcome.HANG else f'raises {trace.error.kind}'} in another process"
+            return "", repr(trace.actions)
+        return f"{'hangs' if trace.outcome is Outcome.HANG else f'raises {trace.error.kind}'} in another process", ""
 
-    pool = WorkerPool[str, str](asked, 1, method=scenario_pool.METHOD, patience=patience + GRACE)
+    pool = WorkerPool[str, tuple[str, str]](asked, 1, method=scenario_pool.METHOD, patience=patience + GRACE)
     with capture_output(), pool:
         answer = pool.fetch("the first run of the ADS")
     if isinstance(answer, ProcessLostError):
         return "hangs in another process" if answer.is_hang else ""
-    return answer if isinstance(answer, str) else f"raises {type(answer).__name__} in another process"
+    if isinstance(answer, Exception):
+        return f"raises {type(answer).__name__} in another process"
+    why, actions = answer
+    threads = [] if why else _threads_below(job.root)
+    with capture_output():
+        if threads and repr(rollout_of(job.world)(scenario, job.ads).actions) != actions:
+            return f"decides otherwise in another process, which does not have {listed(threads)}"
+    return why
 
 
 def _threads_below(root: Path) -> list[str]:

@@ -366,9 +366,19 @@ def test_policy_that_does_without_its_thread_in_another_process_stays_in_the_ses
     monkeypatch.setenv("CI", "true")
     result = project.run(*QUICK, **options)
     result.stdout.re_match_lines([r"  note: the ADS runs in this process although the profile ci isolates, .*"])
-    told = "it may need the thread planning, which no other process has"
+    told = "it decides otherwise in another process, which does not have the thread planning"
     assert told in " ".join(result.stdout.str().split())
     assert project.contents == contents != {}
+
+
+@pytest.mark.processes
+def test_policy_with_a_thread_that_its_decisions_do_not_need_is_isolated_all_the_same(isolated, monkeypatch):
+    source = ANSWERS.replace("TIMEOUT", "5.0") + "\ndef alone(observation):\n    return keep(observation)\n"
+    project = isolated("alone", source)
+    monkeypatch.setenv("CI", "true")
+    result = project.run(*QUICK, generations=1, seed=0, fresh=True)
+    assert project.contents
+    assert "although the profile ci isolates" not in result.stdout.str()
 
 
 EXITS = """
