@@ -321,7 +321,7 @@ class SearchSummary:
 
     @property
     def compared(self) -> str:
-        """What random scenarios say of the policy and its reference; empty if nothing was to be decided."""
+        """The line on what random scenarios say of the policy and its reference; empty if nothing was to be decided."""
         if self.paired is None:
             return ""
         if self.paired.is_worse:

@@ -506,8 +506,10 @@ class Simplification:
         return BATCH if simulation.runner.decides_for_many else simulation.harness.request.settings.workers
 
     def _expect(self, scenarios: Sequence[Scenario], more: bool) -> None:
-        """Let scenarios be run in advance, if they can be run at all."""
+        """Let scenarios be run in advance, if they can be run at all, and if more than one is run at the same time."""
         loop = self.loop
+        if self._ahead < 2:
+            return
 
         def fits(scenario: Scenario) -> bool:
             with suppress(ScenarioError):

@@ -42,7 +42,7 @@ NEEDLESS: tuple[Fault, ...] = ("braked-for-nothing", "stopped-for-nothing")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Answers:
-    """How many decisions depend on the vehicle of a failure.
+    """The number of decisions that depend on the vehicle of a failure.
 
     They were made again by two fresh policies, one with all that was seen in the failing run, one without the vehicle.
 

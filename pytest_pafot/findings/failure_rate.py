@@ -83,13 +83,7 @@ class FailureRate:
     def compared(self, now: FailureRate, what: str) -> str:
         """Return a sentence on the change to a rate now; ``what`` is ``runs`` or ``seeds``."""
         change = self.change(now)
-        chance = rarer(
-            *(
-                each
-                for rate in ((self, now) if change == "worse" else (now, self))
-                for each in (rate.failing, rate.runs)
-            )
-        )
+        chance = now._chance(self) if change == "worse" else self._chance(now)
         sure = {
             "fixed": f"fixed, 95 % sure to fail in less than {percent(upper_bound(0, now.runs, CONFIDENCE))} of all",
             "as before": f"as before, {now.in_general}",

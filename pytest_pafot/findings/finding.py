@@ -399,7 +399,7 @@ class Finding(Shown):
 
     @property
     def drawn(self) -> str:
-        """What differs between the runs of the rate: ``seeds`` of the scenario, or only the ``runs``."""
+        """The word for what differs between the runs of the rate: ``seeds`` of the scenario, or only the ``runs``."""
         return "seeds" if self.flaky is None else "runs"
 
     @property
@@ -497,7 +497,10 @@ def _told(value: float | None, digits: int) -> float | None:
 
 
 class Manner(NamedTuple):
-    """How a failure came about: what may differ between failures of one signature, and hint at another defect."""
+    """The way in which a failure came about.
+
+    It may differ between failures of one signature, and hint at another defect.
+    """
 
     fault: str
     npc_manoeuvre: str

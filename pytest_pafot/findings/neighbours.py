@@ -14,6 +14,7 @@ from itertools import chain as in_turn
 from itertools import islice, zip_longest
 from typing import Literal
 
+from pytest_pafot.findings.shrink import Expecting
 from pytest_pafot.model.scenario import (
     ALONE,
     FARTHEST,
@@ -132,7 +133,7 @@ def breadth_of(
     fails: Callable[[Scenario], bool | None],
     limits: Limits,
     ahead: int = 0,
-    expect: Callable[[Sequence[Scenario], bool], None] = lambda scenarios, more: None,
+    expect: Expecting = lambda scenarios, more: None,
 ) -> Breadth | None:
     """Return how many of a number of neighbours fail, of fewer if there are not as many; None if there are none.
 
@@ -149,11 +150,10 @@ def breadth_of(
     known: Breadth | None = None
     for share in SHARES:
         drawn = list(islice(neighbours(scenario, share, limits), 2 * number))
-        expect(drawn[:ahead], False)
         told: list[bool] = []
         for index, each in enumerate(drawn):
+            expect(drawn[index + ahead - 1 : index + ahead] if index else drawn[:ahead], index > 0)
             answer = fails(each)
-            expect(drawn[index + ahead : index + ahead + 1], True)
             if answer is None:
                 continue
             told.append(answer)

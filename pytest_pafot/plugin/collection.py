@@ -286,16 +286,16 @@ class Collection:
 
     def _corpora_outside(self, corpus: str) -> Iterator[Path]:
         """Yield the corpora in the rootdir, up to four folders deep, whatever ``testpaths`` names."""
-        passed_by = self._config.getini("norecursedirs")
-        folders = [self._rootpath]
-        for _ in range(5):
-            yield from (folder / corpus for folder in folders if layout.is_folder(folder / corpus))
-            below = [each for folder in folders for each in layout.modules_in(folder)]
-            folders = [
-                each
-                for each in below
-                if not any(fnmatch(each.name, pattern) for pattern in passed_by) and not each.is_symlink()
-            ]
+        passed_by, top = self._config.getini("norecursedirs"), len(self._rootpath.parts)
+        for name, below, _ in os.walk(self._rootpath):  # which looks at no file, and follows no link
+            if layout.is_folder(found := Path(name, corpus)):
+                yield found
+            is_deep = len(Path(name).parts) - top >= 4
+            below[:] = (
+                []
+                if is_deep
+                else sorted(each for each in below if not any(fnmatch(each, pattern) for pattern in passed_by))
+            )
 
     def _is_beside_given(self, item: pytest.Item) -> bool:
         """Return whether an item's module was collected only to replay a corpus file, which is not the item's file."""

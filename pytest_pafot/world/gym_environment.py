@@ -335,7 +335,7 @@ class GymEnvironment:
 
     @cached_property
     def has_traffic_in_reset(self) -> bool:
-        """Whether the ``reset`` of the environment or of its wrappers changes how other vehicles drive."""
+        """True if the ``reset`` of the environment or of its wrappers changes how other vehicles drive."""
         if type(self.unwrapped).reset is AbstractEnv.reset and not self.wrapper_names:
             return False
         outer = self.make()

@@ -169,7 +169,7 @@ def _called(method: str, place: Any, *arguments: Any) -> Any:
 
 
 class _Recorder:
-    """What copied code calls with its values, each of which it returns. Out of the thread that it is for, that is all.
+    """The object that copied code calls with its values; it returns each, and in other threads it does no more.
 
     Functions that were made in the decision may be called after it, so they call it then, too.
     """

@@ -23,7 +23,7 @@ from pytest_pafot.model.trace import Trace
 
 
 class _Generator(NamedTuple):
-    """What has to be done with one global generator."""
+    """The functions by which one global generator is saved, seeded, drawn from and compared."""
 
     state: Callable[[], Any]
     give_back: Callable[[Any], object]
