@@ -10,7 +10,6 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from pytest_pafot import policies as policies
     from pytest_pafot import properties as properties
     from pytest_pafot import strategies as strategies
     from pytest_pafot.campaign.explore import Exploration as Exploration
@@ -47,9 +46,6 @@ if TYPE_CHECKING:
     from pytest_pafot.plugin.marks import catalogue as catalogue
     from pytest_pafot.plugin.marks import search as search
     from pytest_pafot.searching.fitness import Weights as Weights
-    from pytest_pafot.sweeps.maps import Sweep as Sweep
-    from pytest_pafot.sweeps.maps import sweep as sweep
-    from pytest_pafot.training import training_env as training_env
     from pytest_pafot.world import Drive as Drive
     from pytest_pafot.world import Highway as Highway
     from pytest_pafot.world import NpcLimits as NpcLimits
@@ -87,7 +83,6 @@ _HOMES = {
     "ScenarioError": "model.scenario",
     "Signal": "criticality.signals",
     "Step": "model.scenario",
-    "Sweep": "sweeps.maps",
     "Trace": "model.trace",
     "Traffic": "model.driving_style",
     "Weights": "searching.fitness",
@@ -105,20 +100,22 @@ _HOMES = {
     "load": "campaign.saved_scenario",
     "reject": "oracle.checks",
     "search": "plugin.marks",
-    "sweep": "sweeps.maps",
     "target": "oracle.checks",
-    "training_env": "training",
     "until": "criticality.temporal",
 }
 
-_MODULES = ("policies", "properties", "strategies")
+_OF_EXTRAS = ("Sweep", "policies", "sweep", "training_env")  # see pytest_pafot.door.NAMES
+_MODULES = ("properties", "strategies")
 
-__all__ = sorted([*_HOMES, *_MODULES])  # noqa: PLE0605
+__all__ = sorted([*_HOMES, *_MODULES, *_OF_EXTRAS])  # noqa: PLE0605
 
 
 def __getattr__(name: str) -> Any:
     if name in _MODULES:
         return import_module(f"pytest_pafot.{name}")
+    if name in _OF_EXTRAS:
+        door = import_module("pytest_pafot.door")
+        return door.opened(door.NAMES[name])
     if name not in _HOMES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     return getattr(import_module(f"pytest_pafot.{_HOMES[name]}"), name)

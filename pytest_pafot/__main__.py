@@ -14,11 +14,34 @@ import subprocess
 import sys
 import tempfile
 from contextlib import suppress
+from functools import cache
+from importlib import metadata
 from pathlib import Path
+from types import MappingProxyType
 
+from pytest_pafot.door import COMMANDS, Command, opened
 from pytest_pafot.support.receipts import ended_with, leave_receipt, taken_receipt, unfinished
 
-GATES = ("search", "bisect", "map", "rate", "progress", "compare")
+OWN_COMMANDS = MappingProxyType({
+    "search": Command(
+        "pytest_pafot.commands.search_command",
+        "search for traffic in which a policy crashes, without a test",
+        "Search for traffic in which a policy crashes. Findings are saved in pafot_corpus/, explained, and displayed "
+        "on a web page.",
+        is_gate=True,
+    ),
+    "corpus": Command(
+        "pytest_pafot.commands.corpus_command",
+        "list, count, join, prune and accept saved scenarios",
+        "List, count, join, prune and accept the saved scenarios of folders, without running them.",
+    ),
+})  # fmt: skip
+"""The commands of the core."""
+
+GROUP = "pytest_pafot.commands"
+"""The group of entry points by which other packages add commands."""
+
+GATES = tuple(name for name, command in {**OWN_COMMANDS, **COMMANDS}.items() if command.is_gate)
 """The commands whose exit code is a verdict on a policy."""
 
 DRIVES = "PYTEST_PAFOT_DRIVES"
@@ -83,6 +106,16 @@ def main_in_child(arguments: list[str]) -> int:
     return ended_with(left) or 2
 
 
+@cache
+def known_commands() -> dict[str, Command]:
+    """Return the commands of the core, of the extras and of other packages, by name; none of those replaces ours."""
+    others = {
+        entry.name: Command(entry.value, f"a command of the package {entry.dist.name if entry.dist else '?'}", "")
+        for entry in metadata.entry_points(group=GROUP)
+    }
+    return {**others, **OWN_COMMANDS, **COMMANDS}
+
+
 def _interrupted(arguments: list[str]) -> int:
     sys.stderr.write(f"\n{' '.join(arguments[:1])}: interrupted\n")
     return 128 + signal.SIGINT
@@ -102,20 +135,15 @@ def main(arguments: list[str] | None = None) -> int:
 
     The arguments do not include the program's name; by default they are those of this process.
     """
-    from pytest_pafot.commands import bisect_command as bisecting  # noqa: PLC0415
-    from pytest_pafot.commands import corpus_command as corpus  # noqa: PLC0415
-    from pytest_pafot.commands import requirements_command as requiring  # noqa: PLC0415
-    from pytest_pafot.commands import search_command as searching  # noqa: PLC0415
     from pytest_pafot.commands.policy_reference import BAD_USE  # noqa: PLC0415
-    from pytest_pafot.comparison import command as comparison  # noqa: PLC0415
-    from pytest_pafot.episodes import progress_command as progressing  # noqa: PLC0415
-    from pytest_pafot.episodes import rate_command as rating  # noqa: PLC0415
-    from pytest_pafot.execution.revision_policy import RevisionError  # noqa: PLC0415
-    from pytest_pafot.export import export_command as exporting  # noqa: PLC0415
     from pytest_pafot.report.animation import AnimationError  # noqa: PLC0415
-    from pytest_pafot.support.errors import AdsFactoryError, FieldError, RequestError, flag  # noqa: PLC0415
+    from pytest_pafot.support.errors import (  # noqa: PLC0415
+        AdsFactoryError,
+        FieldError,
+        RequestError,
+        RevisionError,
+    )
     from pytest_pafot.support.interrupts import Ended, interrupted_by_signals  # noqa: PLC0415
-    from pytest_pafot.sweeps import map_command as mapping  # noqa: PLC0415
     from pytest_pafot.world.guard.hang_guard import note_interrupt  # noqa: PLC0415
 
     # The errors that the user can correct. A worker that dies raises a ChildProcessError.
@@ -125,80 +153,15 @@ def main(arguments: list[str] | None = None) -> int:
         prog="python -m pytest_pafot", description="Commands of pytest-pafot in addition to pytest."
     )
     commands = parser.add_subparsers(required=True, metavar="COMMAND", dest="command")
-    search = commands.add_parser(
-        "search",
-        help="search for traffic in which a policy crashes, without a test",
-        description="Search for traffic in which a policy crashes. Findings are saved in pafot_corpus/, explained, and "
-        "displayed on a web page.",
-    )
-    searching.add_arguments(search)
-    search.set_defaults(run=searching.run)
-    bisect = commands.add_parser(
-        "bisect",
-        help="find the commit of a policy since which a saved scenario fails",
-        description="Replay a saved scenario with the policy of earlier commits, in a copy of the repository. Print "
-        "the first commit that fails, what it changed, and the first decision that differs from the commit before. "
-        "Nothing is changed here.",
-    )
-    bisecting.add_arguments(bisect)
-    bisect.set_defaults(run=bisecting.run)
-    progress = commands.add_parser(
-        "progress",
-        help="tell whether the new version of a policy is better than the old one",
-        description="Drive two versions of a policy in the same random scenarios, ordinary traffic and saved "
-        "scenarios, and search for what only one of them fails. Print which is better, and how sure that is.",
-    )
-    progressing.add_arguments(progress)
-    progress.set_defaults(run=progressing.run)
-    compare = commands.add_parser(
-        "compare",
-        help="compare search algorithms on a policy",
-        description="Run several search algorithms on a policy, several times each, and write results, statistics, "
-        "figures and a report. It can be interrupted at any time; the same command continues where it stopped.",
-    )
-    comparison.add_arguments(compare)
-    compare.set_defaults(run=comparison.run)
-    rate = commands.add_parser(
-        "rate",
-        help="count how often a policy crashes by itself",
-        description="Drive seeded episodes in the environment's own traffic, without a search, and count the crashes "
-        "of one policy, or of two on the same seeds. With --out it can be interrupted at any time; the same command "
-        "continues where it stopped.",
-    )
-    rating.add_arguments(rate)
-    rate.set_defaults(run=rating.run)
-    export = commands.add_parser(
-        "export",
-        help="write the run of a finding as files for other tools",
-        description="Run the scenario of a saved finding once more, and write the paths of all vehicles and the road.",
-    )
-    exporting.add_arguments(export)
-    export.set_defaults(run=exporting.run)
-    of_map = commands.add_parser(
-        "map",
-        help="drive a scenario over a grid of two of its numbers",
-        description="Drive a named scenario of the catalogue, or that of a saved finding, for all values of one or two "
-        "of its numbers, and print the map: where the policy avoids a failure, where it fails though a reference "
-        "driver avoids it, and where nobody does.",
-    )
-    mapping.add_arguments(of_map)
-    of_map.set_defaults(run=mapping.run)
-    of_requirements = commands.add_parser(
-        "requirements",
-        help="tell which requirements are tested, what is open, since when, and whose it is",
-        description="Let pytest collect the tests, without running them, and print for each requirement that a mark "
-        f"names its tests, what fails, what is accepted, fixed or drifted, and how far it was searched. What sessions "
-        f"saw of it is read from their results, the files of {flag('json')}.",
-    )
-    requiring.add_arguments(of_requirements)
-    of_requirements.set_defaults(run=requiring.run)
-    of_corpus = commands.add_parser(
-        "corpus",
-        help="list, count, join, prune and accept saved scenarios",
-        description="List, count, join, prune and accept the saved scenarios of folders, without running them.",
-    )
-    corpus.add_arguments(of_corpus)
-    of_corpus.set_defaults(run=corpus.run)
+    parsers = {
+        name: commands.add_parser(name, help=command.help, description=command.about)
+        for name, command in known_commands().items()
+    }
+    asked = next((each for each in given if each in parsers), "")  # others are listed, but not imported
+    if asked:
+        module = opened(known_commands()[asked].module)
+        module.add_arguments(parsers[asked])
+        parsers[asked].set_defaults(run=module.run)
     # Split at "--" here: argparse would add the arguments after it to the positional arguments before it.
     own = given.index("--") if given[:1] in (["search"], ["requirements"]) and "--" in given else len(given)
     arguments_given, unknown = parser.parse_known_args(given[:own], argparse.Namespace(pytest=given[own + 1 :]))

@@ -57,7 +57,7 @@ def test_documented_policies_are_installed_and_importable_anywhere(installed, tm
     assert {"idm_mobil", "example_ads.defects:make:two-defects"} <= {*names}
     code = (
         "import sys, pytest_pafot\n"
-        "from pytest_pafot.comparison.plan import ads_factory\n"
+        "from pytest_pafot.extras.comparison.plan import ads_factory\n"
         "made = [ads_factory(name)() for name in sys.argv[1:]]\n"
         "print(len(made), pytest_pafot.__file__)"
     )

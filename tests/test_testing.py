@@ -18,9 +18,9 @@ from pytest_pafot import (
     Scenario,
     World,
 )
+from pytest_pafot.extras.testing import _check_lasting, check_world
+from pytest_pafot.extras.testing.traces import contacts, places_at_start
 from pytest_pafot.model.trace import ACCELERATION, HEADING, LANE, SPEED, STEERING, X, Y
-from pytest_pafot.testing import _check_lasting, check_world
-from pytest_pafot.testing.traces import contacts, places_at_start
 from tests.helpers.stopped_clock import StoppedClock
 from tests.helpers.tables import table
 
@@ -34,7 +34,7 @@ ROAD = Highway(duration=4.0, hang_limit=0.3)
 def clock(monkeypatch):
     """Replace the clock: it advances only when the check has an ADS wait for its end, and then at once."""
     clock = StoppedClock(monkeypatch)
-    monkeypatch.setattr("pytest_pafot.testing.time", SimpleNamespace(sleep=clock.sleep))
+    monkeypatch.setattr("pytest_pafot.extras.testing.time", SimpleNamespace(sleep=clock.sleep))
 
 
 class Own:
@@ -335,7 +335,7 @@ def test_unsuitable_ads_is_distinguished_from_world_fault():
 
 
 def test_check_skips_hanging_if_it_takes_long(monkeypatch):
-    monkeypatch.setattr("pytest_pafot.testing.time.sleep", lambda seconds: pytest.fail("tried"))
+    monkeypatch.setattr("pytest_pafot.extras.testing.time.sleep", lambda seconds: pytest.fail("tried"))
     check_world(Highway(duration=4.0), runs=1, **SHORT)
 
 

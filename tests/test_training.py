@@ -53,7 +53,7 @@ class Told(gym.Wrapper):
 @pytest.mark.filterwarnings("ignore:.*A Box observation space")  # this warning comes from the environment
 @pytest.mark.parametrize("share", [oracle(0.0), 1.0])
 def test_gymnasium_finds_no_fault(share):
-    env = gym.make("pytest_pafot.training:pafot/Scenarios-v0", world=FAST, share=share)
+    env = gym.make("pytest_pafot.extras.training:pafot/Scenarios-v0", world=FAST, share=share)
     check_env(env.unwrapped)
 
 

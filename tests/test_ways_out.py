@@ -18,7 +18,7 @@ import pytest
 from pytest_pafot.__main__ import main
 from pytest_pafot.campaign.options import BY_NAME, OPTIONS
 from pytest_pafot.commands.search_command import add_arguments
-from pytest_pafot.export.exporter import EXTRAS
+from pytest_pafot.extras.export.exporter import EXTRAS
 from pytest_pafot.support.errors import OF_SEARCH, command, flag, install, page, rerun
 
 ROOT = Path(__file__).parents[1]

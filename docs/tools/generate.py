@@ -15,23 +15,28 @@ from dataclasses import MISSING, Field, fields, is_dataclass
 from pathlib import Path
 from typing import Any
 
-from pytest_pafot import criticality, policies, properties, strategies
+from pytest_pafot import criticality, properties, strategies
 from pytest_pafot.campaign import run_table
 from pytest_pafot.campaign.events import SearchSummary
 from pytest_pafot.campaign.options import BY_NAME, OPTIONS, PROFILES, Option
 from pytest_pafot.campaign.request import Request, SearchArguments
-from pytest_pafot.commands.bisect_command import add_arguments as add_bisect_arguments
 from pytest_pafot.commands.search_command import add_arguments as add_search_arguments
-from pytest_pafot.comparison import algorithm_run
-from pytest_pafot.comparison.command import add_arguments
 from pytest_pafot.corpus.writer import text_of
 from pytest_pafot.criticality import Passage, RssRules
 from pytest_pafot.criticality.signals import MEASURES, EgoLaneChange, Measure
 from pytest_pafot.criticality.temporal import above, always, below, eventually, until
-from pytest_pafot.episodes.progress_command import add_arguments as add_progress_arguments
-from pytest_pafot.episodes.rate import EpisodeRow
-from pytest_pafot.episodes.rate_command import add_arguments as add_rate_arguments
-from pytest_pafot.export.export_command import add_arguments as add_export_arguments
+from pytest_pafot.extras import policies
+from pytest_pafot.extras.comparison import algorithm_run
+from pytest_pafot.extras.comparison.command import add_arguments
+from pytest_pafot.extras.episodes.progress_command import add_arguments as add_progress_arguments
+from pytest_pafot.extras.episodes.rate import EpisodeRow
+from pytest_pafot.extras.episodes.rate_command import add_arguments as add_rate_arguments
+from pytest_pafot.extras.export.export_command import add_arguments as add_export_arguments
+from pytest_pafot.extras.revisions.bisect_command import add_arguments as add_bisect_arguments
+from pytest_pafot.extras.sweeps.entries import ENTRIES
+from pytest_pafot.extras.sweeps.map_command import add_arguments as add_map_arguments
+from pytest_pafot.extras.sweeps.maps import Sweep
+from pytest_pafot.extras.training import training_env
 from pytest_pafot.findings.finding import Expect, Finding, Found
 from pytest_pafot.findings.neighbours import Breadth
 from pytest_pafot.findings.shrink import Shrunk, SpeedInterval
@@ -53,10 +58,6 @@ from pytest_pafot.plugin import fixtures
 from pytest_pafot.report.session_record import FindingRecord, ItemRecord, OrphanRecord, SessionRecord
 from pytest_pafot.searching.fitness import Weights
 from pytest_pafot.searching.space import SearchSpace
-from pytest_pafot.sweeps.entries import ENTRIES
-from pytest_pafot.sweeps.map_command import add_arguments as add_map_arguments
-from pytest_pafot.sweeps.maps import Sweep
-from pytest_pafot.training import training_env
 from pytest_pafot.world import (
     CrossingVehicle,
     Drive,

@@ -26,9 +26,9 @@ import numpy as np
 
 import pytest_pafot as pafot
 from pytest_pafot.attribution.responsibility import Fault, is_ego_responsible, rss_rule
-from pytest_pafot.episodes.rate import Pair, Rate, driven
+from pytest_pafot.extras.episodes.rate import Pair, Rate, driven
+from pytest_pafot.extras.training import random_scenarios
 from pytest_pafot.support.proportions import interval_text
-from pytest_pafot.training import random_scenarios
 
 from . import PpoPolicy, read_actor
 from .train import actor_modules, actor_of, give_actor, untrained

@@ -19,8 +19,8 @@ from pytest_pafot.campaign.options import REVISION
 from pytest_pafot.campaign.request import AgainstError, Request
 from pytest_pafot.campaign.verdict import Test, Verdict, judge, no_skip, reference_outcomes, skips
 from pytest_pafot.execution.crash_records import CrashRecord, Leftover, left_by
+from pytest_pafot.execution.elsewhere import DrivesElsewhere
 from pytest_pafot.execution.pool import ProcessLostError
-from pytest_pafot.execution.revision_policy import RevisionError, RevisionPolicy, rolled
 from pytest_pafot.execution.runner import Runner, replay_in_gym_apart, runner_for
 from pytest_pafot.execution.scenario_pool import Digest, ExecutionError, Job
 from pytest_pafot.findings.neighbours import Limits
@@ -28,7 +28,7 @@ from pytest_pafot.findings.signature import PROCESS_CRASH, Failure
 from pytest_pafot.model.scenario import Scenario, ScenarioError
 from pytest_pafot.model.trace import Outcome, Trace
 from pytest_pafot.oracle.run import ReferenceOutcome, Run
-from pytest_pafot.support.errors import DriverError, OutOfTime, RequestError
+from pytest_pafot.support.errors import DriverError, OutOfTime, RequestError, RevisionError
 from pytest_pafot.support.references import factory_named, referred_to
 from pytest_pafot.support.source_files import source_files
 from pytest_pafot.world import AdsFactoryError, WorldError, codec, protocol
@@ -66,7 +66,7 @@ def reference_of(
     """
     if given is None:
         return None
-    if isinstance(given, RevisionPolicy):
+    if isinstance(given, DrivesElsewhere):
         return Reference(ads=given, name=given.label, commit=given.commit)
     if isinstance(given, str) and given.startswith(REVISION):
         raise AgainstError(
@@ -189,7 +189,7 @@ class Harness:
 
     def drawing(self, ads: Callable[..., Any]) -> Callable[..., Any]:
         """Return a factory with which the global random generators are seeded for each run, unless the test says no."""
-        is_seeded = not self.request.settings.unseeded or is_vehicle_class(ads) or isinstance(ads, RevisionPolicy)
+        is_seeded = not self.request.settings.unseeded or is_vehicle_class(ads) or isinstance(ads, DrivesElsewhere)
         return ads if is_seeded else Unseeded(ads)
 
     def seen(self, trace: Trace, world: Any = None) -> Run:
@@ -399,8 +399,8 @@ class Simulation:
         self.record.write(scenario)
         ads = self.harness.ads
         with self._recorded(), refusals():
-            if isinstance(ads, RevisionPolicy):
-                trace = ads.call(rolled, "rollout_in_gym", world, scenario)
+            if isinstance(ads, DrivesElsewhere):
+                trace = ads.driven("rollout_in_gym", world, scenario)
             elif self.harness.request.settings.isolate:
                 trace = replay_in_gym_apart(self.harness.job(), self.record, scenario)
             else:

@@ -20,17 +20,18 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Self, TypeVar
 
+from pytest_pafot.door import EXECUTOR_POOL, opened
 from pytest_pafot.execution import scenario_pool
 from pytest_pafot.execution.crash_records import CrashRecord, Leftover
-from pytest_pafot.execution.executors import ExecutorPool
+from pytest_pafot.execution.elsewhere import DrivesElsewhere, Elsewhere
 from pytest_pafot.execution.groups import Course, Groups
 from pytest_pafot.execution.pool import GRACE, ProcessLostError, WorkerPool
-from pytest_pafot.execution.revision_policy import Elsewhere, RevisionPolicy
 from pytest_pafot.execution.scenario_pool import (
     NOT_REPEATED,
     Answer,
     Digest,
     ExecutionError,
+    ExecutorPool,
     GroupPart,
     Job,
     LostRun,
@@ -85,7 +86,7 @@ def runner_for(
     Raises:
         WorldError: if the world cannot be used.
     """
-    if isinstance(job.ads, RevisionPolicy):  # Its runs are in a process of its own already.
+    if isinstance(job.ads, DrivesElsewhere):  # Its runs are in a process of its own already.
         job, workers, isolate, executor = replace(job, world=Elsewhere(job.world, job.ads)), 1, False, None
     if isolate:
         return Runner(job=job, record=record, processes=Isolated(job, workers=workers, executor=executor), clock=clock)
@@ -422,7 +423,7 @@ class Processes:
         """Notes on the use of processes if the user requested them; complete after the processes have ended."""
         if self._failure:
             return [f"{flag('workers')} is 1: {self._failure}"]
-        if isinstance(self._pool, ExecutorPool):
+        if self._pool is not None and not isinstance(self._pool, WorkerPool):
             return self._pool.notes
         option = flag("workers", self._workers)
         if self._runs_before:
@@ -546,7 +547,9 @@ class Processes:
 
     def _begin(self) -> ScenarioPool | ExecutorPool:
         job, executor = self._job, self._executor
-        self._pool = pool = pool_for(job, self._workers) if executor is None else ExecutorPool(job, executor)
+        pool: ScenarioPool | ExecutorPool
+        pool = pool_for(job, self._workers) if executor is None else opened(EXECUTOR_POOL)(job, executor)
+        self._pool = pool
         pool.recovered += self._recovered
         if self.groups is None:
             pool.expect(self.announced)
@@ -561,7 +564,7 @@ class Isolated(Processes):
     @property
     def notes(self) -> list[str]:
         """Notes on processes that died in runs that later succeeded, and on an executor that made all runs."""
-        if isinstance(self._pool, ExecutorPool):
+        if self._pool is not None and not isinstance(self._pool, WorkerPool):
             return [] if self._pool.failure or self._pool.unable else self._pool.notes
         return self._retried
 
@@ -584,7 +587,7 @@ class Isolated(Processes):
         answer = pool.fetch(scenario)
         if pool.failure:
             raise ExecutionError(f"{flag('isolate')}: expected processes to run the ADS in, received: {pool.failure}")
-        if isinstance(pool, ExecutorPool) and pool.unable:
+        if not isinstance(pool, WorkerPool) and pool.unable:
             first = pool.unable[0]
             raise ExecutionError(
                 f"{flag('isolate')}: expected workers that can make every run, received from one of them "
@@ -748,7 +751,7 @@ def must_stay_here(job: Job, scenario: Scenario) -> str:
     it may end its process. If it raises or hangs at its first decision, this process judges that. A policy that does
     without the answer of a thread decides otherwise there: so if a thread runs code of the project, both drive.
     """
-    if is_vehicle_class(job.ads) or isinstance(job.ads, RevisionPolicy):
+    if is_vehicle_class(job.ads) or isinstance(job.ads, DrivesElsewhere):
         return ""
     patience = protocol.hang_limit(job.world)
 

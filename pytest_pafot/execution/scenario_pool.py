@@ -11,7 +11,7 @@ import threading
 import time
 import traceback
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, redirect_stderr, redirect_stdout, suppress
 from dataclasses import dataclass, field
 from functools import partial
@@ -199,6 +199,31 @@ Answer: TypeAlias = Timed | Exception
 :class:`~pytest_pafot.execution.pool.ProcessLostError`."""
 ScenarioPool: TypeAlias = WorkerPool[Any, Any]
 """Its tasks are scenarios with an :data:`Answer`, or :class:`Places` with :data:`Parts`."""
+
+
+class ExecutorPool(Protocol):
+    """A pool that makes runs by the user's executor, with the same tasks and answers (:mod:`pytest_pafot.door`)."""
+
+    recovered: list[LostRun]
+    failure: str
+    unable: list[Exception]
+    """The exceptions of workers for scenarios that this process has to run."""
+
+    @property
+    def notes(self) -> list[str]:
+        """Notes for the user on the executor, and on runs that it could not make."""
+
+    def expect(self, scenarios: Iterable[Scenario]) -> None:
+        """Start to run some scenarios; earlier scenarios that were not fetched are dropped."""
+
+    def add_all(self, scenarios: Iterable[Scenario]) -> None:
+        """Start to run some more scenarios."""
+
+    def fetch(self, scenario: Scenario) -> Answer:
+        """Wait for the answer to a scenario and return it; each answer can be fetched once."""
+
+    def close(self, *, at_once: bool = False) -> None:
+        """Cancel the current tasks."""
 
 
 def read_nothing(said: object) -> None:

@@ -9,12 +9,12 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping
 from datetime import date
+from typing import Any
 
 import pytest
 
 from pytest_pafot.campaign.options import BY_NAME, OF_COMMAND, OPTIONS, is_ci
 from pytest_pafot.plugin import fixtures
-from pytest_pafot.plugin.catalogue_item import Catalogued
 from pytest_pafot.plugin.collection import Collection
 from pytest_pafot.plugin.marks import ANY_MARK, CATALOGUE_MARK, SAVED_MARK, SEARCH_MARK
 from pytest_pafot.plugin.option_sources import add_options, resolve
@@ -51,7 +51,7 @@ def pytest_configure(config: pytest.Config) -> None:
     ):
         config.addinivalue_line("markers", line)
     config.stash[SUMMARY_LINES] = SummaryLines()
-    features = {"fixtures": fixtures, "collection": Collection(config), "catalogue": Catalogued()}
+    features = {"fixtures": fixtures, "collection": Collection(config)}
     if is_worker(config):
         config.stash[SHARED] = shared_by_controller(config)
         features["worker"] = Worker()
@@ -78,6 +78,22 @@ def pytest_configure(config: pytest.Config) -> None:
         _register(config, {"controller": Controller()})
 
 
+@pytest.hookimpl(tryfirst=True)
+def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
+    """Let the extra of named scenarios make the items of the first test that asks for them, and of later ones."""
+    is_known = metafunc.config.pluginmanager.has_plugin("pafot-catalogue")
+    if not is_known and metafunc.definition.get_closest_marker(CATALOGUE_MARK) is not None:
+        _drive_catalogue(metafunc.config).pytest_generate_tests(metafunc)  # it is too late for this call of the hook
+
+
+def _drive_catalogue(config: pytest.Config) -> Any:
+    """Register the hooks of named scenarios, and return them."""
+    from pytest_pafot.door import CATALOGUED, opened  # noqa: PLC0415
+
+    _register(config, {"catalogue": opened(CATALOGUED)()})
+    return config.pluginmanager.get_plugin("pafot-catalogue")
+
+
 def _check_that_it_searches(config: pytest.Config) -> None:
     """Refuse the session of the command ``search`` if its options let it search nothing, which would pass."""
     try:
@@ -96,6 +112,8 @@ def pytest_collection_finish(session: pytest.Session) -> None:
     """Register the plugins that run the marked items and report on them, if there are any."""
     config = session.config
     marked = [item for item in session.items if item.get_closest_marker(ANY_MARK) is not None]
+    if any(item.get_closest_marker(CATALOGUE_MARK) for item in marked):
+        _drive_catalogue(config)  # hooks may add the mark after the collection
     if marked:
         from pytest_pafot.plugin.tracing import set_properties_of  # noqa: PLC0415
 

@@ -87,14 +87,16 @@ def pafot_executor(pytestconfig: pytest.Config) -> Iterator[Executor | None]:
     if address is None:
         yield None
         return
-    from pytest_pafot.execution.executors import dask_executor  # noqa: PLC0415
+    from pytest_pafot.door import DASK_EXECUTOR, opened  # noqa: PLC0415
     from pytest_pafot.execution.scenario_pool import ExecutionError  # noqa: PLC0415
     from pytest_pafot.plugin.terminal_reporter import LiveTerminal  # noqa: PLC0415
 
     live = LiveTerminal(pytestconfig)
     with ExitStack() as stack:
         try:
-            executor = stack.enter_context(dask_executor(address, lambda text: live.write(["", f"pafot: {text}"])))
+            connected = opened(DASK_EXECUTOR)(address, lambda text: live.write(["", f"pafot: {text}"])
+            executor = stack.enter_context(connected)
+            )
         except ExecutionError as error:
             pytest.fail(str(error), pytrace=False)
         yield executor

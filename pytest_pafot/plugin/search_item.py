@@ -43,6 +43,7 @@ from pytest_pafot.campaign.search import (
 from pytest_pafot.campaign.verdict import PlainFailure, Test
 from pytest_pafot.corpus.layout import SUFFIX, chosen_folder, files_in, folder_of_test, link_below
 from pytest_pafot.corpus.saved import refusal
+from pytest_pafot.door import REFERENCES, opened
 from pytest_pafot.execution import scenario_pool
 from pytest_pafot.findings.finding import message_of
 from pytest_pafot.oracle.checks import CheckFailed
@@ -55,7 +56,6 @@ from pytest_pafot.plugin.marks import EXECUTOR_FIXTURE, WORLD_FIXTURE, arguments
 from pytest_pafot.plugin.messages import OF_ONE_RUN, OfOneRun, of_findings, set_properties
 from pytest_pafot.plugin.option_sources import isolates_by_profile
 from pytest_pafot.plugin.own_session import replay_in_own_session
-from pytest_pafot.plugin.revisions import compare, revision_of
 from pytest_pafot.plugin.run_tables import table_messages_of
 from pytest_pafot.plugin.session import SHARED, is_worker, records_folder
 from pytest_pafot.report import terminal
@@ -115,7 +115,7 @@ def harness_of(item: pytest.Function, request: Request, *, writes: bool = True) 
     name, root = node_ids.qualified_name(item), item.config.rootpath
     folder = folder_of_test(item.path, name, request.settings.corpus, root)
     ads, against, resume = request.ads, request.settings.against, request.settings.resume
-    revision = revision_of(item, request)
+    revision = opened(REFERENCES).revision_of(item, request) if against is not None else None
     here = item.config.invocation_params.dir
     link = link_below(chosen_folder(item.path, request.settings.corpus), folder)
     tidied = item.config.stash.setdefault(TIDIED, set())
@@ -242,7 +242,8 @@ def run_search(item: pytest.Function, request: Request) -> None:
     limit = time_limit(settings, now=now, began=shared.began, left=searches_left(item))
     with runs_end_in(max(limit.until - now, LEAST_TO_BUILD)):  # for the policy of a revision, in its own process
         harness = harness_of(item, request)
-        compare(item, harness)
+        if harness.against is not None:
+            opened(REFERENCES).compare(item, harness)
     replays = Replays(harness=harness, in_own_session=partial(replay_in_own_session, item), today=today)
     # If this policy has killed a process before, it runs in processes that may die of it.
     chosen = isolated_after_a_death(harness, replays)

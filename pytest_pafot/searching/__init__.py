@@ -5,7 +5,6 @@ This package does not simulate: :func:`run_campaign` receives a function that tu
 
 from __future__ import annotations
 
-from pytest_pafot.searching.algorithms.av_fuzzer import AvFuzzerSearch
 from pytest_pafot.searching.algorithms.catalogue import ALGORITHMS, AlgorithmClass, resolve_algorithm
 from pytest_pafot.searching.algorithms.distinct import DistinctSearch
 from pytest_pafot.searching.algorithms.pafot import PafotSearch
@@ -30,7 +29,6 @@ __all__ = [
     "AheadSearch",
     "Algorithm",
     "AlgorithmClass",
-    "AvFuzzerSearch",
     "Checkpoint",
     "DistinctSearch",
     "Evaluate",

@@ -27,7 +27,15 @@ import numpy as np
 
 import pytest_pafot as pafot
 from pytest_pafot import Run
-from pytest_pafot.episodes.progress_command import APART, LEVEL, PairRow, ProgressPlan, Result, lines_of, verdict_of
+from pytest_pafot.extras.episodes.progress_command import (
+    APART,
+    LEVEL,
+    PairRow,
+    ProgressPlan,
+    Result,
+    lines_of,
+    verdict_of,
+)
 from tests.benchmarks import policies_with_defects
 from tests.benchmarks.command import in_processes, options, print_head, seeds_of
 from tests.benchmarks.planted import PLANTED

@@ -41,6 +41,7 @@ from highway_env.vehicle.behavior import IDMVehicle
 from pytest_pafot import Highway, PositionInstruction, Run, Scenario, Trace, World, explore
 from pytest_pafot.campaign.simplification import ROLLOUTS, driven
 from pytest_pafot.execution.runner import DecisionCache
+from pytest_pafot.extras.training import random_scenarios
 from pytest_pafot.findings.shrink import shrink
 from pytest_pafot.model.trace import FloatArray, Outcome
 from pytest_pafot.searching import (
@@ -53,7 +54,6 @@ from pytest_pafot.searching import (
     sample,
 )
 from pytest_pafot.searching.fitness import resolve
-from pytest_pafot.training import random_scenarios
 from pytest_pafot.world import kernel
 from tests.benchmarks.command import options
 from tests.benchmarks.crowd import crowd

@@ -18,8 +18,8 @@ import numpy as np
 
 from example_ads import idm_mobil, ppo
 from pytest_pafot import World
-from pytest_pafot.episodes.episode import Episode
-from pytest_pafot.episodes.ordinary_traffic import drive
+from pytest_pafot.extras.episodes.episode import Episode
+from pytest_pafot.extras.episodes.ordinary_traffic import drive
 from pytest_pafot.model.trace import Outcome
 
 WITHIN = 1e-9

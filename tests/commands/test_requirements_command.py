@@ -11,9 +11,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pytest_pafot.commands import requirements_command
 from pytest_pafot.commands.inventory import Inventory
-from pytest_pafot.commands.requirements_command import (
+from pytest_pafot.commands.results import Session, grouped, read_results
+from pytest_pafot.corpus.layout import SEARCH_PART, name_without
+from pytest_pafot.extras import requirements_command
+from pytest_pafot.extras.requirements_command import (
     Table,
     csv_lines,
     listed_in,
@@ -21,8 +23,6 @@ from pytest_pafot.commands.requirements_command import (
     run,
     text_lines,
 )
-from pytest_pafot.commands.results import Session, grouped, read_results
-from pytest_pafot.corpus.layout import SEARCH_PART, name_without
 from pytest_pafot.support.errors import RequestError
 from pytest_pafot.support.traced import Traced
 

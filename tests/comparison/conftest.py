@@ -4,7 +4,7 @@ import io
 
 import pytest
 
-from pytest_pafot.comparison.plan import Plan
+from pytest_pafot.extras.comparison.plan import Plan
 from pytest_pafot.world import Highway
 
 

@@ -11,8 +11,8 @@ import pytest
 from pytest_pafot import Highway, Run
 from pytest_pafot.attribution.responsibility import position_rule, rss_rule
 from pytest_pafot.campaign.verdict import judge
-from pytest_pafot.comparison.algorithm_run import COLUMNS, _of_run, never_collides, run_rows, text_of
-from pytest_pafot.comparison.plan import Plan
+from pytest_pafot.extras.comparison.algorithm_run import COLUMNS, _of_run, never_collides, run_rows, text_of
+from pytest_pafot.extras.comparison.plan import Plan
 from pytest_pafot.model.scenario import LaneInstruction, PositionInstruction, Scenario
 from pytest_pafot.searching import ALGORITHMS
 from pytest_pafot.support.errors import RequestError

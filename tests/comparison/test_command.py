@@ -17,7 +17,7 @@ import pytest
 from pytest_pafot.__main__ import main
 from pytest_pafot.campaign.request import SLICES
 from pytest_pafot.commands.policy_reference import BAD_USE
-from pytest_pafot.comparison.markdown import PAPER
+from pytest_pafot.extras.comparison.markdown import PAPER
 
 pytestmark = pytest.mark.processes
 
@@ -31,7 +31,7 @@ def compare(folder, *arguments):
 @pytest.fixture
 def undrawn(monkeypatch):
     """Make reports without figures, which take longer than the runs."""
-    monkeypatch.setattr("pytest_pafot.comparison.figures.draw_all", lambda measured, folder: {})
+    monkeypatch.setattr("pytest_pafot.extras.comparison.figures.draw_all", lambda measured, folder: {})
 
 
 def tables_of(report):
@@ -304,7 +304,7 @@ def test_command_interrupted_while_drawing_continues_when_repeated(tmp_path, cap
     def interrupted(measured, folder):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("pytest_pafot.comparison.figures.draw_all", interrupted)
+    monkeypatch.setattr("pytest_pafot.extras.comparison.figures.draw_all", interrupted)
     assert compare(tmp_path, "--algorithms", "random", "--runs", "1", "--generations", "1") == 130
     assert capsys.readouterr().err.endswith(
         "interrupted; finished runs are saved, and the same command continues with the rest\n"

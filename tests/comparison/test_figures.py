@@ -3,9 +3,9 @@
 import pytest
 from matplotlib.figure import Figure
 
-from pytest_pafot.comparison.algorithm_run import run_rows, text_of
-from pytest_pafot.comparison.figures import STYLES, draw_all
-from pytest_pafot.comparison.run_measures import Results
+from pytest_pafot.extras.comparison.algorithm_run import run_rows, text_of
+from pytest_pafot.extras.comparison.figures import STYLES, draw_all
+from pytest_pafot.extras.comparison.run_measures import Results
 from pytest_pafot.searching import ALGORITHMS
 
 

@@ -11,12 +11,12 @@ from pathlib import Path
 
 import pytest
 
-from pytest_pafot.commands import resumable
-from pytest_pafot.commands.resumable import ProgressLine, ResumableJob
-from pytest_pafot.comparison import algorithm_run
-from pytest_pafot.comparison.algorithm_run import run_all
-from pytest_pafot.comparison.plan import Plan
 from pytest_pafot.execution.pool import ProcessLostError
+from pytest_pafot.extras import resumable
+from pytest_pafot.extras.comparison import algorithm_run
+from pytest_pafot.extras.comparison.algorithm_run import run_all
+from pytest_pafot.extras.comparison.plan import Plan
+from pytest_pafot.extras.resumable import ProgressLine, ResumableJob
 from pytest_pafot.support.errors import RequestError
 from pytest_pafot.world import Highway
 

@@ -5,8 +5,8 @@ import math
 import pandas as pd
 import pytest
 
-from pytest_pafot.comparison import run_measures
-from pytest_pafot.comparison.algorithm_run import text_of
+from pytest_pafot.extras.comparison import run_measures
+from pytest_pafot.extras.comparison.algorithm_run import text_of
 
 SAFE = {"outcome": "safe", "duration": 60.0, "responsibility": "none", "position_responsibility": "none"}
 

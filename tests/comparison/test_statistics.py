@@ -9,7 +9,7 @@ import scipy
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pytest_pafot.comparison.run_measures import a12, a12_interval, compared, found_in, log_rank, survival
+from pytest_pafot.extras.comparison.run_measures import a12, a12_interval, compared, found_in, log_rank, survival
 
 samples = st.lists(st.integers(0, 9).map(float), min_size=1, max_size=12)
 

@@ -17,7 +17,7 @@ from highway_env.vehicle.objects import Obstacle
 
 import pytest_pafot as pafot
 from example_ads import constant_speed, idm_mobil
-from pytest_pafot.episodes.ordinary_traffic import drive
+from pytest_pafot.extras.episodes.ordinary_traffic import drive
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.world.driving.compiled_vehicle import constants_of
 from pytest_pafot.world.kernel.idm import GoalVehicle

@@ -9,7 +9,15 @@ from hypothesis import strategies as st
 
 import pytest_pafot as pafot
 from pytest_pafot.campaign.verdict import judge
-from pytest_pafot.episodes.progress_command import LEVEL, PairRow, Result, lines_of, sentence_of, text_of, verdict_of
+from pytest_pafot.extras.episodes.progress_command import (
+    LEVEL,
+    PairRow,
+    Result,
+    lines_of,
+    sentence_of,
+    text_of,
+    verdict_of,
+)
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.support.proportions import mcnemar

@@ -11,9 +11,9 @@ import pytest
 from scipy.stats import binomtest
 
 from pytest_pafot.__main__ import main
-from pytest_pafot.episodes import rate as rates
-from pytest_pafot.episodes import rate_command
-from pytest_pafot.episodes.rate import EpisodeRow, Pair, Rate, shown
+from pytest_pafot.extras.episodes import rate as rates
+from pytest_pafot.extras.episodes import rate_command
+from pytest_pafot.extras.episodes.rate import EpisodeRow, Pair, Rate, shown
 
 SHORT = ["--world", "highway-fast-v0", "--config", '{"vehicles_count": 8, "duration": 12}', "--workers", "1"]
 ONE_CRASH = ["--ads", "constant_speed@planner", "--episodes", "1", "--seed", "2"]

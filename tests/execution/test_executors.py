@@ -12,11 +12,11 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from pytest_pafot.execution import executors
-from pytest_pafot.execution.executors import ExecutorPool, packed, versions_here
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.execution.runner import Isolated
 from pytest_pafot.execution.scenario_pool import ExecutionError, Job, recovery_note
+from pytest_pafot.extras import executors
+from pytest_pafot.extras.executors import ExecutorPool, packed, versions_here
 from pytest_pafot.model.scenario import PositionInstruction, Scenario
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.world import Highway

@@ -8,7 +8,7 @@ import pytest
 
 import pytest_pafot as pafot
 from pytest_pafot.__main__ import main
-from pytest_pafot.export.exporter import GROUP
+from pytest_pafot.extras.export.exporter import GROUP
 from tests.export.conftest import FILES
 
 FILE = FILES / "collision-xfail.pafot.yaml"
@@ -122,7 +122,7 @@ def test_missing_library_error_names_the_extra_to_install(monkeypatch, capsys, n
         monkeypatch.delitem(sys.modules, each)
     monkeypatch.setitem(sys.modules, library, None)
     for part in (module, "opendrive"):
-        monkeypatch.delitem(sys.modules, f"pytest_pafot.export.{part}", raising=False)
+        monkeypatch.delitem(sys.modules, f"pytest_pafot.extras.export.{part}", raising=False)
     assert export(FILE, "--to", name, "--ads", "constant_speed") == 2
     assert capsys.readouterr().err == (
         f"export: --to {name}: expected the library {library}, received a Python environment without it; "

@@ -12,7 +12,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from pytest_pafot.export.exporter import centre_line, exporter
+from pytest_pafot.extras.export.exporter import centre_line, exporter
 from pytest_pafot.model.trace import HEADING, LANE, SPEED, Lane, X, Y
 from tests.helpers.tables import table
 from tests.helpers.traces import straight_lanes, trace_of, vehicle
@@ -200,7 +200,7 @@ def test_only_adjacent_lanes_form_one_road(exported, changes, roads):
 
 def test_a_turned_straight_road_is_turned_in_opendrive():
     pytest.importorskip("scenariogeneration")
-    from pytest_pafot.export.openscenario import road_file
+    from pytest_pafot.extras.export.openscenario import road_file
 
     trace = trace_of(vehicle([0.0]), lanes=straight_lanes(heading=0.3))
     (line,) = ElementTree.fromstring(road_file("turned", trace)).iter("geometry")

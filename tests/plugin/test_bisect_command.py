@@ -14,8 +14,8 @@ from pathlib import Path
 import pytest
 
 from pytest_pafot.__main__ import DRIVES, main
-from pytest_pafot.commands.bisect_command import Trials, _group, parted
-from pytest_pafot.plugin.bisect_session import TOLD
+from pytest_pafot.extras.revisions.bisect_command import Trials, _group, parted
+from pytest_pafot.extras.revisions.bisect_session import TOLD
 from tests.helpers.processes import begun
 from tests.helpers.sessions import INTERRUPTIBLE
 
@@ -247,7 +247,7 @@ def told(monkeypatch, tmp_path):
 
 def replay(project, told):
     Path(json.loads(os.environ[TOLD])["file"]).unlink(missing_ok=True)
-    project.run(project.only_file, generations=None, plugins=["pytest_pafot.plugin.bisect_session"])
+    project.run(project.only_file, generations=None, plugins=["pytest_pafot.extras.revisions.bisect_session"])
     return told()
 
 

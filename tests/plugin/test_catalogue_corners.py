@@ -8,12 +8,12 @@ import pytest
 
 import pytest_pafot as pafot
 from pytest_pafot.__main__ import main
+from pytest_pafot.extras.sweeps import drawing
+from pytest_pafot.extras.sweeps.drawing import page
+from pytest_pafot.extras.sweeps.entries import ENTRIES, entry_of
+from pytest_pafot.extras.sweeps.maps import driven
+from pytest_pafot.extras.sweeps.numbers import values_of
 from pytest_pafot.support.errors import RequestError
-from pytest_pafot.sweeps import drawing
-from pytest_pafot.sweeps.drawing import page
-from pytest_pafot.sweeps.entries import ENTRIES, entry_of
-from pytest_pafot.sweeps.maps import driven
-from pytest_pafot.sweeps.numbers import values_of
 from tests.helpers.tables import table
 from tests.sweeps.planted import keeps_speed, mapped, picture_of, two_numbers
 from tests.sweeps.test_drawing import data_of

@@ -5,7 +5,7 @@ import re
 
 import pytest
 
-from pytest_pafot.sweeps.entries import NAMES
+from pytest_pafot.extras.sweeps.entries import NAMES
 from tests.helpers.sessions import section
 
 POLICIES = """
@@ -289,4 +289,4 @@ def test_session_without_the_mark_imports_no_catalogue(project):
     )
     project.run(fresh=True).assert_outcomes(passed=1)
     names = json.loads((project.path / "modules.json").read_text())
-    assert not [name for name in names if name.startswith(("pytest_pafot.sweeps", "pytest_pafot.world", "numpy"))]
+    assert not [name for name in names if name.startswith(("pytest_pafot.extras", "pytest_pafot.world", "numpy"))]

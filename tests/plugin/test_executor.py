@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from pytest_pafot.execution.executors import ExecutorPool, dask_executor
 from pytest_pafot.execution.scenario_pool import ExecutionError, Job
+from pytest_pafot.extras.executors import ExecutorPool, dask_executor
 from tests.helpers.toy_world import Toy, scenario
 from tests.plugin.test_workers import summary
 
@@ -137,7 +137,7 @@ def test_a_scheduler_that_does_not_answer_is_named():
 
 def test_a_session_says_that_it_waits_for_the_first_worker(monkeypatch):
     distributed = pytest.importorskip("distributed")
-    monkeypatch.setattr("pytest_pafot.execution.executors.SOON", 0.1)
+    monkeypatch.setattr("pytest_pafot.extras.executors.SOON", 0.1)
     with distributed.LocalCluster(n_workers=0, threads_per_worker=1, dashboard_address=None) as empty:
         told = []
 

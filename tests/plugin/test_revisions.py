@@ -12,10 +12,10 @@ from pathlib import Path
 
 import pytest
 
-from pytest_pafot.commands.revision import PROCESS
 from pytest_pafot.corpus.reader import load
 from pytest_pafot.execution.pool import ProcessLostError
-from pytest_pafot.execution.revision_policy import RevisionPolicy
+from pytest_pafot.extras.revisions.revision import PROCESS
+from pytest_pafot.extras.revisions.revision_policy import RevisionPolicy
 from tests.helpers.processes import begun
 from tests.helpers.tables import table
 

@@ -14,8 +14,8 @@ import pytest
 from gymnasium.spaces import Box, Discrete
 
 import pytest_pafot as pafot
-from pytest_pafot.policies.baselines import BaselineModel, BatchingBaselineAds, pushed, stacking_axis
-from pytest_pafot.policies.loading import PolicyLoader, digest_of
+from pytest_pafot.extras.policies.baselines import BaselineModel, BatchingBaselineAds, pushed, stacking_axis
+from pytest_pafot.extras.policies.loading import PolicyLoader, digest_of
 from pytest_pafot.searching import SearchSpace, sample
 from tests.helpers.tables import table
 

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 import pytest_pafot as pafot
-from pytest_pafot.policies import programs
+from pytest_pafot.extras.policies import programs
 from pytest_pafot.support.errors import BadAction
 from pytest_pafot.world import Observation, VehicleState
 from tests.helpers.tables import table

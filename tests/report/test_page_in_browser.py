@@ -11,7 +11,7 @@ import pytest
 import pytest_pafot as pafot
 from pytest_pafot.__main__ import main
 from pytest_pafot.commands.policy_reference import ads_factory
-from pytest_pafot.export.exporter import exporter
+from pytest_pafot.extras.export.exporter import exporter
 from pytest_pafot.model.trace import LANE, SPEED
 from pytest_pafot.report.page import render_frame, render_page
 from pytest_pafot.report.page_data import CheckView, Report

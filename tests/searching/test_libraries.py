@@ -144,7 +144,7 @@ def test_search_ends_even_if_every_run_is_invalid(name, make_evaluation):
 
 
 def test_nsga2_prefers_what_nothing_dominates(make_evaluation, make_population):
-    from pytest_pafot.searching.algorithms.nsga2 import objectives, surviving
+    from pytest_pafot.extras.algorithms.nsga2 import objectives, surviving
 
     scenarios = [each.scenario for each in make_population(4)]
     mild, fierce, both, invalid = (
@@ -161,7 +161,7 @@ def test_nsga2_prefers_what_nothing_dominates(make_evaluation, make_population):
 
 
 def test_nsga2_novelty_is_distance_to_nearest_neighbour(make_evaluation, make_population):
-    from pytest_pafot.searching.algorithms.nsga2 import objectives
+    from pytest_pafot.extras.algorithms.nsga2 import objectives
 
     a, b, _ = (each.scenario for each in make_population(3))
     values = objectives([make_evaluation(a), make_evaluation(a), make_evaluation(b)])
@@ -171,7 +171,7 @@ def test_nsga2_novelty_is_distance_to_nearest_neighbour(make_evaluation, make_po
 
 
 def test_nsga2_compares_scenarios_of_different_sizes_by_time(make_evaluation):
-    from pytest_pafot.searching.algorithms.nsga2 import objectives
+    from pytest_pafot.extras.algorithms.nsga2 import objectives
 
     ahead, left = PositionInstruction(Cell.FRONT, 20.0), PositionInstruction(Cell.FRONT_LEFT, 20.0)
     alone = Scenario(npcs=[[ahead] * 2], gene_seconds=10.0)
@@ -182,7 +182,7 @@ def test_nsga2_compares_scenarios_of_different_sizes_by_time(make_evaluation):
 
 
 def test_nsga2_novelty_counts_lanes_as_different_from_each_other_and_cells(make_evaluation):
-    from pytest_pafot.searching.algorithms.nsga2 import objectives
+    from pytest_pafot.extras.algorithms.nsga2 import objectives
 
     genes = LaneInstruction("left", 20.0), LaneInstruction("right", 20.0), PositionInstruction(Cell.FRONT, 20.0)
     values = objectives([make_evaluation(Scenario(npcs=[[gene, gene]])) for gene in genes])
@@ -193,7 +193,7 @@ def test_nsga2_novelty_counts_lanes_as_different_from_each_other_and_cells(make_
 
 
 def test_map_elites_retains_fittest_of_each_impact_kind(make_evaluation, make_population):
-    from pytest_pafot.searching.algorithms.map_elites import MapElitesSearch
+    from pytest_pafot.extras.algorithms.map_elites import MapElitesSearch
 
     search, rng = MapElitesSearch(population=5), np.random.default_rng(0)
     state, asked = search.ask(search.start(rng), rng)
@@ -209,7 +209,7 @@ def test_map_elites_retains_fittest_of_each_impact_kind(make_evaluation, make_po
 
 
 def test_cma_es_ranks_runs_without_fitness_worst(make_evaluation):
-    from pytest_pafot.searching.algorithms.cma_es import losses
+    from pytest_pafot.extras.algorithms.cma_es import losses
 
     population: list[Evaluation] = [
         make_evaluation(fitness=0.5),

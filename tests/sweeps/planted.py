@@ -1,9 +1,9 @@
 """A world without physics whose runs end as a picture says, so that a map of hundreds of points takes milliseconds."""
 
 import pytest_pafot as pafot
+from pytest_pafot.extras.sweeps.maps import MARKS
 from pytest_pafot.model.scenario import LaneInstruction, Scenario, ScenarioError
 from pytest_pafot.model.trace import Outcome
-from pytest_pafot.sweeps.maps import MARKS
 from tests.helpers.traces import trace_of, vehicle
 
 KINDS = {mark: kind for kind, mark in MARKS.items()}

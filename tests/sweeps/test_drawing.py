@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 
 import pytest_pafot as pafot
+from pytest_pafot.extras.sweeps import drawing
+from pytest_pafot.extras.sweeps.drawing import COLOURS, page, png
+from pytest_pafot.extras.sweeps.maps import MEANINGS
 from pytest_pafot.report.page import content_hash
 from pytest_pafot.support.errors import RequestError
 from pytest_pafot.support.text import visible
-from pytest_pafot.sweeps import drawing
-from pytest_pafot.sweeps.drawing import COLOURS, page, png
-from pytest_pafot.sweeps.maps import MEANINGS
 from tests.helpers.hostile import WORST
 from tests.report.builders import HOSTILE
 from tests.report.test_page import Reader

@@ -6,11 +6,11 @@ from functools import cache
 import pytest
 
 import pytest_pafot as pafot
+from pytest_pafot.extras.sweeps.entries import ENTRIES, NAMES, NoPlaceError, chosen, entry_of, fits
+from pytest_pafot.extras.sweeps.maps import driven
 from pytest_pafot.model.scenario import ScenarioError
 from pytest_pafot.model.trace import SPEED
 from pytest_pafot.support.errors import RequestError
-from pytest_pafot.sweeps.entries import ENTRIES, NAMES, NoPlaceError, chosen, entry_of, fits
-from pytest_pafot.sweeps.maps import driven
 from tests.helpers.tables import table
 from tests.sweeps.planted import keeps_speed
 

@@ -8,7 +8,7 @@ import pytest
 
 from pytest_pafot.__main__ import main
 from pytest_pafot.corpus.writer import write
-from pytest_pafot.sweeps.entries import NAMES
+from pytest_pafot.extras.sweeps.entries import NAMES
 from tests.findings.builders import plain_finding
 from tests.helpers.tables import table
 

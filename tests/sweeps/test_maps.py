@@ -14,10 +14,10 @@ from hypothesis import strategies as st
 
 import pytest_pafot as pafot
 from pytest_pafot.corpus.writer import write
+from pytest_pafot.extras.sweeps.entries import entry_of
+from pytest_pafot.extras.sweeps.maps import KINDS, MOST_BYTES, POINTS, Change
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.support.errors import RequestError
-from pytest_pafot.sweeps.entries import entry_of
-from pytest_pafot.sweeps.maps import KINDS, MOST_BYTES, POINTS, Change
 from tests.findings.builders import plain_finding
 from tests.helpers.tables import table
 from tests.helpers.toy_world import Toy

@@ -8,9 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import pytest_pafot as pafot
+from pytest_pafot.extras.sweeps.numbers import LEVELS, Axis, names_in, over_of, unit_of, values_of, with_number
 from pytest_pafot.model.scenario import CrossingInstruction, Manoeuvre, Scenario, ScenarioError, Step
 from pytest_pafot.support.errors import RequestError
-from pytest_pafot.sweeps.numbers import LEVELS, Axis, names_in, over_of, unit_of, values_of, with_number
 from tests.helpers.tables import table
 
 TENTHS = st.integers(1, 50).map(lambda number: number / 10)

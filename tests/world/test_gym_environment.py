@@ -37,6 +37,9 @@ from highway_env.vehicle.objects import Landmark, Obstacle
 
 from pytest_pafot.corpus.reader import load
 from pytest_pafot.corpus.writer import write
+from pytest_pafot.extras.testing import check_world
+from pytest_pafot.extras.testing.traces import contacts
+from pytest_pafot.extras.training import training_env
 from pytest_pafot.findings.decisions import counted
 from pytest_pafot.findings.finding import Expect, disagreement, is_same_event
 from pytest_pafot.findings.signature import Failure
@@ -47,9 +50,6 @@ from pytest_pafot.oracle.run import Run
 from pytest_pafot.searching.evaluation import ended_at_object
 from pytest_pafot.searching.fitness import before_impact
 from pytest_pafot.support.errors import CorpusError
-from pytest_pafot.testing import check_world
-from pytest_pafot.testing.traces import contacts
-from pytest_pafot.training import training_env
 from pytest_pafot.world import World, WorldError
 from pytest_pafot.world.gym_environment import CONNECTED, POLICY_OPTIONS, TRAFFIC_OPTIONS
 from tests.findings.builders import plain_finding

@@ -10,11 +10,8 @@ from importlib.util import find_spec
 from types import MappingProxyType
 from typing import Any
 
-from pytest_pafot.searching.algorithms.av_fuzzer import AvFuzzerSearch
-from pytest_pafot.searching.algorithms.cma_es import CmaEsSearch
+from pytest_pafot import door
 from pytest_pafot.searching.algorithms.distinct import DistinctSearch
-from pytest_pafot.searching.algorithms.map_elites import MapElitesSearch
-from pytest_pafot.searching.algorithms.nsga2 import Nsga2Search
 from pytest_pafot.searching.algorithms.pafot import PafotSearch
 from pytest_pafot.searching.algorithms.random_search import RandomManoeuvreSearch, RandomSearch
 from pytest_pafot.searching.ask_tell import Algorithm
@@ -23,13 +20,12 @@ from pytest_pafot.searching.space import LANE_SHARES, SearchSpace
 from pytest_pafot.support.errors import install
 from pytest_pafot.support.references import referred_to
 
-CATALOGUE: Mapping[str, type[Algorithm[Any]]] = MappingProxyType({each.name: each for each in (
-    DistinctSearch, PafotSearch, AvFuzzerSearch, RandomSearch, RandomManoeuvreSearch, Nsga2Search, MapElitesSearch,
-    CmaEsSearch,
-)})  # fmt: skip
-"""The algorithms of this package by name; a new algorithm must be imported and listed here."""
+_OF_CORE: Mapping[str, type[Algorithm[Any]]] = MappingProxyType({
+    each.name: each for each in (DistinctSearch, PafotSearch, RandomSearch, RandomManoeuvreSearch)
+})  # fmt: skip
 
-ALGORITHMS = tuple(CATALOGUE)  # names that :func:`resolve_algorithm` accepts
+ALGORITHMS = (*_OF_CORE, *door.ALGORITHMS)
+"""The names that :func:`resolve_algorithm` accepts; a new algorithm must be listed above, or in the door."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -57,7 +53,7 @@ class AlgorithmClass:
                 algorithm is not installed, in a message that says how to install it.
         """
         if self.library is not None and find_spec(self.library) is None:
-            own = f"`{install('search')}` or " if self.name in CATALOGUE else ""
+            own = f"`{install('search')}` or " if self.name in ALGORITHMS else ""
             raise ValueError(
                 f"algorithm: expected the library {self.library} for {self.name!r}, received a Python without it; run "
                 f"{own}`pip install {self.library}`"
@@ -84,8 +80,8 @@ def resolve_algorithm(given: str | type[Algorithm[Any]]) -> AlgorithmClass:
 
 
 def _named(given: str) -> Any:
-    if given in CATALOGUE:
-        return CATALOGUE[given]
+    if given in ALGORITHMS:
+        return _OF_CORE[given] if given in _OF_CORE else door.opened(door.ALGORITHMS[given])
     if ":" in given:
         try:
             return referred_to(given)
@@ -112,7 +108,7 @@ def _check_class(given: Any) -> None:
             f"{', '.join(missing)}; derive it from pytest_pafot.searching.GenerationalSearch, or see "
             "pytest_pafot.searching.Algorithm"
         )
-    if CATALOGUE.get(str(name), given) is not given:
+    if name in ALGORITHMS and _named(str(name)) is not given:
         raise ValueError(
             f"algorithm: expected a unique name for {given.__name__}, received {name!r}, which is the name of a "
             f"different algorithm in files and reports; set the class attribute `name` of {given.__name__}"

@@ -22,7 +22,7 @@ UNFIT = BaseException
 """The class to catch around the user's code. Call :func:`let_through` afterwards: it raises again every exception that
 the code did not cause."""
 
-OWN = ("pytest_pafot.world.", "pytest_pafot.policies.")
+OWN = ("pytest_pafot.world.", "pytest_pafot.extras.policies.")
 """The prefixes of modules between the ADS and a run, whose frames are left out of tracebacks."""
 
 TIMEOUT_PLUGINS = ("pytest_timeout",)

@@ -11,8 +11,8 @@ import pytest
 
 from pytest_pafot import Drive, Highway, LaneInstruction, Perception, Planned, PositionInstruction, Run, Scenario, World
 from pytest_pafot.campaign.harness import is_same_run
-from pytest_pafot.episodes.ordinary_traffic import drive
 from pytest_pafot.execution.runner import DecisionCache
+from pytest_pafot.extras.episodes.ordinary_traffic import drive
 from pytest_pafot.model.trace import AdsError, Trace, X, Y
 from pytest_pafot.report.animation import animate
 from pytest_pafot.report.page import data_json

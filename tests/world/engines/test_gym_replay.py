@@ -8,11 +8,11 @@ import pytest
 from highway_env.vehicle.behavior import IDMVehicle
 from highway_env.vehicle.kinematics import Vehicle
 
+from pytest_pafot.extras.testing.traces import contacts, end
 from pytest_pafot.findings.finding import disagreement
 from pytest_pafot.model.scenario import PositionInstruction, Scenario
 from pytest_pafot.model.trace import SPEED, Outcome
 from pytest_pafot.oracle.run import Run
-from pytest_pafot.testing.traces import contacts, end
 from pytest_pafot.world import Highway, World
 from pytest_pafot.world.engines.gym_replay import StockVehicle
 from pytest_pafot.world.protocol import gym_replaying

@@ -1,0 +1,56 @@
+"""A policy whose whole runs are made by itself, such as one of another revision, in a process of its own."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import Any, ClassVar, NoReturn
+
+from pytest_pafot.model.scenario import Scenario
+from pytest_pafot.model.trace import Trace
+from pytest_pafot.support.errors import AdsFactoryError
+from pytest_pafot.world import protocol
+
+
+class DrivesElsewhere(ABC):
+    """A policy in place of a factory. It makes whole runs, and so may be a policy of any kind.
+
+    Attributes:
+        label: its name and commit, for texts.
+        commit: the hash of its commit.
+    """
+
+    __slots__ = ()
+    label: str
+    commit: str
+
+    def __call__(self) -> NoReturn:
+        """Refuse to make an ADS in this process."""
+        raise AdsFactoryError(f"{self.label}: expected a run in the process of this revision, received a call here")
+
+    @abstractmethod
+    def driven(self, method: str, world: Any, scenario: Scenario) -> Trace:
+        """Run a scenario by a method of a world, ``rollout`` or ``rollout_in_gym``.
+
+        Raises:
+            RevisionError: if the policy cannot drive, which says nothing about how it drives.
+            ProcessLostError: if its process dies or hangs.
+        """
+
+
+@dataclass(frozen=True, slots=True)
+class Elsewhere:
+    """A stand-in for a world, whose runs such a policy makes."""
+
+    guards_ads: ClassVar[bool] = True  # in the other process
+    world: Any
+    policy: DrivesElsewhere
+
+    @property
+    def hang_limit(self) -> float:
+        """The limit of the world [s]."""
+        return protocol.hang_limit(self.world)
+
+    def rollout(self, scenario: Scenario, ads: object) -> Trace:
+        """Run a scenario with the policy."""
+        return self.policy.driven("rollout", self.world, scenario)

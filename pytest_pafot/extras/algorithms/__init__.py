@@ -1,0 +1,1 @@
+"""The search algorithms that only comparisons need."""

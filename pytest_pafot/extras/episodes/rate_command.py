@@ -1,0 +1,366 @@
+"""``python -m pytest_pafot rate``: the crash rate of a policy in ordinary traffic, and its page."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import shlex
+import sys
+import tempfile
+import time
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pytest_pafot.commands.policy_reference import config_of
+from pytest_pafot.extras.episodes.rate import (
+    CHUNK,
+    Pair,
+    Rate,
+    RatePlan,
+    checked,
+    factory_of,
+    number,
+    rows_of,
+    shown,
+    told,
+)
+from pytest_pafot.extras.resumable import AGAIN, printing_elsewhere, run_job, worker_count, written_into
+from pytest_pafot.model.trace import Outcome
+from pytest_pafot.report.animation import AnimationError, animate
+from pytest_pafot.report.page_data import EventView, FindingView, LaneView, RoadView, VehicleView
+from pytest_pafot.report.views import FRAMES_PER_SECOND
+from pytest_pafot.support.errors import RequestError, command
+from pytest_pafot.support.files import write_whole
+from pytest_pafot.support.proportions import CONFIDENCE, interval, percent
+from pytest_pafot.support.text import capitalised, markdown_table, plural, quiet_json
+from pytest_pafot.support.versions import installed_versions
+from pytest_pafot.world.driving.ads import loading_hint
+
+if TYPE_CHECKING:
+    from pytest_pafot.extras.episodes.episode import Episode, EpisodeRecording
+
+# The report of a rate: its page in Markdown, and pictures of crashes.
+
+# The end of an episode as an animated picture, in the style of the pictures of findings.
+
+NEAREST = 7
+"""The number of other vehicles in a picture, which are the nearest to the ego at the end of the episode."""
+
+
+def picture(episode: Episode, headline: str) -> bytes:
+    """Return an APNG of the last seconds of a recorded episode.
+
+    Raises:
+        AnimationError: if Pillow is not installed.
+    """
+    if episode.recording is None:
+        raise ValueError("episode: expected an episode with a recording; drive it with is_recorded=True")
+    recording = episode.recording
+    states, hz, lanes = recording.states, recording.physics_hz, recording.lanes
+    is_bent = bool(lanes[0].points)
+    last = len(states) - 1
+    ticks = sorted({*range(0, last + 1, max(1, round(hz / FRAMES_PER_SECOND))), last})
+    distance = np.hypot(*(states[-1, 1:, :2] - states[-1, 0, :2]).T)
+    shown = [0, *(np.argsort(distance, kind="stable")[:NEAREST] + 1)]  # NaN, a vehicle that has left, is sorted last
+    view = FindingView(
+        id=f"seed-{episode.seed}",
+        node_id="",
+        test="",
+        headline=headline,
+        explanation="",
+        responsibility="none",
+        road=RoadView(
+            lanes=() if is_bent else tuple(lane.y for lane in lanes),
+            lane_width=lanes[0].width,
+            speed_limit=max(lane.speed_limit for lane in lanes),
+            clearance=0.0,
+            shapes=tuple(LaneView(points=lane.points, width=lane.width) for lane in lanes) if is_bent else (),
+        ),
+        vehicles=tuple(_vehicle(recording, int(index), ticks) for index in shown),
+        times=tuple(round(tick / hz, 3) for tick in ticks),
+        instructions=(),
+        event=EventView(kind=str(episode.outcome), time=episode.seconds, npc=0 if len(shown) > 1 else None),
+        yaml="",
+        command="",
+    )
+    return animate(view)
+
+
+def _vehicle(recording: EpisodeRecording, index: int, ticks: list[int]) -> VehicleView:
+    length, width = recording.sizes[index]
+    along, across, heading, speed = (
+        tuple(round(float(value), 3) if np.isfinite(value) else None for value in column)
+        for column in recording.states[ticks, index, :4].T
+    )
+    return VehicleView(
+        name=f"NPC {index - 1}" if index else "ego",
+        length=float(length),
+        width=float(width),
+        along=along,
+        across=across,
+        heading=heading,
+        speed=speed,
+    )
+
+
+HOW_TO_READ = """
+## How to read this
+
+- An episode starts with `env.reset(seed=...)` of the environment and continues in its own random traffic; no search has
+  chosen it. It crashed if highway-env flagged the ego, up to a tick before boxes touch, and ends there.
+- The interval is Clopper and Pearson's: it covers the true share of episodes with at least 95 %, whatever that is.
+  If nothing crashed, only its upper end is known. An interval half as wide needs four times as many episodes.
+- Episodes in which the policy raised, hung or returned no action are no crashes, and the rate ignores them.
+- This says how often a policy crashes in such traffic. It does not say who is to blame, nor anything about rarer
+  traffic.
+- `results.csv` has a row for each episode. Equal arguments and versions give equal rows on any number of workers.
+"""
+
+
+def page(plan: RatePlan, rates: Sequence[Rate], command: Sequence[str], pictures: Mapping[str, str]) -> str:
+    """Return the page of a rate as Markdown.
+
+    ``command`` is the command that made it, and ``pictures`` has the file name of the picture of each policy's crash.
+    """
+    packages = ", ".join(f"{name} {version}" for name, version in installed_versions().items())
+    config = "" if plan.config is None else f" with `{json.dumps(dict(plan.config))}`"
+    rows = []
+    for rate in rates:
+        low, high = interval(len(rate.crashed), rate.episodes)
+        share = percent(rate.share) if rate.episodes else ""
+        bounds = f"{percent(low)} to {percent(high)}" if rate.crashed else f"at most {percent(high)}"
+        hours = number(rate.per_hour), number(rate.hours)
+        rows.append([rate.ads, rate.episodes, len(rate.crashed), share, bounds, *hours])
+    parts = [
+        f"# How often {' and '.join(rate.ads for rate in rates)} crash{'es' if len(rates) == 1 else ''}",
+        f"```sh\n{shlex.join(command)}\n```",
+        f"{plan.episodes} episodes of {plan.env_id}{config}, seeds {plan.seed} to {plan.seed + plan.episodes - 1}. "
+        f"{packages}.",
+        markdown_table(["", "episodes", "crashes", "per episode", "95 %", "per hour", "hours"], rows),
+    ]
+    if len(rates) == 2:
+        pair = Pair.of(*rates)
+        sentence = f"{capitalised(pair.sentence)}."
+        alone = ((pair.first, pair.first_only), (pair.second, pair.second_only))
+        only = [f"Seeds of crashes only with {name}: {shown(seeds)}." for name, seeds in alone if seeds]
+        parts.append(" ".join([sentence, *only]))
+    for rate in rates:
+        parts.append("\n".join([f"## {rate.ads}\n", *(f"- {note}" for note in rate.notes or ["no crash"])]))
+        if rate.ads in pictures:
+            parts.append(f"![The first crash]({pictures[rate.ads]})")
+    return "\n\n".join(part.strip() for part in [*parts, HOW_TO_READ]) + "\n"
+
+
+NOTHING_DRIVEN = 1  # exit code if the ADS failed in every episode, so that there is no rate
+ABOVE = 1  # exit code if --fail-above found that a policy crashes too often, or that it failed in an episode
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options of the command."""
+    of_whom = "a module of example_ads, module:factory, or module:factory:argument; with @planner after it if it gets "
+    of_whom += "pafot.Observation and answers with acceleration and steering"
+    parser.add_argument("--ads", required=True, metavar="ADS", help=f"the policy: {of_whom}")
+    parser.add_argument("--against", metavar="ADS", help="a second policy, on the same seeds")
+    parser.add_argument(
+        "--world", required=True, metavar="ID", help="a highway-env environment such as highway-fast-v0"
+    )
+    parser.add_argument("--config", metavar="JSON", help="options of the environment, as for gymnasium.make")
+    parser.add_argument(
+        "--episodes", type=int, default=1000, metavar="N", help="episodes to drive (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--seed", type=int, default=0, metavar="N", help="seed of the first episode (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--episode", type=int, metavar="SEED", help="drive only the episode with this seed, and draw its end"
+    )
+    parser.add_argument(
+        "--out",
+        type=Path,
+        metavar="DIR",
+        help="folder for rows, page and pictures (default: none; with --episode: here)",
+    )
+    parser.add_argument("--workers", type=int, metavar="N", help="processes (default: one for each core)")
+    parser.add_argument("--json", action="store_true", help="print JSON, for programs")
+    parser.add_argument(
+        "--fail-above",
+        metavar="SHARE",
+        help="exit with 1 if the 95 %% interval of the crashes of the policy (that of --ads) begins above this share "
+        "of the episodes, such as 2%% or 0.02, or if the policy failed in an episode",
+    )
+
+
+def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
+    """Rate the policies, write the page if there is a folder for it, and return the exit code."""
+    try:
+        config = config_of(arguments.config)
+        same = {name: getattr(arguments, name) for name in ("ads", "against", "episodes", "seed")}
+        plan = checked(RatePlan(env_id=arguments.world, config=config, **same))
+        workers = worker_count(arguments.workers)
+        if arguments.episode is not None and arguments.episode < 0:
+            raise RequestError(f"--episode: expected a seed, at least 0, received {arguments.episode}")
+        limit = _share_of(arguments.fail_above, plan.episodes)
+        if arguments.episode is not None and (arguments.json or limit is not None):
+            raise RequestError("--episode: expected no --json and no --fail-above, which need a rate; leave them out")
+        if arguments.episode is not None:
+            return _replay(plan, arguments.episode, arguments.out or Path())
+        with ExitStack() as stack:
+            folder = arguments.out or Path(stack.enter_context(tempfile.TemporaryDirectory()))
+            job = plan.job
+            workers = min(workers, len(job.tasks))
+            if arguments.json:
+                stack.enter_context(printing_elsewhere())
+            results = run_job(job, folder, workers=workers, told=sys.stderr, clock=time.monotonic)
+            rows = rows_of(results.read_text(encoding="utf-8"))
+        rates = [Rate(ads=name, rows=tuple(row for row in rows if row.ads == name)) for name in plan.policies.values()]
+        objection = "" if limit is None else _objection(rates[0], limit)
+        if arguments.json:
+            sys.stdout.write(f"{quiet_json(json.dumps(_data(plan, rates, limit, objection), indent=2))}\n")
+        else:
+            sys.stdout.write(_text(plan, rates, arguments))
+        if arguments.out is not None:
+            pictures = _pictures(plan, rates, arguments.out)
+            with written_into(arguments.out, AGAIN):
+                write_whole(arguments.out / "report.md", page(plan, rates, command, pictures))
+            (sys.stderr if arguments.json else sys.stdout).write(f"{arguments.out / 'report.md'}\n")
+        if objection:
+            sys.stderr.write(f"rate: {objection}\n")
+            return ABOVE
+    except KeyboardInterrupt as interrupt:
+        kept = f"finished tasks of up to {CHUNK} episodes are saved, and the same command continues with the rest"
+        interrupt.add_note("nothing is saved without --out" if arguments.out is None else kept)
+        raise
+    return 0 if all(rate.episodes for rate in rates) else NOTHING_DRIVEN
+
+
+def _share_of(text: str | None, episodes: int) -> float | None:
+    """Return the share that the text of ``--fail-above`` means, such as ``2%`` or ``0.02``; None without a text.
+
+    Raises:
+        RequestError: if the text is no share from 0 to less than 1, or if so few episodes cannot show a higher share.
+    """
+    if text is None:
+        return None
+    number, percent, rest = text.strip().partition("%")
+    try:
+        share = float(number) / (100 if percent else 1)
+    except ValueError:
+        share = math.nan
+    if rest or not 0 <= share < 1:  # a rate is never above 1
+        raise RequestError(
+            f"--fail-above: expected a share from 0 to less than 1, such as 2% or 0.02, received {text!r}"
+        )
+    if interval(episodes, episodes)[0] <= share:
+        needed = math.floor(math.log((1 - CONFIDENCE) / 2) / math.log(share)) + 1
+        raise RequestError(
+            f"--episodes: expected {needed} or more, received {episodes}: even if all crash, fewer do not show a share "
+            f"above {text}"
+        )
+    return share
+
+
+def _objection(rate: Rate, limit: float) -> str:
+    """Return why ``--fail-above`` refuses the rate of a policy; empty if it does not."""
+    if rate.failed:
+        count = plural(len(rate.failed), "episode")
+        return f"--fail-above: expected an ADS that drives all episodes, received one that failed in {count}"
+    low, _ = rate.interval()
+    if low <= limit:
+        return ""
+    expected = f"crashes in at most {100 * limit:.4g} % of the episodes"
+    return f"--fail-above: expected {expected}, received an interval that begins at {100 * low:.4g} %"
+
+
+def _data(plan: RatePlan, rates: Sequence[Rate], limit: float | None, objection: str) -> dict[str, Any]:
+    """Return the rates as plain data, for programs."""
+    pair = Pair.of(*rates) if len(rates) == 2 else None
+    names = ("first_only", "second_only", "both", "neither")
+    return {
+        "world": plan.env_id,
+        "config": plan.config,
+        "seed": plan.seed,
+        "episodes": plan.episodes,
+        "policies": [
+            {
+                **{name: getattr(rate, name) for name in ("ads", "episodes", "hours", "crashed", "notes")},
+                "crashes": len(rate.crashed),
+                "share": rate.share if rate.episodes else None,
+                "interval": rate.interval(),
+                "confidence": CONFIDENCE,
+                "failed": [row.seed for row in rate.failed],
+            }
+            for rate in rates
+        ],
+        "pair": None if pair is None else {**{name: len(getattr(pair, name)) for name in names}, "p": pair.p},
+        "fail_above": limit,
+        "objection": objection,
+    }
+
+
+def _pictures(plan: RatePlan, rates: Sequence[Rate], folder: Path) -> dict[str, str]:
+    """Draw the first crash of each policy and return the file names by policy; warn if a needed package is missing."""
+    try:
+        return {
+            rate.ads: _drawn(_episode(plan, rate.ads, rate.crashed[0]), rate.ads, folder, AGAIN)
+            for rate in rates
+            if rate.crashed
+        }
+    except AnimationError as error:
+        sys.stderr.write(f"rate: the report has no picture: {error}\n")
+        return {}
+
+
+def _text(plan: RatePlan, rates: Sequence[Rate], arguments: argparse.Namespace) -> str:
+    lines = []
+    for rate in rates:
+        hint = loading_hint(factory_of(rate.ads)[0])
+        notes = [*rate.notes, *filter(None, [hint])]
+        lines += [f"{rate.ads} in {plan.env_id}: {rate.sentence}", *(f"  {note}" for note in notes)]
+        if not rate.episodes and "@" not in rate.ads:
+            named = shlex.join(["--ads", f"{rate.ads}@planner"])
+            lines.append(f"  for a planner in SI units, as for pafot.Highway, use {named}")
+    if len(rates) == 2:
+        lines.append(Pair.of(*rates).sentence)
+    crashed = next((rate for rate in rates if rate.crashed), None)
+    if crashed is not None:
+        config = [] if arguments.config is None else ["--config", arguments.config]
+        again = ["--ads", crashed.ads, "--world", plan.env_id, *config, "--episode", crashed.crashed[0]]
+        lines.append(f"see a crash: {command('pytest_pafot', 'rate', *again)}")
+    return "\n".join(lines) + "\n"
+
+
+def _replay(plan: RatePlan, seed: int, folder: Path) -> int:
+    """Drive the episode with a seed again, with each policy, and draw its end into a folder."""
+    with written_into(folder):  # before anything is driven
+        folder.mkdir(parents=True, exist_ok=True)
+        tempfile.TemporaryFile(dir=folder).close()
+    for name in plan.policies.values():
+        episode = _episode(plan, name, seed)
+        how = {Outcome.COLLISION: "crashed", Outcome.SAFE: "ended without a crash"}.get(episode.outcome, "failed")
+        error = "" if episode.error is None else f": {told(episode.error)}"
+        sys.stdout.write(f"{name} in {plan.env_id}, seed {seed}: {how} after {episode.seconds:.1f} s{error}\n")
+        if episode.recording is not None:  # there is none if the ADS could not be made
+            sys.stdout.write(f"{folder / _drawn(episode, name, folder)}\n")
+    return 0
+
+
+def _episode(plan: RatePlan, name: str, seed: int) -> Episode:
+    from pytest_pafot.extras.episodes.ordinary_traffic import drive  # noqa: PLC0415  (imports highway-env)
+
+    factory, is_planner = factory_of(name)
+    world = plan.world
+    return drive(world.environment, factory, seed, hang_limit=world.hang_limit, is_planner=is_planner, is_recorded=True)
+
+
+def _drawn(episode: Episode, name: str, folder: Path, elsewhere: str = "or give another folder") -> str:
+    """Draw an episode into the folder and return the name of the picture."""
+    path = folder / f"{''.join(each if each.isalnum() or each in '-_' else '-' for each in name)}-{episode.seed}.png"
+    drawn = picture(episode, f"{name}, seed {episode.seed}")
+    with written_into(folder, elsewhere):
+        write_whole(path, drawn)
+    return path.name

@@ -1,0 +1,55 @@
+"""``python -m pytest_pafot export``: it writes the run of a finding to files for other tools."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from pytest_pafot.campaign.saved_scenario import load
+from pytest_pafot.commands.policy_reference import ads_factory
+from pytest_pafot.corpus.saved import named_file
+from pytest_pafot.extras.export.exporter import BUILT_IN, GROUP, ExportError, exporter
+from pytest_pafot.extras.resumable import written_into
+from pytest_pafot.findings.finding import ending
+from pytest_pafot.support.files import write_whole
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options of the command."""
+    names = ", ".join(entry.name for entry in BUILT_IN)
+    parser.add_argument("finding", metavar="FILE|FINDING", help="a saved scenario: its file, or its id")
+    parser.add_argument(
+        "--to", required=True, metavar="FORMAT", help=f"the format: {names}, or one that a package registers in {GROUP}"
+    )
+    parser.add_argument(
+        "--ads",
+        metavar="ADS",
+        help="the policy that drives the ego: a module of example_ads, module:factory, or module:factory:argument",
+    )
+    parser.add_argument(
+        "--out", type=Path, default=Path(), metavar="DIR", help="the folder for the files (default: the current one)"
+    )
+
+
+def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
+    """Drive the scenario of a finding, and write the run to files of the requested format; return the exit code."""
+    export, saved = exporter(arguments.to), load(named_file(arguments.finding))
+    if arguments.ads is None:
+        expected = f"the policy that drives the ego in the test {saved.finding.test}, such as --ads module:factory"
+        received = "none; a file contains the NPCs' instructions, not where the vehicles drove"
+        raise ExportError(field="--ads", expected=expected, received=received)
+    driven = saved.replay(ads_factory(arguments.ads))
+    for name, content in export(saved.finding, driven.trace).items():
+        with written_into(arguments.out):
+            write_whole(arguments.out / name, content)
+        sys.stdout.write(f"{arguments.out / name}\n")
+    # A failed check cannot be compared, because the test function is not called.
+    if saved.expect.check is None and not saved.matches(driven):
+        event = f"{saved.expect.outcome} at {saved.expect.time:.1f} s"
+        sys.stderr.write(
+            f"export: {saved.id} was saved with {event}, but this run ended with {ending(driven)}. "
+            "Is this the policy of its test?\n"
+        )
+    return 0

@@ -1,0 +1,125 @@
+"""Policies from files, frameworks and programs, each as an ADS factory in one line.
+
+A factory is a frozen value that can be pickled. A factory of a file or framework loads its policy once, when a search
+begins or a run needs it, on the CPU and with one thread. The library that it needs is imported only then. Its
+``weights_digest`` is a hash of the loaded files or values, which findings store. Before the first run in a
+:class:`pytest_pafot.World` it compares the world's observations and actions with those of the policy. A factory of a
+program starts it in each process and compares nothing.
+
+Models of Stable-Baselines3, statistics of VecNormalize and torch modules that were saved whole are pickles: loading
+them runs the code that they contain. They are your own files, named in your own test; no corpus file can name a pickle.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from pytest_pafot.extras.policies.baselines import Sb3Policy
+    from pytest_pafot.extras.policies.networks import OnnxPolicy, TorchPolicy
+    from pytest_pafot.extras.policies.programs import ProgramLoader
+
+__all__ = ["onnx", "process", "sb3", "torch"]
+
+StrPath = str | os.PathLike[str]
+
+
+def sb3(
+    file: StrPath,
+    *,
+    vecnormalize: StrPath | None = None,
+    frame_stack: int = 1,
+    algorithm: str | type[Any] | None = None,
+    deterministic: bool = True,
+) -> Sb3Policy:
+    """Make an ADS factory from a saved model of Stable-Baselines3 or sb3-contrib. Needs ``pytest-pafot[sb3]``.
+
+    The ADS drives in a :class:`pytest_pafot.World` that has the observations and actions of the model's training. Its
+    decisions are exactly those of ``model.predict``. It decides for many runs at once if it is deterministic, its
+    actions are integers and the model is not recurrent.
+
+    Args:
+        file: the zip file that the model's ``save`` wrote.
+        vecnormalize: the file that ``VecNormalize.save`` wrote, if the model was trained with VecNormalize; the shape
+            of its statistics shows if they are for single or for stacked observations.
+        frame_stack: number of observations that the model was trained to see at once, as stacked by ``VecFrameStack``.
+        algorithm: name of the model's algorithm, such as ``"PPO"`` or ``"QRDQN"``, or its class; by default it is
+            derived from the zip file.
+        deterministic: True for the action that the model prefers; False for a random action, with which no run can be
+            repeated.
+    """
+    from pytest_pafot.extras.policies.baselines import Sb3Policy  # noqa: PLC0415  (imports numpy, and a test may never use it)
+
+    statistics = None if vecnormalize is None else Path(vecnormalize).absolute()
+    return Sb3Policy(
+        file=Path(file).absolute(),
+        vecnormalize=statistics,
+        frame_stack=frame_stack,
+        algorithm=algorithm,
+        deterministic=deterministic,
+    )
+
+
+def torch(module_or_file: Any, *, to_action: Callable[[Any], Any] | None = None) -> TorchPolicy:
+    """Make an ADS factory from a torch module or from a file with one. Needs torch.
+
+    The module is called with observations as a tensor of shape [runs, ...] in the type of its parameters, without
+    gradients and in evaluation mode. If the module returns several outputs, only the first is used. In
+    :class:`pytest_pafot.Highway` the module receives the observation's ``array``, of shape [vehicles, 7].
+
+    Args:
+        module_or_file: a ``torch.nn.Module``, of which each process uses a copy, or a file from ``torch.jit.save`` or
+            ``torch.save``.
+        to_action: converts the output for one observation, an array, to an action. By default the action is the index
+            of the largest value; only with this default the ADS decides for many runs at once.
+    """
+    from pytest_pafot.extras.policies.loading import argmax  # noqa: PLC0415  (imported only if used)
+    from pytest_pafot.extras.policies.networks import TorchPolicy  # noqa: PLC0415
+
+    is_file = isinstance(module_or_file, (str, os.PathLike))
+    module = Path(module_or_file).absolute() if is_file else module_or_file
+    return TorchPolicy(module=module, to_action=to_action or argmax)
+
+
+def onnx(file: StrPath, *, to_action: Callable[[Any], Any] | None = None) -> OnnxPolicy:
+    """Make an ADS factory from a network in an ONNX file. Needs ``pytest-pafot[onnx]``.
+
+    The network's first input receives observations of shape [runs, ...], flattened if the file requires that. Only its
+    first output is used. In :class:`pytest_pafot.Highway` the network receives the observation's ``array``, of shape
+    [vehicles, 7].
+
+    Args:
+        file: the ONNX file.
+        to_action: converts the output for one observation to an action, as for :func:`torch`.
+    """
+    from pytest_pafot.extras.policies.loading import argmax  # noqa: PLC0415  (imported only if used)
+    from pytest_pafot.extras.policies.networks import OnnxPolicy  # noqa: PLC0415
+
+    return OnnxPolicy(file=Path(file).absolute(), to_action=to_action or argmax)
+
+
+def process(command: Sequence[str], *, keep: bool = True, timeout: float | None = None) -> ProgramLoader:
+    """Make an ADS factory from a program, which reads a line of JSON per observation and writes one per decision.
+
+    Each process that simulates starts the program for itself. At the end of a run, the session prints what the program
+    wrote to stderr. Programs are not available on Windows.
+
+    Args:
+        command: the program and its arguments, as for ``subprocess``, relative to the folder that pytest runs in.
+        keep: True if the program continues with the next scenario, whose first line has ``reset`` true; False to start
+            it again for each scenario. A program that ended, hung or gave no readable answer is started again in either
+            case.
+        timeout: time to wait for an answer [s], after which the program is killed; by default only the world's
+            ``hang_limit`` ends the wait.
+    """
+    from pytest_pafot.extras.policies.loading import refused  # noqa: PLC0415  (imported only if used)
+    from pytest_pafot.extras.policies.programs import ProgramLoader  # noqa: PLC0415
+
+    if isinstance(command, (str, bytes, os.PathLike)) or not command:
+        words = command.split() if isinstance(command, str) else [command]
+        example = f"write process({words!r})" if command else 'name it, as in process(["./planner"])'
+        raise refused("a program and its arguments in a list", repr(command), example)
+    return ProgramLoader(command=tuple(command), keep=keep, timeout=timeout)

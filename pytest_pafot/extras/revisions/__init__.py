@@ -1,0 +1,1 @@
+"""Policies of other commits: as a reference of a search, and the command ``bisect``."""

@@ -1,0 +1,117 @@
+"""The plugin of the session that ``python -m pytest_pafot bisect`` starts for a commit; it writes a result as JSON."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import sys
+import threading
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from pytest_pafot.campaign.replays import FLAKY
+from pytest_pafot.campaign.verdict import Verdict, headline
+from pytest_pafot.extras.revisions.bisect_command import ALIVE, TOLD
+from pytest_pafot.findings.finding import Finding, ending, is_same_failure, replay_label, unhandled
+from pytest_pafot.findings.situation import missed
+from pytest_pafot.model.trace import ACCELERATION, SPEED, STEERING, Trace
+from pytest_pafot.oracle.run import Run
+from pytest_pafot.plugin.failure_reports import REPLAYED, SUMMARY
+from pytest_pafot.plugin.marks import SAVED_MARK
+from pytest_pafot.support.text import one_line, visible
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_load_initial_conftests() -> None:
+    """Let this session, which has a group of its own, end with the command, also if the command is killed."""
+    alive = os.environ.pop(ALIVE, "")
+    if alive:
+        os.set_inheritable(int(alive), False)
+        threading.Thread(target=_end_with_command, args=(int(alive),), daemon=True).start()
+
+
+def _end_with_command(alive: int) -> None:
+    os.read(alive, 1)  # It returns when the pipe has no writer any more.
+    os.killpg(0, signal.SIGKILL)
+
+
+def pytest_runtest_teardown(item: pytest.Item) -> None:
+    """Write the result of the replay of a saved scenario to the file that the command reads."""
+    if REPLAYED not in item.stash:
+        return
+    label, run, verdict, note = item.stash[REPLAYED]
+    mark = item.get_closest_marker(SAVED_MARK)
+    assert mark is not None  # noqa: S101  (for type checkers: only replays stash this)
+    passes, why = judged(mark.args[0].finding, label, run, verdict)
+    # The sentence is cut to a line, and names a failure already.
+    why = "; ".join(filter(None, [why, note.partition(":")[0] if passes is False else note]))
+    is_other = passes is None and verdict is not None and verdict.passes and label != FLAKY
+    elsewhere = _imported_from_elsewhere()
+    if elsewhere:
+        passes, is_other, why = None, False, f"the policy was imported from {elsewhere}, which is not the commit's"
+    _tell(passes=passes, why=why, is_other=is_other, **({} if run is None else decided(run.trace)))
+
+
+def pytest_exception_interact(node: pytest.Item | pytest.Collector, call: pytest.CallInfo[Any]) -> None:
+    """Write the first error of the session, in case it prevents the replay."""
+    if call.excinfo is not None and not Path(json.loads(os.environ[TOLD])["file"]).exists():
+        error = call.excinfo.value.__cause__ or call.excinfo.value  # pytest wraps what an import raises
+        text = "; ".join(line.strip() for line in str(error).splitlines() if line.strip())
+        _tell(passes=None, why=node.stash.get(SUMMARY, "") or f"{type(error).__name__}: {text}")
+
+
+def judged(finding: Finding, label: str, run: Run | None, verdict: Verdict | None) -> tuple[bool | None, str]:
+    """Return whether a replay passes, or None if that cannot be decided; and a sentence on how the replay ended.
+
+    A replay fails only by the failure that the file describes: the saved event, or a failure of the same signature. A
+    replay passes if the saved situation occurred and the test function accepted the run. Versions of packages are
+    ignored, because all commits run with the packages that are installed now.
+    """
+    if run is None or verdict is None:
+        return (False if label == "still failing" else None), "the process died or hung"
+    if label == FLAKY or not (verdict.failed or verdict.passes):
+        return None, label if label == FLAKY else f"the test function did not judge the run: {verdict.kind}"
+    failure = verdict.failure if verdict.failed else None
+    found = replace(finding, found=replace(finding.found, versions={}))
+    now = replay_label(found, run, failure, {})
+    if failure is not None:
+        is_same = now == "still failing" or is_same_failure(finding, run, failure)
+        return (False if is_same else None), f"{'' if is_same else 'another failure: '}{headline(run, verdict)}"
+    why = unhandled(finding, run)
+    is_tested = now == "fixed" or finding.expect.is_crash or (why and not missed(finding.expect.situation, run))
+    return (True if is_tested else None), why or ending(run)
+
+
+def decided(trace: Trace) -> dict[str, Any]:
+    """Return the decisions of the ego in a run, their ticks, and the ego's speeds [m/s].
+
+    An ego of a vehicle class of highway-env makes no decisions. Its accelerations and steering angles at each tick are
+    returned instead.
+    """
+    actions: list[Any] = [list(action) if _is_pair(action) else repr(action) for action in trace.actions]
+    ticks = list(trace.decision_ticks)
+    if not actions:  # an ego of one of highway-env's vehicle classes
+        actions, ticks = trace.ego[1:, [ACCELERATION, STEERING]].tolist(), list(range(trace.ticks))
+    return {"decisions": actions, "speeds": trace.ego[ticks, SPEED].tolist(), "ticks": ticks, "hz": trace.physics_hz}
+
+
+def _is_pair(action: Any) -> bool:
+    return type(action) is tuple and len(action) == 2 and all(type(each) is float for each in action)
+
+
+def _imported_from_elsewhere() -> str:
+    """Return the file of a policy module that was imported from outside the commit's worktree, or an empty text."""
+    policy = json.loads(os.environ[TOLD])["policy"]
+    files = {
+        os.path.realpath(file) for module in [*sys.modules.values()] if (file := getattr(module, "__file__", None))
+    }
+    return next((file for file in sorted(files) if any(Path(file).is_relative_to(path) for path in policy)), "")
+
+
+def _tell(**told: Any) -> None:
+    told["why"] = one_line(visible(told["why"]))
+    Path(json.loads(os.environ[TOLD])["file"]).write_text(json.dumps(told), encoding="utf-8")

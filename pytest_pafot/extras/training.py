@@ -1,0 +1,235 @@
+"""A training environment, in which some episodes are scenarios, such as saved failures, and others ordinary traffic.
+
+Importing this module registers the environment with gymnasium as ``pafot/Scenarios-v0``.
+"""
+
+from __future__ import annotations
+
+import copy
+import os
+from collections.abc import Callable, Iterable, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+from gymnasium.error import ResetNeeded
+from numpy.random import Generator
+
+from pytest_pafot.attribution.responsibility import rss_rule
+from pytest_pafot.campaign.request import drawn_space
+from pytest_pafot.corpus.layout import SUFFIX, files_below
+from pytest_pafot.corpus.reader import load, located
+from pytest_pafot.extras.episodes.episode import Start, Step
+from pytest_pafot.extras.episodes.ordinary_traffic import CompiledSteps, why_not
+from pytest_pafot.model.scenario import Scenario, ScenarioError
+from pytest_pafot.model.trace import Trace
+from pytest_pafot.searching.space import sample, space_on
+from pytest_pafot.support.errors import WorldError, checked_number
+from pytest_pafot.world import World
+from pytest_pafot.world.driving.observations import observe_fast
+from pytest_pafot.world.driving.policy import checked_action
+from pytest_pafot.world.engines.policies import begin
+from pytest_pafot.world.guard.hang_guard import HangGuard
+from pytest_pafot.world.gym_environment import GymEnvironment
+from pytest_pafot.world.protocol import road_start
+from pytest_pafot.world.run_config import Rules
+
+# A scenario as an episode: it receives actions, runs as in ``World.rollout``, and has the environment's reward.
+
+
+class ScenarioSteps:
+    """A run of one scenario that advances by calls of ``step``.
+
+    The environment must have one of highway-env's own ``step``, and the scenario must fit the rules.
+    """
+
+    def __init__(self, environment: GymEnvironment, rules: Rules, scenario: Scenario) -> None:
+        self._run = begin(environment, rules, scenario, HangGuard(rules.hang_limit), None)
+        self._env = self._run.driver.env
+        self._env.action_space.seed(scenario.seed)
+
+    @property
+    def trace(self) -> Trace | None:
+        """The trace of the run; None until the run or the episode is over."""
+        return self._run.trace
+
+    def reset(self) -> tuple[Any, dict[str, Any]]:
+        """Return the first observation and info, as the environment's ``reset`` does."""
+        seen = self._run.observe()
+        return seen, self._env._info(seen, self._env.action_space.sample())
+
+    def step(self, action: Any) -> Step:
+        """Drive with an action of the action space; return the same values as the environment's ``step``.
+
+        The run ends at the tick of first contact. The ego is then marked as crashed for the reward, because highway-env
+        does not check for contact in a scenario. A run that ends for a different reason is truncated, unless the
+        environment reports that it is terminated.
+        """
+        run, env = self._run, self._env
+        run.take(action, 0.0)
+        trace = run.trace
+        if trace is not None and trace.error is not None:
+            raise RuntimeError(f"{trace.error.kind}: {trace.error.message}\n{trace.error.traceback}")
+        seen = run.observe()
+        env.vehicle.crashed = trace is not None and trace.collision is not None
+        reward, is_terminated = float(env._reward(action)), bool(env._is_terminated())
+        if is_terminated and trace is None:  # it ends the episode before the run is over, such as behind a merge
+            run.trace = trace = run.vehicles.trace(run.driver)
+        return seen, reward, is_terminated, trace is not None and not is_terminated, env._info(seen, action)
+
+
+Sampler = Callable[[Generator], Scenario]
+Scenarios = str | os.PathLike[str] | Sequence[Scenario] | Sampler | None
+
+
+class TrainingEnv(gymnasium.Env[Any, Any]):
+    """The training environment of :func:`training_env`, which has the same arguments.
+
+    Attributes:
+        trace: the trace of the last episode if it was a scenario; None during an episode and after ordinary traffic.
+    """
+
+    def __init__(self, world: World, scenarios: Scenarios = None, share: float = 0.5) -> None:
+        if not isinstance(world, World):
+            expected = 'an environment with a reward, such as pafot.World("highway-fast-v0")'
+            raise WorldError(field="world", expected=expected, received=f"{world!r:.200}")
+        if world.wrappers is not None:
+            expected, fix = "a world without wrappers", "put them around the training environment instead"
+            raise WorldError(field="world.wrappers", expected=expected, received=f"{world.wrappers!r:.200}", fix=fix)
+        if world.planner_hz is not None:
+            fix = "leave it out: a policy learns from the environment's own observations and actions"
+            raise WorldError(field="world.planner_hz", expected="None", received=f"{world.planner_hz:g}", fix=fix)
+        world.check()
+        if world.environment.episodes_itself(drives_itself=False):
+            expected = (
+                "an environment with the `step`, `reset` and road of highway-env, so that NPCs can replace traffic"
+            )
+            received = f"{world.env_id!r}, which has its own"
+            raise WorldError(field="world", expected=expected, received=received)
+        share = checked_number(share, "share", "the share of scenarios among the episodes, 0 to 1", least=0.0, most=1.0)
+        self.trace: Trace | None = None
+        self.observation_space = copy.deepcopy(world.observation_space)
+        self.action_space = copy.deepcopy(world.action_space)
+        self._world, self._share, self._drawn = world, share, _sampler(world, scenarios)
+        self._ordinary = world.environment.make(has_traffic=True)
+        observe_fast(self._ordinary.unwrapped)
+        self._guard = HangGuard(world.hang_limit)
+        self._scenario: Scenario | None = None
+        self._steps: Any = None
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        """Begin an episode, a scenario or ordinary traffic; the seeds given so far determine all random choices.
+
+        Raises:
+            ScenarioError: if the sampler returns a scenario that does not fit the world.
+        """
+        super().reset(seed=seed)
+        self.trace, rng = None, self.np_random
+        is_scenario = rng.random() < self._share
+        self._scenario = self._drawn(rng) if is_scenario else None
+        if self._scenario is not None:
+            self._world.check_fits(self._scenario)
+            self._steps = ScenarioSteps(self._world.environment, self._world.rules, self._scenario)
+            seen, info = self._steps.reset()
+        else:
+            seen, info = self._ordinary.reset(seed=int(rng.integers(2**31)))
+            start = Start(outer=self._ordinary, seen=seen, ads=None, kind="policy", guard=self._guard)
+            self._steps = self._ordinary if why_not(start) else CompiledSteps(start)
+        return seen, self._told(info)
+
+    def step(self, action: Any) -> Step:
+        """Drive with an action up to the next decision, or to the end of the episode.
+
+        Raises:
+            BadAction: if the action is not in the action space.
+            gymnasium.error.ResetNeeded: if no episode has begun.
+        """
+        if self._steps is None:
+            raise ResetNeeded("step: expected an episode that has begun, received none; call reset() first")
+        seen, reward, terminated, truncated, info = self._steps.step(checked_action(action, self.action_space))
+        if terminated or truncated:
+            self.trace = None if self._scenario is None else self._steps.trace
+            self._steps = None
+        return seen, reward, terminated, truncated, self._told(info)
+
+    def _told(self, info: dict[str, Any]) -> dict[str, Any]:
+        responsible = "" if self.trace is None or self.trace.collision is None else rss_rule(self.trace).responsibility
+        identity = "" if self._scenario is None else self._scenario.id
+        return {**info, "is_scenario": bool(identity), "scenario": identity, "responsible": responsible}
+
+
+gymnasium.register(id="pafot/Scenarios-v0", entry_point=f"{__name__}:TrainingEnv")
+
+
+def training_env(world: World, scenarios: Scenarios = None, share: float = 0.5) -> TrainingEnv:
+    """Return a gymnasium environment to train a policy in scenarios, such as its failures, and in ordinary traffic.
+
+    Observations, actions and reward are those of the world's environment. An episode is either a scenario or ordinary
+    traffic. A scenario is the same run, to the last bit, as the world's ``rollout`` with the same actions, and ends at
+    the ego's first contact. Ordinary traffic is the environment's own random traffic as without this package. Compiled
+    code drives it if :mod:`pytest_pafot.extras.episodes.ordinary_traffic` supports the environment.
+
+    In addition to the environment's own values, ``info`` has ``is_scenario``, ``scenario`` (the id; empty in ordinary
+    traffic) and ``responsible`` (``ego``, ``npc``, ``both`` or ``none`` after a crash in a scenario; otherwise empty).
+
+    Args:
+        world: the world. Its environment must have a ``step`` and a road of highway-env. The world must not have
+            ``planner_hz`` or wrappers; put wrappers around the returned environment.
+        scenarios: a folder with saved scenarios in it or below it; a sequence of scenarios; or a function that samples
+            a scenario with a numpy ``Generator``. By default scenarios are random, like the first scenarios of a
+            search.
+        share: the share of scenarios among the episodes, 0 to 1.
+
+    Raises:
+        WorldError: if the environment of the world cannot be used for training.
+        ValueError: if the share is out of range, there is no scenario, or an object is not a scenario.
+        ScenarioError: if a scenario does not fit the world.
+        CorpusError: if the file of a saved scenario cannot be used.
+    """
+    return TrainingEnv(world, scenarios, share)
+
+
+def random_scenarios(world: Any) -> Sampler:
+    """Return a sampler of random scenarios, like the first scenarios of a search with default settings in a world."""
+    return partial(sample, space_on(world, drawn_space(world, {}), road_start(world)))
+
+
+def _sampler(world: World, scenarios: Scenarios) -> Sampler:
+    """Return a function that samples a scenario from what the user gave as ``scenarios``."""
+    if scenarios is None:
+        return random_scenarios(world)
+    if isinstance(scenarios, str | os.PathLike):
+        scenarios = _saved_in(Path(scenarios), world)
+    elif callable(scenarios):
+        return scenarios
+    known = tuple(scenarios) if isinstance(scenarios, Iterable) else (scenarios,)
+    if not all(isinstance(each, Scenario) for each in known):
+        expected = (
+            "a folder with saved scenarios, several pafot.Scenario, or a function of a numpy Generator that samples"
+        )
+        raise ValueError(
+            f"scenarios: expected {expected} one, received {scenarios!r:.200}; without this argument they are random"
+        )
+    if not known:
+        raise ValueError("scenarios: expected at least one, received none")
+    for each in known:
+        world.check_fits(each)
+    return lambda rng: known[int(rng.integers(len(known)))]
+
+
+def _saved_in(folder: Path, world: World) -> list[Scenario]:
+    """Return the scenarios of all corpus files in and below a folder, sorted by path."""
+    files = files_below(folder)
+    if not files:
+        received = f"{folder}, {'which has none' if folder.is_dir() else 'which is not a folder'}"
+        fix = "a search saves them, such as a test with @pafot.search, or pafot.explore(..., corpus=...)"
+        raise ValueError(f"scenarios: expected a folder with saved scenarios, *{SUFFIX}, received {received}; {fix}")
+    scenarios = []
+    for file in files:
+        scenarios.append(load(file).scenario)
+        try:
+            world.check_fits(scenarios[-1])
+        except (ScenarioError, WorldError) as error:
+            raise located(file, "scenario", error) from error
+    return scenarios
