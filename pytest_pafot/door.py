@@ -14,7 +14,8 @@ from typing import Any, NamedTuple
 
 from pytest_pafot.support.errors import RequestError
 
-_EXTRAS = "pytest_pafot.extras"
+EXTRAS = "pytest_pafot.extras"
+"""The package of the extras."""
 
 
 class Command(NamedTuple):
@@ -29,7 +30,7 @@ class Command(NamedTuple):
 
 COMMANDS: Mapping[str, Command] = MappingProxyType({
     "bisect": Command(
-        f"{_EXTRAS}.revisions.bisect_command",
+        f"{EXTRAS}.revisions.bisect_command",
         "find the commit of a policy since which a saved scenario fails",
         "Replay a saved scenario with the policy of earlier commits, in a copy of the repository. Print the first "
         "commit that fails, what it changed, and the first decision that differs from the commit before. Nothing is "
@@ -37,21 +38,21 @@ COMMANDS: Mapping[str, Command] = MappingProxyType({
         is_gate=True,
     ),
     "progress": Command(
-        f"{_EXTRAS}.episodes.progress_command",
+        f"{EXTRAS}.episodes.progress_command",
         "tell whether the new version of a policy is better than the old one",
         "Drive two versions of a policy in the same random scenarios, ordinary traffic and saved scenarios, and search "
         "for what only one of them fails. Print which is better, and how sure that is.",
         is_gate=True,
     ),
     "compare": Command(
-        f"{_EXTRAS}.comparison.command",
+        f"{EXTRAS}.comparison.command",
         "compare search algorithms on a policy",
         "Run several search algorithms on a policy, several times each, and write results, statistics, figures and a "
         "report. It can be interrupted at any time; the same command continues where it stopped.",
         is_gate=True,
     ),
     "rate": Command(
-        f"{_EXTRAS}.episodes.rate_command",
+        f"{EXTRAS}.episodes.rate_command",
         "count how often a policy crashes by itself",
         "Drive seeded episodes in the environment's own traffic, without a search, and count the crashes of one "
         "policy, or of two on the same seeds. With --out it can be interrupted at any time; the same command continues "
@@ -59,12 +60,12 @@ COMMANDS: Mapping[str, Command] = MappingProxyType({
         is_gate=True,
     ),
     "export": Command(
-        f"{_EXTRAS}.export.export_command",
+        f"{EXTRAS}.export.export_command",
         "write the run of a finding as files for other tools",
         "Run the scenario of a saved finding once more, and write the paths of all vehicles and the road.",
     ),
     "map": Command(
-        f"{_EXTRAS}.sweeps.map_command",
+        f"{EXTRAS}.sweeps.map_command",
         "drive a scenario over a grid of two of its numbers",
         "Drive a named scenario of the catalogue, or that of a saved finding, for all values of one or two of its "
         "numbers, and print the map: where the policy avoids a failure, where it fails though a reference driver "
@@ -72,38 +73,38 @@ COMMANDS: Mapping[str, Command] = MappingProxyType({
         is_gate=True,
     ),
     "requirements": Command(
-        f"{_EXTRAS}.requirements_command",
+        f"{EXTRAS}.requirements",
         "tell which requirements are tested, what is open, since when, and whose it is",
         "Let pytest collect the tests, without running them, and print for each requirement that a mark names its "
-        "tests, what fails, what is accepted, fixed or drifted, and how far it was searched. What sessions saw of it is "
-        "read from their results, the files of --pafot-json.",
+        "tests, what fails, what is accepted, fixed or drifted, and how far it was searched. What sessions saw of it "
+        "is read from their results, the files of --pafot-json.",
     ),
 })  # fmt: skip
 """The commands of the extras by name."""
 
 ALGORITHMS: Mapping[str, str] = MappingProxyType({
-    "av-fuzzer": f"{_EXTRAS}.algorithms.av_fuzzer:AvFuzzerSearch",
-    "nsga2": f"{_EXTRAS}.algorithms.nsga2:Nsga2Search",
-    "map-elites": f"{_EXTRAS}.algorithms.map_elites:MapElitesSearch",
-    "cma-es": f"{_EXTRAS}.algorithms.cma_es:CmaEsSearch",
+    "av-fuzzer": f"{EXTRAS}.algorithms.av_fuzzer:AvFuzzerSearch",
+    "nsga2": f"{EXTRAS}.algorithms.nsga2:Nsga2Search",
+    "map-elites": f"{EXTRAS}.algorithms.map_elites:MapElitesSearch",
+    "cma-es": f"{EXTRAS}.algorithms.cma_es:CmaEsSearch",
 })  # fmt: skip
 """The search algorithms that only comparisons need, by name."""
 
 NAMES: Mapping[str, str] = MappingProxyType({
-    "Sweep": f"{_EXTRAS}.sweeps.maps:Sweep",
-    "policies": f"{_EXTRAS}.policies",
-    "sweep": f"{_EXTRAS}.sweeps.maps:sweep",
-    "training_env": f"{_EXTRAS}.training:training_env",
+    "Sweep": f"{EXTRAS}.sweeps.maps:Sweep",
+    "policies": f"{EXTRAS}.policies",
+    "sweep": f"{EXTRAS}.sweeps.maps:sweep",
+    "training_env": f"{EXTRAS}.training:training_env",
 })  # fmt: skip
 """The public names of ``pytest_pafot`` that an extra has."""
 
-CATALOGUED = f"{_EXTRAS}.sweeps.catalogue_item:Catalogued"
+CATALOGUED = f"{EXTRAS}.sweeps.catalogue_item:Catalogued"
 """The hooks for tests with ``@pafot.catalogue``."""
-DASK_EXECUTOR = f"{_EXTRAS}.executors:dask_executor"
+DASK_EXECUTOR = f"{EXTRAS}.executors:dask_executor"
 """A context manager: the executor of a Dask scheduler for the option ``dask``."""
-EXECUTOR_POOL = f"{_EXTRAS}.executors:ExecutorPool"
+EXECUTOR_POOL = f"{EXTRAS}.executors:ExecutorPool"
 """The pool of scenarios that runs them by the user's executor."""
-REFERENCES = f"{_EXTRAS}.revisions.references"
+REFERENCES = f"{EXTRAS}.revisions.references"
 """What a search needs to know of its reference: ``revision_of(item, request)`` and ``compare(item, harness)``."""
 
 
@@ -117,7 +118,7 @@ def opened(place: str) -> Any:
     try:
         found = import_module(module)
     except ModuleNotFoundError as error:
-        if not str(error.name).startswith(_EXTRAS):
+        if not str(error.name).startswith(EXTRAS):
             raise
         raise RequestError(
             f"expected a whole installation of pytest-pafot, received one without {error.name}; install it again"

@@ -9,30 +9,36 @@ import pytest_pafot
 
 PACKAGE = Path(pytest_pafot.__file__).parent
 
-ROOMS = (
-    "support", "model", "criticality", "attribution", "oracle", "properties", "findings", "searching", "corpus",
-    "world", "policies", "execution", "strategies", "testing", "campaign", "commands", "comparison", "report",
-    "episodes", "training", "export", "sweeps", "plugin", "__main__",
+CORE = (
+    "support", "door", "model", "criticality", "attribution", "oracle", "properties", "findings", "searching", "corpus",
+    "world", "execution", "strategies", "campaign", "commands", "report", "plugin", "__main__",
 )  # fmt: skip
-"""The rooms in order: each may import the rooms before it, and itself."""
+EXTRAS = (
+    "resumable", "algorithms", "executors", "policies", "testing", "revisions", "comparison", "episodes", "training",
+    "export", "sweeps", "requirements",
+)  # fmt: skip
+ROOMS = (*CORE, *EXTRAS)
+"""The rooms in order: each may import the rooms before it, and itself. So the core imports no extra."""
+PUBLIC_NAMES = ("testing", "policies", "training")
+"""Modules that are only the public names of extras."""
 
 HOMES = {
     "yaml": {"corpus"},
-    "cloudpickle": {"execution"},
-    "distributed": {"execution"},
+    "cloudpickle": {"executors"},
+    "distributed": {"executors"},
     "highway_env": {"world", "episodes"},
     "gymnasium": {"world", "training"},
     "hypothesis": {"strategies"},
-    "pytest": {"plugin"},
+    "pytest": {"plugin", "revisions", "sweeps"},
     "_pytest": set(),
     "pluggy": set(),
     "PIL": {"report"},
     "pandas": {"comparison", "oracle"},
     "scipy": {"comparison"},
     "matplotlib": {"comparison", "sweeps"},
-    "pymoo": {"searching"},
-    "ribs": {"searching"},
-    "cmaes": {"searching"},
+    "pymoo": {"algorithms"},
+    "ribs": {"algorithms"},
+    "cmaes": {"algorithms"},
     "stable_baselines3": {"policies"},
     "sb3_contrib": {"policies"},
     "torch": {"policies"},
@@ -44,11 +50,13 @@ HOMES = {
 }
 """Libraries that only some rooms may import."""
 
-MODULES = [path for path in sorted(PACKAGE.rglob("*.py")) if path != PACKAGE / "__init__.py"]
+OUTSIDE = {PACKAGE / "__init__.py", PACKAGE / "extras" / "__init__.py", *(PACKAGE / f"{n}.py" for n in PUBLIC_NAMES)}
+MODULES = [path for path in sorted(PACKAGE.rglob("*.py")) if path not in OUTSIDE]
 
 
 def room_of(path: Path) -> str:
-    return path.relative_to(PACKAGE).with_suffix("").parts[0]
+    parts = path.relative_to(PACKAGE).with_suffix("").parts
+    return parts[parts[0] == "extras"]
 
 
 def statements(node: ast.AST) -> Iterator[ast.AST]:
@@ -135,10 +143,15 @@ def test_a_room_imports_only_rooms_below_it():
     for path in MODULES:
         own = ROOMS.index(room_of(path))
         for name in imported_names(path):
-            parts = name.split(".")
-            if parts[0] == "pytest_pafot" and len(parts) > 1 and parts[1] in ROOMS and ROOMS.index(parts[1]) > own:
+            room = name.removeprefix("pytest_pafot.").removeprefix("extras.").split(".")[0]
+            if name.startswith("pytest_pafot.") and room in ROOMS and ROOMS.index(room) > own:
                 above.append(f"{path.relative_to(PACKAGE)} imports {name}")
     assert above == []
+
+
+def test_the_core_names_extras_only_in_the_door():
+    names = {path for path in MODULES if room_of(path) in CORE and "pytest_pafot.extras" in path.read_text("utf-8")}
+    assert names == {PACKAGE / "door.py"}
 
 
 def test_a_library_is_known_only_to_its_rooms():

@@ -18,7 +18,7 @@ from concurrent.futures import Executor
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Self, TypeVar
+from typing import Any, Self, TypeVar, cast
 
 from pytest_pafot.door import EXECUTOR_POOL, opened
 from pytest_pafot.execution import scenario_pool
@@ -423,8 +423,8 @@ class Processes:
         """Notes on the use of processes if the user requested them; complete after the processes have ended."""
         if self._failure:
             return [f"{flag('workers')} is 1: {self._failure}"]
-        if self._pool is not None and not isinstance(self._pool, WorkerPool):
-            return self._pool.notes
+        if self._executor is not None and self._pool is not None:
+            return cast("ExecutorPool", self._pool).notes
         option = flag("workers", self._workers)
         if self._runs_before:
             used = f"{option}: in use after {plural(self._runs_before, 'run')} of this process{self._job.remark}"
@@ -564,8 +564,9 @@ class Isolated(Processes):
     @property
     def notes(self) -> list[str]:
         """Notes on processes that died in runs that later succeeded, and on an executor that made all runs."""
-        if self._pool is not None and not isinstance(self._pool, WorkerPool):
-            return [] if self._pool.failure or self._pool.unable else self._pool.notes
+        if self._executor is not None and self._pool is not None:
+            pool = cast("ExecutorPool", self._pool)
+            return [] if pool.failure or pool.unable else pool.notes
         return self._retried
 
     def counted(self, generation: int, index: int) -> GroupPart | None:
@@ -587,8 +588,8 @@ class Isolated(Processes):
         answer = pool.fetch(scenario)
         if pool.failure:
             raise ExecutionError(f"{flag('isolate')}: expected processes to run the ADS in, received: {pool.failure}")
-        if not isinstance(pool, WorkerPool) and pool.unable:
-            first = pool.unable[0]
+        if self._executor is not None and (unable := cast("ExecutorPool", pool).unable):
+            first = unable[0]
             raise ExecutionError(
                 f"{flag('isolate')}: expected workers that can make every run, received from one of them "
                 f"{type(first).__name__}: {first}; install what the run needs on the workers, or search without "

@@ -94,9 +94,8 @@ def pafot_executor(pytestconfig: pytest.Config) -> Iterator[Executor | None]:
     live = LiveTerminal(pytestconfig)
     with ExitStack() as stack:
         try:
-            connected = opened(DASK_EXECUTOR)(address, lambda text: live.write(["", f"pafot: {text}"])
+            connected = opened(DASK_EXECUTOR)(address, lambda text: live.write(["", f"pafot: {text}"]))
             executor = stack.enter_context(connected)
-            )
         except ExecutionError as error:
             pytest.fail(str(error), pytrace=False)
         yield executor

@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 from pytest_pafot.commands.inventory import Inventory
 from pytest_pafot.commands.results import Session, grouped, read_results
 from pytest_pafot.corpus.layout import SEARCH_PART, name_without
-from pytest_pafot.extras import requirements_command
-from pytest_pafot.extras.requirements_command import (
+from pytest_pafot.extras import requirements
+from pytest_pafot.extras.requirements import (
     Table,
     csv_lines,
     listed_in,
@@ -205,8 +205,8 @@ def test_an_error_of_one_night_is_closed_by_the_next_good_one():
 def fails_on_open(monkeypatch, *sessions):
     """Return the exit code of ``requirements --fail-on open`` for some sessions."""
     given = {Path(f"{number}.json"): session for number, session in enumerate(sessions)}
-    monkeypatch.setattr(requirements_command, "collected", lambda _: inventory(test_x=("R1",), test_y=("R1",)))
-    monkeypatch.setattr(requirements_command, "read_results", given.__getitem__)
+    monkeypatch.setattr(requirements, "collected", lambda _: inventory(test_x=("R1",), test_y=("R1",)))
+    monkeypatch.setattr(requirements, "read_results", given.__getitem__)
     arguments = Namespace(
         results=list(given), list=None, pytest=[], today=TODAY, format="text", course=False, fail_on="open"
     )
@@ -340,7 +340,7 @@ def test_texts_of_strangers_are_data_in_every_format():
 
 
 def test_open_failures_end_with_exit_code_1_only_if_asked(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(requirements_command, "collected", lambda arguments: inventory(test_x=("R1",)))
+    monkeypatch.setattr(requirements, "collected", lambda arguments: inventory(test_x=("R1",)))
     file = tmp_path / "a.json"
     file.write_text(json.dumps({"pafot_json": 1, "searches": [search()], "findings": [finding()]}))
     given = {"results": [file], "list": None, "today": TODAY, "format": "csv", "course": False, "pytest": []}
@@ -352,7 +352,7 @@ def test_open_failures_end_with_exit_code_1_only_if_asked(tmp_path, monkeypatch,
 
 
 def test_results_without_a_day_among_dated_ones_are_named(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(requirements_command, "collected", lambda arguments: inventory(test_x=("R1",)))
+    monkeypatch.setattr(requirements, "collected", lambda arguments: inventory(test_x=("R1",)))
     files = [tmp_path / f"{name}.json" for name in "abc"]
     for file, day in zip(files, ("2026-11-20", "", ""), strict=True):
         file.write_text(json.dumps({"pafot_json": 1, "day": day, "searches": [search()], "findings": []}))

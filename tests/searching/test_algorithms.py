@@ -7,9 +7,9 @@ import pytest
 
 from pytest_pafot import searching
 from pytest_pafot.campaign.options import BY_NAME
+from pytest_pafot.extras.algorithms.av_fuzzer import AvFuzzerSearch
 from pytest_pafot.searching import (
     ALGORITHMS,
-    AvFuzzerSearch,
     DistinctSearch,
     GenerationalSearch,
     GenerationState,

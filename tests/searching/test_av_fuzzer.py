@@ -9,10 +9,18 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pytest_pafot.extras.algorithms.av_fuzzer import distance, farthest, features, mutated, roulette, swapped
+from pytest_pafot.extras.algorithms.av_fuzzer import (
+    AvFuzzerSearch,
+    distance,
+    farthest,
+    features,
+    mutated,
+    roulette,
+    swapped,
+)
 from pytest_pafot.model.scenario import SHIFTS, LaneInstruction, Scenario
 from pytest_pafot.model.trace import Outcome
-from pytest_pafot.searching import AvFuzzerSearch, SearchSpace, run_campaign, sample_manoeuvres
+from pytest_pafot.searching import SearchSpace, run_campaign, sample_manoeuvres
 from pytest_pafot.searching.events import (
     Evaluated,
     GenerationFinished,

@@ -64,7 +64,7 @@ class RandomSearch(GenerationalSearch[GenerationState]):
 class RandomManoeuvreSearch(RandomSearch):
     """A search that samples random manoeuvres, one for each time slice, as AV-Fuzzer has them.
 
-    See :class:`~pytest_pafot.extras.algorithms.av_fuzzer.AvFuzzerSearch`.
+    See the algorithm ``av-fuzzer``.
 
     Attributes:
         slices: number of manoeuvres of each NPC; together they last as long as the genes of the space.

@@ -12,6 +12,7 @@ from contextlib import contextmanager
 from types import TracebackType
 from typing import Any
 
+from pytest_pafot.door import EXTRAS
 from pytest_pafot.model.trace import AdsError
 from pytest_pafot.support.errors import BadAction, OutOfTime
 from pytest_pafot.support.text import one_line
@@ -22,7 +23,7 @@ UNFIT = BaseException
 """The class to catch around the user's code. Call :func:`let_through` afterwards: it raises again every exception that
 the code did not cause."""
 
-OWN = ("pytest_pafot.world.", "pytest_pafot.extras.policies.")
+OWN = ("pytest_pafot.world.", f"{EXTRAS}.")
 """The prefixes of modules between the ADS and a run, whose frames are left out of tracebacks."""
 
 TIMEOUT_PLUGINS = ("pytest_timeout",)
