@@ -11,7 +11,7 @@ PACKAGE = Path(pytest_pafot.__file__).parent
 
 CORE = (
     "support", "door", "model", "criticality", "attribution", "oracle", "properties", "findings", "searching", "corpus",
-    "world", "execution", "strategies", "campaign", "commands", "report", "plugin", "__main__",
+    "world", "execution", "strategies", "campaign", "commands", "report", "plugin", "extending", "__main__",
 )  # fmt: skip
 EXTRAS = (
     "resumable", "algorithms", "executors", "policies", "testing", "revisions", "comparison", "episodes", "training",
@@ -26,7 +26,7 @@ HOMES = {
     "yaml": {"corpus"},
     "cloudpickle": {"executors"},
     "distributed": {"executors"},
-    "highway_env": {"world", "episodes"},
+    "highway_env": {"world"},
     "gymnasium": {"world", "training"},
     "hypothesis": {"strategies"},
     "pytest": {"plugin", "revisions", "sweeps"},

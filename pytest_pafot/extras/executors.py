@@ -26,22 +26,13 @@ from queue import Empty, SimpleQueue
 from types import ModuleType
 from typing import Any
 
-from pytest_pafot.execution.pool import GRACE, POLL, ProcessLostError, WorkerPool
-from pytest_pafot.execution.scenario_pool import (
-    Answer,
-    ExecutionError,
-    Job,
-    LostRun,
-    Timed,
-    capture_output,
-    recovery_note,
-    timed,
-)
-from pytest_pafot.model.scenario import Scenario
+from pytest_pafot import Scenario
+from pytest_pafot.execution.pool import GRACE, POLL
+from pytest_pafot.execution.scenario_pool import Answer, Job, LostRun, Timed, capture_output, recovery_note, timed
+from pytest_pafot.extending import ExecutionError, ProcessLostError, WorkerPool, check_time
 from pytest_pafot.support.errors import flag, install
 from pytest_pafot.support.versions import installed_versions
 from pytest_pafot.world import protocol
-from pytest_pafot.world.guard.hang_guard import check_time
 
 INSTALL = install("dask")
 TASK_SECONDS = 2.0

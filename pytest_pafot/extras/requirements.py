@@ -21,7 +21,7 @@ from pytest_pafot.commands.history import Since, added_in, place_of
 from pytest_pafot.commands.inventory import Inventory, collected
 from pytest_pafot.commands.results import Session, day_argument, grouped, read_results
 from pytest_pafot.corpus.layout import SEARCH_PART, name_without
-from pytest_pafot.corpus.saved import Saved, read_saved_file
+from pytest_pafot.extending import Saved, read_saved_file
 from pytest_pafot.findings.severity import Severity, severity_in, worst_first
 from pytest_pafot.support.errors import RequestError, flag
 from pytest_pafot.support.markup import code, plain

@@ -17,7 +17,7 @@ from pathlib import Path, PurePath
 from typing import Any, TextIO
 
 from pytest_pafot.campaign.options import MOST_WORKERS, cores
-from pytest_pafot.execution.pool import ProcessLostError, WorkerPool
+from pytest_pafot.extending import ProcessLostError, WorkerPool
 from pytest_pafot.support.errors import RequestError
 from pytest_pafot.support.files import way_out, write_whole
 from pytest_pafot.support.text import visible

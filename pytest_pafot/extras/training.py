@@ -16,23 +16,25 @@ import gymnasium
 from gymnasium.error import ResetNeeded
 from numpy.random import Generator
 
+from pytest_pafot import Scenario, ScenarioError, Trace, World, WorldError
 from pytest_pafot.attribution.responsibility import rss_rule
-from pytest_pafot.campaign.request import drawn_space
-from pytest_pafot.corpus.layout import SUFFIX, files_below
 from pytest_pafot.corpus.reader import load, located
-from pytest_pafot.extras.episodes.episode import Start, Step
-from pytest_pafot.extras.episodes.ordinary_traffic import CompiledSteps, why_not
-from pytest_pafot.model.scenario import Scenario, ScenarioError
-from pytest_pafot.model.trace import Trace
-from pytest_pafot.searching.space import sample, space_on
-from pytest_pafot.support.errors import WorldError, checked_number
-from pytest_pafot.world import World
+from pytest_pafot.extending import (
+    SUFFIX,
+    GymEnvironment,
+    checked_action,
+    drawn_space,
+    files_below,
+    road_start,
+    sample,
+    space_on,
+)
+from pytest_pafot.support.errors import checked_number
 from pytest_pafot.world.driving.observations import observe_fast
-from pytest_pafot.world.driving.policy import checked_action
+from pytest_pafot.world.engines.episode import Start, Step
+from pytest_pafot.world.engines.ordinary_traffic import CompiledSteps, why_not
 from pytest_pafot.world.engines.policies import begin
 from pytest_pafot.world.guard.hang_guard import HangGuard
-from pytest_pafot.world.gym_environment import GymEnvironment
-from pytest_pafot.world.protocol import road_start
 from pytest_pafot.world.run_config import Rules
 
 # A scenario as an episode: it receives actions, runs as in ``World.rollout``, and has the environment's reward.
@@ -168,7 +170,7 @@ def training_env(world: World, scenarios: Scenarios = None, share: float = 0.5) 
     Observations, actions and reward are those of the world's environment. An episode is either a scenario or ordinary
     traffic. A scenario is the same run, to the last bit, as the world's ``rollout`` with the same actions, and ends at
     the ego's first contact. Ordinary traffic is the environment's own random traffic as without this package. Compiled
-    code drives it if :mod:`pytest_pafot.extras.episodes.ordinary_traffic` supports the environment.
+    code drives it if :mod:`pytest_pafot.world.engines.ordinary_traffic` supports the environment.
 
     In addition to the environment's own values, ``info`` has ``is_scenario``, ``scenario`` (the id; empty in ordinary
     traffic) and ``responsible`` (``ego``, ``npc``, ``both`` or ``none`` after a crash in a scenario; otherwise empty).

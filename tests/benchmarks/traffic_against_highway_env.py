@@ -18,9 +18,9 @@ import numpy as np
 
 from example_ads import idm_mobil, ppo
 from pytest_pafot import World
-from pytest_pafot.extras.episodes.episode import Episode
-from pytest_pafot.extras.episodes.ordinary_traffic import drive
 from pytest_pafot.model.trace import Outcome
+from pytest_pafot.world.engines.episode import Episode
+from pytest_pafot.world.engines.ordinary_traffic import drive
 
 WITHIN = 1e-9
 """The largest distance [m] from rounding, also for headings [rad] and speeds [m/s], unless a vehicle crawls."""

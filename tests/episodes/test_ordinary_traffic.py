@@ -17,9 +17,9 @@ from highway_env.vehicle.objects import Obstacle
 
 import pytest_pafot as pafot
 from example_ads import constant_speed, idm_mobil
-from pytest_pafot.extras.episodes.ordinary_traffic import drive
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.world.driving.compiled_vehicle import constants_of
+from pytest_pafot.world.engines.ordinary_traffic import drive
 from pytest_pafot.world.kernel.idm import GoalVehicle
 from pytest_pafot.world.kernel.traffic import OrdinaryTraffic
 from pytest_pafot.world.roads.straight import StraightRoad

@@ -7,7 +7,7 @@ import pytest
 
 from example_ads import ppo
 from pytest_pafot import Outcome, World
-from pytest_pafot.extras.episodes.ordinary_traffic import drive
+from pytest_pafot.world.engines.ordinary_traffic import drive
 
 ACTIONS = 5
 

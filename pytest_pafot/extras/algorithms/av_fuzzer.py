@@ -14,13 +14,24 @@ from typing import ClassVar
 import numpy as np
 from numpy.random import Generator
 
-from pytest_pafot.model.scenario import SHIFTS, SPEED_STEPS_PER_MPS, LaneInstruction, Scenario
-from pytest_pafot.model.trace import FloatArray
-from pytest_pafot.searching.ask_tell import check_ask, check_evaluations, check_parameters, end_of_local_search
-from pytest_pafot.searching.evaluation import Evaluation
-from pytest_pafot.searching.events import AlgorithmEvent, GenerationFinished, LocalSearchStarted, NewBest, Restarted
+from pytest_pafot import LaneInstruction, Scenario
+from pytest_pafot.extending import (
+    AlgorithmEvent,
+    Evaluation,
+    FloatArray,
+    GenerationFinished,
+    LocalSearchStarted,
+    NewBest,
+    Restarted,
+    SearchSpace,
+    check_ask,
+    check_evaluations,
+    check_parameters,
+)
+from pytest_pafot.model.scenario import SHIFTS, SPEED_STEPS_PER_MPS
+from pytest_pafot.searching.ask_tell import end_of_local_search
 from pytest_pafot.searching.operators import with_chain
-from pytest_pafot.searching.space import SearchSpace, sample_manoeuvres
+from pytest_pafot.searching.space import sample_manoeuvres
 
 LANE_CHANGE = 34.0  # weight of a lane change in the distance of two scenarios, in which speeds count in m/s
 RESTART_CANDIDATES = 1000

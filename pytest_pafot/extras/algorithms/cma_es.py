@@ -17,10 +17,9 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 from numpy.random import Generator
 
-from pytest_pafot.model.scenario import Scenario
-from pytest_pafot.searching.ask_tell import GenerationalSearch, GenerationState
-from pytest_pafot.searching.evaluation import Evaluation
-from pytest_pafot.searching.space import chains_of, fresh_seed, repaired
+from pytest_pafot import Scenario
+from pytest_pafot.extending import Evaluation, GenerationalSearch, GenerationState, repaired
+from pytest_pafot.searching.space import chains_of, fresh_seed
 
 if TYPE_CHECKING:
     from cmaes import CatCMAwM

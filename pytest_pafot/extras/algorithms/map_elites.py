@@ -15,12 +15,11 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 from numpy.random import Generator
 
+from pytest_pafot import Scenario
+from pytest_pafot.extending import Evaluation, GenerationState, mutate
 from pytest_pafot.model.crossings import SLOTS, Crossings
-from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.searching.algorithms.distinct import NicheSearch, meeting_place
-from pytest_pafot.searching.ask_tell import GenerationState
-from pytest_pafot.searching.evaluation import Evaluation
-from pytest_pafot.searching.operators import first_crossed, mutate
+from pytest_pafot.searching.operators import first_crossed
 
 if TYPE_CHECKING:
     from ribs.archives import GridArchive

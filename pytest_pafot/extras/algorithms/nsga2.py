@@ -14,13 +14,11 @@ from typing import ClassVar
 import numpy as np
 from numpy.random import Generator
 
+from pytest_pafot import CrossingInstruction, PositionInstruction, Scenario
+from pytest_pafot.extending import Evaluation, FloatArray, GenerationalSearch, GenerationState, check_parameters, sample
 from pytest_pafot.model.crossings import slot_name
-from pytest_pafot.model.scenario import CrossingInstruction, Gene, PositionInstruction, Scenario, retimed
-from pytest_pafot.model.trace import FloatArray
-from pytest_pafot.searching.ask_tell import GenerationalSearch, GenerationState, check_parameters
-from pytest_pafot.searching.evaluation import Evaluation
+from pytest_pafot.model.scenario import Gene, retimed
 from pytest_pafot.searching.operators import varied
-from pytest_pafot.searching.space import sample
 
 WORST = 1e9  # the objectives of an ineligible run; finite, because crowding is a difference
 

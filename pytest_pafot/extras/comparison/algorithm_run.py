@@ -11,25 +11,30 @@ from functools import partial
 from pathlib import Path
 from typing import Any, TextIO
 
+from pytest_pafot import Run, WorldLike
 from pytest_pafot.attribution.responsibility import position_rule
 from pytest_pafot.campaign import run_table
-from pytest_pafot.campaign.events import SearchEvent
-from pytest_pafot.campaign.explore import replays_of, request_of
 from pytest_pafot.campaign.run_table import Row, RunTable
-from pytest_pafot.campaign.search import prepared
-from pytest_pafot.campaign.setup_fault import SetupFaultError
-from pytest_pafot.commands.policy_reference import ads_factory, caution
+from pytest_pafot.extending import (
+    Evaluated,
+    Failure,
+    SearchEvent,
+    SetupFaultError,
+    ads_factory,
+    ads_failure,
+    caution,
+    of_failure,
+    prepared,
+    replays_of,
+    request_of,
+    require,
+    run_campaign,
+)
 from pytest_pafot.extras.comparison.plan import DIFFERENT, Plan
 from pytest_pafot.extras.resumable import ResumableJob, Task, Tick, claim, run_job
-from pytest_pafot.findings.finding import ads_failure, event_of, of_failure
-from pytest_pafot.findings.signature import Failure
-from pytest_pafot.oracle.checks import require
-from pytest_pafot.oracle.run import Run
-from pytest_pafot.searching import run_campaign
-from pytest_pafot.searching.events import Evaluated
+from pytest_pafot.findings.finding import event_of
 from pytest_pafot.support.errors import RequestError
 from pytest_pafot.support.text import csv_text
-from pytest_pafot.world.protocol import WorldLike
 
 COLUMNS: Mapping[str, str] = {
     "algorithm": "name of the algorithm",

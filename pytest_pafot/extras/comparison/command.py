@@ -11,19 +11,17 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from pytest_pafot.campaign.request import BLAMES, SPACE_ARGUMENTS, drawn_space
+from pytest_pafot import Highway, World
+from pytest_pafot.campaign.request import BLAMES, SPACE_ARGUMENTS
+from pytest_pafot.extending import ALGORITHMS, drawn_space, road_start, space_on
 from pytest_pafot.extras.comparison.algorithm_run import run_all
 from pytest_pafot.extras.comparison.plan import Plan, checked
 from pytest_pafot.extras.resumable import AGAIN, worker_count, written_into
 from pytest_pafot.model.driving_style import STYLES
 from pytest_pafot.model.scenario import PAPER_SPEED_LIMIT
-from pytest_pafot.searching.algorithms.catalogue import ALGORITHMS
-from pytest_pafot.searching.space import space_on
 from pytest_pafot.support.errors import RequestError, install
 from pytest_pafot.support.files import write_whole
-from pytest_pafot.world import Highway, World
 from pytest_pafot.world.highway import LANE_COUNTS
-from pytest_pafot.world.protocol import road_start
 
 LIBRARIES = ("matplotlib", "pandas", "scipy")
 SAMPLED_NPCS = "sampled, or 2 in the paper's scenarios and on a bent road where none crosses the ego's way"

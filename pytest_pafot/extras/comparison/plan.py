@@ -9,19 +9,25 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from pytest_pafot.commands.policy_reference import ads_factory, identity
-from pytest_pafot.searching.algorithms.catalogue import ALGORITHMS, AlgorithmClass, resolve_algorithm
-from pytest_pafot.searching.ask_tell import Algorithm
+from pytest_pafot import Highway, WorldLike
+from pytest_pafot.extending import (
+    ALGORITHMS,
+    Algorithm,
+    AlgorithmClass,
+    SearchSpace,
+    ads_factory,
+    crossings,
+    identity,
+    resolve_algorithm,
+)
+from pytest_pafot.extending import from_dict as world_from_dict
 from pytest_pafot.searching.fitness import resolve
-from pytest_pafot.searching.space import SearchSpace
 from pytest_pafot.support.errors import RequestError
 from pytest_pafot.support.references import referred_to
 from pytest_pafot.support.source_files import source_digests
 from pytest_pafot.support.text import plural
 from pytest_pafot.support.versions import installed_versions
-from pytest_pafot.world import Highway, codec
-from pytest_pafot.world import from_dict as world_from_dict
-from pytest_pafot.world.protocol import WorldLike, crossings
+from pytest_pafot.world import codec
 
 DIFFERENT = (
     "the algorithms have different scenarios, so differences between these groups may be due to the scenarios; "

@@ -13,9 +13,9 @@ import numpy as np
 import pandas as pd
 import scipy  # it imports its parts on first use, which takes a second
 
+from pytest_pafot import Cell
+from pytest_pafot.extending import FloatArray
 from pytest_pafot.extras.comparison.plan import Plan, world_of
-from pytest_pafot.model.grid import Cell
-from pytest_pafot.model.trace import FloatArray
 
 # The coverage inverted distance: how much of all failures a run of a search has shown, rather than how often.
 #

@@ -23,37 +23,52 @@ from typing import Any, Self
 
 import numpy as np
 
-from pytest_pafot.campaign.events import Judged
-from pytest_pafot.campaign.explore import explore, replays_of, request_of
-from pytest_pafot.campaign.harness import same_policy, source_file
+from pytest_pafot import Highway, Outcome, Run, World, WorldError, explore
+from pytest_pafot.campaign.harness import same_policy
 from pytest_pafot.campaign.options import REVISION
-from pytest_pafot.campaign.request import drawn_space
-from pytest_pafot.campaign.setup_fault import FirstGeneration, SetupFaultError
-from pytest_pafot.campaign.verdict import Verdict, judge, worst_margins
-from pytest_pafot.commands.policy_reference import ABOUT_POLICIES, BAD_USE, ads_factory, check_function, config_of
-from pytest_pafot.corpus.layout import CORPUS, files_below
-from pytest_pafot.corpus.saved import read_saved_file
-from pytest_pafot.execution.pool import ProcessLostError, WorkerPool
+from pytest_pafot.campaign.setup_fault import FirstGeneration
+from pytest_pafot.campaign.verdict import worst_margins
+from pytest_pafot.commands.policy_reference import BAD_USE
+from pytest_pafot.corpus.layout import CORPUS
 from pytest_pafot.execution.runner import runner_here
 from pytest_pafot.execution.scenario_pool import METHOD
+from pytest_pafot.extending import (
+    ABOUT_POLICIES,
+    Judged,
+    ProcessLostError,
+    SetupFaultError,
+    Verdict,
+    WorkerPool,
+    ads_factory,
+    check_function,
+    config_of,
+    drawn_space,
+    files_below,
+    judge,
+    read_saved_file,
+    reference_world,
+    replays_of,
+    request_of,
+    require,
+    road_start,
+    sample,
+    source_file,
+    space_on,
+)
 from pytest_pafot.extras.episodes.rate import CHUNK, PLANNER, EpisodeRow, driven, p_text
 from pytest_pafot.extras.resumable import ResumableJob, Task, Tick, run_job, worker_count
 from pytest_pafot.extras.revisions.revision import PROCESS, revision_at
 from pytest_pafot.extras.revisions.revision_policy import RevisionPolicy
 from pytest_pafot.extras.revisions.revision_process import Served
 from pytest_pafot.findings.severity import WORSE_BY, worsening
-from pytest_pafot.model.trace import Outcome
-from pytest_pafot.oracle.checks import require
-from pytest_pafot.oracle.run import Run
-from pytest_pafot.searching.space import sample, space_on
 from pytest_pafot.support.errors import RequestError, RevisionError, command
 from pytest_pafot.support.files import way_out, write_whole
 from pytest_pafot.support.proportions import LEVEL, difference, holm, mcnemar
 from pytest_pafot.support.references import described
 from pytest_pafot.support.text import ascii_text, csv_text, markdown_table, one_line, plural, visible
 from pytest_pafot.support.versions import installed_versions
-from pytest_pafot.world import AdsFactoryError, Highway, World, WorldError
-from pytest_pafot.world.protocol import first_decision, reference_world, road_start
+from pytest_pafot.world import AdsFactoryError
+from pytest_pafot.world.protocol import first_decision
 
 # Comparison of two versions of a policy in the same situations, as values and in words.
 

@@ -10,16 +10,15 @@ from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
-from pytest_pafot.commands.policy_reference import ads_factory, caution, identity
+from pytest_pafot import Outcome, World
+from pytest_pafot.extending import AdsError, AdsFactory, ads_factory, caution, identity
 from pytest_pafot.extras.resumable import ResumableJob, Task, Tick
-from pytest_pafot.model.trace import AdsError, Outcome
 from pytest_pafot.support.errors import RequestError
 from pytest_pafot.support.proportions import CONFIDENCE, interval, interval_text, mcnemar
 from pytest_pafot.support.source_files import source_digests
 from pytest_pafot.support.text import csv_text, plural
 from pytest_pafot.support.versions import installed_versions
-from pytest_pafot.world import World, codec
-from pytest_pafot.world.driving.ads import AdsFactory
+from pytest_pafot.world import codec
 
 # Results of episodes: crashes per episode and per hour, and a comparison of two policies on the same seeds.
 
@@ -302,7 +301,7 @@ def factory_of(name: str) -> tuple[AdsFactory, bool]:
 
 def driven(world: World, name: str, factory: AdsFactory, seed: int, *, is_planner: bool) -> EpisodeRow:
     """Drive one episode and return its row of the results."""
-    from pytest_pafot.extras.episodes.ordinary_traffic import drive  # noqa: PLC0415  (imports highway-env)
+    from pytest_pafot.world.engines.ordinary_traffic import drive  # noqa: PLC0415  (imports highway-env)
 
     episode = drive(world.environment, factory, seed, hang_limit=world.hang_limit, is_planner=is_planner)
     return EpisodeRow(

@@ -16,7 +16,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pytest_pafot.commands.policy_reference import config_of
+from pytest_pafot import Outcome
+from pytest_pafot.extending import config_of
 from pytest_pafot.extras.episodes.rate import (
     CHUNK,
     Pair,
@@ -30,7 +31,6 @@ from pytest_pafot.extras.episodes.rate import (
     told,
 )
 from pytest_pafot.extras.resumable import AGAIN, printing_elsewhere, run_job, worker_count, written_into
-from pytest_pafot.model.trace import Outcome
 from pytest_pafot.report.animation import AnimationError, animate
 from pytest_pafot.report.page_data import EventView, FindingView, LaneView, RoadView, VehicleView
 from pytest_pafot.report.views import FRAMES_PER_SECOND
@@ -42,7 +42,7 @@ from pytest_pafot.support.versions import installed_versions
 from pytest_pafot.world.driving.ads import loading_hint
 
 if TYPE_CHECKING:
-    from pytest_pafot.extras.episodes.episode import Episode, EpisodeRecording
+    from pytest_pafot.world.engines.episode import Episode, EpisodeRecording
 
 # The report of a rate: its page in Markdown, and pictures of crashes.
 
@@ -350,7 +350,7 @@ def _replay(plan: RatePlan, seed: int, folder: Path) -> int:
 
 
 def _episode(plan: RatePlan, name: str, seed: int) -> Episode:
-    from pytest_pafot.extras.episodes.ordinary_traffic import drive  # noqa: PLC0415  (imports highway-env)
+    from pytest_pafot.world.engines.ordinary_traffic import drive  # noqa: PLC0415  (imports highway-env)
 
     factory, is_planner = factory_of(name)
     world = plan.world

@@ -20,9 +20,9 @@ from commonroad.scenario.scenario import Location, Scenario, Tag
 from commonroad.scenario.state import CustomState, ExtendedPMState, InitialState
 from commonroad.scenario.trajectory import Trajectory
 
+from pytest_pafot import Trace
+from pytest_pafot.extending import ACCELERATION, HEADING, SPEED, Finding, FloatArray, X, Y
 from pytest_pafot.extras.export.exporter import edges, states_of
-from pytest_pafot.findings.finding import Finding
-from pytest_pafot.model.trace import ACCELERATION, HEADING, SPEED, FloatArray, Trace, X, Y
 
 DECIMALS = 9
 """The number of decimal places in a file. With 4, commonroad-io's default, positions would be up to 0.1 mm off."""

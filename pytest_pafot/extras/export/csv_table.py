@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+from pytest_pafot import Trace
+from pytest_pafot.extending import LANE, Finding
 from pytest_pafot.extras.export.exporter import name_of, states_of
-from pytest_pafot.findings.finding import Finding
-from pytest_pafot.model.trace import LANE, Trace
 from pytest_pafot.support.text import csv_text
 
 COLUMNS = ("time", "vehicle", "x", "y", "heading", "speed", "acceleration", "steering", "lane", "length", "width")

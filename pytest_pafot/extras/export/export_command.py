@@ -7,12 +7,10 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from pytest_pafot.campaign.saved_scenario import load
-from pytest_pafot.commands.policy_reference import ads_factory
-from pytest_pafot.corpus.saved import named_file
+from pytest_pafot import load
+from pytest_pafot.extending import ads_factory, ending, named_file
 from pytest_pafot.extras.export.exporter import BUILT_IN, GROUP, ExportError, exporter
 from pytest_pafot.extras.resumable import written_into
-from pytest_pafot.findings.finding import ending
 from pytest_pafot.support.files import write_whole
 
 

@@ -9,8 +9,8 @@ from typing import Protocol
 
 import numpy as np
 
-from pytest_pafot.findings.finding import Finding
-from pytest_pafot.model.trace import HEADING, STEERING, FloatArray, Lane, Trace, Y
+from pytest_pafot import Trace
+from pytest_pafot.extending import HEADING, STEERING, Finding, FloatArray, Lane, Y
 from pytest_pafot.support.errors import FieldError, install
 
 # A trace in the coordinates of the formats: x ahead, y to the left, headings anticlockwise.

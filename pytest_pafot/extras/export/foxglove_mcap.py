@@ -21,10 +21,9 @@ from foxglove.messages import (
     Vector3,
 )
 
+from pytest_pafot import Run, Trace
+from pytest_pafot.extending import Finding, FloatArray
 from pytest_pafot.extras.export.exporter import edges, name_of, states_of
-from pytest_pafot.findings.finding import Finding
-from pytest_pafot.model.trace import FloatArray, Trace
-from pytest_pafot.oracle.run import Run
 
 NANOSECONDS = 1_000_000_000
 HEIGHT = 1.5

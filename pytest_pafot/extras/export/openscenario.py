@@ -10,9 +10,9 @@ from xml.etree import ElementTree
 import numpy as np
 from scenariogeneration import xodr, xosc
 
+from pytest_pafot import Trace
+from pytest_pafot.extending import HEADING, SPEED, Finding, FloatArray, Lane, X, Y
 from pytest_pafot.extras.export.exporter import centre_line, name_of, states_of, tangents
-from pytest_pafot.findings.finding import Finding
-from pytest_pafot.model.trace import HEADING, SPEED, FloatArray, Lane, Trace, X, Y
 
 # OpenDRIVE: the lanes of a trace become roads. The file has the position of each lane, but no junctions between lanes.
 

@@ -58,7 +58,7 @@ class NetworkLoader(PolicyLoader):
         """
         if world.observation_space is None:
             return
-        from pytest_pafot.world.driving.policy import checked_action  # noqa: PLC0415  (imports highway-env)
+        from pytest_pafot.extending import checked_action  # noqa: PLC0415
 
         space = world.observation_space
         try:

@@ -17,11 +17,10 @@ from multiprocessing.util import Finalize
 from pathlib import Path
 from typing import Any, NoReturn
 
+from pytest_pafot import Drive, Observation, Planned
 from pytest_pafot.extras.policies.loading import digest_of, refused
 from pytest_pafot.support.errors import BadAction
 from pytest_pafot.support.text import shown
-from pytest_pafot.world.kernel.action import Drive, Planned
-from pytest_pafot.world.kernel.observation import Observation
 
 SEEN = (
     *("time", "decision_period", "lanes", "lane_width", "speed_limit", "lane_centres", "road_length"),

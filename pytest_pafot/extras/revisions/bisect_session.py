@@ -13,13 +13,12 @@ from typing import Any
 
 import pytest
 
+from pytest_pafot import Run, Trace
 from pytest_pafot.campaign.replays import FLAKY
-from pytest_pafot.campaign.verdict import Verdict, headline
+from pytest_pafot.extending import ACCELERATION, SPEED, STEERING, Finding, Verdict, ending, headline
 from pytest_pafot.extras.revisions.bisect_command import ALIVE, TOLD
-from pytest_pafot.findings.finding import Finding, ending, is_same_failure, replay_label, unhandled
+from pytest_pafot.findings.finding import is_same_failure, replay_label, unhandled
 from pytest_pafot.findings.situation import missed
-from pytest_pafot.model.trace import ACCELERATION, SPEED, STEERING, Trace
-from pytest_pafot.oracle.run import Run
 from pytest_pafot.plugin.failure_reports import REPLAYED, SUMMARY
 from pytest_pafot.plugin.marks import SAVED_MARK
 from pytest_pafot.support.text import one_line, visible

@@ -23,15 +23,13 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any, TypeVar
 
+from pytest_pafot import Scenario, ScenarioError, Trace, WorldError
 from pytest_pafot.execution.elsewhere import DrivesElsewhere
-from pytest_pafot.execution.pool import FAREWELL, LARGEST, POLL, ProcessLostError, ending
-from pytest_pafot.model.scenario import Scenario, ScenarioError
-from pytest_pafot.model.trace import Trace
-from pytest_pafot.support.errors import AdsFactoryError, RevisionError, WorldError
+from pytest_pafot.execution.pool import FAREWELL, LARGEST, POLL, ending
+from pytest_pafot.extending import ProcessLostError, check_time, rollout_of
+from pytest_pafot.support.errors import AdsFactoryError, RevisionError
 from pytest_pafot.support.text import one_line, visible
 from pytest_pafot.world.guard.chance import GENERATORS
-from pytest_pafot.world.guard.hang_guard import check_time
-from pytest_pafot.world.guard.own_worlds import rollout_of
 
 T = TypeVar("T")
 

@@ -16,8 +16,8 @@ from pathlib import Path
 from typing import Any
 
 from pytest_pafot.campaign.harness import name_of
-from pytest_pafot.commands.policy_reference import ads_factory
 from pytest_pafot.execution.pool import IGNORED, portable, sendable
+from pytest_pafot.extending import ads_factory
 from pytest_pafot.extras.revisions.revision_policy import PACKAGE, STUCK, RevisionPolicy, mapped
 from pytest_pafot.support.errors import RequestError, RevisionError
 from pytest_pafot.support.references import described

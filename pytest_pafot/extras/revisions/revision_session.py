@@ -9,8 +9,8 @@ from typing import Any
 
 import pytest
 
-from pytest_pafot.campaign.harness import checked_factory
 from pytest_pafot.campaign.options import OPTIONS
+from pytest_pafot.extending import checked_factory
 from pytest_pafot.extras.revisions.revision_process import NO_TEST, Served, begun, failed, serve
 from pytest_pafot.plugin.collection import is_search
 from pytest_pafot.plugin.item_checks import REQUEST

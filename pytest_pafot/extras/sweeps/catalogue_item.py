@@ -84,15 +84,19 @@ def _skip(reason: str) -> NoReturn:
 
 def _drive(item: pytest.Function, entry: Entry, given: Mapping[str, Any]) -> None:
     __tracebackhide__ = True
-    from pytest_pafot.campaign.harness import checked_factory, refusals, source_file  # noqa: PLC0415
-    from pytest_pafot.execution.pool import ProcessLostError  # noqa: PLC0415
-    from pytest_pafot.execution.runner import driven_first, ended  # noqa: PLC0415
+    from pytest_pafot import Highway, ScenarioError  # noqa: PLC0415
+    from pytest_pafot.extending import (  # noqa: PLC0415
+        ProcessLostError,
+        checked_factory,
+        driven_first,
+        ended,
+        refusals,
+        source_file,
+    )
     from pytest_pafot.extras.sweeps.entries import NoPlaceError, fits  # noqa: PLC0415
     from pytest_pafot.extras.sweeps.maps import driven, judged, named_factory  # noqa: PLC0415
-    from pytest_pafot.model.scenario import ScenarioError  # noqa: PLC0415
     from pytest_pafot.plugin.failure_reports import SUMMARY  # noqa: PLC0415
     from pytest_pafot.plugin.search_item import bound_test, shown  # noqa: PLC0415
-    from pytest_pafot.world import Highway  # noqa: PLC0415
     from pytest_pafot.world.protocol import missing  # noqa: PLC0415
 
     ads = given.get("ads", DEFAULT_ADS)

@@ -17,23 +17,24 @@ from operator import itemgetter
 from types import MappingProxyType
 from typing import Any
 
-from pytest_pafot.model.crossings import Crossings
-from pytest_pafot.model.driving_style import Traffic
-from pytest_pafot.model.grid import Cell
-from pytest_pafot.model.scenario import (
-    EGO_LANE,
+from pytest_pafot import (
+    Cell,
     CrossingInstruction,
+    Highway,
     Manoeuvre,
     PositionInstruction,
     Scenario,
     ScenarioError,
     Step,
+    Traffic,
 )
+from pytest_pafot.extending import crossings
+from pytest_pafot.model.crossings import Crossings
+from pytest_pafot.model.scenario import EGO_LANE
 from pytest_pafot.support.errors import RequestError, plain_number
 from pytest_pafot.support.text import meant
-from pytest_pafot.world import Highway
 from pytest_pafot.world.kernel.bodies import NPC_LENGTH
-from pytest_pafot.world.protocol import check_fits, crossings, has_manoeuvres, lasting
+from pytest_pafot.world.protocol import check_fits, has_manoeuvres, lasting
 
 KMH = 1 / 3.6
 """One kilometre per hour [m/s]."""

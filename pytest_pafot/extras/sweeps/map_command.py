@@ -12,8 +12,8 @@ from contextlib import suppress
 from functools import partial
 from pathlib import Path
 
-from pytest_pafot.commands.policy_reference import ABOUT_POLICIES, ads_factory, check_function, config_of
-from pytest_pafot.corpus.layout import SUFFIX
+from pytest_pafot import World
+from pytest_pafot.extending import ABOUT_POLICIES, SUFFIX, ads_factory, check_function, config_of
 from pytest_pafot.extras.sweeps.drawing import page, png
 from pytest_pafot.extras.sweeps.entries import ENTRIES, Entry, chosen, entry_of
 from pytest_pafot.extras.sweeps.maps import POINTS, WIDTH, Sweep, short, sweep
@@ -21,7 +21,6 @@ from pytest_pafot.extras.sweeps.numbers import over_of
 from pytest_pafot.support.errors import RequestError
 from pytest_pafot.support.files import check_writable, way_out, write_if_free, write_whole
 from pytest_pafot.support.text import visible, wrapped_to
-from pytest_pafot.world import World
 
 FAILED = 1
 """The exit code if there is what ``--fail-on`` names."""

@@ -12,30 +12,36 @@ from itertools import pairwise, product
 from pathlib import Path
 from typing import Any, Literal, get_args
 
-from pytest_pafot.campaign.harness import refusals, source_file
-from pytest_pafot.campaign.saved_scenario import SavedScenario
-from pytest_pafot.campaign.verdict import Test, Verdict, assertions, headline, judge, reference_outcomes
-from pytest_pafot.corpus.layout import SUFFIX
+from pytest_pafot import Highway, Outcome, Run, SavedScenario, Scenario, ScenarioError, Trace
+from pytest_pafot.campaign.verdict import assertions, reference_outcomes
 from pytest_pafot.corpus.reader import load
-from pytest_pafot.corpus.saved import named_file
 from pytest_pafot.criticality.asked import asked
-from pytest_pafot.execution.pool import ProcessLostError
-from pytest_pafot.execution.runner import driven_first, ended
+from pytest_pafot.extending import (
+    SUFFIX,
+    AdsFactory,
+    Finding,
+    ProcessLostError,
+    Test,
+    Verdict,
+    driven_first,
+    ended,
+    from_dict,
+    headline,
+    judge,
+    named_file,
+    reference_world,
+    refusals,
+    require,
+    rollout_of,
+    source_file,
+)
 from pytest_pafot.extras.sweeps.entries import Entry, entry_of, fits
 from pytest_pafot.extras.sweeps.numbers import Axis, unit_of, values_of, with_number
-from pytest_pafot.findings.finding import Finding
-from pytest_pafot.model.scenario import Scenario, ScenarioError
-from pytest_pafot.model.trace import Outcome, Trace
-from pytest_pafot.oracle.checks import require
-from pytest_pafot.oracle.run import Run
 from pytest_pafot.support.errors import RequestError, check_asserts, plain_whole
 from pytest_pafot.support.files import open_regular, write_whole
 from pytest_pafot.support.references import described, factory_named
 from pytest_pafot.support.text import ascii_text, csv_text, plural, spreadsheet_cell, visible, wrapped_to
-from pytest_pafot.world import Highway, from_dict
-from pytest_pafot.world.driving.ads import AdsFactory
-from pytest_pafot.world.guard.own_worlds import rollout_of
-from pytest_pafot.world.protocol import reference_world, taking_over
+from pytest_pafot.world.protocol import taking_over
 
 Kind = Literal["avoided", "preventable", "unavoidable", "ADS error", "not as asked"]
 """What became of a point: ``avoided``; ``preventable``, it failed though a reference driver avoids it; ``unavoidable``,

@@ -11,7 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from pytest_pafot.model.scenario import ALONE, Manoeuvre, Scenario
+from pytest_pafot import Manoeuvre, Scenario
+from pytest_pafot.model.scenario import ALONE
 from pytest_pafot.support.errors import RequestError, plain_number
 from pytest_pafot.support.text import meant
 

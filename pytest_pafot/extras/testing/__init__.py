@@ -14,20 +14,17 @@ from typing import Any
 
 import numpy as np
 
+from pytest_pafot import Cell, LaneInstruction, Outcome, PositionInstruction, Run, Scenario, Trace
 from pytest_pafot.attribution.takeovers import STEADY_BRAKING, brakes_untouched
+from pytest_pafot.extending import SPEED, X, Y, from_dict, is_vehicle_class, rollout_of, sample, space_on, wants_env
 from pytest_pafot.extras.testing import traces as rules
 from pytest_pafot.extras.testing.traces import DEEP, ROUNDING, Promises
-from pytest_pafot.model.grid import Cell
-from pytest_pafot.model.scenario import Gene, LaneInstruction, PositionInstruction, Scenario
-from pytest_pafot.model.trace import SPEED, Outcome, Trace, X, Y
-from pytest_pafot.oracle.run import Run
-from pytest_pafot.searching.space import sample, space_on
+from pytest_pafot.model.scenario import Gene
 from pytest_pafot.support.errors import plain_number
 from pytest_pafot.world import protocol
-from pytest_pafot.world.codec import OWN, described, from_dict, is_code
-from pytest_pafot.world.driving.ads import is_vehicle_class, wants_env
+from pytest_pafot.world.codec import OWN, described, is_code
 from pytest_pafot.world.driving.seeing import SeeingAds
-from pytest_pafot.world.guard.own_worlds import rollout_of, simulate_batch
+from pytest_pafot.world.guard.own_worlds import simulate_batch
 from pytest_pafot.world.kernel.action import plain_action
 
 Ads = Callable[[], Callable[..., Any]]

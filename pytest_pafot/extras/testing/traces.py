@@ -15,28 +15,13 @@ from typing import Any
 
 import numpy as np
 
+from pytest_pafot import Cell, Collision, CrossingInstruction, NpcLimits, Outcome, PositionInstruction, Scenario, Trace
 from pytest_pafot.criticality.boxes import depth, relate
 from pytest_pafot.criticality.measures import Encounters
-from pytest_pafot.model.grid import Cell
-from pytest_pafot.model.scenario import CrossingInstruction, PositionInstruction, Scenario
-from pytest_pafot.model.trace import (
-    ACCELERATION,
-    ANGLE,
-    HEADING,
-    LANE,
-    SPEED,
-    STEERING,
-    Collision,
-    FloatArray,
-    Lane,
-    Outcome,
-    Trace,
-    X,
-    Y,
-)
+from pytest_pafot.extending import ACCELERATION, HEADING, LANE, SPEED, STEERING, FloatArray, Lane, X, Y
+from pytest_pafot.model.trace import ANGLE
 from pytest_pafot.support.errors import plain_whole
 from pytest_pafot.world.kernel.bodies import Box, overlap
-from pytest_pafot.world.limits import NpcLimits
 
 Promises = Iterator[tuple[Any, str, str]]
 """For each promise: whether it is kept, its words, and what was received instead. A later one may need the earlier."""

@@ -12,7 +12,6 @@ import pytest
 from pytest_pafot import Drive, Highway, LaneInstruction, Perception, Planned, PositionInstruction, Run, Scenario, World
 from pytest_pafot.campaign.harness import is_same_run
 from pytest_pafot.execution.runner import DecisionCache
-from pytest_pafot.extras.episodes.ordinary_traffic import drive
 from pytest_pafot.model.trace import AdsError, Trace, X, Y
 from pytest_pafot.report.animation import animate
 from pytest_pafot.report.page import data_json
@@ -21,6 +20,7 @@ from pytest_pafot.report.views import run_view
 from pytest_pafot.searching.fitness import before_impact
 from pytest_pafot.support.errors import BadAction
 from pytest_pafot.world.driving.shadow import Aside, beside
+from pytest_pafot.world.engines.ordinary_traffic import drive
 from tests.helpers.tables import table
 
 SCENARIO = Scenario(npcs=[[PositionInstruction(2, 20.0)], [PositionInstruction(4, 22.0)]])

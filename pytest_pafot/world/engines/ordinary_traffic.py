@@ -22,7 +22,6 @@ from typing import Any
 import numpy as np
 from highway_env.vehicle.objects import Obstacle
 
-from pytest_pafot.extras.episodes.episode import Episode, EpisodeRecording, Kind, Start, Step
 from pytest_pafot.model.trace import AdsError, Outcome
 from pytest_pafot.support.errors import AdsFactoryError, WorldError
 from pytest_pafot.world.driving.ads import AdsFactory, is_vehicle_class, make_ads, wants_env
@@ -32,6 +31,7 @@ from pytest_pafot.world.driving.object_driver import body_of
 from pytest_pafot.world.driving.observations import observe_fast, observer
 from pytest_pafot.world.driving.perception import ads_and_sight
 from pytest_pafot.world.driving.policy import View
+from pytest_pafot.world.engines.episode import Episode, EpisodeRecording, Kind, Start, Step
 from pytest_pafot.world.guard.failure import UNFIT, closing, error_of
 from pytest_pafot.world.guard.hang_guard import HangGuard
 from pytest_pafot.world.gym_environment import NEUTRAL, GymEnvironment, has_known_step, vehicle_classes_kept

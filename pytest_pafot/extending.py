@@ -1,0 +1,187 @@
+"""What extras, and packages of others, may import in addition to the public names of ``pytest_pafot``.
+
+The page docs/reference/extending.md says of each name what it is for. The module of a name is loaded when it is first
+used.
+"""
+
+# ruff: noqa: PLC0414  (only so a type checker takes the names of other modules for this one's)
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from pytest_pafot.campaign.events import Judged as Judged
+    from pytest_pafot.campaign.events import SearchEvent as SearchEvent
+    from pytest_pafot.campaign.explore import replays_of as replays_of
+    from pytest_pafot.campaign.explore import request_of as request_of
+    from pytest_pafot.campaign.harness import checked_factory as checked_factory
+    from pytest_pafot.campaign.harness import refusals as refusals
+    from pytest_pafot.campaign.harness import source_file as source_file
+    from pytest_pafot.campaign.request import drawn_space as drawn_space
+    from pytest_pafot.campaign.search import prepared as prepared
+    from pytest_pafot.campaign.setup_fault import SetupFaultError as SetupFaultError
+    from pytest_pafot.campaign.verdict import Test as Test
+    from pytest_pafot.campaign.verdict import Verdict as Verdict
+    from pytest_pafot.campaign.verdict import headline as headline
+    from pytest_pafot.campaign.verdict import judge as judge
+    from pytest_pafot.commands.policy_reference import ABOUT_POLICIES as ABOUT_POLICIES
+    from pytest_pafot.commands.policy_reference import ads_factory as ads_factory
+    from pytest_pafot.commands.policy_reference import caution as caution
+    from pytest_pafot.commands.policy_reference import check_function as check_function
+    from pytest_pafot.commands.policy_reference import config_of as config_of
+    from pytest_pafot.commands.policy_reference import identity as identity
+    from pytest_pafot.corpus.layout import SUFFIX as SUFFIX
+    from pytest_pafot.corpus.layout import files_below as files_below
+    from pytest_pafot.corpus.saved import Saved as Saved
+    from pytest_pafot.corpus.saved import named_file as named_file
+    from pytest_pafot.corpus.saved import read_saved_file as read_saved_file
+    from pytest_pafot.execution.pool import ProcessLostError as ProcessLostError
+    from pytest_pafot.execution.pool import WorkerPool as WorkerPool
+    from pytest_pafot.execution.runner import driven_first as driven_first
+    from pytest_pafot.execution.runner import ended as ended
+    from pytest_pafot.execution.scenario_pool import ExecutionError as ExecutionError
+    from pytest_pafot.findings.finding import Finding as Finding
+    from pytest_pafot.findings.finding import ads_failure as ads_failure
+    from pytest_pafot.findings.finding import ending as ending
+    from pytest_pafot.findings.finding import of_failure as of_failure
+    from pytest_pafot.findings.signature import Failure as Failure
+    from pytest_pafot.model.trace import ACCELERATION as ACCELERATION
+    from pytest_pafot.model.trace import HEADING as HEADING
+    from pytest_pafot.model.trace import LANE as LANE
+    from pytest_pafot.model.trace import SPEED as SPEED
+    from pytest_pafot.model.trace import STEERING as STEERING
+    from pytest_pafot.model.trace import AdsError as AdsError
+    from pytest_pafot.model.trace import FloatArray as FloatArray
+    from pytest_pafot.model.trace import Lane as Lane
+    from pytest_pafot.model.trace import X as X
+    from pytest_pafot.model.trace import Y as Y
+    from pytest_pafot.oracle.checks import require as require
+    from pytest_pafot.searching.algorithms.catalogue import ALGORITHMS as ALGORITHMS
+    from pytest_pafot.searching.algorithms.catalogue import AlgorithmClass as AlgorithmClass
+    from pytest_pafot.searching.algorithms.catalogue import resolve_algorithm as resolve_algorithm
+    from pytest_pafot.searching.ask_tell import Algorithm as Algorithm
+    from pytest_pafot.searching.ask_tell import GenerationalSearch as GenerationalSearch
+    from pytest_pafot.searching.ask_tell import GenerationState as GenerationState
+    from pytest_pafot.searching.ask_tell import check_ask as check_ask
+    from pytest_pafot.searching.ask_tell import check_evaluations as check_evaluations
+    from pytest_pafot.searching.ask_tell import check_parameters as check_parameters
+    from pytest_pafot.searching.ask_tell_loop import run_campaign as run_campaign
+    from pytest_pafot.searching.evaluation import Evaluation as Evaluation
+    from pytest_pafot.searching.events import AlgorithmEvent as AlgorithmEvent
+    from pytest_pafot.searching.events import Evaluated as Evaluated
+    from pytest_pafot.searching.events import GenerationFinished as GenerationFinished
+    from pytest_pafot.searching.events import LocalSearchStarted as LocalSearchStarted
+    from pytest_pafot.searching.events import NewBest as NewBest
+    from pytest_pafot.searching.events import Restarted as Restarted
+    from pytest_pafot.searching.operators import mutate as mutate
+    from pytest_pafot.searching.space import SearchSpace as SearchSpace
+    from pytest_pafot.searching.space import repaired as repaired
+    from pytest_pafot.searching.space import sample as sample
+    from pytest_pafot.searching.space import space_on as space_on
+    from pytest_pafot.world.codec import from_dict as from_dict
+    from pytest_pafot.world.driving.ads import AdsFactory as AdsFactory
+    from pytest_pafot.world.driving.ads import is_vehicle_class as is_vehicle_class
+    from pytest_pafot.world.driving.ads import wants_env as wants_env
+    from pytest_pafot.world.driving.policy import checked_action as checked_action
+    from pytest_pafot.world.guard.hang_guard import check_time as check_time
+    from pytest_pafot.world.guard.own_worlds import rollout_of as rollout_of
+    from pytest_pafot.world.gym_environment import GymEnvironment as GymEnvironment
+    from pytest_pafot.world.protocol import crossings as crossings
+    from pytest_pafot.world.protocol import reference_world as reference_world
+    from pytest_pafot.world.protocol import road_start as road_start
+
+_HOMES = {
+    "ABOUT_POLICIES": "commands.policy_reference",
+    "ACCELERATION": "model.trace",
+    "ALGORITHMS": "searching.algorithms.catalogue",
+    "AdsError": "model.trace",
+    "AdsFactory": "world.driving.ads",
+    "Algorithm": "searching.ask_tell",
+    "AlgorithmClass": "searching.algorithms.catalogue",
+    "AlgorithmEvent": "searching.events",
+    "Evaluated": "searching.events",
+    "Evaluation": "searching.evaluation",
+    "ExecutionError": "execution.scenario_pool",
+    "Failure": "findings.signature",
+    "Finding": "findings.finding",
+    "FloatArray": "model.trace",
+    "GenerationFinished": "searching.events",
+    "GenerationState": "searching.ask_tell",
+    "GenerationalSearch": "searching.ask_tell",
+    "GymEnvironment": "world.gym_environment",
+    "HEADING": "model.trace",
+    "Judged": "campaign.events",
+    "LANE": "model.trace",
+    "Lane": "model.trace",
+    "LocalSearchStarted": "searching.events",
+    "NewBest": "searching.events",
+    "ProcessLostError": "execution.pool",
+    "Restarted": "searching.events",
+    "SPEED": "model.trace",
+    "STEERING": "model.trace",
+    "SUFFIX": "corpus.layout",
+    "Saved": "corpus.saved",
+    "SearchEvent": "campaign.events",
+    "SearchSpace": "searching.space",
+    "SetupFaultError": "campaign.setup_fault",
+    "Test": "campaign.verdict",
+    "Verdict": "campaign.verdict",
+    "WorkerPool": "execution.pool",
+    "X": "model.trace",
+    "Y": "model.trace",
+    "ads_factory": "commands.policy_reference",
+    "ads_failure": "findings.finding",
+    "caution": "commands.policy_reference",
+    "check_ask": "searching.ask_tell",
+    "check_evaluations": "searching.ask_tell",
+    "check_function": "commands.policy_reference",
+    "check_parameters": "searching.ask_tell",
+    "check_time": "world.guard.hang_guard",
+    "checked_action": "world.driving.policy",
+    "checked_factory": "campaign.harness",
+    "config_of": "commands.policy_reference",
+    "crossings": "world.protocol",
+    "drawn_space": "campaign.request",
+    "driven_first": "execution.runner",
+    "ended": "execution.runner",
+    "ending": "findings.finding",
+    "files_below": "corpus.layout",
+    "from_dict": "world.codec",
+    "headline": "campaign.verdict",
+    "identity": "commands.policy_reference",
+    "is_vehicle_class": "world.driving.ads",
+    "judge": "campaign.verdict",
+    "mutate": "searching.operators",
+    "named_file": "corpus.saved",
+    "of_failure": "findings.finding",
+    "prepared": "campaign.search",
+    "read_saved_file": "corpus.saved",
+    "reference_world": "world.protocol",
+    "refusals": "campaign.harness",
+    "repaired": "searching.space",
+    "replays_of": "campaign.explore",
+    "request_of": "campaign.explore",
+    "require": "oracle.checks",
+    "resolve_algorithm": "searching.algorithms.catalogue",
+    "road_start": "world.protocol",
+    "rollout_of": "world.guard.own_worlds",
+    "run_campaign": "searching.ask_tell_loop",
+    "sample": "searching.space",
+    "source_file": "campaign.harness",
+    "space_on": "searching.space",
+    "wants_env": "world.driving.ads",
+}
+
+__all__ = sorted(_HOMES)  # noqa: PLE0605
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(f"pytest_pafot.{_HOMES[name]}"), name)
+
+
+def __dir__() -> list[str]:
+    return list(__all__)
