@@ -104,7 +104,7 @@ DASK_EXECUTOR = f"{EXTRAS}.executors:dask_executor"
 """A context manager: the executor of a Dask scheduler for the option ``dask``."""
 EXECUTOR_POOL = f"{EXTRAS}.executors:ExecutorPool"
 """The pool of scenarios that runs them by the user's executor."""
-REFERENCES = f"{EXTRAS}.revisions.references"
+REFERENCES = f"{EXTRAS}.revisions.session_references"
 """What a search needs to know of its reference: ``revision_of(item, request)`` and ``compare(item, harness)``."""
 
 

@@ -61,10 +61,10 @@ def calls(name):
 def test_messages_name_ways_out_only_by_the_functions():
     texts = [(place, text) for place, is_document, text in facts().texts if not is_document]
     found = [(place, said) for place, text in texts for said in SAID.findall(text)]
-    assert {place for place, _ in found} == {"__main__.py", "campaign/options.py", "support/errors.py"}
+    assert {place for place, _ in found} == {"__main__.py", "campaign/options.py", "door.py", "support/errors.py"}
     assert [said for place, said in found if place == "__main__.py"] == ["python -m pytest"]  # the name of the program
     flags = {option.flag for option in OPTIONS}
-    assert {said for place, said in found if place == "campaign/options.py"} <= flags  # the help of options
+    assert {said for place, said in found if place in ("campaign/options.py", "door.py")} <= flags  # texts of help
 
 
 def test_every_option_that_messages_name_exists_also_in_search():
@@ -84,11 +84,16 @@ def test_every_option_that_messages_name_exists_also_in_search():
 
 OF_COMMANDS = {
     "search": ["commands/search_command.py"],
-    "bisect": ["commands/bisect_command.py"],
-    "progress": ["episodes/progress_command.py", "episodes/progress_command.py"],
-    "rate": ["episodes/rate_command.py", "episodes/rate.py", "commands/resumable.py"],
-    "compare": ["comparison/command.py", "comparison/plan.py", "comparison/algorithm_run.py", "commands/resumable.py"],
-    "export": ["export/export_command.py", "export/exporter.py"],
+    "bisect": ["extras/revisions/bisect_command.py"],
+    "progress": ["extras/episodes/progress_command.py", "extras/episodes/progress_command.py"],
+    "rate": ["extras/episodes/rate_command.py", "extras/episodes/rate.py", "extras/resumable.py"],
+    "compare": [
+        "extras/comparison/command.py",
+        "extras/comparison/plan.py",
+        "extras/comparison/algorithm_run.py",
+        "extras/resumable.py",
+    ],
+    "export": ["extras/export/export_command.py", "extras/export/exporter.py"],
     "corpus": ["commands/corpus_command.py"],
 }
 SHOWN_BY = {
@@ -163,12 +168,12 @@ RUN_BY = {
     "corpus/saved.py": "test_unknown_finding_is_among_those_that_the_command_lists",
     "campaign/saved_scenario.py": "test_deadly_scenario_is_replayed_by_the_command_that_is_named",
     "campaign/explore.py": "test_deadly_scenario_is_replayed_by_the_command_that_is_named",
-    "commands/bisect_command.py": "test_deadly_scenario_is_replayed_by_the_command_that_is_named",
-    "episodes/progress_command.py": "test_progress_names_a_search_that_saves_what_only_the_new_policy_fails",
+    "extras/revisions/bisect_command.py": "test_deadly_scenario_is_replayed_by_the_command_that_is_named",
+    "extras/episodes/progress_command.py": "test_progress_names_a_search_that_saves_what_only_the_new_policy_fails",
     "campaign/search.py": "test_finding_that_was_not_shrunk_names_the_command",
     "plugin/search_item.py": "test_finding_that_was_not_shrunk_names_the_command",
     "commands/corpus_command.py": "test_finding_that_may_not_repeat_is_refused",
-    "episodes/rate_command.py": "test_rate_names_the_command_that_draws_a_crash",
+    "extras/episodes/rate_command.py": "test_rate_names_the_command_that_draws_a_crash",
 }
 """The test that runs the command of each place where a message names one."""
 

@@ -43,8 +43,9 @@ written again only after this time multiplied by the second number."""
 
 
 def is_asked_for(config: pytest.Config, environ: Mapping[str, str]) -> bool:
-    """Return whether ``--pafot-json`` or a CI job requests a record; False if the session replays for another one."""
-    is_wanted = bool(config.getoption(JSON.key) or environ.get(SUMMARY))
+    """Return whether ``--pafot-json``, a CI job or a plugin wants a record; False if it replays for another session."""
+    hooks = (config.hook.pytest_pafot_event, config.hook.pytest_pafot_record)
+    is_wanted = bool(config.getoption(JSON.key) or environ.get(SUMMARY) or any(map(_is_implemented, hooks)))
     return is_wanted and not environ.get(HERE) and not config.getoption("collectonly", False)
 
 
@@ -75,6 +76,9 @@ class Records:
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
         """Store the messages of items, and the result of each of their phases."""
         message = messages.received(report)
+        if message is not None:
+            config = self._config
+            config.hook.pytest_pafot_event(config=config, node_id=report.nodeid, kind=message.kind, data=message.data)
         if message is None:
             self._take_phase(report)
         elif message.kind in ("finding", "start", "search", *self._texts):
@@ -85,6 +89,11 @@ class Records:
         """Write the JSON file and the summary, even if the session was interrupted."""
         code = exit_code(session)
         self._write_json(code)
+        if _is_implemented(self._config.hook.pytest_pafot_record):
+            from pytest_pafot.report.session_record import to_text  # noqa: PLC0415
+
+            record = json.loads(to_text(self._record(code)))
+            self._config.hook.pytest_pafot_record(config=self._config, record=record)
         path = os.environ.get(SUMMARY)
         orphans = self._config.stash[UNRUN].orphans
         if not path or not any((self._searches, self._findings, *self._texts.values(), orphans, self._lines.problems)):
@@ -265,6 +274,10 @@ class Records:
         if code is not None:  # A problem is reported once, at the end.
             lines = self._lines.problems if problem else self._lines.reports
             lines.append(f"{flag('json', self._file)}: not written: {problem}" if problem else f"json: {self._file}")
+
+
+def _is_implemented(hook: Any) -> bool:
+    return bool(hook.get_hookimpls())
 
 
 def _result(report: pytest.TestReport) -> str:

@@ -22,8 +22,8 @@ from tests.helpers.sessions import in_a_copy, in_process, quick_sessions
 
 # pytester forgets the modules that a session imports; those of the package stay, because importing them is slow.
 ROOMS = (
-    "attribution", "campaign", "corpus", "execution", "findings", "oracle", "plugin", "report", "searching", "sweeps",
-    "world",
+    "attribution", "campaign", "corpus", "execution", "extras.revisions", "extras.sweeps", "findings", "oracle",
+    "plugin", "report", "searching", "world",
 )  # fmt: skip
 for room in ROOMS:
     for module in pkgutil.walk_packages(
