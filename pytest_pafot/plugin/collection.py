@@ -66,7 +66,7 @@ class Collection:
         self._passed_by: set[Path] = set()  # the saved scenarios outside of corpora
         self._saved = config.stash.setdefault(COLLECTED, {})
         self._listed: dict[Path, layout.TestFolders] = {}
-        self._left_out: list[Left] = []  # marked functions and classes that pytest has not collected
+        self._left_out: list[Left] = []  # what is marked and pytest has not collected
         config.stash[UNRUN] = Unrun({}, {}, {}, {})
 
     def pytest_ignore_collect(self, collection_path: Path) -> bool | None:

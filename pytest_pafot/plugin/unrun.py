@@ -32,10 +32,13 @@ class Unrun(NamedTuple):
     # folders of other corpora that match no single test, and findings that did not come with the results of their
     # machine, each with the reason, and whether the session fails by it
     unmerged: dict[str, tuple[str, bool]]
-    unnamed: dict[str, str]  # functions and classes with a mark of pafot that pytest does not collect by their name
+    unnamed: dict[str, str]  # what has a mark of pafot and pytest does not collect, with the reason
 
 
 UNRUN = pytest.StashKey[Unrun]()
+
+DRIVEN = pytest.StashKey[set[str]]()
+"""The node ids of the items to run that drive policies; in a controller of pytest-xdist, those of its workers."""
 
 
 @dataclass(slots=True, kw_only=True)
