@@ -42,7 +42,7 @@ def terminal_width() -> int:
     return columns if columns >= 40 else 80
 
 
-@dataclass(slots=True, kw_only=True)
+@dataclass(slots=True, kw_only=True, repr=False, eq=False)  # each method that is made costs every session some time
 class Shared:
     """Values that the controller chooses and every worker uses. The defaults are for a session that begins now."""
 
@@ -58,13 +58,13 @@ class Shared:
     begun: set[str] = field(default_factory=set)  # node ids of the searches that this process has begun
 
 
-@dataclass(frozen=True, slots=True)
 class SummaryLines:
     """Lines for the summary of the session, which the controller collects."""
 
-    problems: list[str] = field(default_factory=list)  # anything that went wrong outside of the tests
-    reports: list[str] = field(default_factory=list)  # the files that were written
-    warnings: list[str] = field(default_factory=list)  # warnings about saved scenarios
+    def __init__(self) -> None:
+        self.problems: list[str] = []  # anything that went wrong outside of the tests
+        self.reports: list[str] = []  # the files that were written
+        self.warnings: list[str] = []  # warnings about saved scenarios
 
     @contextmanager
     def faults(self, work: str) -> Iterator[None]:
