@@ -44,6 +44,9 @@ GROUP = "pytest_pafot.commands"
 GATES = tuple(name for name, command in {**OWN_COMMANDS, **COMMANDS}.items() if command.is_gate)
 """The commands whose exit code is a verdict on a policy."""
 
+ENDS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
+"""The signals that a command passes on to such a child."""
+
 DRIVES = "PYTEST_PAFOT_DRIVES"
 """The environment variable that tells a process that it is such a child, of whom, and where its receipt goes."""
 
@@ -62,6 +65,7 @@ def main_in_child(arguments: list[str]) -> int:
             if os.getppid() != int(parent):  # it was killed before that
                 return 128 + signal.SIGTERM
         try:
+            _hold_back(False)
             code = main(arguments)
         except SystemExit as ended:  # after --help, or for wrong arguments; those of a policy are caught
             code = int(ended.code or 0)
@@ -85,16 +89,17 @@ def main_in_child(arguments: list[str]) -> int:
             with suppress(OSError):  # it has ended
                 child.send_signal(number)
 
-    for name in ("SIGINT", "SIGTERM", "SIGHUP"):
-        number = getattr(signal, name, None)
-        if number is not None and signal.getsignal(number) is not signal.SIG_IGN:  # nohup's are ignored in both
+    for number in ENDS:
+        if signal.getsignal(number) is not signal.SIG_IGN:  # nohup's are ignored in both
             signal.signal(number, pass_on)
     with tempfile.TemporaryDirectory(prefix="pafot-") as folder:
         # The same interpreter with the same options.
         environ = {**os.environ, DRIVES: f"{os.getpid()}:{folder}"}
+        _hold_back(True)
         child = subprocess.Popen([sys.executable, *sys.orig_argv[1:]], env=environ)  # noqa: S603  (this command)
         for number in tuple(received):  # before the child was there
             child.send_signal(number)
+        _hold_back(False)
         left = child.wait()
         received_code = taken_receipt(folder, left)
     if received_code is not None:
@@ -114,6 +119,12 @@ def known_commands() -> dict[str, Command]:
         for entry in metadata.entry_points(group=GROUP)
     }
     return {**others, **OWN_COMMANDS, **COMMANDS}
+
+
+def _hold_back(is_held: bool) -> None:
+    """Let :data:`ENDS` wait, or come. A child inherits that: Python would print a traceback while it starts."""
+    if hasattr(signal, "pthread_sigmask"):
+        signal.pthread_sigmask(signal.SIG_BLOCK if is_held else signal.SIG_UNBLOCK, ENDS)
 
 
 def _interrupted(arguments: list[str]) -> int:

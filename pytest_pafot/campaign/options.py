@@ -118,7 +118,8 @@ def option(kind: Kind, text: str, details: str = "", *, default: object = None, 
     return field(default=default, metadata={"kind": kind, "help": text, "details": details, **known})
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+# each method that is made of so many fields costs every session of pytest some time
+@dataclass(frozen=True, slots=True, kw_only=True, repr=False, eq=False)
 class Settings:
     """All options: of each its type, texts and default, and in a value of this class the value for one item.
 

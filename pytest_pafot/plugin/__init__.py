@@ -16,7 +16,7 @@ import pytest
 from pytest_pafot.campaign.options import BY_NAME, OF_COMMAND, OPTIONS, is_ci
 from pytest_pafot.plugin import fixtures, hookspecs
 from pytest_pafot.plugin.collection import Collection
-from pytest_pafot.plugin.marks import ANY_MARK, CATALOGUE_MARK, SAVED_MARK, SEARCH_MARK
+from pytest_pafot.plugin.marks import ANY_MARK, CATALOGUE_MARK, SAVED_MARK, SEARCH_MARK, is_driven
 from pytest_pafot.plugin.option_sources import add_options, resolve
 from pytest_pafot.plugin.session import (
     SHARED,
@@ -31,7 +31,7 @@ from pytest_pafot.plugin.session import (
     shared_by_controller,
     stale_day,
 )
-from pytest_pafot.plugin.unrun import UNRUN
+from pytest_pafot.plugin.unrun import DRIVEN, UNRUN
 from pytest_pafot.support.errors import RequestError, flag
 
 
@@ -56,6 +56,7 @@ def pytest_configure(config: pytest.Config) -> None:
     ):
         config.addinivalue_line("markers", line)
     config.stash[SUMMARY_LINES] = SummaryLines()
+    config.stash[DRIVEN] = set()
     features = {"fixtures": fixtures, "collection": Collection(config)}
     if is_worker(config):
         config.stash[SHARED] = shared_by_controller(config)
@@ -123,7 +124,9 @@ def pytest_collection_finish(session: pytest.Session) -> None:
         from pytest_pafot.plugin.tracing import set_properties_of  # noqa: PLC0415
 
         set_properties_of(marked)
-    is_marked = bool(marked) or any(item.get_closest_marker(SEARCH_MARK) for item in session.items)
+    driven = config.stash[DRIVEN]
+    driven.update(item.nodeid for item in session.items if is_driven(item))
+    is_marked = bool(marked or driven)
     unrun = config.stash[UNRUN]
     if is_marked or any(unrun):
         _report(config)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
-from dataclasses import replace
 from datetime import date
 from fnmatch import fnmatch
 from functools import cached_property
@@ -60,13 +59,13 @@ class Collection:
         self._config = config
         self._rootpath = config.rootpath
         self._given_files, self._modules_for_them = accept_files(config)
-        self._collected = Collected(rootpath=config.rootpath)
+        self._collected = Collected(config.rootpath)
         self._corpora: set[Path] = set()  # the corpora found while pytest looked for test files
         self._others: set[Path] = set()  # those of the default name, where the option gives another
         self._passed_by: set[Path] = set()  # the saved scenarios outside of corpora
         self._saved = config.stash.setdefault(COLLECTED, {})
         self._listed: dict[Path, layout.TestFolders] = {}
-        self._left_out: list[Left] = []  # marked functions and classes that pytest has not collected
+        self._left_out: list[Left] = []  # what is marked and pytest has not collected
         config.stash[UNRUN] = Unrun({}, {}, {}, {})
 
     def pytest_ignore_collect(self, collection_path: Path) -> bool | None:
@@ -264,18 +263,13 @@ class Collection:
         for link in sorted(set(filter(None, links.values()))):  # A link is refused before its target is listed.
             self._config.stash[SUMMARY_LINES].problems.append(refusal(link))
         roots = {root: directory for root, directory in roots.items() if links[root] is None}
-        if not self._collected.roots and not any(map(os.path.lexists, roots)):
+        collected = self._collected
+        if not collected.roots and not any(map(os.path.lexists, roots)):
             return
-        collected = replace(
-            self._collected,
-            roots=roots,
-            asked_for=self._folders_given,
-            corpus=corpus or layout.CORPUS,
-            others=not_merged(self._others - roots.keys()),
-            passed_by=not_merged(self._passed_by),
-            is_ignored=self._is_ignored,
-            is_of_testpaths=self._config.args_source is pytest.Config.ArgsSource.TESTPATHS,
-        )
+        collected.roots, collected.asked_for = roots, self._folders_given
+        collected.corpus, collected.others = corpus or layout.CORPUS, not_merged(self._others - roots.keys())
+        collected.passed_by, collected.is_ignored = not_merged(self._passed_by), self._is_ignored
+        collected.is_of_testpaths = self._config.args_source is pytest.Config.ArgsSource.TESTPATHS
         if OF_COMMAND in os.environ:
             return  # The command asks for one test, which has no file. All others of the project are not collected.
         from pytest_pafot.plugin.orphans import find_orphans, find_strays  # noqa: PLC0415  (few projects have any)

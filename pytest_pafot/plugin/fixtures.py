@@ -6,7 +6,6 @@ import sys
 import warnings
 from collections.abc import Generator, Iterator
 from contextlib import ExitStack
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -36,7 +35,6 @@ class Simulate(Protocol):
         """Run a scenario in a world, by default in the world of the fixture ``pafot_world``."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class Corpus:
     """The value of the fixture ``pafot_corpus``: the saved scenarios of the module that requests it.
 
@@ -44,7 +42,8 @@ class Corpus:
         folder: the folder with a folder for each test of the module; it may not exist.
     """
 
-    folder: Path
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
 
     def __iter__(self) -> Iterator[Finding]:
         """Iterate over the findings in all saved files, in the order of tests and ids.
@@ -161,4 +160,4 @@ def pafot_corpus(request: pytest.FixtureRequest) -> Corpus:
     link = link_out(chosen_folder(request.path, corpus), folder.parent, request.config.rootpath)
     if link is not None:
         pytest.fail(f"the fixture pafot_corpus: {refusal(link)}", pytrace=False)
-    return Corpus(folder=folder)
+    return Corpus(folder)

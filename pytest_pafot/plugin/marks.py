@@ -60,6 +60,7 @@ def catalogue(*names: Any, **values: Any) -> Any:
         return catalogue()(names[0])
 
     def decorated(function: Any) -> Any:
+        _check_name(function)
         ads = values.get("ads", DEFAULT_ADS)
         fixtures = [WORLD_FIXTURE, *([ads] if isinstance(ads, str) and ":" not in ads else [])]
         function = pytest.mark.usefixtures(*fixtures)(function)
@@ -85,7 +86,17 @@ def _may_be_decorated(target: object) -> bool:
     return target.__name__.startswith("test") or DEFAULT_ARG in inspect.signature(target).parameters
 
 
+def _check_name(target: object) -> None:
+    """Refuse an object without a name, which pytest takes for an argument of its mark: it would collect no test."""
+    if getattr(target, "__name__", "<lambda>") == "<lambda>":
+        raise TypeError(
+            f"expected a test function or a class of tests, received {target!r}, which pytest does not collect; write "
+            f"a function `def test_...({DEFAULT_ARG})` that calls it, and decorate that"
+        )
+
+
 def _decorated(target: Any, positional: tuple[object, ...], arguments: Mapping[str, object]) -> Any:
+    _check_name(target)
     given = (arguments.get("ads", DEFAULT_ADS), arguments.get("against"))
     fixtures = [WORLD_FIXTURE, EXECUTOR_FIXTURE, *(each for each in given if isinstance(each, str) and ":" not in each)]
     # usefixtures, not getfixturevalue at run time: a parametrised fixture must be known at collection.

@@ -23,7 +23,7 @@ from pytest_pafot.corpus.layout import SEARCH_PART, around, chosen_folder, corpu
 from pytest_pafot.corpus.saved import refusal
 from pytest_pafot.plugin.node_ids import SAVED_PART
 from pytest_pafot.plugin.option_sources import resolve
-from pytest_pafot.plugin.unrun import UNRUN, Orphan
+from pytest_pafot.plugin.unrun import DRIVEN, UNRUN, Orphan
 from pytest_pafot.support.errors import RequestError, flag
 from pytest_pafot.support.text import day_of, plural
 
@@ -42,7 +42,7 @@ def terminal_width() -> int:
     return columns if columns >= 40 else 80
 
 
-@dataclass(slots=True, kw_only=True)
+@dataclass(slots=True, kw_only=True, repr=False, eq=False)  # each method that is made costs every session some time
 class Shared:
     """Values that the controller chooses and every worker uses. The defaults are for a session that begins now."""
 
@@ -58,13 +58,13 @@ class Shared:
     begun: set[str] = field(default_factory=set)  # node ids of the searches that this process has begun
 
 
-@dataclass(frozen=True, slots=True)
 class SummaryLines:
     """Lines for the summary of the session, which the controller collects."""
 
-    problems: list[str] = field(default_factory=list)  # anything that went wrong outside of the tests
-    reports: list[str] = field(default_factory=list)  # the files that were written
-    warnings: list[str] = field(default_factory=list)  # warnings about saved scenarios
+    def __init__(self) -> None:
+        self.problems: list[str] = []  # anything that went wrong outside of the tests
+        self.reports: list[str] = []  # the files that were written
+        self.warnings: list[str] = []  # warnings about saved scenarios
 
     @contextmanager
     def faults(self, work: str) -> Iterator[None]:
@@ -242,11 +242,12 @@ class Controller:
 
     @pytest.hookimpl(optionalhook=True)
     def pytest_testnodedown(self, node: Any, error: object) -> None:
-        """Store what an ended worker reports: the saved scenarios that no item runs."""
+        """Store what an ended worker reports: the items that drive policies, and saved scenarios that no item runs."""
         told = getattr(node, "workeroutput", {}).get(KEY)
         if told is None:  # It died.
             return
-        orphans, *others = json.loads(told)
+        driven, orphans, *others = json.loads(told)
+        node.config.stash[DRIVEN].update(driven)
         unrun = node.config.stash[UNRUN]
         unrun.orphans.update((Path(folder), Orphan(*orphan)) for folder, orphan in orphans.items())
         for known, other in zip(unrun[1:], others, strict=True):
@@ -265,14 +266,14 @@ class Worker:
     """Hooks of a worker of pytest-xdist."""
 
     def pytest_sessionfinish(self, session: pytest.Session) -> None:
-        """Pass the saved scenarios that no item runs to the controller.
+        """Pass the items that drive policies, and the saved scenarios that no item runs, to the controller.
 
         They are sent as JSON in ASCII, because file names may contain bytes that are not valid characters. pytest-xdist
         cannot send such a text: it would replace the worker, and the new worker would fail in the same way.
         """
-        unrun = session.config.stash[UNRUN]
+        unrun, driven = session.config.stash[UNRUN], session.config.stash[DRIVEN]
         orphans = {str(folder): orphan for folder, orphan in unrun.orphans.items()}
-        told = json.dumps((orphans, *unrun[1:]))
+        told = json.dumps((sorted(driven), orphans, *unrun[1:]))
         session.config.workeroutput[KEY] = told  # type: ignore[attr-defined]
 
 

@@ -9,7 +9,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from fnmatch import fnmatch
 from pathlib import Path
 from types import FunctionType, ModuleType
-from typing import NamedTuple, TypeGuard
+from typing import Any, NamedTuple
 
 import pytest
 
@@ -20,15 +20,15 @@ _NO_TEST = "pytest collects no test of this class; expected one without __init__
 
 
 class Left(NamedTuple):
-    """A marked function or class that pytest has left out."""
+    """A marked function, class or callable object that pytest has left out."""
 
     name: str  # like the node id that it would have
     why: str
-    member: FunctionType | type
+    member: object
 
 
 def left_out(collector: pytest.Module | pytest.Class, collected: Sequence[object]) -> Iterator[Left]:
-    """Yield the marked functions and classes in a module or class that pytest has left out of what it collected.
+    """Yield the marked members of a module or class that pytest has left out of what it collected.
 
     Not meant are what was imported, what sets ``__test__`` to False, and a function that was collected by another name.
     A class that a later module derives from is no test of its own either; see :func:`is_base`.
@@ -45,7 +45,9 @@ def left_out(collector: pytest.Module | pytest.Class, collected: Sequence[object
         marked = _marked_in(each)
         if marked is None:
             continue
-        if _has_test_name(collector, name, each):
+        if isinstance(each, pytest.MarkDecorator):
+            why = f"expected a function, received {each.args[-1]!r:.80}; write a function that calls it"
+        elif _has_test_name(collector, name, each):
             why = _NO_TEST if is_class and not collected else "expected a test, but a plugin has left it out"
         else:
             other = f"Test{name}" if inspect.isclass(each) else f"test_{name}"
@@ -84,7 +86,7 @@ def replaced_in(collector: pytest.Module) -> Iterator[tuple[str, str]]:
 
 
 def beside_test_files(config: pytest.Config, folders: Sequence[Path], items: Iterable[pytest.Item]) -> Iterator[Left]:
-    """Yield the marked functions and classes of conftest.py and other files that pytest imports and does not collect.
+    """Yield the marked members of conftest.py and other files that pytest imports and does not collect.
 
     Only files in the folders that the session was asked for are meant; no installed packages, and nothing that a test
     file has imported as a test of its own.
@@ -119,7 +121,7 @@ def is_base(member: object) -> bool:
     return inspect.isclass(member) and bool(type.__subclasses__(member))
 
 
-def _marked_in(member: FunctionType | type) -> list[str] | None:
+def _marked_in(member: object) -> list[str] | None:
     """Return no names if a member is marked, the first marked method of a class that is not; None if there is none."""
     if _is_marked(member):
         return []
@@ -127,13 +129,20 @@ def _marked_in(member: FunctionType | type) -> list[str] | None:
     return next(([name] for name, each in methods.items() if inspect.isfunction(each) and _is_marked(each)), None)
 
 
-def _is_marked(member: FunctionType | type) -> bool:
-    own = vars(member).get("pytestmark", [])  # a list, unless the user has set it to one mark
+def _is_marked(member: object) -> bool:
+    own: Any = []
+    if isinstance(member, pytest.MarkDecorator) and any(map(callable, member.args)):
+        own = member  # which pytest has made of an object without a name, instead of marking it
+    elif isinstance(member, FunctionType | type):
+        own = vars(member).get("pytestmark", [])  # a list, unless the user has set it to one mark
     return bool({SEARCH_MARK, CATALOGUE_MARK} & {mark.name for mark in (own if isinstance(own, list) else [own])})
 
 
-def _is_own(member: object, module: str) -> TypeGuard[FunctionType | type]:
-    return (inspect.isfunction(member) or inspect.isclass(member)) and member.__module__ == module
+def _is_own(member: object, module: str) -> bool:
+    """Return whether a member may be a test of a module; a marked object says of no module that it is from there."""
+    if inspect.isfunction(member) or inspect.isclass(member):
+        return member.__module__ == module
+    return isinstance(member, pytest.MarkDecorator)
 
 
 def _is_package(value: object) -> bool:

@@ -5,8 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
-from dataclasses import dataclass, field
+from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
@@ -32,29 +31,32 @@ class Unrun(NamedTuple):
     # folders of other corpora that match no single test, and findings that did not come with the results of their
     # machine, each with the reason, and whether the session fails by it
     unmerged: dict[str, tuple[str, bool]]
-    unnamed: dict[str, str]  # functions and classes with a mark of pafot that pytest does not collect by their name
+    unnamed: dict[str, str]  # what has a mark of pafot and pytest does not collect, with the reason
 
 
 UNRUN = pytest.StashKey[Unrun]()
 
+DRIVEN = pytest.StashKey[set[str]]()
+"""The node ids of the items to run that drive policies; in a controller of pytest-xdist, those of its workers."""
 
-@dataclass(slots=True, kw_only=True)
+
 class Collected:
     """The items and corpora that a session collected, before tests are selected."""
 
-    rootpath: Path  # the rootdir of the session
-    asked_for: list[Path] = field(default_factory=list)  # the folders given on the command line
-    folders: dict[Path, str] = field(default_factory=dict)  # corpus folders of the items, with the ids of their tests
-    roots: dict[Path, Path] = field(default_factory=dict)  # corpora, each with the folder of its test files
-    shared: set[Path] = field(default_factory=set)  # the corpora of several folders of test files: absolute paths
-    # node ids of the classes that exist in collected modules and classes
-    classes: set[str] = field(default_factory=set)
-    opened: set[str] = field(default_factory=set)  # node ids of the classes whose members were collected
-    files: set[Path] = field(default_factory=set)  # test files that were collected, also those without a test
-    skipped: set[Path] = field(default_factory=set)  # test files that were skipped at import
-    failed: set[Path] = field(default_factory=set)  # test files that could not be imported
-    corpus: str = CORPUS  # the option of this name
-    others: Collection[Path] = field(default_factory=set)  # corpora of the default name, if the option gives another
-    passed_by: Collection[Path] = field(default_factory=set)  # saved scenarios that pytest met outside of corpora
-    is_of_testpaths: bool = False  # whether the session was given no folders, so that its setting testpaths gave them
-    is_ignored: Callable[[Path], bool] = lambda path: False  # whether an option of the session leaves out a path
+    def __init__(self, rootpath: Path) -> None:
+        self.rootpath = rootpath  # the rootdir of the session
+        self.asked_for: list[Path] = []  # the folders given on the command line
+        self.folders: dict[Path, str] = {}  # corpus folders of the items, with the ids of their tests
+        self.roots: dict[Path, Path] = {}  # corpora, each with the folder of its test files
+        self.shared: set[Path] = set()  # the corpora of several folders of test files: absolute paths
+        self.classes: set[str] = set()  # node ids of the classes that exist in collected modules and classes
+        self.opened: set[str] = set()  # node ids of the classes whose members were collected
+        self.files: set[Path] = set()  # test files that were collected, also those without a test
+        self.skipped: set[Path] = set()  # test files that were skipped at import
+        self.failed: set[Path] = set()  # test files that could not be imported
+        self.corpus = CORPUS  # the option of this name
+        self.others: list[Path] = []  # corpora of the default name, if the option gives another
+        self.passed_by: list[Path] = []  # saved scenarios that pytest met outside of corpora
+        self.is_of_testpaths = False  # whether the setting testpaths gave the folders of the session, which had none
+        # whether an option of the session leaves out a path
+        self.is_ignored: Callable[[Path], bool] = lambda path: False

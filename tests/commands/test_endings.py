@@ -3,6 +3,7 @@
 import os
 import signal
 import subprocess
+import sys
 import time
 from pathlib import Path
 
@@ -60,6 +61,27 @@ def processes_with(mark):
         except OSError:
             continue  # it ended, or is of a different user
     return found
+
+
+STARTING = """
+import os, signal
+if "PYTEST_PAFOT_DRIVES" in os.environ:
+    os.kill(os.getpid(), signal.SIGINT)
+"""
+
+
+def test_ctrl_c_while_the_process_that_drives_starts_prints_no_traceback(tmp_path):
+    (tmp_path / "sitecustomize.py").write_text(STARTING)
+    environ = {**os.environ, "PYTHONPATH": os.pathsep.join([str(tmp_path), *sys.path])}
+    command = [sys.executable, "-m", "pytest_pafot", "progress", "slow:make", "slow:other"]
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored in a shell's background job
+    try:
+        ended = subprocess.run(
+            command, cwd=tmp_path, env=environ, capture_output=True, text=True, timeout=60, check=False
+        )
+    finally:
+        signal.signal(signal.SIGINT, before)
+    assert (ended.returncode, ended.stderr.strip()) == (130, "progress: interrupted")
 
 
 @pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])

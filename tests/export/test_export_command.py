@@ -2,6 +2,7 @@
 
 import json
 import shutil
+import signal
 import sys
 
 import pytest
@@ -9,6 +10,7 @@ import pytest
 import pytest_pafot as pafot
 from pytest_pafot.__main__ import main
 from pytest_pafot.extras.export.exporter import GROUP
+from pytest_pafot.support.files import write_whole
 from tests.export.conftest import FILES
 
 FILE = FILES / "collision-xfail.pafot.yaml"
@@ -29,6 +31,23 @@ def test_export_drives_scenario_and_prints_the_written_files(tmp_path, capsys):
     assert capsys.readouterr() == (f"{path}\n", "")
     run = pafot.load(FILE).replay(lambda: lambda observation: (0.0, 0.0))
     assert len(path.read_text().splitlines()) == 1 + len(run.trace.sizes) * (run.trace.ticks + 1)
+
+
+def two_files(finding, trace):
+    """Export two files, in a user's own format."""
+    return {f"{finding.id}.a": b"a", f"{finding.id}.b": b"b"}
+
+
+def test_an_interrupt_leaves_all_files_or_none(register, tmp_path, monkeypatch, capsys):
+    def interrupted(path, content):
+        signal.raise_signal(signal.SIGTERM)
+        write_whole(path, content)
+
+    monkeypatch.setattr("pytest_pafot.export.export_command.write_whole", interrupted)
+    register(GROUP, two=f"{__name__}:two_files")
+    assert export(FILE, "--to", "two", "--ads", "constant_speed", "--out", tmp_path) == 128 + signal.SIGTERM
+    assert sorted(each.name for each in tmp_path.iterdir()) == ["collision-xfail.a", "collision-xfail.b"]
+    assert capsys.readouterr().err == "\nexport: interrupted\n"
 
 
 def test_finding_is_located_by_its_name_in_folders(tmp_path, monkeypatch, capsys):

@@ -507,6 +507,16 @@ def test_twice(run):
 def test_twice():
     pass
 
+class Never:
+    def __call__(self, run):
+        pass
+
+    def __repr__(self):
+        return "<never>"
+
+shared = pytest.mark.pafot_search(ads=Never)
+test_marked = shared(Never())
+
 if pytest:
     @pafot.search(SHORT)
     def test_once(run):
@@ -557,6 +567,7 @@ def test_marked_tests_that_pytest_leaves_out_fail_a_ci_session(project, ci):
         "not run: test_it.py::SafetySuite::test_it: expected a name that pytest collects, such as TestSafetySuite",
         f"not run: test_it.py::TestConstructed::test_it: {no_test}",
         f"not run: test_it.py::TestEmpty: {no_test}",
+        "not run: test_it.py::test_marked: expected a function, received <never>; write a function that calls it",
         "not run: test_it.py::test_twice: line 27 replaces that of line 24",
     ]
     assert replay(project, no_warning, "test_it.py::test_once").ret == 1

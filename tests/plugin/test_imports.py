@@ -1,6 +1,9 @@
 """A session's imports for the plugin, and the plugin's use of pytest."""
 
 import ast
+import dataclasses
+import importlib
+import inspect
 import json
 from pathlib import Path
 
@@ -37,6 +40,15 @@ def test_session_without_marked_tests_imports_no_other_module(project):
         found.append(set(json.loads((project.path / name).read_text())))
     gained = found[0] - found[1] - {"contextvars", "_contextvars"}
     assert {name for name in gained if name != "pytest_pafot"} == {f"pytest_pafot.{name}" for name in UNUSED}
+
+
+def test_session_without_marked_tests_makes_few_data_classes():
+    """Each costs more time than the import of its module, and each of its methods as much as the class itself."""
+    modules = [importlib.import_module(f"pytest_pafot.{name}") for name in UNUSED]
+    own = (each for module in modules for each in vars(module).values() if inspect.isclass(each))
+    made = {each for each in own if dataclasses.is_dataclass(each)}
+    assert {each.__name__ for each in made} == {"Settings", "Shared"}
+    assert not any("__repr__" in vars(each) or "__eq__" in vars(each) for each in made)
 
 
 def test_search_imports_neither_hypothesis_nor_page(project):

@@ -1,5 +1,7 @@
 """Marked functions: which are allowed, and what happens to what they raise."""
 
+from functools import partial
+
 import pytest
 
 import pytest_pafot as pafot
@@ -154,6 +156,13 @@ class TestClass:
 """
     )
     project.run().assert_outcomes(passed=3)
+
+
+@pytest.mark.parametrize("decorator", [pafot.search(ads="ads"), pafot.catalogue("r157/cut-in")])
+@pytest.mark.parametrize("target", [partial(print, 1), lambda run: None], ids=["object", "lambda"])
+def test_what_pytest_does_not_collect_cannot_be_decorated(decorator, target):
+    with pytest.raises(TypeError, match=r"received (<function|functools.partial).* does not collect"):
+        decorator(target)
 
 
 def test_a_method_has_its_own_files(project):

@@ -186,6 +186,28 @@ def test_no_session_on_ci_passes_without_its_searches(project, monkeypatch, ci, 
     assert (problem in text_of(result)) is bool(code)
 
 
+UNRUN = """
+import pytest
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_protocol(item):
+    return True
+"""
+
+
+@pytest.mark.parametrize(
+    "arguments", [(), pytest.param(("-n", "2"), marks=pytest.mark.processes)], ids=["one", "xdist"]
+)
+def test_no_session_on_ci_passes_whose_items_a_hook_leaves_out(project, monkeypatch, arguments):
+    monkeypatch.setenv("CI", "true")
+    conftest = project.path / "conftest.py"
+    conftest.write_text(conftest.read_text() + UNRUN)
+    project.write(f"{EXITS}\n@pafot.catalogue('r157/cut-in')\ndef test_named(run):\n    pass\n")
+    result = project.run(*arguments)
+    assert result.ret == 2
+    assert "problem: 2 items did not run to the end, test_it.py::test_in_fixture[search] first" in text_of(result)
+
+
 @pytest.mark.parametrize(("day", "is_told"), [("2026-10-29", True), ("2026-10-30", False), ("2026-11-30", False)])
 def test_a_day_that_is_over_is_told(day, is_told):
     assert bool(stale_day(day, date(2026, 10, 31))) is is_told

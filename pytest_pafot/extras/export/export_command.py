@@ -12,6 +12,7 @@ from pytest_pafot.extending import ads_factory, ending, named_file
 from pytest_pafot.extras.export.exporter import BUILT_IN, GROUP, ExportError, exporter
 from pytest_pafot.extras.resumable import written_into
 from pytest_pafot.support.files import write_whole
+from pytest_pafot.support.interrupts import postponed
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -39,10 +40,12 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
         received = "none; a file contains the NPCs' instructions, not where the vehicles drove"
         raise ExportError(field="--ads", expected=expected, received=received)
     driven = saved.replay(ads_factory(arguments.ads))
-    for name, content in export(saved.finding, driven.trace).items():
-        with written_into(arguments.out):
-            write_whole(arguments.out / name, content)
-        sys.stdout.write(f"{arguments.out / name}\n")
+    files = export(saved.finding, driven.trace)
+    with postponed():  # one of several files is worth nothing alone, such as a scenario without its road
+        for name, content in files.items():
+            with written_into(arguments.out):
+                write_whole(arguments.out / name, content)
+            sys.stdout.write(f"{arguments.out / name}\n")
     # A failed check cannot be compared, because the test function is not called.
     if saved.expect.check is None and not saved.matches(driven):
         event = f"{saved.expect.outcome} at {saved.expect.time:.1f} s"
