@@ -34,6 +34,7 @@ MASKS: Mapping[str, tuple[str, str]] = {
     "seconds of a session, in its last line": (r"^=+ (.* in )[\d.]+s(?: \(\d+:\d\d:\d\d\))? =+$", r"\1..."),
     "seconds of a search, after its runs": (r"^(  \d+ runs?\b.* in )\d+\.\d( s, \d+ failing)", r"\1...\2"),
     "seconds of the neighbours of replays": (r"^(  \d+ neighbours? passed, in )\d+\.\d( s \()", r"\1...\2"),
+    "progress, each ten seconds": (r"^pafot: test_it\.py::\w+\[search\] .*\n", ""),
     "line of the package that Ctrl-C meets": (r"^TREE/\S+\.py:\d+(: KeyboardInterrupt)$", r"TREE/...\1"),
     "id of a process that died": (r"(a process \(pid )\d+(\) died)", r"\1...\2"),
 }
@@ -150,9 +151,9 @@ SESSIONS: Mapping[str, Session] = {
     "highway-workers": Session("highway", always=TWO, slow=DEAR),
     "highway-isolated": Session("highway", always="--pafot-isolate"),
     "highway-nights": Session("highway", ("--pafot-runs=10", "--pafot-runs=20"), RESUMED),
-    "highway-interrupted": Session("highway", ("", ""), RESUMED, signal.SIGINT, 12),
-    "highway-killed": Session("highway", ("", ""), RESUMED, signal.SIGKILL, 12),
-    "highway-killed-isolated": Session("highway", ("", ""), f"{RESUMED} --pafot-isolate", signal.SIGKILL, 12),
+    "highway-interrupted": Session("highway", ("", ""), RESUMED, signal.SIGINT, 24),
+    "highway-killed": Session("highway", ("", ""), RESUMED, signal.SIGKILL, 24),
+    "highway-killed-isolated": Session("highway", ("", ""), f"{RESUMED} --pafot-isolate", signal.SIGKILL, 24),
     "paper": Session("paper"),
     "paper-workers": Session("paper", always=TWO, slow=DEAR),
     "intersection": Session("intersection", ("", REPLAY)),
@@ -165,7 +166,7 @@ SESSIONS: Mapping[str, Session] = {
     "batch-xdist": Session("batch", always=XDIST),
 }
 ALWAYS = (
-    "-p pytest_pafot.plugin --pafot-seed=3 --pafot-runs=24 --pafot-shrink-rollouts=24 --pafot-neighbours=6 "
+    "-p pytest_pafot.plugin --pafot-seed=3 --pafot-runs=24 --pafot-shrink-rollouts=16 --pafot-neighbours=4 "
     "--pafot-pairs=50 --pafot-today=2026-01-01"
 )
 SETTINGS = ("CI", "GITHUB_ACTIONS", "GITHUB_STEP_SUMMARY", "BUILD_NUMBER", "COLUMNS", "PYTEST_ADDOPTS", "PYTHONPATH")
