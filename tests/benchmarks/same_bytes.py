@@ -1,0 +1,268 @@
+"""Do sessions write and print the same with this tree as with another commit, byte for byte?
+
+    python -m tests.benchmarks.same_bytes --against REVISION [--sessions NAME ...] [--workers 2]
+
+Run it before and after a change that must not change what users see. The commit is checked out in a temporary folder.
+Each session runs with it and then with this tree, at the same path. Compared are the files of the corpus,
+``--pafot-json``, ``--pafot-table``, and what pytest prints and returns. Left out are :data:`MASKS`, and the JSON of a
+call that is killed: until its end, a session writes it when there is time. Prints a line for each session: ``same``, or
+the first lines that differ. Ends with 1 if any does.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from functools import partial
+from itertools import zip_longest
+from pathlib import Path
+from typing import NamedTuple
+
+from tests.benchmarks.command import options
+
+ROOT = Path(__file__).parents[2]
+
+MASKS: Mapping[str, tuple[str, str]] = {
+    "seconds of a session, in its last line": (r"^=+ (.* in )[\d.]+s(?: \(\d+:\d\d:\d\d\))? =+$", r"\1..."),
+    "seconds of a search, after its runs": (r"^(  \d+ runs?\b.* in )\d+\.\d( s, \d+ failing)", r"\1...\2"),
+    "seconds of the neighbours of replays": (r"^(  \d+ neighbours? passed, in )\d+\.\d( s \()", r"\1...\2"),
+    "progress, each ten seconds": (r"^pafot: test_it\.py::\w+\[search\] .*\n", ""),
+    "line of the package that Ctrl-C meets": (r"^TREE/\S+\.py:\d+(: KeyboardInterrupt)$", r"TREE/...\1"),
+    "id of a process that died": (r"(a process \(pid )\d+(\) died)", r"\1...\2"),
+}
+"""What may differ in the output, by its place. In addition, the path of each tree is replaced by ``TREE``."""
+
+TESTS = '''
+import os
+import signal
+import time
+
+import numpy as np
+from gymnasium.wrappers import FlattenObservation
+from highway_env.vehicle.behavior import IDMVehicle
+
+import pytest_pafot as pafot
+
+SESSION, SLOW = os.getpid(), float(os.environ.get("SLOW", "0"))
+END, AT = int(os.environ.get("END", "0")), int(os.environ.get("AT", "0"))
+RUNS = []
+
+
+def begin():
+    """Count a run, and end the session at its first decision if it is the one that ends the session."""
+    RUNS.append(None)
+    time.sleep(SLOW)  # from 10 ms on, other processes are used
+    if len(RUNS) == AT:
+        os.kill(SESSION, END)
+        time.sleep(5)
+
+
+class Keeping:
+    """Keeps its speed."""
+
+    is_new = True
+
+    def __call__(self, observation):
+        if self.is_new:
+            self.is_new = False
+            begin()
+        return self.action
+
+    action = 0.0, 0.0
+
+
+class Idle(Keeping):
+    action = 1
+
+
+class Network:
+    """Brakes or accelerates by two small layers."""
+
+    def __init__(self):
+        rng = np.random.default_rng(0)
+        self.first, self.second = rng.normal(0, 0.2, (7, 16)), rng.normal(0, 0.5, (16, 1))
+
+    def __call__(self, observation):
+        return self.batch([observation])[0]
+
+    def batch(self, observations):
+        rows = np.stack([each.array[0] for each in observations]) * 0.05
+        return [(float(pull), 0.0) for (pull,) in np.tanh(rows @ self.first) @ self.second]
+
+
+@pafot.search(ads=Keeping)
+def test_highway(run):
+    assert not run.collision, run.explain()
+
+
+@pafot.search(ads=Keeping, algorithm="pafot")
+def test_paper(run):
+    assert not run.collision, run.explain()
+
+
+@pafot.search(ads=Keeping, stop_after=2, world=pafot.World("intersection-v0", planner_hz=5))
+def test_intersection(run):
+    assert not run.collision, run.explain()
+
+
+@pafot.search(ads=Idle, world=pafot.World("highway-v0", duration=5.0, wrappers=[FlattenObservation]))
+def test_environment(run):
+    assert not run.collision, run.explain()
+
+
+@pafot.search(ads=IDMVehicle)
+def test_vehicle(run):
+    assert not run.collision, run.explain()
+    assert run.min_distance > 0.5
+
+
+@pafot.search(ads=Network)
+def test_batch(run):
+    assert not run.collision, run.explain()
+'''
+
+
+class Session(NamedTuple):
+    """Some calls of pytest one after another in one folder: the name of the test, and the options of each call."""
+
+    test: str
+    calls: tuple[str, ...] = ("",)
+    always: str = ""
+    end: int = 0
+    """The signal that ends the first call at its run number ``at``; 0 for none."""
+    at: int = 0
+    slow: float = 0.0
+    """How long each run takes at least [s]."""
+
+
+TWO, XDIST, RESUMED = "--pafot-workers=2", "-p xdist -n 2", "--pafot-resume=states"
+DEAR = 0.02
+REPLAY = "--pafot-generations=0 -v"
+SESSIONS: Mapping[str, Session] = {
+    "highway": Session("highway", ("", REPLAY)),
+    "highway-workers": Session("highway", always=TWO, slow=DEAR),
+    "highway-isolated": Session("highway", always="--pafot-isolate"),
+    "highway-nights": Session("highway", ("--pafot-runs=10", "--pafot-runs=20"), RESUMED),
+    "highway-interrupted": Session("highway", ("", ""), RESUMED, signal.SIGINT, 24),
+    "highway-killed": Session("highway", ("", ""), RESUMED, signal.SIGKILL, 24),
+    "highway-killed-isolated": Session("highway", ("", ""), f"{RESUMED} --pafot-isolate", signal.SIGKILL, 24),
+    "paper": Session("paper"),
+    "paper-workers": Session("paper", always=TWO, slow=DEAR),
+    "intersection": Session("intersection", ("", REPLAY)),
+    "intersection-workers": Session("intersection", always=TWO, slow=DEAR),
+    "environment": Session("environment", ("", REPLAY)),
+    "environment-workers": Session("environment", always=TWO, slow=DEAR),
+    "vehicle": Session("vehicle", ("", REPLAY)),
+    "vehicle-isolated-workers": Session("vehicle", always=f"--pafot-isolate {TWO}"),
+    "batch": Session("batch", ("", REPLAY)),
+    "batch-xdist": Session("batch", always=XDIST),
+}
+ALWAYS = (
+    "-p pytest_pafot.plugin --pafot-seed=3 --pafot-runs=24 --pafot-shrink-rollouts=16 --pafot-neighbours=4 "
+    "--pafot-pairs=50 --pafot-today=2026-01-01"
+)
+SETTINGS = ("CI", "GITHUB_ACTIONS", "GITHUB_STEP_SUMMARY", "BUILD_NUMBER", "COLUMNS", "PYTEST_ADDOPTS", "PYTHONPATH")
+
+
+@contextmanager
+def checked_out(revision: str) -> Iterator[Path]:
+    """Provide a temporary folder with a commit, and the extensions of both trees."""
+    with tempfile.TemporaryDirectory(prefix="same-bytes-") as scratch:
+        tree = Path(scratch, "tree")
+        subprocess.run(["git", "worktree", "add", "-q", "--detach", tree, revision], cwd=ROOT, check=True)
+        try:
+            typed = [file for each in ROOT.glob("pytest_pafot/**/*.pxd") for file in (each, each.with_suffix(".py"))]
+            compared = ["git", "diff", "--quiet", revision, "--", "setup.py", "*.pxd", *typed]
+            built = list(ROOT.glob("pytest_pafot/**/*.so"))
+            if built and subprocess.run(compared, cwd=ROOT, check=False).returncode == 0:
+                for each in built:
+                    shutil.copy2(each, tree / each.relative_to(ROOT))
+            else:
+                for each in (tree, ROOT):
+                    subprocess.run([sys.executable, "setup.py", "-q", "build_ext", "--inplace"], cwd=each, check=True)
+            yield tree
+        finally:
+            subprocess.run(["git", "worktree", "remove", "--force", tree], cwd=ROOT, check=True)
+
+
+def written(session: Session, tree: Path, folder: Path) -> dict[str, str]:
+    """Run a session in a new folder, and return what it printed and wrote, by the name of the file."""
+    folder.mkdir(parents=True)
+    (folder / "test_it.py").write_text(TESTS)
+    (folder / "pytest.ini").write_text("[pytest]\n")
+    kept = {name: value for name, value in os.environ.items() if name not in SETTINGS and not name.startswith("PAFOT_")}
+    always = {"PYTHONPATH": str(tree), "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1", "COLUMNS": "1000"}
+    found = {}
+    for number, call in enumerate(session.calls, start=1):
+        ended = {"END": str(int(session.end)), "AT": str(session.at)} if session.end and number == 1 else {}
+        outputs = f"--pafot-json={number}.json --pafot-table={number}.csv"
+        command = f"{ALWAYS} {session.always} {outputs} {call} test_it.py::test_{session.test}"
+        done = subprocess.run(
+            [sys.executable, "-m", "pytest", *command.split()],
+            cwd=folder,
+            env=kept | always | ended | {"SLOW": str(session.slow)},
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            check=False,
+        )
+        if done.returncode == -signal.SIGKILL:
+            (folder / f"{number}.json").unlink()
+        found[f"terminal {number}"] = f"{masked(done.stdout, tree)}\nexit code {done.returncode}\n"
+    compared = [*folder.glob("*.json"), *folder.glob("*.csv"), *folder.glob("pafot_corpus/**/*")]
+    found |= {str(each.relative_to(folder)): each.read_text() for each in compared if each.is_file()}
+    shutil.rmtree(folder)
+    return found
+
+
+def masked(text: str, tree: Path) -> str:
+    """Return the output of a session without what may differ."""
+    text = text.replace(f"{tree}/", "TREE/")
+    for pattern, left in MASKS.values():
+        text = re.sub(pattern, left, text, flags=re.MULTILINE)
+    return text
+
+
+def difference(before: Mapping[str, str], after: Mapping[str, str]) -> str:
+    """Return where the files of two sessions differ first, with the lines of both; empty if they are the same."""
+    for name in sorted({*before, *after}):
+        lines = zip_longest(*(side.get(name, "(no such file)").splitlines(True) for side in (before, after)))
+        for number, (old, new) in enumerate(lines, start=1):
+            if old != new:
+                return f"{name}, line {number}\n    - {old!r}\n    + {new!r}"
+    return ""
+
+
+def compared(other: Path, scratch: Path, name: str) -> str:
+    """Run a session with both trees, and return where it differs; empty if nowhere."""
+    before, after = (written(SESSIONS[name], tree, scratch / name) for tree in (other, ROOT))
+    return difference(before, after)
+
+
+def main() -> None:
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # in the background, sessions would ignore it as well
+    given = options(__doc__, against="HEAD", sessions=SESSIONS, workers=2)
+    differing = 0
+    with (
+        checked_out(given.against) as other,
+        tempfile.TemporaryDirectory(prefix="same-bytes-") as scratch,
+        ThreadPoolExecutor(given.workers) as pool,
+    ):
+        answers = pool.map(partial(compared, other, Path(scratch)), given.sessions)
+        for name, found in zip(given.sessions, answers, strict=True):
+            print(f"{name:26} {found or 'same'}", flush=True)
+            differing += bool(found)
+    print(f"{differing} of {len(given.sessions)} sessions differ")
+    sys.exit(bool(differing))
+
+
+if __name__ == "__main__":
+    main()
