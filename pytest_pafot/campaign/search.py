@@ -383,7 +383,7 @@ class Search:
             harness.job(world),
             partial(harness.judge_trace, world),
             isolate=harness.request.settings.isolate,
-            has_died_twice=len(same) > 1,
+            has_died_twice=sum(not each.is_watched for each in same) > 1,
             keep=self.loop.recorder.keep_crash,
             run_here=self.loop.simulation.rerun_one_by_one,
         )

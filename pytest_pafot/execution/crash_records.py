@@ -61,10 +61,13 @@ class CrashRecordError(Exception):
 class CrashRecord:
     """A process's record of the scenario that it runs now; errors are stored in ``error`` and never raised."""
 
-    def __init__(self, folder: Path, owner: str, *, world: Mapping[str, Any] | None = None) -> None:
+    def __init__(
+        self, folder: Path, owner: str, *, world: Mapping[str, Any] | None = None, is_watched: bool = False
+    ) -> None:
         """Prepare a record in the folder of all records, which is created if it is missing.
 
         The record can be sent to a different process, because its file is created only for the first scenario.
+        ``is_watched`` says that a session notices the end of that process.
         """
         self.error: CrashRecordError | None = None
         """The error because of which nothing can be recorded, or None; the search reports it once."""
@@ -74,6 +77,7 @@ class CrashRecord:
         self._sealed: hashlib.blake2b | None = None
         self._owner = json.dumps(owner)
         self._world = json.dumps(dict(world) if world is not None else None)
+        self._is_watched = is_watched
 
     def write(self, *scenarios: Scenario, reference: str = "") -> None:
         """Write the scenario that is about to run to disk, or all scenarios that are about to run in lock step.
@@ -86,6 +90,8 @@ class CrashRecord:
         process = f'"owner": {self._owner}, "pid": {os.getpid()}, "world": {self._world}'
         if reference:
             process += f', "reference": {json.dumps(reference)}'
+        if self._is_watched:
+            process += ', "watched": true'
         self._put(f'{{{process}, "scenario": {alone}{together}'.encode())
 
     def clear(self) -> None:
@@ -198,6 +204,7 @@ class Leftover:
         world: the world in which the scenarios ran, as plain data, or None.
         reference: the name of the policy that drove instead of the ADS; empty if the ADS drove.
         is_own: True if a session of this user wrote the record in this folder; any other record may be forged.
+        is_watched: True if a session would have noticed that the process died, so it died together with that session.
     """
 
     path: Path
@@ -207,6 +214,7 @@ class Leftover:
     world: Mapping[str, Any] | None = None
     reference: str = ""
     is_own: bool = False
+    is_watched: bool = False
 
     @property
     def scenario(self) -> Scenario | None:
@@ -276,6 +284,7 @@ def _leftover(path: Path, seal: hashlib.blake2b | None) -> Leftover | None:
         scenarios = tuple(map(Scenario.from_canonical, record.get("together") or [record["scenario"]]))
         world = dict(record["world"]) if record["world"] is not None else None
         owner, reference = str(record["owner"]), str(record.get("reference", ""))
-        return replace(leftover, owner=owner, scenarios=scenarios, world=world, reference=reference)
+        leftover = replace(leftover, owner=owner, scenarios=scenarios, world=world, reference=reference)
+        return replace(leftover, is_watched=bool(record.get("watched")))
     except (ValueError, KeyError, TypeError, AttributeError, ScenarioError, RecursionError):
         return leftover

@@ -846,7 +846,7 @@ def retry(
         leftover: the crash record of the process; it is removed unless the result contains it as ``pending``.
         job: everything that a run of the scenarios needs.
         judge, isolate: see :func:`answers_apart`.
-        has_died_twice: whether another process died in the same scenarios.
+        has_died_twice: whether another process died in the same scenarios, and neither was killed with its session.
         keep: saves a scenario in which a process died; its last argument is the second death, or None if unknown.
         run_here: runs the scenarios of a batch in this process, one by one, each with a crash record on disk. If this
             process dies, the next session reads that record.

@@ -258,9 +258,9 @@ class Job:
     reference: str = ""
     """The name of the ADS if it is the reference of a search; empty for the tested one."""
 
-    def crash_record(self) -> CrashRecord:
-        """Return a crash record for the calling process; its file is created only for the first scenario."""
-        return CrashRecord(self.records, self.owner, world=self.world_data)
+    def crash_record(self, *, is_watched: bool = False) -> CrashRecord:
+        """Return a crash record for the process that writes it; its file is created only for the first scenario."""
+        return CrashRecord(self.records, self.owner, world=self.world_data, is_watched=is_watched)
 
 
 class ExecutionError(Exception):
@@ -273,7 +273,7 @@ def pool_for(job: Job, size: int) -> ScenarioPool:
     Raises:
         ExecutionError: if processes cannot be forked, and world and ADS cannot be pickled.
     """
-    work = partial(_run_task, job, job.crash_record())
+    work = partial(_run_task, job, job.crash_record(is_watched=True))
     if METHOD != "fork":
         try:
             pickle.dumps(work)

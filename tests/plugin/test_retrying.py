@@ -93,6 +93,26 @@ def test_it(run):
 
 @forks
 @pytest.mark.processes
+def test_session_killed_while_the_scenario_runs_again_is_no_finding(project):
+    killed_once = """
+import pathlib
+
+def killed_once():
+    if not pathlib.Path("killed").exists():
+        pathlib.Path("killed").touch()
+        for process in (SESSION, os.getpid()):
+            os.kill(process, signal.SIGKILL)
+"""
+    write(project, "killed_once()", killed_once + TEST)
+    project.leave_behind(OWNER)
+    assert project.run(apart=True).ret == -signal.SIGKILL
+    assert left_in_the_end(project, 2), "of the session before and of the process that ran its scenario again"
+    replayed(project).stdout.fnmatch_lines([INNOCENT])
+    assert (project.files, records(project)) == ([], [])
+
+
+@forks
+@pytest.mark.processes
 def test_repeated_death_of_sessions_becomes_a_finding(project):
     builds_up = """
 RUNS = []
