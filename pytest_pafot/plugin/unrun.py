@@ -29,9 +29,6 @@ class Unrun(NamedTuple):
     orphans: dict[Path, Orphan]  # by folder
     # saved scenarios that no test's folder runs, each with the reason, and whether the session fails by it on CI
     strays: dict[str, tuple[str, bool]]
-    # folders of other corpora that match no single test, and findings that did not come with the results of their
-    # machine, each with the reason, and whether the session fails by it
-    unmerged: dict[str, tuple[str, bool]]
     unnamed: dict[str, str]  # functions and classes with a mark of pafot that pytest does not collect by their name
 
 
