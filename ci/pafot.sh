@@ -6,7 +6,7 @@
 #   sh ci/pafot.sh search         what is saved, then a search
 #   sh ci/pafot.sh pull-request   what is saved, then a search for what a change breaks
 #   sh ci/pafot.sh night          a search that goes on where the last one stopped; its finds go onto a branch
-#   sh ci/pafot.sh merge          the finds of several machines into one corpus, and onto a branch
+#   sh ci/pafot.sh merge          the finds of several machines into one corpus, replayed, and onto a branch
 #
 # Each session runs all tests: one that calls pafot.sweep or uses pafot_simulate looks like any other one before it runs.
 # Further arguments are options of pytest, such as the folder of the tests. Each session leaves pafot.json and pafot.xml,
@@ -331,12 +331,23 @@ with_branch() {
   return $code
 }
 
-merge() {
-  for folder in "${MACHINES:-machines}"/*/; do
-    [ -d "$folder" ] || fail "expected a folder for each machine in ${MACHINES:-machines}, found none"
-    set -- "$@" "--pafot-merge=$folder"
+add_machines() {
+  for folder in "$machines"/*/; do
+    [ -d "$folder" ] || fail "expected a folder for each machine in $machines, found none"
+    set -- "$@" --from "$folder"
   done
-  session "$@"
+  run_python -m pytest_pafot corpus join --write "$@"
+}
+
+# One of each kind stays only when a replay has said which of them fail here.
+merge() {
+  machines=${MACHINES:-machines} merged=0
+  add_machines
+  [ "$ended" = 0 ] || merged=$ended
+  session --pafot-generations=0 "--ignore=$machines" "$@" || merged=$?
+  run_python -m pytest_pafot corpus join --write --results pafot.json
+  [ "$ended" = 0 ] || merged=$ended
+  return "$merged"
 }
 
 task=${1:-}

@@ -8,7 +8,7 @@ reference documentation are all generated from the fields of :class:`Settings`.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields
 from pathlib import Path, PurePath
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from pytest_pafot.searching.ask_tell import Algorithm
 
 Kind = Literal[
-    "integer", "seconds", "text", "page", "switch", "workers", "address", "folders", "day", "commit", "file", "table"
+    "integer", "seconds", "text", "page", "switch", "workers", "address", "day", "commit", "file", "table"
 ]  # fmt: skip
 
 SEED_LIMIT = 2**63
@@ -93,7 +93,7 @@ class Option(NamedTuple):
     @property
     def metavar(self) -> str:
         """The placeholder for the option's value in the help, such as ``SECONDS``."""
-        shown = {"integer": "N", "day": "YYYY-MM-DD", "workers": "N", "page": "PATH", "folders": "DIR", "switch": ""}
+        shown = {"integer": "N", "day": "YYYY-MM-DD", "workers": "N", "page": "PATH", "switch": ""}
         return shown.get(self.kind, self.name.upper() if self.kind == "text" else self.kind.upper())
 
     def read(self, value: object) -> Any:
@@ -316,13 +316,6 @@ class Settings:
         everywhere=False,
         is_argument=False,
     )
-    merge: Sequence[str] | None = option(
-        "folders",
-        "Merge the saved scenarios of another machine's corpus DIR into this one, instead of searching.",
-        "Each is run, and of those that still fail, the simplest of each kind is stored. May be given several times.",
-        everywhere=False,
-        is_argument=False,
-    )
     today: str | None = option(
         "day",
         "Compare the last days of accepted failures with this day instead of today.",
@@ -503,7 +496,6 @@ _READERS: Mapping[Kind, Callable[[Option, object], Any]] = {
     "switch": _read_switch,
     "workers": _read_workers,
     "address": _read_text,
-    "folders": _read_text,
     "day": _read_day,
     "commit": _read_commit,
     "file": _read_file,

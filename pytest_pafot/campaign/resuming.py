@@ -245,7 +245,7 @@ class Sessions:
         """
         __tracebackhide__ = True
         for find in () if self._earlier is None else self._earlier.finds:
-            # There is a file of the same name, or a simpler one of the same kind after a merge.
+            # There is a file of the same name, or a simpler one of the same kind after `corpus join`.
             is_there = any(
                 each.id == find.id or (each.finding is not None and each.finding.signature == find.signature)
                 for each in saved

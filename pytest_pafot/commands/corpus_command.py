@@ -1,15 +1,16 @@
 """``python -m pytest_pafot corpus``: list the saved scenarios in folders, for people or programs.
 
-It changes files only with ``join --write``, which leaves one file of each kind of failure in a folder, with
-``prune --write``, which removes the files of tests that are gone, with ``nearby --write``, which puts a neighbour that
-fails in place of a scenario that passes, with ``shrink``, which puts a simpler scenario into a file, and with
-``accept``, which writes one line of each.
+It changes files only with ``join --write``, which leaves one file of each kind of failure in a folder, or adds the
+files of other corpora, with ``prune --write``, which removes the files of tests that are gone, with ``nearby --write``,
+which puts a neighbour that fails in place of a scenario that passes, with ``shrink``, which puts a simpler scenario
+into a file, and with ``accept``, which writes one line of each.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import os
 import re
 import shutil
 import subprocess
@@ -32,13 +33,14 @@ from pytest_pafot.commands.corpus_table import (
     rows_of,
     table_in,
 )
-from pytest_pafot.commands.history import added_in
+from pytest_pafot.commands.history import added_in, place_of
 from pytest_pafot.commands.inventory import Inventory, collected
-from pytest_pafot.commands.results import day_argument
-from pytest_pafot.corpus.layout import files_in, folders_below, link_below, unlisted_below
+from pytest_pafot.commands.results import day_argument, read_results
+from pytest_pafot.corpus.layout import files_below, files_in, folders_below, link_below, unlisted_below
 from pytest_pafot.corpus.reader import content_of, load, located, parsed
-from pytest_pafot.corpus.saved import named_file, of_one_kind, read_saved_file, refusal
-from pytest_pafot.corpus.writer import text_of
+from pytest_pafot.corpus.saved import named_file, of_one_kind, read_saved_file, refusal, saved_in
+from pytest_pafot.corpus.writer import CorpusWriteError, free_path, text_of
+from pytest_pafot.corpus.writer import write as write_finding
 from pytest_pafot.findings.finding import Finding
 from pytest_pafot.findings.shrink import sort_key
 from pytest_pafot.findings.signature import SLOW_DECISION
@@ -111,7 +113,26 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         each.add_argument("folders", nargs="*", type=Path, default=[Path()], metavar="FOLDER", help=of_folders)
     about = "keep one of the files in a folder that were saved for the same kind of failure; nothing is run"
     joining = kinds.add_parser("join", help=about, description=about.capitalize())
-    joining.add_argument("--write", action="store_true", help="remove the other files; without it, only list them")
+    joining.add_argument("--write", action="store_true", help="change the files; without it, only list the changes")
+    chosen = joining.add_mutually_exclusive_group()
+    chosen.add_argument(
+        "--from",
+        action="append",
+        type=Path,
+        default=[],
+        dest="sources",
+        metavar="DIR",
+        help="add the saved scenarios of another corpus to FOLDER instead, and remove none; may be given several times",
+    )
+    chosen.add_argument(
+        "--results",
+        nargs="+",
+        action="extend",
+        type=Path,
+        default=[],
+        metavar="FILE",
+        help=f"results of a session here, from {flag('json')}: join only files that still fail in the last one",
+    )
     joining.add_argument("folders", nargs="*", type=Path, default=[Path()], metavar="FOLDER", help=of_folders)
     about = "remove saved scenarios whose test is gone; pytest collects the tests for that, and runs none"
     pruning = kinds.add_parser("prune", help=about, description=about.capitalize())
@@ -152,7 +173,10 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
         return _shrink(arguments)
     if arguments.what in ("prune", "nearby"):
         return subprocess.run(session_of(arguments), check=False).returncode  # noqa: S603
-    for folder in arguments.folders:
+    sources = arguments.sources if arguments.what == "join" else []
+    if sources and len(arguments.folders) > 1:
+        raise RequestError("expected one FOLDER with --from, received several; join into one after the other")
+    for folder in (*arguments.folders, *sources):
         if not folder.is_dir():
             sys.stderr.write(f"corpus: expected a folder, received {visible(str(folder))}; give a folder that exists\n")
             return NO_FOLDER
@@ -160,12 +184,19 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
         if arguments.what in ("join", "accept") and link is not None:
             sys.stderr.write(f"corpus: {visible(refusal(link))}\n")
             return NO_FOLDER
-    unlisted = {place: why for folder in arguments.folders for place, why in unlisted_below(folder).items()}
+    unlisted = {
+        place: why for folder in (*arguments.folders, *sources) for place, why in unlisted_below(folder).items()
+    }
     for place, why in unlisted.items():
         sys.stderr.write(f"corpus: {visible(str(place))}: {why}\n")
     below = {below.resolve(): below for folder in arguments.folders for below in folders_below(folder)}
     if arguments.what == "join":
-        joined = [_join(folder, write=arguments.write) for folder in sorted(below.values())]
+        failing = _failing(arguments.results)
+        joined = (
+            [_add(sources, arguments.folders[0], write=arguments.write)]
+            if sources
+            else [_join(folder, failing, write=arguments.write) for folder in sorted(below.values())]
+        )
         told = [ascii_text(line) for lines, _ in joined for line in lines] or ["nothing to join"]
         sys.stdout.write("".join(f"{line}\n" for line in told))
         return int(any(failed for _, failed in joined) or bool(unlisted))
@@ -256,18 +287,97 @@ def _why_not_shrunk(finding: Finding) -> str:
     return "one that depends on wall-clock time" if is_timed else ""
 
 
-def _join(folder: Path, *, write: bool) -> tuple[list[str], bool]:
+def _add(sources: Sequence[Path], folder: Path, *, write: bool) -> tuple[list[str], bool]:
+    """List the saved scenarios below other folders that a folder lacks at the same place; with ``write``, add them.
+
+    It is unknown which of them fail here, so all are added, whatever the order of the other folders, and no file here
+    changes.
+
+    Returns:
+        The lines to print, and True if a finding of the other folders does not come here.
+    """
+    lines, failed = [], False
+    found: dict[tuple[Path, str], tuple[Path, Finding]] = {}  # by the folder here, and the text
+    for source in sources:
+        places = folders_below(source)
+        if not places and not any(source.rglob("pafot.json")):  # a machine that found nothing has results
+            why = "it has neither saved scenarios nor results, pafot.json; see whether its machine has searched"
+            lines.append(f"nothing added: {source}: {why}")
+        for place in places:
+            here = folder / place.relative_to(source)
+            if link := link_below(folder, here):
+                lines.append(f"not added: {place}: {refusal(link)}")
+                failed = True
+                continue
+            for saved in saved_in(place):
+                if saved.finding is None:
+                    lines.append(f"not added: {saved.error}")
+                    failed = True
+                else:
+                    found.setdefault((here, text_of(saved.finding)), (saved.path, saved.finding))
+    for file, why in _lost(sources, folder):
+        lines.append(f"not added: {file}: {why}")
+        failed = True
+    own = {here: {text_of(saved.finding) for saved in saved_in(here) if saved.finding} for here, _ in found}
+    order = sorted(found, key=lambda each: (each[0], _order(found[each][1]), each[1]))
+    for here, text in order:
+        path, finding = found[here, text]
+        if text in own[here]:
+            continue
+        # An own file may pass here, so it covers only its own scenario, not that from which it was shrunk.
+        target, named = free_path(here, finding, passed=files_in(here))
+        if os.path.lexists(target):
+            if finding.xfail is not None and finding.acceptance != load(target).acceptance:
+                fix = f"write the same line `xfail:` in both, or none in {path}"
+                why = f"expected the acceptance of {target}, received {finding.accepted}; {fix}"
+                lines.append(f"not added: {path}: {why}")
+                failed = True
+            continue
+        if write:
+            try:
+                write_finding(target, named)
+            except CorpusWriteError as error:
+                lines.append(f"not added: {path}: {error}")
+                failed = True
+                continue
+        lines.append(f"{'added' if write else 'would add'}: {target}: from {path}")
+    return lines, failed
+
+
+def _lost(sources: Sequence[Path], folder: Path) -> Iterator[tuple[str, str]]:
+    """Yield the new findings that results in other folders name as saved, if their file is neither there nor here."""
+    known = {file.parts[-3:] for root in (*sources, folder) for file in files_below(root)}
+    for results in sorted(file for source in sources for file in source.rglob("pafot.json")):
+        try:
+            findings = read_results(results).findings
+        except RequestError:  # something else of this name
+            continue
+        for file in [each["file"] for each in findings if each.get("status") == "new" and each.get("file")]:
+            if Path(file).parts[-3:] not in known:
+                yield file, f"{results} names it as a new finding; bring the corpus of its machine along"
+
+
+def _failing(results: Sequence[Path]) -> set[Path] | None:
+    """Return the files that still fail in the last results that name them; None without any results."""
+    if not results:
+        return None
+    labels = {file: label for entries in labels_in(results).values() for file, label in entries}
+    return {place_of(Path(file)) for file, label in labels.items() if label == "still failing"}
+
+
+def _join(folder: Path, failing: set[Path] | None, *, write: bool) -> tuple[list[str], bool]:
     """List the files in a folder that fail in the same way as another file; with ``write``, remove them.
 
     Of files that fail in the same way, the simplest by the order of shrinking stays. A file whose failure is accepted
     is preferred: so no acceptance is lost, and none passes to a scenario for which it was not written. A flaky file
     stays only if there is no other. Files that name different tests are not joined; nor are files that no session would
-    run.
+    run, and those that are not among the ``failing`` ones, if these are known.
 
     Returns:
         The lines to print, and True if the user must correct something in the folder by hand.
     """
-    files = [read_saved_file(path) for path in files_in(folder) if not path.is_symlink()]
+    paths = [path for path in files_in(folder) if failing is None or place_of(path) in failing]
+    files = [read_saved_file(path) for path in paths if not path.is_symlink()]
     lines = [f"left as it is: {saved.error}" for saved in files if saved.finding is None]
     failed = bool(lines)
     for group in of_one_kind(files):

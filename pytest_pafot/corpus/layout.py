@@ -10,7 +10,6 @@ import os
 import re
 import string
 from bisect import bisect_left
-from collections.abc import Iterable
 from itertools import groupby, islice, takewhile
 from pathlib import Path
 
@@ -96,17 +95,6 @@ def unlisted_below(root: Path) -> dict[Path, str]:
 def folders_below(root: Path) -> list[Path]:
     """Return the folders with corpus files in a folder tree, whatever its layout is."""
     return sorted({path.parent for path in files_below(root)})
-
-
-def counterparts(place: Path, folders: Iterable[Path]) -> list[Path]:
-    """Return the folders of this project's tests that correspond to a folder in another corpus.
-
-    ``place`` is the path of the folder in the other corpus: the folder of the module, then the folder of the test. If
-    the other corpus serves several folders of test files, their names are at the beginning of the path. A folder in
-    ``folders`` corresponds if its path ends with ``place``.
-    """
-    parts = place.parts
-    return [folder for folder in folders if len(parts) > 1 and folder.parts[-len(parts) :] == parts]
 
 
 def corpus_root(test_file: Path, corpus: str, rootpath: Path) -> Path:

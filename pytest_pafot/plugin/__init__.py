@@ -70,10 +70,6 @@ def pytest_configure(config: pytest.Config) -> None:
         if OF_COMMAND in os.environ:
             _check_that_it_searches(config)
     is_parallel = config.getoption("dist", "no") != "no"
-    if config.getoption(BY_NAME["merge"].key):
-        from pytest_pafot.plugin.merge_item import Merging  # noqa: PLC0415
-
-        features["merging"] = Merging(config)
     if config.get_verbosity() > 0:
         features["header"] = Header()
     _register(config, features)

@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from pytest_pafot.campaign.options import BY_NAME, OF_COMMAND
+from pytest_pafot.campaign.options import OF_COMMAND
 from pytest_pafot.corpus import layout
 from pytest_pafot.corpus.saved import Saved, refusal, refused_in, saved_in
 from pytest_pafot.plugin.marks import DEFAULT_ARG, SAVED_MARK, SEARCH_MARK, arguments_of
@@ -29,7 +29,6 @@ COLLECTED: pytest.StashKey[dict[Path, dict[str, Saved]]] = pytest.StashKey()
 NAMES_ONLY: pytest.StashKey[bool] = pytest.StashKey()
 """True for a session that only lists its items: it reads no saved scenario, so that none counts as accepted."""
 
-MERGE = BY_NAME["merge"].key
 
 SEARCH = "search"  # a placeholder for the argument of an item, which a simulated run replaces
 
@@ -66,7 +65,7 @@ class Collection:
         self._saved = config.stash.setdefault(COLLECTED, {})
         self._listed: dict[Path, layout.TestFolders] = {}
         self._left_out: list[Left] = []  # what is marked and pytest has not collected
-        config.stash[UNRUN] = Unrun({}, {}, {}, {})
+        config.stash[UNRUN] = Unrun({}, {}, {})
 
     def pytest_ignore_collect(self, collection_path: Path) -> bool | None:
         """Ignore everything in a corpus folder, also files that are named like tests: they are data."""
@@ -235,24 +234,18 @@ class Collection:
     def _find_unrun(self, items: list[pytest.Item]) -> None:
         corpus = corpus_name(self._config, {})
         roots = dict(self._collected.roots)
-        merged = [self._config.invocation_params.dir / given for given in self._config.getoption(MERGE) or ()]
-
-        def not_merged(paths: Iterable[Path]) -> list[Path]:  # those of other machines are merged here, not run
-            return [each for each in paths if not any(map(each.is_relative_to, merged))]
-
         if corpus is not None:
             files = {item.path.parent: item.path for item in items}
             roots |= {layout.corpus_root(file, corpus, self._rootpath): directory for directory, file in files.items()}
             if Path(corpus).is_absolute():
                 self._collected.shared.add(Path(corpus))
             met = [each for each in sorted(self._corpora) if any(map(each.is_relative_to, self._folders_given))]
-            met = not_merged(met)
             if not Path(corpus).is_absolute():
                 # A test that was moved into a folder given here may have left its corpus behind, above that folder.
                 above = {each for folder in self._folders_given for each in folder.parents}
                 met += [each / corpus for each in sorted(above) if each.is_relative_to(self._rootpath)]
                 if self._config.args_source is pytest.Config.ArgsSource.TESTPATHS:
-                    met += [each for each in not_merged(self._corpora_outside(corpus)) if each not in {*roots, *met}]
+                    met += [each for each in self._corpora_outside(corpus) if each not in {*roots, *met}]
             roots = dict(_roots_in(met, Path(corpus), self._rootpath)) | roots
         if corpus is not None and Path(corpus).is_absolute() and not os.path.lexists(corpus):
             settings = resolve(self._config, {}, 0)
@@ -267,8 +260,8 @@ class Collection:
         if not collected.roots and not any(map(os.path.lexists, roots)):
             return
         collected.roots, collected.asked_for = roots, self._folders_given
-        collected.corpus, collected.others = corpus or layout.CORPUS, not_merged(self._others - roots.keys())
-        collected.passed_by, collected.is_ignored = not_merged(self._passed_by), self._is_ignored
+        collected.corpus, collected.others = corpus or layout.CORPUS, self._others - roots.keys()
+        collected.passed_by, collected.is_ignored = self._passed_by, self._is_ignored
         collected.is_of_testpaths = self._config.args_source is pytest.Config.ArgsSource.TESTPATHS
         if OF_COMMAND in os.environ:
             return  # The command asks for one test, which has no file. All others of the project are not collected.
@@ -307,7 +300,7 @@ class Collection:
         """Return the line after collection: how many items are searches, and how many replay saved scenarios."""
         searches = sum(map(is_search, items))
         saved = sum(saved_of(item) is not None for item in items)
-        if (not searches and not saved) or self._config.getoption(BY_NAME["merge"].key):
+        if not searches and not saved:
             return None
         counts = f"{searches} search{'' if searches == 1 else 'es'}, {saved} saved scenario{'' if saved == 1 else 's'}"
         # pytest rewrites the assertions of test files, conftest.py and plugins, so that they run all the same.

@@ -25,7 +25,6 @@ from pytest_pafot.plugin.marks import (
     arguments_of,
     is_driven,
 )
-from pytest_pafot.plugin.merge_item import MERGES, run_merge
 from pytest_pafot.plugin.messages import set_of_saved
 from pytest_pafot.plugin.node_ids import base_id
 from pytest_pafot.plugin.option_sources import request_of_mark
@@ -75,7 +74,7 @@ class Checks:
         except RequestError as error:
             raise pytest.fail.Exception(str(error), pytrace=False) from None  # else pytest prints the message twice
         item.stash[REQUEST] = request
-        is_idle = is_search(item) and not request.settings.is_search and MERGES not in item.config.stash
+        is_idle = is_search(item) and not request.settings.is_search
         if is_idle and not left_by(base_id(item), records_folder(item, request.settings)):
             option = BY_NAME["generations"]
             if os.environ.get(option.variable) and item.config.getoption(option.key) is None:  # easily forgotten
@@ -195,7 +194,7 @@ class Execution:
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_pyfunc_call(self, pyfuncitem: pytest.Function) -> bool | None:
-        """Run the search, merge, replay or shrinking of a marked item, in place of pytest's call of the function."""
+        """Run the search, replay or shrinking of a marked item, in place of pytest's call of the function."""
         request = pyfuncitem.stash.get(REQUEST, None)
         if request is None:
             return None
@@ -208,9 +207,7 @@ class Execution:
         saved = saved_of(pyfuncitem)
         try:
             with session_ends_if_stuck(pyfuncitem):
-                if MERGES in pyfuncitem.config.stash:
-                    run_merge(pyfuncitem, request)
-                elif saved is None:
+                if saved is None:
                     run_search(pyfuncitem, request)
                 elif pyfuncitem.config.getoption("shrink_saved", False):
                     from pytest_pafot.plugin.shrinking import run_shrink  # noqa: PLC0415

@@ -36,7 +36,7 @@ def pytest_runtest_teardown(item: pytest.Item) -> None:
     saved, shown = saved_of(item), item.stash.get(NEARBY_SHOWN, None)
     if saved is None or shown is None:
         return
-    name, kind, done = visible(relative(saved.path, item.config.rootpath)), "merge", "would replace"
+    name, kind, done = visible(relative(saved.path, item.config.rootpath)), "done", "would replace"
     if item.config.getoption("put_neighbours"):
         try:
             rewrite(saved.path, shown)

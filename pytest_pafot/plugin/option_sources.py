@@ -34,8 +34,6 @@ def add_options(parser: pytest.Parser) -> None:
         value: dict[str, Any] = {"type": option.read, "metavar": option.metavar}
         if option.kind == "switch":
             value = {"action": "store_true"}
-        elif option.kind == "folders":
-            value["action"] = "append"
         # The link has its own line, since the help's lines are otherwise broken at the hyphens of its flag.
         group.addoption(option.flag, dest=option.key, default=None, help=f"{option.help}\n{option.link}", **value)
         if option.everywhere:

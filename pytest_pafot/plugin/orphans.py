@@ -49,8 +49,6 @@ PACKED = (".gz", ".bz2", ".xz", ".zst", ".dvc")
 MAX_NAME = 120  # length of the test's name in an error; the name is from a file, which may contain anything
 ERROR_ID = "pafot::saved_scenarios_without_a_test"
 """The node id of the error with which a session fails if the test of saved scenarios no longer exists."""
-LOST_ID = "pafot::findings_that_were_not_brought_along"
-"""The node id of the error with which a merging session fails if results name a finding whose file is missing."""
 UNNAMED_ID = "pafot::marked_tests_that_are_not_collected"
 """The node id of the error with which a session fails if pytest leaves out a marked test because of its name."""
 
@@ -242,8 +240,7 @@ def _errors(config: pytest.Config) -> dict[str, list[str]]:
     After the reason, each affected file and its test is named, and then what the user can do about it.
     """
     unrun = config.stash[UNRUN]
-    lost = [f"{file}: {why}" for file, (why, fails) in sorted(unrun.unmerged.items()) if fails]
-    errors = {LOST_ID: lost and [f"{plural(len(lost), 'finding')} of other machines would be lost:", *lost]}
+    errors: dict[str, list[str]] = {}
     cause, allow = _cause(config), BY_NAME["allow_orphans"]
     if not cause or config.getoption("collectonly"):
         return errors

@@ -65,7 +65,7 @@ class Records:
         self._results: dict[str, list[str]] = {}
         self._reasons: dict[str, str] = {}
         self._traced: dict[str, Traced] = {}
-        self._texts: dict[str, list[str]] = {"merge": [], "warning": [], "compared": []}
+        self._texts: dict[str, list[str]] = {"warning": [], "compared": []}
 
     @pytest.hookimpl(trylast=True)
     def pytest_sessionstart(self) -> None:
@@ -169,8 +169,6 @@ class Records:
                 replay=rerun(["python", "-m", "pytest", told["file"]], os.environ, saved=told["id"]),
                 detail=self._reasons[report.nodeid],
             )
-        elif report.failed and self._config.getoption(BY_NAME["merge"].key):
-            self._texts["merge"].append(f"failed: {report.nodeid}: {self._reasons[report.nodeid]}")
         elif report.failed:
             from pytest_pafot.campaign.events import SearchSummary  # noqa: PLC0415
 
@@ -233,7 +231,6 @@ class Records:
                 )
                 for each in others
             ],
-            merged=sorted(self._texts["merge"]),
             compared=list(dict.fromkeys(self._texts["compared"])),
             orphans=self._orphans() if code is not None else [],
             warnings=sorted([*self._texts["warning"], *self._lines.warnings]),

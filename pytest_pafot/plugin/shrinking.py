@@ -71,7 +71,7 @@ def run_shrink(item: pytest.Function, request: Request, saved: Saved) -> None:
             rewrite(saved.path, later.finding)
         except CorpusWriteError as error:
             raise RequestError(str(error)) from None
-    messages.send(item, "merge", {"text": told})
+    messages.send(item, "done", {"text": told})
 
 
 def _telling(item: pytest.Item, find_id: str) -> Callable[[str], None]:

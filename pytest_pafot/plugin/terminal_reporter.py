@@ -202,7 +202,6 @@ class Reporter:
                 (self._relative(folder), [each.name for each in files], why) for folder, why, files in left if files
             ],
             strays=[*sorted(unrun.unnamed.items()), *((file, why) for file, (why, _) in sorted(unrun.strays.items()))],
-            unmerged=[(name, why) for name, (why, _) in sorted(unrun.unmerged.items())],
             way_out=orphans.advice(self._config),
             problems=self._lines.problems,
             written=self._lines.reports,
@@ -246,7 +245,7 @@ class Reporter:
             case "search":
                 self._running.pop(report.nodeid, None)
                 self._searches.append(from_plain(SearchSummary, data["summary"]))
-            case "merge":
+            case "done":
                 self._lines.reports.append(data["text"])
             case "note" | "compared":
                 self._notes[data["text"]] = None

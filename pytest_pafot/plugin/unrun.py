@@ -28,9 +28,6 @@ class Unrun(NamedTuple):
     orphans: dict[Path, Orphan]  # by folder
     # saved scenarios that no test's folder runs, each with the reason, and whether the session fails by it on CI
     strays: dict[str, tuple[str, bool]]
-    # folders of other corpora that match no single test, and findings that did not come with the results of their
-    # machine, each with the reason, and whether the session fails by it
-    unmerged: dict[str, tuple[str, bool]]
     unnamed: dict[str, str]  # what has a mark of pafot and pytest does not collect, with the reason
 
 
@@ -55,8 +52,8 @@ class Collected:
         self.skipped: set[Path] = set()  # test files that were skipped at import
         self.failed: set[Path] = set()  # test files that could not be imported
         self.corpus = CORPUS  # the option of this name
-        self.others: list[Path] = []  # corpora of the default name, if the option gives another
-        self.passed_by: list[Path] = []  # saved scenarios that pytest met outside of corpora
+        self.others: set[Path] = set()  # corpora of the default name, if the option gives another
+        self.passed_by: set[Path] = set()  # saved scenarios that pytest met outside of corpora
         self.is_of_testpaths = False  # whether the setting testpaths gave the folders of the session, which had none
         # whether an option of the session leaves out a path
         self.is_ignored: Callable[[Path], bool] = lambda path: False

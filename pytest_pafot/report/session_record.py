@@ -249,7 +249,6 @@ class SessionRecord:
         searches: in the order of node ids.
         findings: replayed saved scenarios and new findings, in the order of node ids.
         tests: other tests that name a requirement or an owner, likewise.
-        merged: result of `--pafot-merge` for each test, and the reason if it failed.
         compared: lines on what was compared with a reference: commits and files, or why there was nothing to compare.
         orphans: folders of saved scenarios that no test runs any more.
         warnings, problems: saved scenarios that are no longer accepted, and what went wrong outside the tests.
@@ -262,7 +261,6 @@ class SessionRecord:
     searches: list[SearchSummary] = field(default_factory=list)
     findings: list[FindingRecord] = field(default_factory=list)
     tests: list[ItemRecord] = field(default_factory=list)
-    merged: list[str] = field(default_factory=list)
     compared: list[str] = field(default_factory=list)
     orphans: list[OrphanRecord] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
@@ -271,7 +269,7 @@ class SessionRecord:
     @property
     def is_empty(self) -> bool:
         """True if nothing in the session concerned this plugin."""
-        told = (self.searches, self.findings, self.tests, self.merged, self.compared, self.orphans, self.problems)
+        told = (self.searches, self.findings, self.tests, self.compared, self.orphans, self.problems)
         return not any(told)
 
     @property
@@ -374,7 +372,6 @@ def _lines(record: SessionRecord) -> Iterator[str]:
     failed = [each for each in record.searches if each.result in ("failed", "error")]
     faulty = [each for each in failed if not (each.finds or each.unsaved)]  # their new findings did not make them fail
     yield from _listed("Searches that failed", [f"{code(each.node_id)}: {plain(each.message)}" for each in faulty])
-    yield from _listed("Merged", [plain(" ".join(each.splitlines())) for each in record.merged])
     yield from _listed("Compared", [plain(each) for each in record.compared])
     lost = [f"{code(each.folder)}: {plain(each.expected)}; {plain(each.way_out)}" for each in record.orphans]
     yield from _listed("Saved scenarios whose test is gone", lost)

@@ -60,7 +60,6 @@ class SessionSummary:
         orphans: folders of saved scenarios whose test is gone, with the names of its files and what was expected.
         way_out: what the user can do about all orphans.
         strays: saved scenarios that no test can replay, and marked tests that are not collected, each with the reason.
-        unmerged: folders of other corpora that were not merged, each with the reason.
         interrupted: node ids of searches that began and did not end.
         warnings: warnings about saved scenarios that are no longer accepted.
         again: the command that runs a single saved scenario.
@@ -74,7 +73,6 @@ class SessionSummary:
     orphans: Sequence[tuple[str, Sequence[str], str]] = ()
     way_out: str = ""
     strays: Sequence[tuple[str, str]] = ()
-    unmerged: Sequence[tuple[str, str]] = ()
     problems: Sequence[str] = ()
     written: Sequence[str] = ()
     interrupted: Sequence[str] = ()
@@ -440,7 +438,6 @@ def session_lines(session: SessionSummary, *, verbose: bool = False, width: int 
         lines += _wrapped(f"{', '.join(names)}: {expected}", width)
     lines += _wrapped(session.way_out, width) if session.orphans else []
     lines += [f"not run: {file}: {why}" for file, why in session.strays]
-    lines += [f"not merged: {folder}: {why}" for folder, why in session.unmerged]
     if any(find.path for search in session.searches for find in search.finds):
         lines.append(f"run a single saved scenario with: {session.again}")
     lines += [line for text in session.written for line in text.splitlines()]

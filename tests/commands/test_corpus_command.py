@@ -3,6 +3,7 @@
 import errno
 import json
 import os
+import shutil
 import sys
 from dataclasses import replace
 from datetime import date
@@ -209,6 +210,114 @@ def test_join_reports_a_file_that_cannot_be_removed(tmp_path, capsys, monkeypatc
     assert (code, names(tmp_path)) == (1, ["a", "b"])
     assert line.startswith("not removed: b.pafot.yaml: ")
     assert line.endswith("mount it so that it can be written, then join again")
+
+
+def add(capsys, folder, *sources, options=("--write",)):
+    """Return the exit code and the lines of adding other corpora to a folder."""
+    code = main(["corpus", "join", *options, *(f"--from={source}" for source in sources), str(folder)])
+    return code, capsys.readouterr().out.replace(f"{folder.parent}{os.sep}", "").splitlines()
+
+
+@pytest.fixture
+def corpora(tmp_path):
+    """Return the folder of a project with a saved scenario, and two machines that have it, and two of its kind."""
+    folders = [tmp_path / name for name in ("here", "machine-1", "machine-2")]
+    for folder in folders:
+        save(folder / "test_it" / "test_x", **{"own-111111": (2, {})})
+    save(folders[1] / "test_it" / "test_x", **{"more-222222": (1, {"xfail": "issue 12"})})
+    save(folders[2] / "test_it" / "test_x", **{"more-222222": (3, {}), "other-333333": (1, {"test": "a.py::b"})})
+    return folders
+
+
+def contents(folder):
+    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in folder.rglob("*.pafot.yaml")}
+
+
+def test_other_corpora_are_added_and_nothing_is_lost_in_any_order(corpora, tmp_path, capsys):
+    """The own file of this kind may pass here, and then those of the machines are new."""
+    here, *machines = corpora
+    shutil.copytree(here, tmp_path / "again")
+    before = contents(here)
+    code, told = add(capsys, here, *machines, options=())
+    assert (code, contents(here)) == (0, before)
+    assert told[0] == (
+        "would add: here/test_it/test_x/more-222222.pafot.yaml: from machine-1/test_it/test_x/more-222222.pafot.yaml"
+    )
+    code, told = add(capsys, here, *machines)
+    assert (code, [line.partition(":")[0] for line in told]) == (0, ["added"] * 3)
+    assert names(here) == ["more-222222", "more-222222-2", "other-333333", "own-111111"]
+    assert before.items() <= contents(here).items()
+    assert add(capsys, here, *machines) == (0, ["nothing to join"])
+    add(capsys, tmp_path / "again", *reversed(machines))
+    assert contents(tmp_path / "again") == contents(here)
+
+
+def results_of(path, **labels):
+    """Write the results of a session that labelled some files of the current folder."""
+    folder = "test_it/test_x"
+    findings = [
+        {"node_id": name, "file": f"{folder}/{name}.pafot.yaml", "status": label} for name, label in labels.items()
+    ]
+    path.write_text(json.dumps({"pafot_json": 1, "exit": 1, "findings": findings}))
+
+
+def test_with_results_only_files_that_still_fail_are_joined(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    save(Path("test_it", "test_x"), a=(1, {}), b=(2, {}), c=(3, {}), d=(4, {}))
+    results_of(Path("pafot.json"), a="fixed", b="still failing", c="still failing")
+    assert main(["corpus", "join", "--write", "--results=pafot.json"]) == 0
+    assert capsys.readouterr().out.splitlines() == [
+        "removed: test_it/test_x/c.pafot.yaml: b.pafot.yaml shows the same failure and is as simple or simpler"
+    ]
+    assert names(tmp_path) == ["a", "b", "d"]
+
+
+def test_adding_fails_for_a_finding_that_does_not_come_along(corpora, tmp_path, capsys):
+    """Otherwise a job that keeps only the results of a machine would lose what the machine has found."""
+    here, machine, _ = corpora
+    results_of(machine / "pafot.json", **{"more-222222": "new", "gone-444444": "new", "own-111111": "still failing"})
+    (machine / "test_it" / "test_x" / "broken.pafot.yaml").write_text("pafot: 99\n")
+    (tmp_path / "nothing").mkdir()
+    code, told = add(capsys, here, machine, tmp_path / "nothing")
+    assert code == 1
+    assert told[0].startswith("not added: machine-1/test_it/test_x/broken.pafot.yaml:1: pafot: expected the format ")
+    assert told[1:3] == [
+        "nothing added: nothing: it has neither saved scenarios nor results, pafot.json; see whether its machine has "
+        "searched",
+        "not added: test_it/test_x/gone-444444.pafot.yaml: machine-1/pafot.json names it as a new finding; bring the "
+        "corpus of its machine along",
+    ]
+    assert names(here) == ["more-222222", "own-111111"]
+
+
+def test_differing_acceptances_of_one_scenario_are_told(corpora, capsys):
+    here, machine, _ = corpora
+    file = machine / "test_it" / "test_x" / "own-111111.pafot.yaml"
+    file.write_text(file.read_text().replace('# xfail: "reason"', 'xfail: "issue 12"'))
+    before = contents(here)
+    code, (_, told) = add(capsys, here, machine)
+    assert (code, contents(here).items() >= before.items()) == (1, True)
+    place = "test_it/test_x/own-111111.pafot.yaml"
+    assert told == (
+        f"not added: machine-1/{place}: expected the acceptance of here/{place}, received issue 12; write the same "
+        f"line `xfail:` in both, or none in machine-1/{place}"
+    )
+
+
+@pytest.mark.skipif(os.name == "nt", reason="links need a privilege on Windows")
+def test_nothing_is_added_through_a_link(corpora, tmp_path, capsys):
+    here, machine, _ = corpora
+    (here / "test_it").rename(tmp_path / "elsewhere")
+    (here / "test_it").symlink_to(tmp_path / "elsewhere", target_is_directory=True)
+    code, (told,) = add(capsys, here, machine)
+    assert (code, "received the link" in told, names(tmp_path / "elsewhere")) == (1, True, ["own-111111"])
+
+
+def test_other_corpora_come_into_one_folder_that_exists(tmp_path, capsys):
+    assert main(["corpus", "join", "--from=nowhere", str(tmp_path)]) == 2
+    assert "expected a folder, received nowhere" in capsys.readouterr().err
+    assert main(["corpus", "join", f"--from={tmp_path}", str(tmp_path), str(tmp_path)]) == 2
+    assert "expected one FOLDER with --from, received several" in capsys.readouterr().err
 
 
 def accept(*arguments):

@@ -43,7 +43,7 @@ def test_an_interrupt_leaves_all_files_or_none(register, tmp_path, monkeypatch, 
         signal.raise_signal(signal.SIGTERM)
         write_whole(path, content)
 
-    monkeypatch.setattr("pytest_pafot.export.export_command.write_whole", interrupted)
+    monkeypatch.setattr("pytest_pafot.extras.export.export_command.write_whole", interrupted)
     register(GROUP, two=f"{__name__}:two_files")
     assert export(FILE, "--to", "two", "--ads", "constant_speed", "--out", tmp_path) == 128 + signal.SIGTERM
     assert sorted(each.name for each in tmp_path.iterdir()) == ["collision-xfail.a", "collision-xfail.b"]

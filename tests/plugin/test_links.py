@@ -83,7 +83,6 @@ def test_search_changes_nothing_behind_a_linked_folder(failing, elsewhere, level
     result.assert_outcomes(failed=2)
     result.stdout.fnmatch_lines([f"*expected a folder, received the link {folder}, which may lead to*"])
     failing.run("--pafot-save=none", *cache, seed=2)
-    failing.run("--pafot-merge", elsewhere, *cache)
     failing.run(*cache, generations=0)
     assert all_in(elsewhere) == before
 

@@ -197,7 +197,7 @@ def test_given_and_search_on_one_function_are_refused(project):
 WRONG = [
     ("colour='red'", "*(colour=...): expected one of acts, ads, *"),
     ("5", "*expected keyword arguments only, received (5,)*"),
-    ("merge=[]", "*this applies to the whole session; give --pafot-merge on the command line*"),
+    ("commit='a'", "*this applies to the whole session; give --pafot-commit on the command line*"),
     ("blame='npc'", "*(blame=...): expected one of any, ego, preventable, avoidable, received 'npc'*"),
     ("decision_limit=0", "*(decision_limit=...): expected seconds, more than 0, received 0*"),
     ("ads=3", "*(ads=...): expected the name of a fixture or a factory*received 3*"),

@@ -117,7 +117,6 @@ def test_long_lists_are_cut():
 def test_job_summary_reports_search_failures_and_problems():
     record = SessionRecord(
         searches=[search(result="failed", message="the search tested nothing: 40 runs, rejected")],
-        merged=["merged: test_it.py::x\n  2 saved scenarios"],
         warnings=["a: over"],
         problems=["no space"],
     )
@@ -125,10 +124,6 @@ def test_job_summary_reports_search_failures_and_problems():
         "**Searches that failed**",
         "",
         "- `test_it.py::x[search]`: the search tested nothing: 40 runs, rejected",
-        "",
-        "**Merged**",
-        "",
-        "- merged: test\\_it.py::x 2 saved scenarios",
         "",
         "**Warnings**",
         "",

@@ -51,7 +51,6 @@ RECORDS = st.builds(
         findings().map(lambda each: FindingRecord.of(each, FIND)),
         max_size=1,
     ),
-    merged=st.lists(TEXTS, max_size=1),
     warnings=st.lists(TEXTS, max_size=1),
     problems=st.lists(TEXTS, max_size=1),
 )

@@ -77,7 +77,7 @@ def test_no_line_of_the_terminal_is_obeyed(text, other, width):
     session = terminal.SessionSummary(
         searches=[search],
         replays=[Find(id=text, headline=text, node_id=text, label="drifted", detail=other, against=text)],
-        orphans=[(text, [text], other)], way_out=other, strays=[(text, other)], unmerged=[(other, text)],
+        orphans=[(text, [text], other)], way_out=other, strays=[(text, other)],
         problems=[text], written=[visible(text)], interrupted=[text], warnings=[text], notes=[text],
     )  # fmt: skip
     progress = Progress(node_id=text, generation=1, generations=2, runs=1, budget=None, failing=0, finds=0, seconds=1)
@@ -94,7 +94,7 @@ def test_job_summary_and_tables_contain_no_foreign_markup(text, other):
         flaky=text, xfail={"reason": other, "until": None}, result="xfailed",
     )  # fmt: skip
     faulty = SearchSummary(node_id=text, message=other, result="failed", against=text)
-    record = SessionRecord(findings=[found], searches=[faulty], merged=[other], warnings=[text], problems=[text])
+    record = SessionRecord(findings=[found], searches=[faulty], warnings=[text], problems=[text])
     shown = session_record.markdown(record)
     assert obeyed(shown.replace("\u200b", "")) == []
     outside = re.sub(r"(`+).*?(?<!`)\1(?!`)", "", shown)
