@@ -6,6 +6,7 @@ import signal
 import sys
 from collections.abc import Callable, Generator
 from importlib import metadata
+from pathlib import Path
 
 import pytest
 from hypothesis import HealthCheck, settings
@@ -44,6 +45,13 @@ def pytest_configure(config: pytest.Config) -> None:
     # would then depend on the tests that ran before it in its process.
     if settings.default.derandomize:
         providers.is_local_module_file = lambda path: False
+
+
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """Leave the tests of extras to their stage, unless a path names them: they import pandas, matplotlib and others."""
+    is_of_stage = not config.option.markexpr.startswith("not ")
+    is_left_out = not is_of_stage and not any("extras" in argument for argument in config.args)
+    return True if collection_path == Path(__file__).parent / "tests" / "extras" and is_left_out else None
 
 
 @pytest.hookimpl(trylast=True)

@@ -2,8 +2,8 @@
 
     python -m tests.benchmarks.exports [--finds DIR]
 
-Searches for collisions of an ego that keeps its lane and its speed, and lets ``tests/export/test_exports.py`` read all
-of them. Prints a row for each reader: its version, how many findings it read as they were driven, and the largest
+Searches for collisions of an ego that keeps its lane and its speed, and lets
+``tests/extras/export/test_exports.py`` read all of them. Prints a row for each reader: its version, how many findings it read as they were driven, and the largest
 difference in lengths [m] and speeds [m/s]. Ends with 1 if one is read differently. A reader that is not installed is
 reported as absent. The following commands install all of them, best in a separate virtual environment:
 
@@ -32,7 +32,7 @@ ROADS = {"highway-v0": 3, "merge-v0": 2, "exit-v0": 2, "roundabout-v0": 1, "race
 """The number of findings to take from each road."""
 RUNS, SEED = 150, 1
 POLICY = f"{__name__ if __name__ != '__main__' else 'tests.benchmarks.exports'}:keeps_its_lane"
-TESTS = "tests/export/test_exports.py"
+TESTS = "tests/extras/export/test_exports.py"
 READERS = {
     "test_a_table_read_back_is_what_was_driven": ("csv", "csv", None),
     "test_openscenario_has_every_vehicle_at_every_tick": ("xosc", "xml.etree", None),

@@ -127,8 +127,8 @@ def test_worker_failure_is_raised_with_the_way_out(tmp_path, quick, quiet, monke
 @pytest.mark.processes
 @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="this system cannot kill")
 def test_killed_with_its_workers_running_it_goes_on(tmp_path, quick, quiet, whole):
-    root = str(Path(__file__).parents[2])
-    program = "import sys; from tests.comparison.test_resumable import forever; forever(sys.argv[1])"
+    root = str(Path(__file__).parents[3])
+    program = "import sys; from tests.extras.comparison.test_resumable import forever; forever(sys.argv[1])"
     command = [sys.executable, "-c", program, str(tmp_path)]
     with subprocess.Popen(command, cwd=root, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL) as process:
         while not list(tmp_path.glob("runs/*.csv")) and process.poll() is None:
@@ -363,7 +363,7 @@ def dying():
 
 @pytest.mark.processes
 def test_killed_worker_is_reported_with_the_way_out(tmp_path, quick, quiet):
-    plan = quick(ads="tests.comparison.test_resumable:dying", algorithms=("random",), runs=1)
+    plan = quick(ads="tests.extras.comparison.test_resumable:dying", algorithms=("random",), runs=1)
     with pytest.raises(ChildProcessError, match=r"finish \('random', 0\), .* exit code 5; .* fewer --workers"):
         run_all(plan, tmp_path, workers=2, told=quiet, clock=clock)
 
@@ -374,7 +374,7 @@ def raising():
 
 @pytest.mark.processes
 def test_worker_exception_is_raised_with_its_place(tmp_path, quick, quiet):
-    plan = quick(ads="tests.comparison.test_resumable:raising", algorithms=("random",), runs=1)
+    plan = quick(ads="tests.extras.comparison.test_resumable:raising", algorithms=("random",), runs=1)
     with pytest.raises(LookupError, match="no such planner") as raised:
         run_all(plan, tmp_path, workers=2, told=quiet, clock=clock)
     assert 'raise LookupError("no such planner")' in raised.value.__notes__[0]

@@ -18,7 +18,7 @@ def test_each_algorithm_has_unique_colour_line_and_marker():
 @pytest.mark.filterwarnings("error")
 def test_runs_without_duration_are_drawn_without_warning(tmp_path, quick, monkeypatch):
     """Each run fails at its first decision, and in two ways, so the setup is not at fault."""
-    plan = quick(ads="tests.comparison.test_figures:failing_in_two_ways", algorithms=("random",), runs=1)
+    plan = quick(ads="tests.extras.comparison.test_figures:failing_in_two_ways", algorithms=("random",), runs=1)
     (tmp_path / "results.csv").write_text(text_of(run_rows(plan, "random", 0)))
     results = Results.of(plan, tmp_path / "results.csv")
     assert results.horizon == 0.0

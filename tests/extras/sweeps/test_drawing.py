@@ -18,10 +18,10 @@ from pytest_pafot.extras.sweeps.maps import MEANINGS
 from pytest_pafot.report.page import content_hash
 from pytest_pafot.support.errors import RequestError
 from pytest_pafot.support.text import visible
+from tests.extras.sweeps.planted import keeps_speed, mapped
 from tests.helpers.hostile import WORST
 from tests.report.builders import HOSTILE
 from tests.report.test_page import Reader
-from tests.sweeps.planted import keeps_speed, mapped
 
 PICTURE = ("..X", ".#?")
 

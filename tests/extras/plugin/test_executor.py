@@ -116,7 +116,7 @@ def test_dask_worker_may_die_and_another_join(cluster, tmp_path):
         return lambda number: time.sleep(0.01)
 
     scenarios = [scenario(number) for number in range(60)]
-    job = Job(world=Toy(), ads=make, records=tmp_path, owner="test_it.py::test_it", root=Path(__file__).parents[1])
+    job = Job(world=Toy(), ads=make, records=tmp_path, owner="test_it.py::test_it", root=Path(__file__).parents[2])
     with dask_executor(cluster.scheduler_address, print) as executor:
         pool = ExecutorPool(job, executor)
         pool.expect(scenarios)

@@ -11,7 +11,7 @@ import pytest_pafot as pafot
 from pytest_pafot.__main__ import main
 from pytest_pafot.extras.export.exporter import GROUP
 from pytest_pafot.support.files import write_whole
-from tests.export.conftest import FILES
+from tests.extras.export.conftest import FILES
 
 FILE = FILES / "collision-xfail.pafot.yaml"
 

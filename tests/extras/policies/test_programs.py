@@ -369,7 +369,7 @@ def test_program_hash_covers_files_named_in_the_command(tmp_path):
 
 @pytest.mark.skipif(not shutil.which("cc"), reason="needs a C compiler")
 def test_the_planner_in_c_of_the_documents_drives(tmp_path):
-    text = (Path(__file__).parents[2] / "docs" / "guide" / "networks.md").read_text(encoding="utf-8")
+    text = (Path(__file__).parents[3] / "docs" / "guide" / "networks.md").read_text(encoding="utf-8")
     (source,) = re.findall(r"```text\n/\* planner.c \*/\n(.*?)```", text, re.DOTALL)
     (tmp_path / "planner.c").write_text(source)
     (command,) = re.findall(r"^\$ (cc .*)$", text, re.MULTILINE)

@@ -18,10 +18,10 @@ from pytest_pafot.extras.sweeps.entries import entry_of
 from pytest_pafot.extras.sweeps.maps import KINDS, MOST_BYTES, POINTS, Change
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.support.errors import RequestError
+from tests.extras.sweeps.planted import COLUMNS, ROWS, Planted, keeps_speed, mapped, picture_of, two_numbers
 from tests.findings.builders import plain_finding
 from tests.helpers.tables import table
 from tests.helpers.toy_world import Toy
-from tests.sweeps.planted import COLUMNS, ROWS, Planted, keeps_speed, mapped, picture_of, two_numbers
 
 CUT_IN = entry_of("r157/cut-in")
 

@@ -14,9 +14,9 @@ from pytest_pafot.extras.sweeps.entries import ENTRIES, entry_of
 from pytest_pafot.extras.sweeps.maps import driven
 from pytest_pafot.extras.sweeps.numbers import values_of
 from pytest_pafot.support.errors import RequestError
+from tests.extras.sweeps.planted import keeps_speed, mapped, picture_of, two_numbers
+from tests.extras.sweeps.test_drawing import data_of
 from tests.helpers.tables import table
-from tests.sweeps.planted import keeps_speed, mapped, picture_of, two_numbers
-from tests.sweeps.test_drawing import data_of
 
 
 def brakes_late():

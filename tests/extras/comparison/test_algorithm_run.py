@@ -107,7 +107,7 @@ def test_rows_are_read_as_they_were_written(quick):
 
 
 def test_raising_ads_is_a_failure_with_a_signature(quick):
-    rows = list(run_rows(quick(ads="tests.comparison.test_algorithm_run:raising", generations=1), "random", 0))
+    rows = list(run_rows(quick(ads="tests.extras.comparison.test_algorithm_run:raising", generations=1), "random", 0))
     assert {row["outcome"] for row in rows} == {"ads_error"}
     assert all(row["failing"] and row["signature"].startswith("ads-error") for row in rows)
 
@@ -131,7 +131,7 @@ def raising():
 )
 def test_ads_failing_every_first_decision_ends_the_run(quick, algorithm, budget):
     """It also ends with a budget of simulated seconds, although none would ever pass."""
-    plan = quick(ads="tests.comparison.test_algorithm_run:failing_at_once", **budget)
+    plan = quick(ads="tests.extras.comparison.test_algorithm_run:failing_at_once", **budget)
     with pytest.raises(RequestError, match=r"in all \d+ runs of the first generation"):
         list(run_rows(plan, algorithm, 0))
 
@@ -144,8 +144,10 @@ def failing_at_once():
 
 
 def test_one_driven_run_makes_the_others_failures(quick, monkeypatch):
-    monkeypatch.setattr("tests.comparison.test_algorithm_run.MADE", count())
-    rows = list(run_rows(quick(ads="tests.comparison.test_algorithm_run:failing_but_once", generations=2), "random", 0))
+    monkeypatch.setattr("tests.extras.comparison.test_algorithm_run.MADE", count())
+    rows = list(
+        run_rows(quick(ads="tests.extras.comparison.test_algorithm_run:failing_but_once", generations=2), "random", 0)
+    )
     assert [row["outcome"] for row in rows].count("ads_error") == len(rows) - 1
 
 

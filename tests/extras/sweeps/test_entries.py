@@ -11,8 +11,8 @@ from pytest_pafot.extras.sweeps.maps import driven
 from pytest_pafot.model.scenario import ScenarioError
 from pytest_pafot.model.trace import SPEED
 from pytest_pafot.support.errors import RequestError
+from tests.extras.sweeps.planted import keeps_speed
 from tests.helpers.tables import table
-from tests.sweeps.planted import keeps_speed
 
 JUNCTIONS = chosen(("junction",))
 ON_HIGHWAYS = tuple(entry for entry in ENTRIES if entry not in JUNCTIONS)

@@ -9,7 +9,7 @@ import pytest_pafot as pafot
 from pytest_pafot.commands.policy_reference import ads_factory
 from pytest_pafot.model.trace import LANE
 
-FILES = Path(__file__).parents[1] / "corpus" / "saved"
+FILES = Path(__file__).parents[2] / "corpus" / "saved"
 POLICIES = {"collision-xfail": "constant_speed", "gym-merge": "idm_mobil", "gym-roundabout": "idm_mobil"}
 """The policy that drives in each file; the first and the last one collide."""
 JUNCTION, BOTH_KINDS = "junction", "both kinds"

@@ -212,7 +212,7 @@ def test_algorithms_that_find_nothing_have_a_report_too(tmp_path):
     """A policy that stands still is never responsible, and a second of driving causes no collision."""
     arguments = ["--duration", "1", "--gene-seconds", "1", "--generations", "2", "--runs", "2"]
     arguments += ["--algorithms", "pafot,random"]
-    assert compare(tmp_path, "--ads", "tests.comparison.test_command:standing", *arguments) == 0
+    assert compare(tmp_path, "--ads", "tests.extras.comparison.test_command:standing", *arguments) == 0
     found = tables_of((tmp_path / "report.md").read_text())
     assert {row[1] for row in found["Distinct failures for which the ego answers"][2:]} == {"0"}
     assert {row[-1] for row in found["Distinct failures for which the ego answers"][2:]} == {"not reached"}
@@ -333,7 +333,7 @@ def test_wrong_policy_is_reported_before_missing_libraries(tmp_path, capsys, mon
 @pytest.mark.parametrize("workers", ["1", "2"])
 def test_policy_failing_in_every_run_is_setup_error(tmp_path, capsys, workers):
     """The cause may be a policy for an environment without --env; the folder stays free for the right command."""
-    arguments = ["--ads", "tests.comparison.test_command:of_an_environment", "--workers", workers, "--runs", "1"]
+    arguments = ["--ads", "tests.extras.comparison.test_command:of_an_environment", "--workers", workers, "--runs", "1"]
     assert compare(tmp_path, *arguments) == BAD_USE
     said = capsys.readouterr()
     assert said.out == ""
@@ -371,7 +371,7 @@ def test_planner_given_an_environment_gets_a_hint(tmp_path, capsys):
 
 @pytest.mark.filterwarnings("error")
 def test_policy_that_raises_later_is_an_ads_fault(tmp_path):
-    arguments = ["--ads", "tests.comparison.test_command:raising_later", "--algorithms", "pafot,random"]
+    arguments = ["--ads", "tests.extras.comparison.test_command:raising_later", "--algorithms", "pafot,random"]
     assert compare(tmp_path, *arguments) == 0
     report = (tmp_path / "report.md").read_text()
     head, _, *rows = tables_of(report)["Distinct failures for which the ego answers"]
