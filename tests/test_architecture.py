@@ -15,8 +15,8 @@ ROOM_ROW = re.compile(r"^\| `(\w+)` \| (.+?) \|(.*)\|$", re.MULTILINE)
 MENTION = re.compile(r"`((?:[\w.-]+/)*[\w.-]+\.(?:py|toml)|(?:[\w.-]+/)+)(?::([\w.]+))?`")
 
 
-def section(heading):
-    return PAGE.partition(f"\n## {heading}\n")[2].partition("\n## ")[0]
+def section(heading, page=PAGE):
+    return page.partition(f"\n## {heading}\n")[2].partition("\n## ")[0]
 
 
 def rooms_on_the_page():
@@ -91,8 +91,10 @@ def test_missing_files_and_names_are_not_found():
 
 def entries():
     """Return the rows of the tables of rules, and the paragraphs about how to add something."""
-    rows = re.findall(r"^\| (?!---|What|Section).*\|$", section("Where is the rule of ..."), re.MULTILINE)
-    return [*rows, *re.findall(r"^\*\*.*?(?=\n\n|\Z)", section("How to add a ..."), re.MULTILINE | re.DOTALL)]
+    places = section("Where it is in the code", EXPLANATION).partition("\n# ")[0]
+    rows = re.findall(r"^\| (?!---|Section).*\|$", places, re.MULTILINE)
+    added = section("How to add a ...", CONTRIBUTING)
+    return [*rows, *re.findall(r"^\*\*.*?(?=\n\n|\Z)", added, re.MULTILINE | re.DOTALL)]
 
 
 def test_every_rule_and_recipe_mentions_the_code():
