@@ -70,7 +70,7 @@ def searched(pair: tuple[str, str], seed: int, npcs: int, runs: int) -> Control:
 
 
 def main() -> None:
-    searches = (ALGORITHMS[0], "pafot")
+    searches = (ALGORITHMS[0], "pafot", "random")
     given = options(__doc__, drivers=DRIVERS, algorithms=searches, seeds=10, first_seed=0, runs=400, npcs=0, workers=2)
     total: Counter[tuple[str, str]] = Counter()
     pairs, seeds = product(given.drivers, given.algorithms), seeds_of(given)
