@@ -146,6 +146,26 @@ def main(arguments: list[str] | None = None) -> int:
 
     The arguments do not include the program's name; by default they are those of this process.
     """
+    from pytest_pafot.support.interrupts import Ended, interrupted_by_signals  # noqa: PLC0415
+
+    given = sys.argv[1:] if arguments is None else arguments
+    try:
+        with interrupted_by_signals(_note):
+            return _run(given)
+    except KeyboardInterrupt as interrupt:
+        with suppress(OSError, ValueError):  # A terminal that was closed receives nothing.
+            sys.stderr.write(f"\n{' '.join(given[:1])}: interrupted{_notes(interrupt)}\n")
+        return interrupt.code if isinstance(interrupt, Ended) else 130
+
+
+def _note(interrupt: KeyboardInterrupt) -> None:
+    """Tell the guard of decisions that there is an interrupt, unless it is not imported yet, which takes a while."""
+    note = getattr(sys.modules.get("pytest_pafot.world.guard.hang_guard"), "note_interrupt", None)
+    if note is not None:
+        note(interrupt)
+
+
+def _run(given: list[str]) -> int:
     from pytest_pafot.commands.policy_reference import BAD_USE  # noqa: PLC0415
     from pytest_pafot.report.animation import AnimationError  # noqa: PLC0415
     from pytest_pafot.support.errors import (  # noqa: PLC0415
@@ -154,12 +174,9 @@ def main(arguments: list[str] | None = None) -> int:
         RequestError,
         RevisionError,
     )
-    from pytest_pafot.support.interrupts import Ended, interrupted_by_signals  # noqa: PLC0415
-    from pytest_pafot.world.guard.hang_guard import note_interrupt  # noqa: PLC0415
 
     # The errors that the user can correct. A worker that dies raises a ChildProcessError.
     errors = (RequestError, FieldError, AdsFactoryError, RevisionError, AnimationError, ChildProcessError)
-    given = sys.argv[1:] if arguments is None else arguments
     parser = argparse.ArgumentParser(
         prog="python -m pytest_pafot", description="Commands of pytest-pafot in addition to pytest."
     )
@@ -185,23 +202,18 @@ def main(arguments: list[str] | None = None) -> int:
     try:
         # Policies are in the current folder, as with pytest. It may be gone, if a shell is still in it.
         sys.path.insert(0, str(Path.cwd()))
-        with interrupted_by_signals(note_interrupt):
-            try:
-                code: int = arguments_given.run(arguments_given, ["python", "-m", "pytest_pafot", *given])
-            except errors as error:
-                sys.stderr.write(f"{arguments_given.command}: {error}\n")
-                code = BAD_USE
-            except SystemExit as error:
-                sys.stderr.write(
-                    f"{arguments_given.command}: expected a policy that drives, received SystemExit: {error}; the "
-                    "policy, its factory or its module calls sys.exit: let it raise an error\n"
-                )
-                code = BAD_USE
-            sys.stdout.flush()
-    except KeyboardInterrupt as interrupt:
-        with suppress(OSError, ValueError):  # A terminal that was closed receives nothing.
-            sys.stderr.write(f"\n{arguments_given.command}: interrupted{_notes(interrupt)}\n")
-        return interrupt.code if isinstance(interrupt, Ended) else 130
+        try:
+            code: int = arguments_given.run(arguments_given, ["python", "-m", "pytest_pafot", *given])
+        except errors as error:
+            sys.stderr.write(f"{arguments_given.command}: {error}\n")
+            code = BAD_USE
+        except SystemExit as error:
+            sys.stderr.write(
+                f"{arguments_given.command}: expected a policy that drives, received SystemExit: {error}; the "
+                "policy, its factory or its module calls sys.exit: let it raise an error\n"
+            )
+            code = BAD_USE
+        sys.stdout.flush()
     except OSError as error:
         if error.filename is not None:  # the current folder and the standard output have no file name
             raise

@@ -320,6 +320,8 @@ class SearchLoop:
     finished: events.CampaignFinished | None = None  # the last event, once the campaign is over
     skip: BaseException | None = None  # the last skip of the test function
     first: FirstGeneration = field(default_factory=FirstGeneration)
+    # number of runs that failed in lock step, by whether they failed alone, too
+    repeated: Counter[bool] = field(default_factory=Counter)
     avoidable: str = ""  # what happened in the first run that is excused though braking late avoids the collision
     doubt: str = ""  # a doubt about the units of the ADS's actions, if any
     # how the reference itself failed in all its runs so far; empty if it did not in one of them, None before the first
@@ -366,6 +368,11 @@ class SearchLoop:
             "its exception; do not catch it, or use pafot.target, which never fails"
             for name, runs in sorted(self.caught.items())
         ]
+        if self.repeated[False] > self.repeated[True]:  # a few may, because a network rounds differently in a batch
+            warnings.append(
+                f"{self.repeated[False]} of {plural(self.repeated.total(), 'run')} that failed by the ADS's `batch` "
+                "passed when the ADS was called for each alone, which is all that counts; let both decide the same"
+            )
         if self.broken:
             warnings.append(
                 f"the reference itself failed in all its runs, at first with {self.broken}, so no failure could count; "
@@ -526,6 +533,7 @@ class SearchLoop:
             run = self.simulation.run(run.trace.scenario, afresh=True)
             verdict = self.simulation.judge(run)
             judged.append(Judged.here(run, verdict))
+            self.repeated[verdict.failed] += 1
         for event in judged:  # After both runs, because the time limit may end the second one, and then none counts.
             self.listener(event)
         self._count_run(run, verdict, _caught(verdict), unit_doubt(run.trace))

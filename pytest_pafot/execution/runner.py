@@ -775,21 +775,25 @@ def must_stay_here(job: Job, scenario: Scenario) -> str:
     if isinstance(answer, Exception):
         return f"raises {type(answer).__name__} in another process"
     why, actions = answer
-    threads = [] if why else _threads_below(job.root)
+    folders = [job.root]
+    with suppress(OSError):  # the current folder may be gone
+        folders.append(Path.cwd())  # a command's policy is there, and the rootdir of its session elsewhere
+    threads = [] if why else _threads_below(folders)
     with capture_output():
         if threads and repr(rollout_of(job.world)(scenario, job.ads).actions) != actions:
             return f"decides otherwise in another process, which does not have {listed(threads)}"
     return why
 
 
-def _threads_below(root: Path) -> list[str]:
+def _threads_below(folders: Iterable[Path]) -> list[str]:
     """Return the names of the threads of this process that run a function or a class of a module below a folder."""
     found = []
     for thread in threading.enumerate():
         target = getattr(thread, "_target", None)  # only a running thread has one
         names = {getattr(target, "__module__", None) or "", type(thread).__module__}
         files = [getattr(sys.modules.get(name), "__file__", None) for name in names if name.partition(".")[0] != OWN]
-        if any(each and "site-packages" not in each and Path(each).is_relative_to(root) for each in files):
+        own = [Path(each) for each in files if each and "site-packages" not in each]
+        if any(each.is_relative_to(folder) for each in own for folder in folders):
             found.append(f"the thread {visible(thread.name)}")
     return found
 

@@ -84,6 +84,26 @@ def test_ctrl_c_while_the_process_that_drives_starts_prints_no_traceback(tmp_pat
     assert (ended.returncode, ended.stderr.strip()) == (130, "progress: interrupted")
 
 
+IMPORTING = """
+import os, signal, sys
+
+class Interrupted:
+    def find_spec(self, name, *_):
+        if name == "pytest_pafot.export.export_command":
+            os.kill(os.getpid(), signal.SIGTERM)
+
+sys.meta_path.insert(0, Interrupted())
+"""
+
+
+def test_signal_while_a_command_is_imported_is_told(tmp_path):
+    (tmp_path / "sitecustomize.py").write_text(IMPORTING)
+    environ = {**os.environ, "PYTHONPATH": os.pathsep.join([str(tmp_path), *sys.path])}
+    command = [sys.executable, "-m", "pytest_pafot", "export", "x", "--to", "csv"]
+    ended = subprocess.run(command, env=environ, capture_output=True, text=True, timeout=60, check=False)
+    assert (ended.returncode, ended.stderr.strip()) == (128 + signal.SIGTERM, "export: interrupted")
+
+
 @pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])
 @pytest.mark.parametrize("command", COMMANDS)
 def test_command_ends_all_that_it_began(tmp_path, tmp_path_factory, command, name):

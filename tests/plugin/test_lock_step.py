@@ -105,6 +105,17 @@ class Mixing(Planner):
     result.stdout.fnmatch_lines([f"replayed {found} saved scenarios: {found} still failing"])
 
 
+@pytest.mark.parametrize(("call", "batch", "is_told"), [("1.0", "1.0", False), ("-9.0", "1.0", True)])
+def test_a_batch_that_decides_otherwise_than_a_call_is_told(project, call, batch, is_told):
+    project.write(
+        f"class Two:\n    def __call__(self, observation):\n        return {call}, 0.0\n\n"
+        f"    def batch(self, observations):\n        return [({batch}, 0.0)] * len(observations)\n\n"
+        "@pafot.search(SHORT, ads=Two, shrink_rollouts=0)\ndef test_it(run):\n    assert run.ego.speed[-1] < 1\n"
+    )
+    told = "that failed by the ADS's `batch` passed when the ADS was called for each alone"
+    assert (told in " ".join(project.run_once(generations=2).stdout.str().split())) is is_told
+
+
 def test_the_scenario_in_which_batch_raises_is_named(project):
     raising = """
 class Raising(Batched):

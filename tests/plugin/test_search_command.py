@@ -172,6 +172,42 @@ def test_search_refuses_a_policy_in_a_file_of_its_own_name(here, capsys):
     assert "ADS: expected a module other than conftest.py and test_safety.py, received" in capsys.readouterr().err
 
 
+THREADED = """
+from queue import Empty, Queue
+from threading import Thread
+
+ASKED, ANSWERED = Queue(), Queue()
+
+def answer():
+    while True:
+        ANSWERED.put((ASKED.get(), (0.0, 0.0))[1])
+
+Thread(target=answer, name="planning", daemon=True).start()
+
+def make():
+    def drive(observation):
+        ASKED.put(observation)
+        try:
+            return ANSWERED.get(timeout=2.0 if FIRST else 0.001)
+        except Empty:
+            FIRST.clear()
+            return -8.0, 0.0
+
+    return drive
+
+FIRST = [True]
+"""
+
+
+@pytest.mark.processes
+@pytest.mark.skipif(sys.platform != "linux", reason="processes are forked on Linux alone")
+def test_search_leaves_a_policy_with_the_thread_that_it_needs(here, monkeypatch):
+    monkeypatch.setenv("CI", "true")
+    (here / "threaded.py").write_text(THREADED)
+    _, told = python("pytest_pafot", "search", "threaded:make", "--runs", "1", "--", "--pafot-shrink-rollouts=0")
+    assert "decides otherwise in another process, which does not have the thread planning" in " ".join(told.split())
+
+
 @pytest.mark.processes
 def test_search_in_a_project_reports_no_file_of_its_tests(here, monkeypatch):
     marked = "@pafot.search(ads='a_planner:make:fast')\ndef test_it(run):\n    assert False\n"
