@@ -58,7 +58,7 @@ HEADWAY = 1.0
 speed of the vehicle that changes lanes [s]."""
 LOST = 0.2
 """The least loss of speed without a pause that counts as braking [m/s]; less is a twitch of a controller. In 776 runs
-on straight roads, NPCs that kept lane and speed never lost any. In 700 on bent roads, they lost less than 0.16 m/s, or
+on straight roads, NPCs that kept lane and speed never braked. In 700 on bent roads, they lost less than 0.16 m/s, or
 more than 0.2 m/s for a bend, and hardly ever anything between."""
 BEFORE = 2.0
 """The time before a danger from which on the sentences tell what a vehicle did [s]."""
