@@ -139,6 +139,7 @@ class Session(NamedTuple):
     end: int = 0
     """The signal that ends the first call at its run number ``at``; 0 for none."""
     at: int = 0
+    """With other processes no such run is a fixed point: they are ahead of the session, sometimes more, sometimes less."""
     slow: float = 0.0
     """How long each run takes at least [s]."""
 
@@ -153,7 +154,6 @@ SESSIONS: Mapping[str, Session] = {
     "highway-nights": Session("highway", ("--pafot-runs=10", "--pafot-runs=20"), RESUMED),
     "highway-interrupted": Session("highway", ("", ""), RESUMED, signal.SIGINT, 24),
     "highway-killed": Session("highway", ("", ""), RESUMED, signal.SIGKILL, 24),
-    "highway-killed-isolated": Session("highway", ("", ""), f"{RESUMED} --pafot-isolate", signal.SIGKILL, 24),
     "paper": Session("paper"),
     "paper-workers": Session("paper", always=TWO, slow=DEAR),
     "intersection": Session("intersection", ("", REPLAY)),
