@@ -1,13 +1,20 @@
 """The rooms of the package and the direction in which imports go."""
 
 import ast
+import json
+import os
 import re
-from collections.abc import Iterator
+import subprocess
+import sys
+from collections.abc import Iterable, Iterator
 from functools import cache
 from pathlib import Path
 
+import pytest
+
 import pytest_pafot
 from pytest_pafot import extending
+from tests.helpers.walks import ROUTES
 
 PACKAGE = Path(pytest_pafot.__file__).parent
 
@@ -51,6 +58,15 @@ HOMES = {
     "commonroad": {"export"},
 }
 """Libraries that only some rooms may import."""
+
+CLIMBS = {"collision": 39, "check": 32, "environment": 34, "workers": 33, "replay": 8}
+"""For each route the number of pairs of files of which the lower one calls the higher one. Numbers here only fall.
+
+Such a call is one of something that was passed in, so a reader of the lower file cannot see what it does.
+"""
+
+HOOKS = ("pytest_",)
+"""How the names of functions begin that pytest calls for whoever implements them: they may be in any file."""
 
 OUTSIDE = {PACKAGE / "__init__.py", PACKAGE / "extras" / "__init__.py", *(PACKAGE / f"{n}.py" for n in PUBLIC_NAMES)}
 MODULES = [path for path in sorted(PACKAGE.rglob("*.py")) if path not in OUTSIDE]
@@ -136,6 +152,30 @@ def circles(arrows: dict[str, set[str]]) -> list[list[str]]:
     return [group for group in found if len(group) > 1]
 
 
+def floors(arrows: dict[str, set[str]]) -> dict[str, int]:
+    """Return the floor of each module, which is higher than that of each module that it imports."""
+
+    @cache
+    def floor(module: str) -> int:
+        return 1 + max(map(floor, arrows[module]), default=0)
+
+    return {module: floor(module) for module in arrows}
+
+
+def climbs(calls: Iterable[tuple[str, str, str]], floor: dict[str, int]) -> dict[str, set[str]]:
+    """Return the functions by which a lower module calls a higher one, by both modules."""
+    found: dict[str, set[str]] = {}
+    for caller, called, function in calls:
+        if caller and floor[called] > floor[caller] and not function.startswith(HOOKS):
+            found.setdefault(f"{caller} -> {called}", set()).add(function)
+    return found
+
+
+def arrows_of_the_package() -> dict[str, set[str]]:
+    known = {module_name(path) for path in MODULES}
+    return {module_name(path): imported_modules(path, known) for path in MODULES}
+
+
 def test_every_module_belongs_to_a_room():
     assert {room_of(path) for path in MODULES} <= set(ROOMS)
 
@@ -167,9 +207,7 @@ def test_a_library_is_known_only_to_its_rooms():
 
 
 def test_no_modules_import_each_other_in_a_circle():
-    known = {module_name(path) for path in MODULES}
-    arrows = {module_name(path): imported_modules(path, known) for path in MODULES}
-    assert circles(arrows) == []
+    assert circles(arrows_of_the_package()) == []
 
 
 def test_pure_rooms_use_no_clock_or_global_randomness():
@@ -202,3 +240,37 @@ def test_the_page_has_the_names_for_those_who_extend_the_core():
     page = (PACKAGE.parent / "docs" / "reference" / "extending.md").read_text(encoding="utf-8")
     assert sorted(re.findall(r"^\| `(\w+)` \|", page, re.MULTILINE)) == extending.__all__
     assert len(extending.__all__) <= 80
+
+
+def test_a_call_climbs_if_it_enters_a_module_above_unless_as_a_hook():
+    floor = floors({"low": set(), "middle": {"low"}, "high": {"low", "middle"}})
+    assert floor == {"low": 1, "middle": 2, "high": 3}
+    calls = [
+        ("", "high", "run"), ("high", "low", "f"), ("low", "high", "g"), ("low", "high", "h"), ("middle", "low", "f"),
+        ("low", "middle", "pytest_sessionfinish"),
+    ]  # fmt: skip
+    assert climbs(calls, floor) == {"low -> high": {"g", "h"}}
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="each route is followed in a fork")
+def test_no_route_climbs_more_often_than_before(tmp_path):
+    done = subprocess.run(
+        [sys.executable, "-m", "tests.helpers.walks", str(tmp_path)],
+        cwd=PACKAGE.parent, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stdout
+    floor, wrong = (
+        floors(arrows_of_the_package()) | {"pytest_pafot": sys.maxsize},
+        [],
+    )  # it imports what it is asked for
+    for route in ROUTES:
+        calls = json.loads((tmp_path / f"{route}.json").read_text())
+        names = [(*(module_name(PACKAGE / file) if file else "" for file in files), each) for *files, each in calls]
+        found, most = climbs(names, floor), CLIMBS[route]
+        print(f"{route}: {len({called for _, called, _ in names})} files, {len(found)} climbs")
+        if len(found) > most:
+            new = "\n".join(f"    {pair}: {', '.join(sorted(functions))}" for pair, functions in sorted(found.items()))
+            wrong.append(f"{route}: {len(found)} climbs, at most {most} are allowed; remove the new ones of\n{new}")
+        if len(found) < most:
+            wrong.append(f"{route}: {len(found)} climbs, fewer than {most}: lower the number in CLIMBS")
+    assert not wrong, "\n".join(wrong)

@@ -139,6 +139,7 @@ class Session(NamedTuple):
     end: int = 0
     """The signal that ends the first call at its run number ``at``; 0 for none."""
     at: int = 0
+    """The count is that of one process. Another process than the session's is ahead of it by a varying number."""
     slow: float = 0.0
     """How long each run takes at least [s]."""
 
@@ -153,7 +154,6 @@ SESSIONS: Mapping[str, Session] = {
     "highway-nights": Session("highway", ("--pafot-runs=10", "--pafot-runs=20"), RESUMED),
     "highway-interrupted": Session("highway", ("", ""), RESUMED, signal.SIGINT, 24),
     "highway-killed": Session("highway", ("", ""), RESUMED, signal.SIGKILL, 24),
-    "highway-killed-isolated": Session("highway", ("", ""), f"{RESUMED} --pafot-isolate", signal.SIGKILL, 24),
     "paper": Session("paper"),
     "paper-workers": Session("paper", always=TWO, slow=DEAR),
     "intersection": Session("intersection", ("", REPLAY)),
@@ -172,6 +172,17 @@ ALWAYS = (
 SETTINGS = ("CI", "GITHUB_ACTIONS", "GITHUB_STEP_SUMMARY", "BUILD_NUMBER", "COLUMNS", "PYTEST_ADDOPTS", "PYTHONPATH")
 
 
+def built() -> list[Path]:
+    """Return the extensions that are built in this tree."""
+    return list(ROOT.glob("pytest_pafot/**/*.so"))
+
+
+def build(tree: Path) -> None:
+    """Build the extensions of a tree in place."""
+    command = [sys.executable, "setup.py", "-q", "build_ext", "--inplace"]
+    subprocess.run(command, cwd=tree, stdout=subprocess.DEVNULL, check=True)
+
+
 @contextmanager
 def checked_out(revision: str) -> Iterator[Path]:
     """Provide a temporary folder with a commit, and the extensions of both trees."""
@@ -181,13 +192,14 @@ def checked_out(revision: str) -> Iterator[Path]:
         try:
             typed = [file for each in ROOT.glob("pytest_pafot/**/*.pxd") for file in (each, each.with_suffix(".py"))]
             compared = ["git", "diff", "--quiet", revision, "--", "setup.py", "*.pxd", *typed]
-            built = list(ROOT.glob("pytest_pafot/**/*.so"))
-            if built and subprocess.run(compared, cwd=ROOT, check=False).returncode == 0:
-                for each in built:
+            is_same = subprocess.run(compared, cwd=ROOT, check=False).returncode == 0
+            if not (is_same and built()):
+                build(ROOT)
+            if is_same:
+                for each in built():
                     shutil.copy2(each, tree / each.relative_to(ROOT))
             else:
-                for each in (tree, ROOT):
-                    subprocess.run([sys.executable, "setup.py", "-q", "build_ext", "--inplace"], cwd=each, check=True)
+                build(tree)
             yield tree
         finally:
             subprocess.run(["git", "worktree", "remove", "--force", tree], cwd=ROOT, check=True)
