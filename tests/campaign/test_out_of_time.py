@@ -2,13 +2,15 @@
 
 import math
 from collections import Counter
+from contextlib import contextmanager
+from itertools import cycle
 from types import SimpleNamespace
 
 import pytest
 
 import pytest_pafot as pafot
 from example_ads import constant_speed
-from pytest_pafot.campaign import explore, search, search_loop, state_file
+from pytest_pafot.campaign import explore, search, search_loop, simplification, state_file
 from pytest_pafot.campaign.events import FindTold, Progress
 from pytest_pafot.searching.events import Evaluated
 from pytest_pafot.support.errors import OutOfTime
@@ -286,6 +288,36 @@ def test_unconfirmed_finding_is_confirmed_when_it_is_simplified(clock, confirmin
     result = searched(clock, fails_in_three_ways, runs=12, shrink_rollouts=0)
     assert unshrunk(result) == ["", "", ""]
     assert len(confirming) == 6
+
+
+def test_what_was_shrunk_before_a_run_is_cut_is_saved(clock, monkeypatch):
+    """Each fourth run takes ten times as long as the others, so that no mean foretells when there is time for it."""
+    ends, seconds_of_decisions = [math.inf], cycle((0.2, 0.2, 0.2, 2.0))
+
+    @contextmanager
+    def runs_end_in(seconds):
+        ends.append(clock.now + seconds)
+        yield
+        ends.pop()
+
+    def slow():
+        seconds = next(seconds_of_decisions)
+
+        def decide(observation):
+            clock.now += seconds
+            if clock.now > ends[-1]:
+                raise OutOfTime
+            return 0.0, 0.0
+
+        return decide
+
+    for module in (search_loop, simplification):
+        monkeypatch.setattr(module, "runs_end_in", runs_end_in)
+    options = SHORT | {"runs": 1000, "stop_after": 1, "max_time": 240, "shrink_rollouts": 300}
+    result = pafot.explore(slow, holds=fails_in_three_ways, corpus="corpus", **options)
+    assert unshrunk(result) == ["shrunk in part: out of time"]
+    assert result.findings[0].original is not None
+    assert clock.now <= 242
 
 
 def test_shrinking_that_is_cut_leaves_the_finding_as_it_was(clock, tmp_path):
