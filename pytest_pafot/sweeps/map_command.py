@@ -19,7 +19,7 @@ from pytest_pafot.support.files import check_writable, way_out, write_if_free, w
 from pytest_pafot.support.text import visible, wrapped_to
 from pytest_pafot.sweeps.drawing import page, png
 from pytest_pafot.sweeps.entries import ENTRIES, Entry, chosen, entry_of
-from pytest_pafot.sweeps.maps import POINTS, WIDTH, Sweep, short, sweep
+from pytest_pafot.sweeps.maps import WIDTH, Sweep, short, sweep
 from pytest_pafot.sweeps.numbers import over_of
 from pytest_pafot.world import World
 
@@ -45,8 +45,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--config", metavar="JSON", help=of_config)
     of_check = "a function of a run, which asserts what must hold (default: no collision, never off the road)"
     parser.add_argument("--check", metavar="MODULE:FUNCTION", help=of_check)
-    of_points = "the largest number of points that are all driven (default: %(default)s); a larger grid is refined"
-    parser.add_argument("--points", type=int, metavar="N", default=POINTS, help=of_points)
     parser.add_argument("--against", metavar="FILE", help="a saved map; tell what has changed since")
     of_fail = "exit with 1 if a point is preventable, that is fails though a reference driver avoids it or by an error "
     of_fail += (
@@ -102,7 +100,6 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
         if arguments.world is None
         else World(arguments.world, config_of(arguments.config), planner_hz=5 if arguments.config is None else None),
         holds=None if arguments.check is None else check_function(arguments.check),
-        points=arguments.points,
         against=arguments.against,
         on_point=_tell if is_watched else None,
         on_stop=lambda saved: _kept(arguments.csv, saved),
