@@ -53,7 +53,7 @@ def test_a_folder_that_cannot_be_listed_is_named(folder, capsys, monkeypatch, wh
     assert main(["corpus", what, str(folder)]) == 1
     assert capsys.readouterr().err == (
         f"corpus: {folder / 'test_it'}: expected a folder that can be listed, received Permission denied; let this "
-        "user read it, or move it away\n"
+        "user read it, restore it, or move it away\n"
     )
 
 
