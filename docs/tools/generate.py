@@ -235,7 +235,7 @@ def sections() -> dict[str, str]:
         "map-command": _command_table(add_map_arguments),
         "sweep": _fields_table(Sweep)
         + "\nProperties: `preventable`, `unavoidable`, `avoided`, `errors`, `not_as_asked` (numbers of "
-        "points), `worse`, `islands`, `driven`, `headline`, `explain()`, `save(path)`, `csv()`.\n",
+        "points), `worse`, `islands`, `headline`, `explain()`, `save(path)`, `csv()`.\n",
         "catalogue": _catalogue_table(),
         "rate-rows": _table(["Name", "Meaning"], ([_code(name), text] for name, text in _field_comments(EpisodeRow))),
     }

@@ -107,7 +107,7 @@ class MadeWorse:
     def _dismiss(self, finds: Iterable[FindTold]) -> None:
         """Take findings back, unless the policy itself raised, hung or was slow: that is no question of how often."""
         loop, harness = self.loop, self.loop.simulation.harness
-        way_out = f"{harness.request.option('pairs', 0)} counts and saves it"
+        way_out = f"a search without {harness.request.option('against')} counts what it finds, and saves it"
         told = f"fails elsewhere, no worse than {harness.against_name}: {self.paired}; {way_out}"
         for kept in list(finds):
             expect = kept.finding.expect

@@ -172,9 +172,9 @@ class Settings:
     pairs: int = option(
         "integer",
         "Largest number of random scenarios that ADS and reference both drive if a search has findings.",
-        "They decide whether its findings count and are saved, and end as soon as that is clear. With 0 there are "
-        "none, and every failure counts that the reference passes.",
+        "They decide whether its findings count and are saved, and end as soon as that is clear.",
         default=700,
+        least=1,
     )
     copy: str | None = option(
         "text",

@@ -287,12 +287,7 @@ class Search:
             recorder.release()
             self.sessions.store()
             # With a reference, the findings that do not show that the policy became worse are not even shrunk.
-            if (
-                harness.against is not None
-                and loop.space is not None
-                and recorder.count
-                and harness.request.settings.pairs
-            ):
+            if harness.against is not None and loop.space is not None and recorder.count:
                 now = self.sessions.clock()
                 self._worse = MadeWorse(
                     loop=loop,

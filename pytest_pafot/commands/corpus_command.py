@@ -27,11 +27,9 @@ from pytest_pafot.commands.corpus_table import (
     condition,
     data_of,
     holds,
-    in_order,
     labels_in,
-    orders,
     rows_of,
-    table_in,
+    text_of_table,
 )
 from pytest_pafot.commands.history import added_in, place_of
 from pytest_pafot.commands.inventory import Inventory, collected
@@ -66,22 +64,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     of_folders = "searched for saved scenarios, with all folders below (default: here)"
     about = "print a table of the saved scenarios, the worst first; pytest collects their tests, and runs none"
     listing = kinds.add_parser("list", help=about, description=about.capitalize())
-    names = ", ".join(COLUMNS)
-    listing.add_argument(
-        "--sort",
-        action="extend",
-        type=orders,
-        default=[],
-        metavar="COLUMN",
-        help=f"sort by a column, or by several with commas between; --sort=-COLUMN reverses it; columns: {names}",
-    )
     listing.add_argument(
         "--where",
         action="append",
         type=condition,
         default=[],
         metavar="COLUMN=TEXT",
-        help="list only rows that have the text in the column, or with `COLUMN=` nothing; all conditions must hold",
+        help="list only rows that have the text in the column, or with `COLUMN=` nothing; all conditions must hold; "
+        f"columns: {', '.join(COLUMNS)}",
     )
     listing.add_argument(
         "--results",
@@ -101,15 +91,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="YYYY-MM-DD",
         help="the day with which last days of accepted failures are compared (default: today)",
     )
-    listing.add_argument(
-        "--format", choices=("text", "markdown", "csv", "json"), default="text", help="how to print (default: text)"
-    )
+    listing.add_argument("--json", action="store_true", help="print JSON, for programs")
     about = "count saved scenarios by kind"
     counting = kinds.add_parser("stats", help=about, description=about.capitalize())
     for each in (listing, counting):
-        each.add_argument(
-            "--json", action="store_const", const="json", dest="format", default="text", help="print JSON, for programs"
-        )
         each.add_argument("folders", nargs="*", type=Path, default=[Path()], metavar="FOLDER", help=of_folders)
     about = "keep one of the files in a folder that were saved for the same kind of failure; nothing is run"
     joining = kinds.add_parser("join", help=about, description=about.capitalize())
@@ -207,8 +192,7 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
         return max(_list(files, arguments), int(bool(unlisted)))
     rows = [data_of(read_saved_file(file)) for file in files]
     counts = _counts(rows)
-    lines = [quiet_json(json.dumps(counts, indent=2))] if arguments.format == "json" else _lines(counts)
-    sys.stdout.write("".join(f"{line}\n" for line in lines))
+    sys.stdout.write("".join(f"{line}\n" for line in _lines(counts)))
     return int(any("error" in row for row in rows) or bool(unlisted))
 
 
@@ -221,10 +205,12 @@ def _list(files: Sequence[Path], arguments: argparse.Namespace) -> int:
         added = added_in({file.parent for file in files}, arguments.folders)
         inventory = Inventory(root=Path()) if collecting is None else _inventory(collecting)
     rows = rows_of(saved, inventory=inventory, added=added, labels=labels, today=arguments.today or date.today())
-    if arguments.sort or arguments.format != "json":  # Programs that do not ask for an order get that of the files.
-        rows = in_order(rows, arguments.sort)
-    width = shutil.get_terminal_size().columns if sys.stdout.isatty() else None
-    sys.stdout.write(table_in(arguments.format, [row for row in rows if holds(row, arguments.where)], width))
+    chosen = [row for row in rows if holds(row, arguments.where)]
+    if arguments.json:
+        sys.stdout.write(quiet_json(json.dumps([row.data for row in chosen], indent=2)) + "\n")
+    else:
+        width = shutil.get_terminal_size().columns if sys.stdout.isatty() else None
+        sys.stdout.write(text_of_table(chosen, width))
     return int(any(each.finding is None for each in saved))
 
 

@@ -7,7 +7,6 @@ the labels of its replays in earlier sessions.
 from __future__ import annotations
 
 import difflib
-import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import date
@@ -21,15 +20,7 @@ from pytest_pafot.corpus.saved import Saved
 from pytest_pafot.findings.severity import Severity, severity_in, worst_first
 from pytest_pafot.findings.shrink import size_of
 from pytest_pafot.support.errors import RequestError
-from pytest_pafot.support.markup import plain
-from pytest_pafot.support.text import (
-    ascii_text,
-    csv_text,
-    markdown_table,
-    quiet_json,
-    spreadsheet_cell,
-    wrapped_to,
-)
+from pytest_pafot.support.text import ascii_text, wrapped_to
 from pytest_pafot.support.traced import Traced
 
 COLUMNS = ("id", "what", "severity", "breadth", "who", "requirement", "owner", "state", "since")
@@ -84,17 +75,6 @@ class Row:
             return True, *worst_first("none", None, None), *names
         return False, *worst_first(finding.expect.responsibility, self.severity, finding.neighbours), *names
 
-    def key(self, column: str) -> Any:
-        """Return the value by which rows are sorted in a column. In these two, the worst and the broadest are first."""
-        finding = self.saved.finding
-        if column == "severity" and self.severity is not None:
-            return tuple(-each for each in self.severity.figures)
-        if column == "breadth" and finding is not None and finding.neighbours is not None:
-            return -finding.neighbours.rank
-        if column == "since" and self.since is not None:
-            return self.since[::-1]
-        return self.cells[column].casefold()
-
     @property
     def data(self) -> dict[str, Any]:
         """The row as plain data, for programs."""
@@ -144,7 +124,7 @@ def rows_of(
     labels: Mapping[str, Sequence[tuple[str, str]]],
     today: date,
 ) -> list[Row]:
-    """Return the rows of saved scenarios.
+    """Return the rows of saved scenarios, the worst first.
 
     Args:
         files: the files as read.
@@ -168,7 +148,7 @@ def rows_of(
                 since=added.get(place),
             )
         )
-    return rows
+    return sorted(rows, key=lambda row: row.rank)
 
 
 def _label(place: Path, labels: Sequence[tuple[str, str]]) -> str:
@@ -210,7 +190,7 @@ def labels_in(results: Iterable[Path]) -> dict[str, list[tuple[str, str]]]:
     return found
 
 
-# Sorting and filtering.
+# Filtering.
 
 
 def checked_column(name: str) -> str:
@@ -224,12 +204,6 @@ def checked_column(name: str) -> str:
         fix = f"; did you mean {near[0]}?" if near else ""
         raise RequestError(f"expected one of {', '.join(COLUMNS)}, received {name!a:.50}{fix}")
     return name
-
-
-def orders(text: str) -> list[tuple[str, bool]]:
-    """Return the columns in an argument such as ``owner,-since``, each with whether its order is reversed."""
-    names = text.split(",")
-    return [(checked_column(name.strip().removeprefix("-")), name.strip().startswith("-")) for name in names]
 
 
 def condition(text: str) -> tuple[str, str]:
@@ -248,28 +222,12 @@ def holds(row: Row, conditions: Iterable[tuple[str, str]]) -> bool:
     )
 
 
-def in_order(rows: Iterable[Row], order: Sequence[tuple[str, bool]]) -> list[Row]:
-    """Return rows in the order of some columns, otherwise the worst first. Empty cells are last in both directions."""
-    told = sorted(rows, key=lambda row: row.rank)
-    for column, is_reversed in reversed(order):
-        filled = [row for row in told if row.cells[column]]
-        empty = [row for row in told if not row.cells[column]]
-        told = [*sorted(filled, key=lambda row: row.key(column), reverse=is_reversed), *empty]
-    return told
-
-
 # Writing.
 
 
-def table_in(form: str, rows: Sequence[Row], width: int | None) -> str:
-    """Write rows as ``text``, ``markdown``, ``csv`` or ``json``; a text is wrapped to a width, if there is one."""
-    if form == "json":
-        return quiet_json(json.dumps([row.data for row in rows], indent=2)) + "\n"
+def text_of_table(rows: Sequence[Row], width: int | None) -> str:
+    """Return rows as a text, wrapped to a width if there is one."""
     cells = [[row.cells[column] for column in COLUMNS] for row in rows]
-    if form == "csv":
-        return csv_text(COLUMNS, (map(spreadsheet_cell, each) for each in cells))
-    if form == "markdown":
-        return markdown_table(COLUMNS, (map(plain, each) for each in cells)) + "\n"
     return "".join(f"{line}\n" for line in _lines(cells, width)) if rows else "no saved scenarios\n"
 
 

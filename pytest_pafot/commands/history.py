@@ -141,39 +141,21 @@ class History:
     def added(self) -> dict[str, tuple[str, str]]:
         """Return the commit that added each file in the paths: its short hash and its day, by the file's path.
 
-        A file that was renamed is the same file if nine tenths of its text stayed, or all of it in a partial clone that
-        lacks the texts. Files that the oldest commit of a shallow clone has are left out, because an earlier commit may
-        have added them.
+        Files that the oldest commit of a shallow clone has are left out, because an earlier commit may have added them.
 
         Raises:
             RequestError: if git fails, or there is no commit.
         """
         is_shallow = self._git("rev-parse", "--is-shallow-repository").strip() == "true"
-        form = ("-z", "--no-show-signature", "--format=%x01%h %cs %p", "--no-color", "--no-ext-diff")
-        log = ("-c", "log.showRoot=true", "log", *form, "--name-status", "--diff-filter=AR", "--no-relative")
-        try:
-            told = self._git(*log, "--find-renames=90%", "--", *self.paths)
-        except RequestError:  # Nothing is fetched.
-            told = self._git(*log, "--find-renames=100%", "--", *self.paths)
+        form = ("-z", "--no-show-signature", "--format=%x01%h %cs %p", "--no-color", "--no-renames", "--no-relative")
+        log = ("-c", "log.showRoot=true", "log", *form, "--name-only", "--diff-filter=A")
         found: dict[str, tuple[str, str]] = {}
-        later: dict[str, str] = {}  # the present name of a file, by an earlier name
         commit, day, parents = "", "", ""
-        parts = iter(told.split("\0"))
-        for part in parts:  # The newest commit is first.
+        for part in self._git(*log, "--", *self.paths).split("\0"):  # The newest commit is first.
             if part.startswith("\1"):
                 commit, day, parents = part.removeprefix("\1").split(" ", 2)
-                continue
-            kind = part.strip()
-            if not kind:
-                continue
-            before = next(parts)
-            if kind.startswith("R"):
-                after = next(parts)
-                later[before] = later.pop(after, after)
-            else:
-                name = later.pop(before, before)
-                if parents.strip() or not is_shallow:
-                    found.setdefault(name, (commit, day))
+            elif (name := part.removeprefix("\n")) and (parents.strip() or not is_shallow):
+                found.setdefault(name, (commit, day))
         return found
 
     def content(self, commit: str) -> str:
@@ -518,10 +500,8 @@ def added_in(folders: Iterable[Path], given: Iterable[Path]) -> dict[Path, Since
             roots[History.of((), folder).root] = None
     found: dict[Path, Since] = {}
     for root in roots:
-        # The whole corpus, because a file that moves with its renamed test comes from another folder of it.
-        inside = [folder for folder in real if folder.is_relative_to(root)]
-        corpora = {max(root, *folder.parents[1:2], key=lambda each: len(each.parts)) for folder in inside}
+        inside = sorted(folder.relative_to(root).as_posix() for folder in real if folder.is_relative_to(root))
         with suppress(RequestError, OSError):
-            history = History(root, tuple(sorted(each.relative_to(root).as_posix() for each in corpora)))
+            history = History(root, tuple(inside))
             found |= {root / name: since for name, since in history.added().items()}
     return found

@@ -79,16 +79,19 @@ def files_below(root: Path) -> list[Path]:
 
 
 def unlisted_below(root: Path) -> dict[Path, str]:
-    """Return the folders in a tree that exist and cannot be listed, each with the error; nothing sees their files."""
+    """Return the folders in a tree that cannot be listed, each with the error; nothing sees their files.
+
+    A file, or a link that leads nowhere, in the place of the whole tree is one of them: git writes a link as a file on
+    Windows.
+    """
     errors: list[OSError] = []
     for _ in os.walk(root, onerror=errors.append):
         pass
+    fix = "let this user read it, restore it, or move it away"
     return {
-        Path(
-            error.filename
-        ): f"expected a folder that can be listed, received {error.strerror}; let this user read it, or move it away"
+        Path(error.filename): f"expected a folder that can be listed, received {error.strerror}; {fix}"
         for error in errors
-        if not isinstance(error, FileNotFoundError)
+        if os.path.lexists(error.filename)
     }
 
 

@@ -12,12 +12,11 @@ import io
 import shutil
 import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from datetime import date
 from pathlib import Path
 from typing import Any
 
-from pytest_pafot.commands.history import Since, added_in, place_of
 from pytest_pafot.commands.inventory import Inventory, collected
 from pytest_pafot.commands.results import Session, day_argument, grouped, read_results
 from pytest_pafot.corpus.layout import SEARCH_PART, name_without
@@ -119,8 +118,7 @@ def run(arguments: argparse.Namespace, _: Sequence[str]) -> int:
     inventory = collected(arguments.pytest)
     if inventory.problem:
         sys.stderr.write(f"requirements: some tests could not be collected, and are missing:\n{inventory.problem}\n")
-    added = added_in({inventory.root / Path(file).parent for file in inventory.files}, [inventory.root])
-    table = Table.of(inventory, sessions, listed, added=added, today=arguments.today or date.today())
+    table = Table.of(inventory, sessions, listed, today=arguments.today or date.today())
     writers = {"text": text_lines, "markdown": markdown_lines, "csv": csv_lines}
     lines = writers[arguments.format](table, course=arguments.course)
     sys.stdout.write("".join(f"{line}\n" for line in lines))
@@ -165,8 +163,7 @@ class Failure:
         detail: what else is known of the state, such as ``issue 12, until 2027-01-31``; may be empty.
         severity, responsible: how bad it is, and who is responsible, as the last session measured it, or else as its
             file has it.
-        since: day and commit of the session since which it fails, or else of the commit that added its file; empty if
-            neither is known.
+        since: day and commit of the session since which it fails; empty if that is not known.
     """
 
     id: str
@@ -268,13 +265,9 @@ class Table:
         sessions: Sequence[Session],
         listed: Mapping[str, Traced],
         *,
-        added: Mapping[Path, Since],
         today: date,
     ) -> Table:
-        """Join what the tests, the saved scenarios, the sessions and a list say of each requirement.
-
-        ``added`` has the commit that added each file, as far as git knows it.
-        """
+        """Join what the tests, the saved scenarios, the sessions and a list say of each requirement."""
         course = Course.of(inventory, sessions)
         tests: dict[str, list[str]] = {}
         for test, told in inventory.tests.items():
@@ -291,8 +284,6 @@ class Table:
             names = {event.entry.get("file") or "" for event in course.events.get(key, {}).values()}
             is_file = any(name and (inventory.root / name).is_file() for name in names)
             failure = course.failure(key, file, is_file=is_file, today=today)
-            if failure is not None and file is not None and key not in course.events:
-                failure = replace(failure, since=" ".join(reversed(added.get(place_of(file.path), ()))))
             if failure is not None:
                 for id_ in course.by_test.get(key[0], ()):
                     known.setdefault(id_, []).append(failure)

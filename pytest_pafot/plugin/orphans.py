@@ -80,9 +80,13 @@ def find_strays(collected: Collected, orphans: Collection[Path]) -> dict[str, tu
     """
     top = collected.rootpath
     strays: dict[str, tuple[str, bool]] = {}
+    tests = {each for folder in collected.folders for each in (folder.parent, folder)}
+    for broken in filter(lambda each: not is_folder(each), {*collected.roots, *tests}):
+        strays |= {relative(folder, top): (why, True) for folder, why in unlisted_below(broken).items()}
     for root, directory in sorted(collected.roots.items()):
         is_asked_for = _is_asked_for(directory, collected)
-        strays |= {relative(folder, top): (why, is_asked_for) for folder, why in unlisted_below(root).items()}
+        if is_folder(root):
+            strays |= {relative(folder, top): (why, is_asked_for) for folder, why in unlisted_below(root).items()}
         modules = modules_in(root)
         tests = {folder for module in modules for folder in modules_in(module)}
         # The walk follows no links, which may lead anywhere. A linked folder of a module or test is only listed.
@@ -106,7 +110,6 @@ def find_strays(collected: Collected, orphans: Collection[Path]) -> dict[str, tu
         _in_other_corpora(collected),
         _not_collected(collected),
         strays.items(),
-        _no_folders(collected),
     )
     return dict(chain.from_iterable(found))
 
@@ -137,15 +140,6 @@ def _not_collected(collected: Collected) -> Iterator[tuple[str, tuple[str, bool]
             for test in modules_in(folder):
                 for file in files_in(test):
                     yield relative(file, collected.rootpath), (why, fails)
-
-
-def _no_folders(collected: Collected) -> Iterator[tuple[str, tuple[str, bool]]]:
-    """Yield what stands in the place of a folder of saved scenarios: a file, as which git writes a link on Windows."""
-    tests = {each for folder in collected.folders for each in (folder.parent, folder)}
-    for place in sorted({*collected.roots, *tests}):
-        if os.path.lexists(place) and not is_folder(place):
-            why = "expected a folder of saved scenarios, received a file; restore the folder, or move the file away"
-            yield relative(place, collected.rootpath), (why, True)
 
 
 def _in_other_corpora(collected: Collected) -> Iterator[tuple[str, tuple[str, bool]]]:

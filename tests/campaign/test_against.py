@@ -112,10 +112,11 @@ def test_finding_fails_with_policy_and_passes_with_reference():
 def test_reference_runs_only_where_the_policy_fails():
     reference = Counted()
     summary = pafot.explore(
-        constant_speed.make, against=reference, holds=never_collides, pairs=0, **SHORT | {"shrink_rollouts": 0}
+        constant_speed.make, against=reference, holds=never_collides, pairs=1, **SHORT | {"shrink_rollouts": 0}
     ).summary
     again = len(summary.finds)  # each finding is run once more at the end
-    assert reference.runs == summary.failing + summary.common + again < summary.runs
+    compared = summary.paired.runs
+    assert reference.runs == summary.failing + summary.common + again + compared < summary.runs
     assert summary.against == "the reference"
 
 
@@ -142,7 +143,7 @@ def test_reference_failing_on_repeat_makes_finding_flaky():
         against=lambda: Breaks() if any(isinstance(event, FindTold) for event in told) else CAREFUL(),
         holds=never_collides,
         on_event=told.append,
-        pairs=0,
+        pairs=1,
         **SHORT | {"stop_after": 1, "shrink_rollouts": 0},
     ).summary
     assert [find.difference for find in summary.finds] == ["the reference failed when it ran again"]

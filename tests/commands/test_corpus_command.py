@@ -36,12 +36,10 @@ def test_json_list_has_each_file_once(folder, capsys):
 
 def test_unreadable_file_is_counted_and_exits_with_1(folder, capsys):
     (folder / "test_it" / "test_x" / "c.pafot.yaml").write_text("pafot: 99\n")
-    assert main(["corpus", "stats", "--json", str(folder)]) == 1
-    counts = json.loads(capsys.readouterr().out)
-    assert (counts["files"], counts["broken"], counts["xfail"]) == (3, 1, 1)
-    assert counts["kind"] == {plain_finding().signature.slug: 2}
     assert main(["corpus", "stats", str(folder)]) == 1
-    assert capsys.readouterr().out.startswith("3 saved scenarios, 1 broken, 1 xfail\n")
+    first, *counts = capsys.readouterr().out.splitlines()
+    assert first == "3 saved scenarios, 1 broken, 1 xfail"
+    assert ["kind", "2", plain_finding().signature.slug] in [line.split(maxsplit=2) for line in counts]
 
 
 def test_a_folder_that_does_not_exist_is_refused(tmp_path, capsys):
@@ -55,7 +53,7 @@ def test_a_folder_that_cannot_be_listed_is_named(folder, capsys, monkeypatch, wh
     assert main(["corpus", what, str(folder)]) == 1
     assert capsys.readouterr().err == (
         f"corpus: {folder / 'test_it'}: expected a folder that can be listed, received Permission denied; let this "
-        "user read it, or move it away\n"
+        "user read it, restore it, or move it away\n"
     )
 
 

@@ -62,7 +62,7 @@ def night(day, *findings, searches=None, tests=()):
 
 
 def table_of(*sessions, tests=None, listed=None):
-    return Table.of(inventory(**(tests or {"test_x": ("R1",)})), grouped(sessions), listed or {}, added={}, today=TODAY)
+    return Table.of(inventory(**(tests or {"test_x": ("R1",)})), grouped(sessions), listed or {}, today=TODAY)
 
 
 def states(table):

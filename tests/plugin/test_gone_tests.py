@@ -638,7 +638,8 @@ def test_file_in_place_of_a_folder_of_saved_scenarios_fails_a_ci_session(saved, 
     (saved.path / place).write_text("../elsewhere")  # so git writes a link, where it may not make links
     result = replay(saved)
     assert is_red(result)
-    result.stdout.fnmatch_lines([f"not run: {place}: expected a folder of saved scenarios, received a file; *"])
+    told = "expected a folder that can be listed, received Not a directory; *"
+    result.stdout.fnmatch_lines([f"not run: {place}: {told}"])
 
 
 @pytest.mark.parametrize("given", ["pafot_corpus", "pafot_corpus/test_it", "pafot_corpus/test_it/test_fails"])

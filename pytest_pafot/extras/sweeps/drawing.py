@@ -26,8 +26,6 @@ COLOURS: dict[Kind, str] = {
 }
 """The colours of a picture, which differ in lightness, too."""
 
-PALE = 0.4
-"""The opacity of points of a picture that were not driven."""
 FRAMES_PER_SECOND = 10
 """The largest number of frames of a run on a page [1/s]."""
 MOST_PLAYED = 400
@@ -49,22 +47,18 @@ def png(sweep: Sweep) -> bytes:
     rows = sweep.axes[0] if len(sweep.axes) == 2 else None
     columns = sweep.axes[-1]
     grid = np.array([KINDS.index(point.kind) for point in sweep.points]).reshape(-1, len(columns.values))
-    opacity = np.array([1 if point.driven else PALE for point in sweep.points]).reshape(grid.shape)
-    title = [part for line in (sweep.name, sweep.headline, *sweep.on_grid()) for part in wrapped_to(line, 100)]
+    title = [part for line in (sweep.name, sweep.headline, *sweep.on_islands()) for part in wrapped_to(line, 100)]
     height = 1.9 + 0.15 * len(title) + min(0.32 * len(grid), 12)
     figure = Figure(figsize=(7.5, height), layout="constrained", dpi=120)
     axes = figure.add_subplot()
     colours = ListedColormap([COLOURS[kind] for kind in KINDS])
-    mesh = axes.pcolormesh(grid, cmap=colours, vmin=-0.5, vmax=len(KINDS) - 0.5, edgecolors="#d8dbdd", linewidth=0.6)
-    mesh.set_alpha(opacity)  # type: ignore[arg-type]  # an array of the same shape
+    axes.pcolormesh(grid, cmap=colours, vmin=-0.5, vmax=len(KINDS) - 0.5, edgecolors="#d8dbdd", linewidth=0.6)
     axes.set_xticks(*_ticks(columns.values), rotation=45)
     axes.set_xlabel(columns.title)
     axes.set_yticks(*(_ticks(rows.values) if rows else ([], [])))
     axes.set_ylabel(rows.title if rows else "")
     axes.set_title("\n".join(title), fontsize="small", parse_math=False)
     patches = [Patch(fc=COLOURS[kind], ec="#5d6770", label=MEANINGS[kind]) for kind in sweep.legend]
-    if opacity.min() < 1:
-        patches.append(Patch(fc="#5d6770", ec="#5d6770", alpha=PALE, label="pale: not driven"))
     figure.legend(handles=patches, loc="outside lower center", ncols=2, fontsize="small")
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", metadata={"Software": None})
@@ -128,9 +122,8 @@ def _table(sweep: Sweep) -> str:
             point = sweep.point(*index)
             told = f"{sweep.where(point.at)}: {MEANINGS[point.kind]}; {point.words}"
             number = row * len(columns.values) + column
-            kind = f"{_name(point.kind)}{'' if point.driven else ' assumed'}"
             cells.append(
-                f'<td class="{kind}"><button type="button" data-point="{number}" title="{escape(told)}" '
+                f'<td class="{_name(point.kind)}"><button type="button" data-point="{number}" title="{escape(told)}" '
                 f'aria-label="{escape(told)}">{point.mark}</button></td>'
             )
         label = "" if value is None else short(value)

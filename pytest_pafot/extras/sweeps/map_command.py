@@ -16,7 +16,7 @@ from pytest_pafot import World
 from pytest_pafot.extending import ABOUT_POLICIES, SUFFIX, ads_factory, check_function, config_of
 from pytest_pafot.extras.sweeps.drawing import page, png
 from pytest_pafot.extras.sweeps.entries import ENTRIES, Entry, chosen, entry_of
-from pytest_pafot.extras.sweeps.maps import POINTS, WIDTH, Sweep, short, sweep
+from pytest_pafot.extras.sweeps.maps import WIDTH, Sweep, short, sweep
 from pytest_pafot.extras.sweeps.numbers import over_of
 from pytest_pafot.support.errors import RequestError
 from pytest_pafot.support.files import check_writable, way_out, write_if_free, write_whole
@@ -44,8 +44,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--config", metavar="JSON", help=of_config)
     of_check = "a function of a run, which asserts what must hold (default: no collision, never off the road)"
     parser.add_argument("--check", metavar="MODULE:FUNCTION", help=of_check)
-    of_points = "the largest number of points that are all driven (default: %(default)s); a larger grid is refined"
-    parser.add_argument("--points", type=int, metavar="N", default=POINTS, help=of_points)
     parser.add_argument("--against", metavar="FILE", help="a saved map; tell what has changed since")
     of_fail = "exit with 1 if a point is preventable, that is fails though a reference driver avoids it or by an error "
     of_fail += (
@@ -101,7 +99,6 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
         if arguments.world is None
         else World(arguments.world, config_of(arguments.config), planner_hz=5 if arguments.config is None else None),
         holds=None if arguments.check is None else check_function(arguments.check),
-        points=arguments.points,
         against=arguments.against,
         on_point=_tell if is_watched else None,
         on_stop=lambda saved: _kept(arguments.csv, saved),

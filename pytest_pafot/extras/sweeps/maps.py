@@ -6,9 +6,9 @@ import csv
 import io
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from importlib import import_module
-from itertools import pairwise, product
+from itertools import product
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -37,7 +37,7 @@ from pytest_pafot.extending import (
 )
 from pytest_pafot.extras.sweeps.entries import Entry, entry_of, fits
 from pytest_pafot.extras.sweeps.numbers import Axis, unit_of, values_of, with_number
-from pytest_pafot.support.errors import RequestError, check_asserts, plain_whole
+from pytest_pafot.support.errors import RequestError, check_asserts
 from pytest_pafot.support.files import open_regular, write_whole
 from pytest_pafot.support.references import described, factory_named
 from pytest_pafot.support.text import ascii_text, csv_text, plural, spreadsheet_cell, visible, wrapped_to
@@ -50,8 +50,7 @@ it failed and no reference driver avoids it; ``ADS error``, the policy raised, t
 
 KINDS: tuple[Kind, ...] = get_args(Kind)
 MARKS: dict[Kind, str] = dict(zip(KINDS, ".X#E?", strict=True))
-MARKS_OF_ASSUMED: dict[Kind, str] = dict(zip(KINDS, ",x=e?", strict=True))
-"""The characters of points in a terminal; the second ones are of points that were not driven."""
+"""The characters of points in a terminal."""
 MEANINGS: dict[Kind, str] = {
     "avoided": "avoided",
     "preventable": "failed though a reference driver avoids it",
@@ -65,13 +64,9 @@ WIDTH = 100
 """The width of a map in a terminal, unless it is narrower [columns]."""
 TOLD: tuple[Kind, ...] = ("avoided", "preventable", "ADS error")
 """The kinds of points that say something about the policy."""
-POINTS = 400
-"""The largest number of points that are all driven; of a larger grid every fourth in each direction is, and between
-them only where the answer changes."""
-STRIDE = 4
 MOST_BYTES = 10_000_000
 """The largest file of a saved map."""
-FIXED = ("scenario", "result", "driven", "words")
+FIXED = ("scenario", "result", "words")
 """The columns of a saved map beside those of its axes."""
 
 Index = tuple[int, ...]
@@ -86,7 +81,6 @@ class Point:
         kind: what became of it.
         words: what happened, in a line.
         avoided_by: a reference driver that avoids what the policy failed; empty if there is none.
-        driven: False if it lies between points with the same answer and was not driven.
         trace: the run; None if there is none.
     """
 
@@ -94,7 +88,6 @@ class Point:
     kind: Kind
     words: str
     avoided_by: str = ""
-    driven: bool = True
     trace: Trace | None = field(default=None, compare=False, repr=False)
 
     @property
@@ -110,8 +103,8 @@ class Point:
 
     @property
     def mark(self) -> str:
-        """The character that stands for the kind; another one if the point was not driven."""
-        return (MARKS if self.driven else MARKS_OF_ASSUMED)[self.kind]
+        """The character that stands for the kind."""
+        return MARKS[self.kind]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -141,9 +134,8 @@ class Sweep:
         name: the catalogue entry or the finding that was swept.
         axes: one or two axes.
         points: all points; the last axis changes fastest.
-        changes: the points whose answer differs from that of the map given as ``against``; only points that were driven
-            in both are compared.
-        remarks: values outside of the ranges of an entry, and how many points were not compared, in sentences.
+        changes: the points whose answer differs from that of the map given as ``against``.
+        remarks: values outside of the ranges of an entry, in sentences.
     """
 
     name: str
@@ -185,11 +177,6 @@ class Sweep:
     def worse(self) -> tuple[Change, ...]:
         """The changes for the worse: avoided before, and now failed, or no longer as asked."""
         return tuple(change for change in self.changes if change.is_worse)
-
-    @property
-    def driven(self) -> int:
-        """The number of points that were driven."""
-        return sum(point.driven for point in self.points)
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -259,14 +246,14 @@ class Sweep:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """All else there is to say: on single points, on the grid, and on what has changed."""
-        return (*self._on_points(), *self.on_grid(), *self.remarks, *self._on_changes())
+        """All else there is to say: on single points, on islands, and on what has changed."""
+        return (*self._on_points(), *self.on_islands(), *self.remarks, *self._on_changes())
 
     def _on_points(self) -> Iterator[str]:
-        odd = [point for point in self.points if point.kind == "not as asked" and point.driven]
+        odd = [point for point in self.points if point.kind == "not as asked"]
         undriven = [point for point in odd if point.trace is None]
         for kind, some in (
-            ("ADS error", [point for point in self.points if point.kind == "ADS error" and point.driven]),
+            ("ADS error", [point for point in self.points if point.kind == "ADS error"]),
             ("not as asked", [point for point in odd if point.trace is not None]),
             (f"{len(undriven)} of the points not as asked cannot be driven", undriven),
         ):
@@ -277,7 +264,7 @@ class Sweep:
         off = [each for each in (abs(point.ego_off) for point in self.points) if each > EGO_OFF]
         if off:
             yield (
-                f"at {len(off)} of {plural(self.driven, 'driven point')} the ego was up to {max(off):.1f} m/s off the "
+                f"at {len(off)} of {plural(len(self.points), 'point')} the ego was up to {max(off):.1f} m/s off the "
                 "speed asked for when a manoeuvre began; give the policy this speed as the one that it keeps"
             )
         failed = [point for point in odd if point.avoided_by]
@@ -287,14 +274,8 @@ class Sweep:
                 f"{self.where(failed[0].at)}"
             )
 
-    def on_grid(self) -> Iterator[str]:
-        """Yield how much was driven, and the islands, in sentences."""
-        if self.driven < len(self.points):
-            either = " in either direction" if len(self.axes) == 2 else ""
-            yield (
-                f"{self.driven} points were driven, the others lie between points with the same answer; islands "
-                f"narrower than {STRIDE} points{either} may be missing"
-            )
+    def on_islands(self) -> Iterator[str]:
+        """Yield the islands, in sentences."""
         islands = self.islands
         yield from (f"island: {sentence}" for sentence in islands[:MOST_NAMED])
         if len(islands) > MOST_NAMED:
@@ -310,12 +291,9 @@ class Sweep:
 
     @property
     def legend(self) -> dict[Kind, str]:
-        """The meanings of the kinds that occur, with the mark of their points that were not driven."""
+        """The meanings of the kinds that occur."""
         used = {point.kind for point in self.points}
-        others = {
-            point.kind: f" ({point.mark} not driven)" for point in self.points if point.mark not in MARKS.values()
-        }
-        return {kind: f"{MEANINGS[kind]}{others.get(kind, '')}" for kind in KINDS if kind in used}
+        return {kind: MEANINGS[kind] for kind in KINDS if kind in used}
 
     def explain(self, width: int = WIDTH) -> str:
         """Return the map as lines of ASCII: a column for each value of the last axis, a row for each of the first."""
@@ -356,7 +334,6 @@ class Sweep:
                 *(short(value) for value in point.at),
                 spreadsheet_cell(self.name),
                 point.kind,
-                int(point.driven),
                 spreadsheet_cell(point.words),
             ]
             for point in self.points
@@ -383,7 +360,6 @@ def sweep(
     over: Mapping[str, object],
     world: Any = None,
     holds: Test | None = None,
-    points: int = POINTS,
     against: str | Path | Sweep | None = None,
     on_point: Callable[[int], None] | None = None,
     on_stop: Callable[[str], str] | None = None,
@@ -400,9 +376,7 @@ def sweep(
         world: the world; by default that of the finding, or a highway.
         holds: the property, a function of a run that asserts; by default that there is no collision and the ego stays
             on the road.
-        points: the largest number of points that are all driven. Of a larger grid, every fourth point in each direction
-            is driven, and between them where the answer changes.
-        against: an earlier map, or the file that :meth:`Sweep.save` wrote. The points that it has driven are driven.
+        against: an earlier map, or the file that :meth:`Sweep.save` wrote.
         on_point: is called with the number of points driven so far.
         on_stop: is called with the points driven so far, as the text of a saved map, if Ctrl-C ends the map; the text
             that it returns is added to the interruption as a note.
@@ -418,8 +392,6 @@ def sweep(
     name, make = _source(what, world, values)
     if not isinstance(over, Mapping) or not 1 <= len(over) <= 2 or not all(isinstance(each, str) for each in over):
         raise RequestError(f"over: expected one or two axes, such as {{'gap': '0:60:7'}}, received {over!r:.80}")
-    if plain_whole(points) is None or points < 1:
-        raise RequestError(f"points: expected a whole number, at least 1, received {points!r:.60}")
     if against is not None and not isinstance(against, str | Path | Sweep):
         raise RequestError(f"against: expected a map or the file of one, received {against!r:.80}")
     axes = tuple(Axis(each, values_of(each, given), make.unit(each)) for each, given in over.items())
@@ -436,30 +408,17 @@ def sweep(
             "sweep: expected a world with reference drivers, which tell what can be avoided, received one without"
         )
     remarks = make.check(axes)
-    indices = list(product(*(range(len(axis.values)) for axis in axes)))
-    between: dict[Index, Point] = {}  # by index the corner of a rectangle whose corners have the same answer
     with driven_first(make.world, factory) as drive:
         driver = _Driver(make, axes, factory, holds or stays_safe, on_point, drive)
         try:
-            for index in indices:
-                if len(indices) <= points or _was_driven(before, driver.at(index)):
-                    driver(index)
-            if len(indices) > points:
-                _refine_all(driver, axes, between)
+            for at in product(*(axis.values for axis in axes)):
+                driver.drive(at)
         except KeyboardInterrupt as interrupt:
             if on_stop is not None:
-                interrupt.add_note(on_stop(Sweep(name=name, axes=axes, points=tuple(driver.points.values())).csv()))
+                interrupt.add_note(on_stop(Sweep(name=name, axes=axes, points=tuple(driver.points)).csv()))
             raise
-    found = tuple(
-        driver.points.get(index)
-        or replace(between[index], at=driver.at(index), driven=False, trace=None, words="not driven")
-        for index in indices
-    )
-    both = [point for point in found if point.driven and _was_driven(before, point.at)]
-    if before and len(both) < len(found):
-        left = plural(len(found) - len(both), "point")
-        remarks += (f"not compared: {left}, which at least one of the two maps has not driven",)
-    pairs = [(point, before[_key(point.at)][0]) for point in both]
+    found = tuple(driver.points)
+    pairs = [(point, before[_key(point.at)]) for point in found] if before else []
     changes = tuple(Change(at=point.at, before=kind, now=point.kind) for point, kind in pairs if point.kind != kind)
     return Sweep(name=name, axes=axes, points=found, changes=changes, remarks=remarks)
 
@@ -570,7 +529,7 @@ def _in_words(world: Any) -> str:
 
 @dataclass(slots=True)
 class _Driver:
-    """The points of a sweep, each driven when it is first asked for."""
+    """The points of a sweep that were driven so far."""
 
     make: _Made
     axes: tuple[Axis, ...]
@@ -578,18 +537,13 @@ class _Driver:
     holds: Test
     on_point: Callable[[int], None] | None
     drive_first: Callable[[Scenario], None]
-    points: dict[Index, Point] = field(default_factory=dict)
+    points: list[Point] = field(default_factory=list)
 
-    def at(self, index: Index) -> tuple[float, ...]:
-        """Return the values of the axes at an index."""
-        return tuple(axis.values[each] for axis, each in zip(self.axes, index, strict=True))
-
-    def __call__(self, index: Index) -> Point:
-        if index not in self.points:
-            self.points[index] = self._driven(self.at(index))
-            if self.on_point is not None:
-                self.on_point(len(self.points))
-        return self.points[index]
+    def drive(self, at: tuple[float, ...]) -> None:
+        """Add the point at some values of the axes."""
+        self.points.append(self._driven(at))
+        if self.on_point is not None:
+            self.on_point(len(self.points))
 
     def _driven(self, at: tuple[float, ...]) -> Point:
         try:
@@ -668,31 +622,6 @@ def judged(run: Run, holds: Test, test_file: str) -> Judged:
     return Judged(verdict, "preventable" if avoiding else "unavoidable", what, avoiding)
 
 
-# The grid, refined where the answer changes.
-
-
-def _refine_all(drive: Callable[[Index], Point], axes: tuple[Axis, ...], between: dict[Index, Point]) -> None:
-    """Drive every fourth point, and halve the rectangles between them whose corners differ."""
-    marks = [sorted({*range(0, len(axis.values), STRIDE), len(axis.values) - 1}) for axis in axes]
-    for rectangle in product(*(list(pairwise(each)) for each in marks)):
-        _refine(drive, rectangle, between)
-
-
-def _refine(drive: Callable[[Index], Point], rectangle: Sequence[tuple[int, int]], between: dict[Index, Point]) -> None:
-    corners = [drive(corner) for corner in product(*rectangle)]
-    if all(high - low <= 1 for low, high in rectangle):
-        return
-    if len({corner.kind for corner in corners}) == 1:
-        between |= dict.fromkeys(product(*(range(low, high + 1) for low, high in rectangle)), corners[0])
-        return
-    halves = [
-        [(low, (low + high) // 2), ((low + high) // 2, high)] if high - low > 1 else [(low, high)]
-        for low, high in rectangle
-    ]
-    for half in product(*halves):
-        _refine(drive, half, between)
-
-
 def _groups(odd: Iterable[Index], kind: Callable[[Index], bool]) -> Iterator[list[Index]]:
     """Yield groups of neighbouring indices of the same kind, in order."""
     left = dict.fromkeys(sorted(odd))
@@ -713,8 +642,8 @@ def _groups(odd: Iterable[Index], kind: Callable[[Index], bool]) -> Iterator[lis
 # An earlier map.
 
 
-Before = Mapping[tuple[str, ...], tuple[Kind, bool]]
-"""The answers of an earlier map and whether they were driven, by the values of the axes as text."""
+Before = Mapping[tuple[str, ...], Kind]
+"""The answers of an earlier map, by the values of the axes as text."""
 
 
 def _before(name: str, axes: tuple[Axis, ...], against: str | Path | Sweep) -> Before:
@@ -728,7 +657,7 @@ def _before(name: str, axes: tuple[Axis, ...], against: str | Path | Sweep) -> B
         if against.name != name or [axis.name for axis in against.axes] != names:
             told = f"{against.name} over {' and '.join(axis.name for axis in against.axes)}"
             raise RequestError(f"against: expected a map of {name} over {' and '.join(names)}, received one of {told}")
-        found: Before = {_key(point.at): (point.kind, point.driven) for point in against.points}
+        found: Before = {_key(point.at): point.kind for point in against.points}
     else:
         found = _read(name, names, against)
     points = {_key(at) for at in product(*(axis.values for axis in axes))}
@@ -739,10 +668,6 @@ def _before(name: str, axes: tuple[Axis, ...], against: str | Path | Sweep) -> B
             f"at {', '.join(map('='.join, zip(names, other, strict=True)))}; sweep the same values, or save a new map"
         )
     return found
-
-
-def _was_driven(before: Before, at: Sequence[float]) -> bool:
-    return bool(before) and before[_key(at)][1]
 
 
 def _key(at: Sequence[float]) -> tuple[str, ...]:
@@ -776,15 +701,14 @@ def _read(scenario: str, names: Sequence[str], path: str | Path) -> Before:
     if columns != [*names, *FIXED]:
         expected = f"the columns {', '.join([*names, *FIXED])}, with the axes in the same order"
         raise wrong(expected, ", ".join(map(str, columns)) or "no rows")
-    found: dict[tuple[str, ...], tuple[Kind, bool]] = {}
+    found: dict[tuple[str, ...], Kind] = {}
     for row in rows:
         if row["scenario"] != spreadsheet_cell(scenario):
             raise wrong(f"a map of {scenario}", row["scenario"])
         if row["result"] not in KINDS:
             raise wrong(f"one of {', '.join(KINDS)} as the result", row["result"])
         try:
-            found[_key([float(row[name]) for name in names])] = row["result"], {"0": False, "1": True}[row["driven"]]
-        except (KeyError, TypeError, ValueError):
-            numbers = [row[name] for name in (*names, "driven")]
-            raise wrong("numbers in the columns of the axes and in driven", numbers) from None
+            found[_key([float(row[name]) for name in names])] = row["result"]
+        except (TypeError, ValueError):
+            raise wrong("numbers in the columns of the axes", [row[name] for name in names]) from None
     return found

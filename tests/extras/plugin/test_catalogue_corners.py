@@ -14,7 +14,7 @@ from pytest_pafot.extras.sweeps.entries import ENTRIES, entry_of
 from pytest_pafot.extras.sweeps.maps import driven
 from pytest_pafot.extras.sweeps.numbers import values_of
 from pytest_pafot.support.errors import RequestError
-from tests.extras.sweeps.planted import keeps_speed, mapped, picture_of, two_numbers
+from tests.extras.sweeps.planted import keeps_speed, mapped, two_numbers
 from tests.extras.sweeps.test_drawing import data_of
 from tests.helpers.tables import table
 
@@ -34,20 +34,6 @@ def speeds_up():
 
 def raises():
     return lambda seen: 1 / 0
-
-
-@table("limit", [0, 1, 4, 9, 16])
-def test_refined_grid_equals_the_full_one_without_small_islands(limit):
-    rows, columns = 9, 13
-    diagonal = ["".join("X" if row + column > limit else "." for column in range(columns)) for row in range(rows)]
-    full, refined = mapped(*diagonal[::-1]), mapped(*diagonal[::-1], points=1)
-    assert picture_of(refined) == picture_of(full)
-    assert refined.islands == ()
-
-
-def test_refined_grid_finds_a_whole_island_of_4_by_4():
-    island = [".........", *["..XXXX..."] * 4, *["........."] * 4]
-    assert picture_of(mapped(*island, points=1)) == tuple(island)
 
 
 def test_error_in_the_test_function_is_no_skip(project):
@@ -180,12 +166,6 @@ def test_formulas_are_escaped_in_a_saved_map():
     for row in csv.DictReader(io.StringIO(made.csv())):
         assert not row["scenario"].startswith(("=", "+", "-", "@"))
         assert not row["words"].startswith(("=", "+", "-", "@"))
-
-
-@table("points", ["0", "-1"])
-def test_points_are_at_least_1(points):
-    arguments = ["r157/cut-in", "--ads", f"{__name__}:keeps_speed", "--over", "gap=0:1:2", "--points", points]
-    assert main(["map", *arguments]) == 2
 
 
 def test_item_fails_although_it_did_not_come_up_as_asked(project):

@@ -1,7 +1,6 @@
-"""Maps: what becomes of a scenario at each point, islands, large grids, and what has changed since an earlier map."""
+"""Maps: what becomes of a scenario at each point, islands, and what has changed since an earlier map."""
 
 import csv
-import inspect
 import io
 import re
 import tempfile
@@ -15,7 +14,7 @@ from hypothesis import strategies as st
 import pytest_pafot as pafot
 from pytest_pafot.corpus.writer import write
 from pytest_pafot.extras.sweeps.entries import entry_of
-from pytest_pafot.extras.sweeps.maps import KINDS, MOST_BYTES, POINTS, Change
+from pytest_pafot.extras.sweeps.maps import KINDS, MOST_BYTES, Change
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.support.errors import RequestError
 from tests.extras.sweeps.planted import COLUMNS, ROWS, Planted, keeps_speed, mapped, picture_of, two_numbers
@@ -87,7 +86,7 @@ def test_map_counts_what_became_of_its_points():
     made = mapped(*PICTURE, world=world, on_point=told.append)
     assert picture_of(made) == PICTURE
     assert (made.avoided, made.preventable, made.unavoidable, made.not_as_asked) == (2, 2, 1, 1)
-    assert (made.driven, made.shape, told) == (6, (2, 3), [1, 2, 3, 4, 5, 6])
+    assert (made.shape, told) == ((2, 3), [1, 2, 3, 4, 5, 6])
     assert world.runs == 5  # one of the points does not fit the world
     assert [made.point(0, 0).trace, made.point(0, 0).words] == [
         None,
@@ -258,46 +257,6 @@ def test_notes_name_the_first_islands_and_count_the_others():
     assert [note.partition(",")[0] for note in notes] == ["island: ego.speed 1 m/s"] * 6 + ["island: and 2 more"]
 
 
-# Large grids.
-
-
-def diagonal(limit, rows=9, columns=14):
-    """Return a picture in which a diagonal divides what is avoided from what is not."""
-    lines = ["".join("X" if row + column > limit else "." for column in range(columns)) for row in range(rows)]
-    return tuple(lines[::-1])
-
-
-@table("limit", [-1, 4, 11, 18])
-def test_refined_grid_drives_points_as_the_full_one_and_fewer(limit):
-    world = Planted(*diagonal(limit))
-    full, refined = mapped(*diagonal(limit)), mapped(*diagonal(limit), world=world, points=100)
-    assert len(refined.points) == len(full.points) == full.driven
-    assert world.runs == refined.driven < full.driven
-    pairs = zip(refined.points, full.points, strict=True)
-    assert all(one == other if one.driven else one.at == other.at for one, other in pairs)
-
-
-def test_refined_grid_says_what_it_may_miss():
-    assert picture_of(mapped(*ISLAND)) == ISLAND
-    refined = mapped(*ISLAND, points=80)
-    assert (refined.driven, refined.preventable) == (9, 0)
-    assert refined.notes == (
-        "9 points were driven, the others lie between points with the same answer; islands narrower than 4 points in "
-        "either direction may be missing",
-    )
-    assert "\n. avoided (, not driven)\n" in refined.explain()
-    line = pafot.sweep("r157/side-vehicle", keeps_speed, over={"ego_speed": "5:15:9"}, points=8)
-    assert line.notes[0].endswith("islands narrower than 4 points may be missing")
-    assert {point.mark for point in refined.points} == {".", ","}
-    assert {(point.words, point.trace) for point in refined.points if not point.driven} == {("not driven", None)}
-    assert mapped(*ISLAND, points=81).notes[0].startswith("island: ")
-
-
-def test_grids_of_more_points_than_the_default_are_refined():
-    assert inspect.signature(pafot.sweep).parameters["points"].default == POINTS == 400
-    assert mapped(*["." * 21] * 20).driven == 6 * 6
-
-
 # An earlier map.
 
 
@@ -336,29 +295,6 @@ def test_changes_since_an_earlier_map_are_worse_or_better():
     assert [len(many.worse), len(many.notes), many.notes[0]] == [9, 7, "changed: 9 points, 9 for the worse"]
 
 
-ISLAND = "." * 9, "." * 9, ".XX......", *["." * 9] * 6  # between the points that a refined map drives
-
-
-@table("is_saved", [True, False])
-def test_only_points_that_both_maps_drove_are_compared(tmp_path, is_saved):
-    def earlier(*picture, **options):
-        made = mapped(*picture, **options)
-        made.save(tmp_path / "map.csv")
-        return tmp_path / "map.csv" if is_saved else made
-
-    clear = ["." * 9] * 9
-    again = mapped(*ISLAND, points=80, against=earlier(*ISLAND))  # drives what the saved map drove
-    assert (again.driven, again.changes, again.remarks) == (81, (), ())
-    assert [change.at for change in mapped(*ISLAND, points=80, against=earlier(*clear)).worse] == [(6, 1), (6, 2)]
-    assert [change.at for change in mapped(*clear, points=80, against=earlier(*ISLAND)).changes] == [(6, 1), (6, 2)]
-    for points in (80, 81):  # the saved map has seen no island that the new one could be worse than
-        made = mapped(*ISLAND, points=points, against=earlier(*clear, points=80))
-        assert (made.changes, made.remarks) == (
-            (),
-            ("not compared: 72 points, which at least one of the two maps has not driven",),
-        )
-
-
 PICTURES = st.lists(st.text(st.sampled_from(".X#?"), min_size=3, max_size=3), min_size=2, max_size=2).filter(
     lambda rows: {*"".join(rows)} != {"?"}
 )
@@ -380,15 +316,15 @@ def test_saved_map_is_read_back_as_it_was(before, now):
 def test_saved_map_is_a_table_for_other_programs():
     made = mapped(*PICTURE)
     rows = [*csv.DictReader(io.StringIO(made.csv()))]
-    assert list(rows[0]) == [ROWS, COLUMNS, "scenario", "result", "driven", "words"]
+    assert list(rows[0]) == [ROWS, COLUMNS, "scenario", "result", "words"]
     assert [row["result"] for row in rows] == [point.kind for point in made.points]
     assert rows[0]["words"] == made.points[0].words
-    assert (rows[5][ROWS], rows[5][COLUMNS], rows[5]["driven"], rows[5]["scenario"]) == ("1", "2", "1", made.name)
+    assert (rows[5][ROWS], rows[5][COLUMNS], rows[5]["scenario"]) == ("1", "2", made.name)
     nasty = replace(made, name='a,"b"\n\x1b')
     assert [row["scenario"] for row in csv.DictReader(io.StringIO(nasty.csv()))] == [r'a,"b"\n\x1b'] * 6
 
 
-HEADER = f"{ROWS},{COLUMNS},scenario,result,driven,words\n"
+HEADER = f"{ROWS},{COLUMNS},scenario,result,words\n"
 NAME = f"{two_numbers().id} in Planted"
 
 
@@ -398,18 +334,17 @@ NAME = f"{two_numbers().id} in Planted"
         ("", "expected the columns ego.speed, .*, received no rows"),
         (HEADER, "expected the columns ego.speed, .*, received no rows"),
         (f"gap,{HEADER}", "expected the columns"),
-        (f"{HEADER}0,0,{NAME},avoided,1,\n", "same 6 points, received one with 1; they differ at"),
-        (f"{HEADER}0,0,{NAME},fine,1,\n", f"expected one of {', '.join(KINDS)} as the result, received fine"),
+        (f"{HEADER}0,0,{NAME},avoided,\n", "same 6 points, received one with 1; they differ at"),
+        (f"{HEADER}0,0,{NAME},fine,\n", f"expected one of {', '.join(KINDS)} as the result, received fine"),
         (f"{HEADER}0,0,{NAME}\n", "expected one of avoided, .* as the result, received None"),
         (f"{HEADER}0\n", "expected a map of .*, received None"),
-        (f"{HEADER}0,a,{NAME},avoided,1,\n", "expected numbers in the columns of the axes and in driven, received "),
-        (f"{HEADER}0,0,{NAME},avoided,,\n", "expected numbers in the columns of the axes and in driven, received "),
-        (f"{COLUMNS},{ROWS},{HEADER.partition(',')[2].partition(',')[2]}1,0,,,,\n",
+        (f"{HEADER}0,a,{NAME},avoided,\n", "expected numbers in the columns of the axes, received "),
+        (f"{COLUMNS},{ROWS},{HEADER.partition(',')[2].partition(',')[2]}1,0,,,\n",
          "expected the columns ego.speed, npcs.0.0.speed, .*, with the axes in the same order, received npcs"),
-        (f"{HEADER}0,0,other,avoided,1,\n", f"expected a map of {NAME}, received other"),
-        (f"{HEADER}0,0,\x1b[31m,avoided,1,\n", r"expected a map of .*, received \\x1b\[31m"),
-        (f'{HEADER}0,0,"{"x" * 200_000}",avoided,1,\n', "expected CSV in UTF-8, received field larger than"),
-        (f"{HEADER}0,0,{NAME},caf\xe9,1,\n".encode("latin-1"), "expected CSV in UTF-8, received "),
+        (f"{HEADER}0,0,other,avoided,\n", f"expected a map of {NAME}, received other"),
+        (f"{HEADER}0,0,\x1b[31m,avoided,\n", r"expected a map of .*, received \\x1b\[31m"),
+        (f'{HEADER}0,0,"{"x" * 200_000}",avoided,\n', "expected CSV in UTF-8, received field larger than"),
+        (f"{HEADER}0,0,{NAME},caf\xe9,\n".encode("latin-1"), "expected CSV in UTF-8, received "),
         (mapped("..", "..").csv(), "expected a map with the same 6 points, received one with 4; they differ at"),
         (mapped("....", "....").csv(), "expected a map with the same 6 points, received one with 8; they differ at"),
         (mapped(*PICTURE, scenario=two_numbers("left")).csv(), f"expected a map of {NAME}, received "),
