@@ -358,7 +358,7 @@ def falls_back(observation):
 
 @pytest.mark.processes
 def test_policy_that_does_without_its_thread_in_another_process_stays_in_the_session(isolated, monkeypatch):
-    project = isolated("falls_back", ANSWERS.replace("TIMEOUT", "5.0"))
+    project = isolated("falls_back", ANSWERS.replace("TIMEOUT", "1.0"))
     options = {"generations": 1, "seed": 0, "fresh": True}  # a new interpreter, in which the thread ends, too
     project.run(*QUICK, **options)
     contents = project.contents
