@@ -250,9 +250,9 @@ def difference(before: Mapping[str, str], after: Mapping[str, str]) -> str:
         lines = zip_longest(*(text.splitlines(True) for text in texts), fillvalue="")
         for number, (old, new) in enumerate(lines, start=1):
             if old != new:
-                at = max(
-                    len(os.path.commonprefix([old, new])) - 60, 0
-                )  # a line of the table has thousands of characters
+                # A line of the table has thousands of characters.
+                same = next(place for place, (a, b) in enumerate(zip_longest(old, new)) if a != b)
+                at = max(same - 60, 0)
                 return f"{name}, line {number}\n    - {old[at : at + 160]!r}\n    + {new[at : at + 160]!r}"
     return ""
 
