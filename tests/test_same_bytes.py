@@ -44,3 +44,5 @@ def test_first_line_that_differs_is_named_with_both():
     assert difference(before, before | {"1.csv": "a\nB\nC\n"}) == "1.csv, line 2\n    - 'b\\n'\n    + 'B\\n'"
     assert difference(before, {"1.csv": "a\nb\nc\n"}) == "1.json, line 1\n    - '{}'\n    + '(no such file)'"
     assert "line 3" in difference(before, before | {"1.csv": "a\nb\nc"}), "the end of the last line counts, too"
+    long = "x" * 1000
+    assert difference({"1.csv": f"{long}1"}, {"1.csv": f"{long}2"}).endswith(f"    + '{'x' * 60}2'")

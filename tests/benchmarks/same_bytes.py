@@ -244,12 +244,16 @@ def masked(text: str, tree: Path) -> str:
 
 
 def difference(before: Mapping[str, str], after: Mapping[str, str]) -> str:
-    """Return where the files of two sessions differ first, with the lines of both; empty if they are the same."""
+    """Return where the files of two sessions differ first, with that part of both lines; empty if they are the same."""
     for name in sorted({*before, *after}):
-        lines = zip_longest(*(side.get(name, "(no such file)").splitlines(True) for side in (before, after)))
+        texts = (side.get(name, "(no such file)") for side in (before, after))
+        lines = zip_longest(*(text.splitlines(True) for text in texts), fillvalue="")
         for number, (old, new) in enumerate(lines, start=1):
             if old != new:
-                return f"{name}, line {number}\n    - {old!r}\n    + {new!r}"
+                # A line of the table has thousands of characters.
+                same = next(place for place, (a, b) in enumerate(zip_longest(old, new)) if a != b)
+                at = max(same - 60, 0)
+                return f"{name}, line {number}\n    - {old[at : at + 160]!r}\n    + {new[at : at + 160]!r}"
     return ""
 
 
