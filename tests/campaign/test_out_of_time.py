@@ -12,6 +12,7 @@ import pytest_pafot as pafot
 from example_ads import constant_speed
 from pytest_pafot.campaign import explore, search, search_loop, simplification, state_file
 from pytest_pafot.campaign.events import FindTold, Progress
+from pytest_pafot.findings.shrink import OutOfBudget
 from pytest_pafot.searching.events import Evaluated
 from pytest_pafot.support.errors import OutOfTime
 
@@ -318,6 +319,14 @@ def test_what_was_shrunk_before_a_run_is_cut_is_saved(clock, monkeypatch):
     assert unshrunk(result) == ["shrunk in part: out of time"]
     assert result.findings[0].original is not None
     assert clock.now <= 242
+
+
+def test_time_is_kept_for_a_run_that_another_process_made_in_advance():
+    turn = simplification._Turn(until=100.0)
+    turn.took(0.0, confirming=10.0)
+    turn.check(74.0)
+    with pytest.raises(OutOfBudget):
+        turn.check(75.0)
 
 
 def test_shrinking_that_is_cut_leaves_the_finding_as_it_was(clock, tmp_path):
