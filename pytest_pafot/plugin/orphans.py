@@ -82,8 +82,9 @@ def find_strays(collected: Collected, orphans: Collection[Path]) -> dict[str, tu
     top = collected.rootpath
     strays: dict[str, tuple[str, bool]] = {}
     tests = {each for folder in collected.folders for each in (folder.parent, folder)}
-    for place in filter(lambda each: not is_folder(each), {*collected.roots, *tests}):
-        strays |= {relative(folder, top): (why, True) for folder, why in unlisted_below(place).items()}
+    for each in {*collected.roots, *tests}:
+        if not is_folder(each):
+            strays |= {relative(file, top): (why, True) for file, why in unlisted_below(each).items()}
     for root, directory in sorted(collected.roots.items()):
         is_asked_for = _is_asked_for(directory, collected)
         if is_folder(root):
