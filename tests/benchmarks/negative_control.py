@@ -6,7 +6,7 @@
 Every collision for which the ego is responsible would be a finding. With the careful and competent human driver of UN
 R157, the IDM with emergency braking and the sound lane changer, there should be none, so each of them is read.
 ``fuzzy-safety`` is no negative control: it runs into a vehicle that cuts in and brakes hard, so its findings are
-expected. Each driver is searched by the default algorithm and in random scenarios, both in the default scenarios, and by
+expected. Each driver is searched by the default algorithm and at random, both in the default scenarios, and by
 the paper's algorithm in the paper's scenarios. Prints for each search how its runs ended, how often the ego entered a
 different lane, and the explanation of each kind of finding.
 """
