@@ -10,6 +10,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
+from itertools import pairwise
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -45,9 +46,9 @@ from pytest_pafot.attribution.responses import (
     GIVING_WAY,
     HEADWAY,
     HELD,
-    LOST,
     VISIBLY,
     answer,
+    brakings,
     room_to_leave,
 )
 from pytest_pafot.attribution.sentences import BRAKES, Fact, Reason, What, sentences
@@ -919,21 +920,12 @@ class Conflict:
         since = None if over is None else pursuit.avoided_from(over, CUT_OFF, EMERGENCY)
         if over is not None and since is not None:
             return self._answer(behind, since, tick, CUT_OFF)
-        pause, slowed = math.ceil(LET_GO * self._hz), braking(self._trace, behind)
-        lost = {last - 1: slowed[first:last].sum() / self._hz for first, last in stretches(slowed >= BRAKES)}
-        let_go = [
-            at
-            for at in ticks
-            if at in lost
-            and closing[at] > 0
-            and at + pause <= self._end
-            and (slowed[at + 1 : at + 1 + pause] < BRAKES).all()
-            and pursuit.avoided_from(at, HELD) is not None
-        ]
-        told = next((at for at in let_go if lost[at] >= LOST), None)  # a twitch has no brakes to release
-        if told is not None:
-            return Fact(What.LET_BRAKES_GO, behind, self._at(told))
-        return self._answer(behind, max(tick, self._before), tick) if let_go else None
+        braked = [*brakings(self._trace.states[:, behind, SPEED], self._hz), (self._end, self._end)]
+        for (_, at), (again, _) in pairwise(braked):
+            is_let_go = again - at >= math.ceil(LET_GO * self._hz) and at in ticks and closing[at] > 0
+            if is_let_go and pursuit.avoided_from(at, HELD) is not None:
+                return Fact(What.LET_BRAKES_GO, behind, self._at(at))
+        return None
 
     def _eased(self, tick: int, pursuit: Pursuit, change: LaneChange | None) -> Fact | None:
         """Return the fact that the ego already braked when it became dangerous, and then braked less; None if not.

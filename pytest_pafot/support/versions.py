@@ -8,7 +8,7 @@ from importlib import metadata
 PACKAGES = ("pytest-pafot", "highway-env", "numpy")
 
 RULES = "verdict-rules"
-RULES_VERSION = "2"
+RULES_VERSION = "3"
 """The version of the rules of docs/explanation/verdicts.md. It goes up with each change of a verdict."""
 
 

@@ -27,7 +27,8 @@ from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.trace import HEADING, SPEED, STEERING, Outcome, X, Y
 from pytest_pafot.oracle.run import LINE_LENGTH
 from tests.helpers.drives import HZ, crash, driven
-from tests.helpers.situations import cut_in
+from tests.helpers.pencil_and_paper import judge
+from tests.helpers.situations import cut_in, lane_change
 from tests.helpers.tables import table
 from tests.helpers.traces import collision_at, random_states, straight_lanes, trace_of, vehicle
 from tests.helpers.work import calls_in
@@ -272,6 +273,30 @@ class TestASecondChance:
     def test_brakes_count_as_released_after_six_idle_ticks(self, ticks, responsible):
         found = self.behind_the_ego((43 / HZ, 8.0, 22.0), ((55 + ticks) / HZ, 0.6, 0.0))
         assert (found.responsibility, found.fault) == (responsible, "entered-lane")
+
+    @pytest.mark.parametrize("rate", [1.5, 8.0])
+    @pytest.mark.parametrize(("lost", "responsible"), [(0.25, "both"), (0.19, "ego")])
+    def test_twitch_of_an_npc_is_no_braking(self, rate, lost, responsible):
+        trace = lane_change(12.0, faster=5.0, npc_brakes=[(3.4, rate, 25.0 - lost)])
+        assert rss_rule(trace).responsibility == judge(trace).responsibility == responsible
+
+    @pytest.mark.parametrize(("lost", "fault"), [(0.25, "leader-unanswered"), (0.19, "cut-in-unanswered")])
+    def test_ego_that_twitched_released_no_brakes(self, lost, fault):
+        """It still shares the blame, because it did not answer the cut-in."""
+        trace = cut_in(25.0, slower=10.0, ego_brakes=[(3.5, 1.5, 20.0 - lost)])
+        found = rss_rule(trace)
+        assert (found.responsibility, found.fault) == ("both", fault)
+        assert judge(trace).fault == fault
+
+    def test_twitch_does_not_make_a_released_brake_a_held_one(self):
+        trace = lane_change(10.0, faster=8.0, npc_brakes=[(2.9, 8.0, 22.0), (3.9, 1.5, 21.9)])
+        found = rss_rule(trace)
+        assert "NPC 0 should have kept braking but released the brakes at 3.7 s." in found.sentences
+        assert judge(trace).responsibility == found.responsibility == "both"
+
+    def test_two_twitches_are_no_braking(self):
+        trace = lane_change(12.0, faster=5.0, npc_brakes=[(2.6, 8.0, 24.81), (3.4, 8.0, 24.62)])
+        assert rss_rule(trace).responsibility == judge(trace).responsibility == "ego"
 
 
 class TestSideBySide:

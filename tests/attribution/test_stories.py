@@ -12,7 +12,7 @@ from tests.helpers import junctions
 from tests.helpers.drives import crash, driven
 from tests.helpers.junctions import plan
 from tests.helpers.random_collisions import collision
-from tests.helpers.situations import SITUATIONS, lane_change
+from tests.helpers.situations import SITUATIONS
 from tests.helpers.stories import Story, entry_of, stories_of
 from tests.helpers.tables import table
 
@@ -160,15 +160,6 @@ def test_both_vehicles_that_failed_at_a_crossing_are_told():
     assert [each.in_full.what for each in found.facts[1:]] == [What.SHOULD_HAVE_BRAKED, What.SHOULD_HAVE_WAITED]
     stories = stories_of(trace, found.sentences)
     assert [each.wrong(entry_of(trace, found.sentences, each.vehicle)) for each in stories] == [[], []]
-
-
-@pytest.mark.parametrize(("lost", "is_told"), [(0.3, True), (0.1, False)])
-def test_only_a_visible_braking_should_have_been_kept_on(lost, is_told):
-    """A twitch of the speed is a second chance by rule 4c, but no braking that a reader could find."""
-    found = rss_rule(lane_change(12.0, faster=5.0, npc_brakes=[(3.4, 1.5, 25.0 - lost)]))
-    assert found.responsibility == "both"
-    assert ("NPC 0 should have kept braking but released the brakes at 3.6 s." in found.sentences) is is_told
-    assert any(each.startswith("NPC 0 should have braked hard by") for each in found.sentences)
 
 
 def test_braking_of_the_ego_does_not_move_what_the_npc_owed():

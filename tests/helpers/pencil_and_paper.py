@@ -492,9 +492,20 @@ class Crash:
         return (
             end <= self.impact
             and behind.speed[tick] > ahead.speed[tick]
-            and behind.deceleration(tick) >= BRAKES
-            and all(behind.deceleration(later) < BRAKES for later in range(tick + 1, end + 1))
+            and self.is_braking(behind, tick)
+            and not any(self.is_braking(behind, later) for later in range(tick + 1, end + 1))
         )
+
+    def is_braking(self, vehicle, tick):
+        """Return whether the step to a tick is one of a row of steps that slow down and together take 0.2 m/s."""
+        if vehicle.deceleration(tick) < BRAKES:
+            return False
+        before, last = tick - 1, tick
+        while vehicle.deceleration(before) >= BRAKES:
+            before -= 1
+        while last < self.impact and vehicle.deceleration(last + 1) >= BRAKES:
+            last += 1
+        return vehicle.body_speed[before] - vehicle.body_speed[last] >= 0.2
 
     def npc_unless_second_chance(self, named, moment=None, seen=None):
         """Return the verdict for an ego behind that is excused; ``moment`` is the time of the NPC's lane change.

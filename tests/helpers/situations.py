@@ -641,6 +641,13 @@ SITUATIONS = {
             "both", "entered-lane", "4c", "NPC 0 should have kept braking",
         ),
         Situation(
+            "follower-twitches",
+            "The ego changes lanes 12 m ahead of an NPC that is 5 m/s faster. The speed of the NPC twitches once, by "
+            "0.1 m/s.",
+            lambda: lane_change(12.0, faster=5.0, npc_brakes=[(3.4, 1.5, 24.9)]),
+            "ego", "entered-lane", "4c", "should have left NPC 0 a gap of",
+        ),
+        Situation(
             "lane-change-28-m-ahead",
             "The ego changes lanes 28 m ahead of an NPC that is 8 m/s faster. Once the ego has kept its new lane, "
             "only a second is left.",
