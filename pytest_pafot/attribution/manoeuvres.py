@@ -39,13 +39,11 @@ class LaneChange:
         seen: tick from which on the motion could be distinguished from wandering in the lane.
         tick: moment of the lane change, the tick from which on the vehicle's box was over the last line that it
             crossed.
-        drift: sideways speed at that moment [m/s].
     """
 
     vehicle: int
     seen: int
     tick: int
-    drift: float
 
 
 class LanePlaces:
@@ -166,8 +164,7 @@ class LanePlaces:
         """
         left = side * self._offsets[vehicle, began : moment + 1] > KEEPING
         seen = began + _run_start(left, moment - began) if left[-1] else moment
-        drift = side * float(self.frame.drift[vehicle, moment])
-        return LaneChange(vehicle=vehicle, seen=seen, tick=moment, drift=drift)
+        return LaneChange(vehicle=vehicle, seen=seen, tick=moment)
 
     def _motion(self, vehicle: int, side: float, onset: int) -> int | None:
         """Return the first tick of the sideways motion that lasts until a tick or ended just before; None if none."""

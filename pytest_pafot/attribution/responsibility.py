@@ -850,8 +850,8 @@ class Conflict:
 
     def _in_one_lane(self) -> Attribution:
         if self._leads(self._start):
-            return self._npc_followed(0, self._start, (self._too_close(self._npc + 1, 0),))
-        close, pursuit = self._too_close(0, self._npc + 1), self._pursuit(by_ego=True)
+            return self._npc_followed(0, self._start, (self._too_close(self._npc + 1),))
+        close, pursuit = self._too_close(0), self._pursuit(by_ego=True)
         since = pursuit.avoided_from(self._before, FOLLOWING)
         if since is None and self._steered_behind:
             since = pursuit.avoided_from(self._tailing_since, FOLLOWING)
@@ -963,13 +963,13 @@ class Conflict:
             if stop is not None:
                 standing = self._at(self._end - stop.end)
                 stopped = Fact(What.STOPPED_FOR_NOTHING, 0, self._at(stop.begin), lasting_s=standing)
-                stopped = self._braked_for_nothing(0, stop) if stop.had_reason else stopped
+                stopped = self._braked_for_nothing(stop) if stop.had_reason else stopped
                 return self._needless(stop, max(duty, self._before), stopped, "stopped-for-nothing", moved_in)
         if braked is None:
             return self._excused(tick, reason)
         since = max(duty, min(self._before, braked.begin))  # the braking requires a response at any distance
         fault: Fault = "braked-for-nothing" if self._is_hard(braked, 0) else "stopped-for-nothing"
-        return self._needless(braked, since, self._braked_for_nothing(0, braked), fault, moved_in)
+        return self._needless(braked, since, self._braked_for_nothing(braked), fault, moved_in)
 
     def _is_hard(self, stop: Stop, vehicle: int) -> bool:
         return bool((braking(self._trace, vehicle)[stop.begin + 1 : stop.end + 1] > HARD_BRAKING).any())
@@ -1098,14 +1098,14 @@ class Conflict:
         peak = float(braking(self._trace, self._npc + 1)[since + 1 : self._end + 1].max(initial=0.0))
         return peak if peak >= BRAKED_VISIBLY else 0.0
 
-    def _too_close(self, follower: int, leader: int) -> Fact:
+    def _too_close(self, follower: int) -> Fact:
         close, safe = self._placed(What.CAME_TOO_CLOSE, follower, self._start), float(self._safe_along[self._start])
         return close._replace(gap_m=min(close.gap_m, -1e-9), asked_m=safe)  # a gap of 0 would read as "next to"
 
-    def _braked_for_nothing(self, vehicle: int, stop: Stop) -> Fact:
-        peak = float(braking(self._trace, vehicle)[stop.begin : stop.end + 1].max())
+    def _braked_for_nothing(self, stop: Stop) -> Fact:
+        peak = float(braking(self._trace)[stop.begin : stop.end + 1].max())
         what = What.BRAKED_ON if stop.had_reason else What.BRAKED_FOR_NOTHING
-        return Fact(what, vehicle, self._at(stop.begin), braking_m_per_s2=peak)
+        return Fact(what, 0, self._at(stop.begin), braking_m_per_s2=peak)
 
     def _had_no_time(self, vehicle: int, tick: int, since: int, response: Braking = FOLLOWING) -> Fact:
         """Return the fact that a vehicle had too little time for the proper response from the tick ``since`` on."""

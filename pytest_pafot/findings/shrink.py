@@ -232,8 +232,7 @@ def shrink(
     """
     top = int(min(top_speed, MAX_SPEED) * SPEED_STEPS_PER_MPS + 1e-6)
     slowest = min(_tenths(gene) for chain in scenario.npcs for gene in chain)
-    least = 0.0 if top_speed == MAX_SPEED else scenario.traffic.least_speed(top_speed)
-    low = min(round(least * SPEED_STEPS_PER_MPS), slowest)
+    low = min(round(scenario.traffic.least_speed(top_speed) * SPEED_STEPS_PER_MPS), slowest)
     gate = _Gate(
         best=scenario, attempt=attempt, rollouts=rollouts // FIRST_PART, low=low, top=top, tried={scenario: scenario},
         ahead=ahead, expect=expect,
@@ -648,7 +647,7 @@ def _lasting(instruction: Gene, genes: int) -> Chromosome:
 
 def _with_speed(scenario: Scenario, npc: int, start: int, end: int, tenths: int) -> Scenario | None:
     chain = scenario.npcs[npc]
-    if tenths < 0 or (tenths == 0 and _crosses(chain)):
+    if tenths < 0 or (tenths == 0 and isinstance(chain[0], CrossingInstruction)):
         return None
     changed = tuple(replace(gene, speed=_mps(tenths)) for gene in chain[start:end])
     return _with_chain(scenario, npc, chain[:start] + changed + chain[end:])
@@ -664,10 +663,6 @@ def _valid(scenario: Scenario, npcs: tuple[Chromosome, ...]) -> Scenario | None:
         return replace(scenario, npcs=npcs)
     except ScenarioError:  # for an empty chain, a leap across the ring, or two NPCs in one cell
         return None
-
-
-def _crosses(chain: Chromosome) -> bool:
-    return isinstance(chain[0], CrossingInstruction)
 
 
 def _is_alone(chain: Chromosome) -> bool:

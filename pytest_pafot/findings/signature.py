@@ -10,7 +10,7 @@ import re
 from dataclasses import dataclass, field, fields, replace
 from functools import lru_cache
 from textwrap import dedent
-from typing import Self, cast, get_args
+from typing import Any, Self, cast, get_args
 
 from pytest_pafot.attribution.mistakes import BY_FAULT, NOT_GIVEN_WAY, Manoeuvre, Mistake
 from pytest_pafot.attribution.responsibility import Fault, Responsibility
@@ -112,42 +112,22 @@ class Signature:
     ego_manoeuvre: Manoeuvre | None = None
 
     @classmethod
-    def of(
-        cls,
-        *,
-        failure: str,
-        assertion: str,
-        outcome: Outcome,
-        responsibility: Responsibility,
-        mistake: Mistake | None = None,
-        fault: Fault | None = None,
-        side: Side | None = None,
-        cell: Cell | None = None,
-        zone: str | None = None,
-        npc_manoeuvre: Manoeuvre | None = None,
-        ego_manoeuvre: Manoeuvre | None = None,
-    ) -> Self:
+    def of(cls, **facts: Any) -> Self:
         """Return the signature of a failure with these facts, without the facts that do not distinguish failures."""
-        ended = cls(failure=failure, assertion=assertion, outcome=outcome, responsibility=responsibility)
-        if ended.is_property or failure == SLOW_DECISION:  # a slow decision is the same however its run went on
-            return replace(ended, outcome=Outcome.SAFE, responsibility="none")
-        if fault is not None:
-            # At a zone the origin of the NPC says which way was not given; elsewhere the rule alone says the mistake.
-            given = None if zone is None else NOT_GIVEN_WAY[cast("Origin", zone.rpartition(" ")[2])]
-            known = given if fault == "did-not-give-way" else BY_FAULT.get(fault)
-            at_zone = zone if fault in AT_ZONES else None
-            return replace(ended, responsibility="ego", mistake=mistake or known, fault=fault, zone=at_zone)
-        if outcome is not Outcome.COLLISION:
-            cell = zone = None
-        return replace(
-            ended,
-            mistake=mistake,
-            side=side,
-            cell=cell,
-            zone=zone,
-            npc_manoeuvre=npc_manoeuvre,
-            ego_manoeuvre=ego_manoeuvre,
+        told = cls(**facts)
+        ended = cls(
+            failure=told.failure, assertion=told.assertion, outcome=told.outcome, responsibility=told.responsibility
         )
+        if told.is_property or told.failure == SLOW_DECISION:  # it is the same however its run went on
+            return replace(ended, outcome=Outcome.SAFE, responsibility="none")
+        if told.fault is not None:
+            # At a zone the origin of the NPC says which way was not given; elsewhere the rule alone says the mistake.
+            given = None if told.zone is None else NOT_GIVEN_WAY[cast("Origin", told.zone.rpartition(" ")[2])]
+            known = given if told.fault == "did-not-give-way" else BY_FAULT.get(told.fault)
+            at_zone = told.zone if told.fault in AT_ZONES else None
+            mistake = told.mistake or known
+            return replace(ended, responsibility="ego", mistake=mistake, fault=told.fault, zone=at_zone)
+        return told if told.outcome is Outcome.COLLISION else replace(told, cell=None, zone=None)
 
     @property
     def is_property(self) -> bool:

@@ -75,7 +75,6 @@ class ZoneView:
 
     Attributes:
         name: entry and exit of the NPC's way.
-        whence: where the NPC comes from, in words.
         stretch: start and end of the zone along the NPC's way.
         way: points of the NPC's way; empty if they are unknown.
         area: the points of the NPC's way at which the NPC would be in the ego's way.
@@ -84,7 +83,6 @@ class ZoneView:
     """
 
     name: str
-    whence: str
     stretch: tuple[float, float]
     way: tuple[tuple[float, float], ...] = ()
     area: tuple[tuple[float, float], ...] = ()

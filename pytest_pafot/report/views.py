@@ -507,7 +507,6 @@ def zone_view(passage: Passage, length: float, width: float) -> ZoneView:
     zone = passage.zone
     view = ZoneView(
         name=zone.way,
-        whence=zone.whence,
         stretch=(round(zone.npc[0], 2), round(zone.npc[1], 2)),
         of_ego=_window(passage.ego_enters, passage.ego_leaves),
         of_npc=_window(passage.npc_enters, passage.npc_leaves),

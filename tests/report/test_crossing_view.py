@@ -51,7 +51,7 @@ def test_npc_off_the_ego_way_has_no_cell():
 
 def test_zone_has_words_way_and_times_of_both():
     _, crosses, merges, ahead = mixed().vehicles
-    assert (crosses.zone.name, crosses.zone.whence, crosses.zone.stretch) == (CROSSES, "from the left", (55.5, 64.5))
+    assert (crosses.zone.name, crosses.zone.stretch) == (CROSSES, (55.5, 64.5))
     assert (crosses.zone.of_ego, crosses.zone.of_npc) == ((4.6, 5.467), (5.6, 6.467))
     assert merges.zone.of_ego == (6.0, 8.0)
     assert ahead.zone is None
