@@ -218,7 +218,7 @@ def test_pure_rooms_use_no_clock_or_global_randomness():
 
 
 BEYOND_THE_DOOR = {
-    "algorithms": 16, "comparison": 12, "episodes": 25, "executors": 10, "requirements": 14, "resumable": 3,
+    "algorithms": 16, "comparison": 12, "episodes": 25, "executors": 10, "requirements": 11, "resumable": 3,
     "revisions": 39, "sweeps": 25, "testing": 16, "training": 11,
 }  # fmt: skip
 """The names that an extra imports from the inside of the core, neither public nor on the page for those who
@@ -271,6 +271,6 @@ def test_no_route_climbs_more_often_than_before(tmp_path):
         if len(found) > most:
             new = "\n".join(f"    {pair}: {', '.join(sorted(functions))}" for pair, functions in sorted(found.items()))
             wrong.append(f"{route}: {len(found)} climbs, at most {most} are allowed; remove the new ones of\n{new}")
-        if len(found) < most:
+        if len(found) < most and sys.version_info < (3, 12):  # which counts calls of comprehensions as well
             wrong.append(f"{route}: {len(found)} climbs, fewer than {most}: lower the number in CLIMBS")
     assert not wrong, "\n".join(wrong)

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from tests.helpers.tables import table
-from tests.test_layers import MODULES, ROOMS
+from tests.test_layers import EXTRAS, MODULES, ROOMS
 
 ROOT = Path(__file__).parents[1]
 OF_ONE_NAME = {
@@ -57,7 +57,9 @@ def test_modules_with_equal_names_are_listed_exceptions():
 
 def test_folders_of_tests_are_named_after_rooms():
     folders = {path.name for path in (ROOT / "tests").iterdir() if any(path.glob("test_*.py"))}
-    assert folders <= {*ROOMS, "example_ads"}
+    assert folders <= {*ROOMS, "example_ads", "extras"}
+    inner = {path.name for path in (ROOT / "tests" / "extras").iterdir() if any(path.glob("test_*.py"))}
+    assert inner <= {*EXTRAS, "plugin"}
 
 
 def test_table_runs_every_row_and_names_failures():

@@ -34,10 +34,9 @@ from pytest_pafot.corpus.layout import (
     unlisted_below,
 )
 from pytest_pafot.corpus.saved import Saved, saved_in
-from pytest_pafot.plugin.marks import SEARCH_MARK
 from pytest_pafot.plugin.option_sources import option_value
 from pytest_pafot.plugin.session import SUMMARY_LINES
-from pytest_pafot.plugin.unrun import UNRUN, Collected, Orphan
+from pytest_pafot.plugin.unrun import DRIVEN, UNRUN, Collected, Orphan
 from pytest_pafot.support.errors import command
 from pytest_pafot.support.text import plural, visible
 
@@ -82,9 +81,8 @@ def find_strays(collected: Collected, orphans: Collection[Path]) -> dict[str, tu
     top = collected.rootpath
     strays: dict[str, tuple[str, bool]] = {}
     tests = {each for folder in collected.folders for each in (folder.parent, folder)}
-    for each in {*collected.roots, *tests}:
-        if not is_folder(each):
-            strays |= {relative(file, top): (why, True) for file, why in unlisted_below(each).items()}
+    for broken in filter(lambda each: not is_folder(each), {*collected.roots, *tests}):
+        strays |= {relative(folder, top): (why, True) for folder, why in unlisted_below(broken).items()}
     for root, directory in sorted(collected.roots.items()):
         is_asked_for = _is_asked_for(directory, collected)
         if is_folder(root):
@@ -203,16 +201,15 @@ class Guard:
 
     @pytest.hookimpl(tryfirst=True)  # before the summary and the JSON file are written
     def pytest_sessionfinish(self, session: pytest.Session) -> None:
-        """Let no session on CI end with 0 by ``pytest.exit(returncode=0)`` before its searches and replays have run."""
+        """Let no session on CI end with 0, as by ``pytest.exit(returncode=0)``, before all policies have driven."""
         cause = _cause(session.config)
-        left = [item.nodeid for item in session.items if item.get_closest_marker(SEARCH_MARK) is not None]
-        left = [node_id for node_id in left if node_id not in self._ended]
+        left = sorted(session.config.stash[DRIVEN] - self._ended)
         if not cause or session.exitstatus != pytest.ExitCode.OK or not left or session.config.getoption("collectonly"):
             return
         session.exitstatus = pytest.ExitCode.INTERRUPTED
         session.config.stash[SUMMARY_LINES].problems.append(
             f"{plural(len(left), 'item')} did not run to the end, {left[0]} first, but the session was to end with the "
-            f"exit code 0, as by pytest.exit(returncode=0); it ends with 2 ({cause})"
+            f"exit code 0, as by pytest.exit(returncode=0) or a hook pytest_runtest_protocol; it ends with 2 ({cause})"
         )
 
     @pytest.hookimpl(wrapper=True, trylast=True)  # inside of the hook with which pytest ends the line of its results

@@ -478,7 +478,7 @@ def _rows(plan: ProgressPlan, part: str, numbers: range, tick: Tick) -> Iterator
         (side, other), runs = ("old", "new") if part == "alone_old" else ("new", "old"), count(1)
         found = explore(
             plan.factory(side), against=plan.factory(other), holds=plan.holds, world=plan.world,
-            blame="ego", runs=plan.scenarios, seed=plan.seed, node_id=plan.test, shrink_rollouts=0, pairs=0,
+            blame="ego", runs=plan.scenarios, seed=plan.seed, node_id=plan.test, shrink_rollouts=0, pairs=1,
             on_event=lambda event: tick(min(1.0, next(runs) / plan.scenarios)) if isinstance(event, Judged) else None,
         )  # fmt: skip
         old, new = Result(failed=side == "old"), Result(failed=side == "new")
