@@ -16,6 +16,7 @@ TREE = Path("/home/me/tree")
         ("  5 neighbours passed, in 1.8 s (--pafot-replay-neighbours)",
          "  5 neighbours passed, in 2.0 s (--pafot-replay-neighbours)"),
         ("pafot: test_it.py::test_batch[search] 4/9 runs, 1 failing, 1 new, 2/s\n", ""),
+        ("test_it.py .FF\n", "test_it.py \npafot: test_it.py::test_batch[search] 4/9 runs\n.FF\n"),
         (f"{TREE}/pytest_pafot/support/interrupts.py:54: KeyboardInterrupt", "TREE/...: KeyboardInterrupt"),
     ],
 )  # fmt: skip
@@ -31,6 +32,7 @@ def test_seconds_progress_and_paths_are_left_out(one, other):
         ("  9 runs, 4 to shrink in 1.8 s, 2 failing", "  9 runs, 4 to shrink in 1.8 s, 3 failing"),
         ("  The ego should have braked by 4.0 s but did not.", "  The ego should have braked by 4.1 s but did not."),
         ("pafot: found test_it.py::test_batch[saved-front-1]", "pafot: found test_it.py::test_batch[saved-front-2]"),
+        ("test_it.py .FF", "test_it.py .F"),
         (f"rootdir: {TREE}2/x", f"rootdir: {TREE}3/x"),
     ],
 )  # fmt: skip
