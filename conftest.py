@@ -54,10 +54,16 @@ def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool 
     return True if collection_path == Path(__file__).parent / "tests" / "extras" and is_left_out else None
 
 
-@pytest.hookimpl(trylast=True)
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Begin with the long tests; otherwise one worker ends with a long test while the others have nothing to do."""
-    items.sort(key=lambda item: not (item.get_closest_marker("stories") or item.get_closest_marker("processes")))
+@pytest.hookimpl(wrapper=True, tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> Generator[None, object, object]:
+    """Mark what takes long, by its list. Begin with long tests: no worker must end with one while the others wait."""
+    long = set((Path(__file__).parent / "tests" / "long.txt").read_text(encoding="utf-8").split())
+    for item in items:
+        if item.nodeid.partition("[")[0] in long:
+            item.add_marker("long")
+    done = yield
+    items.sort(key=lambda item: not any(map(item.get_closest_marker, ("long", "stories", "processes"))))
+    return done
 
 
 @pytest.hookimpl(wrapper=True)

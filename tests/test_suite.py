@@ -55,6 +55,12 @@ def test_modules_with_equal_names_are_listed_exceptions():
     assert repeated(path.stem for path in MODULES if path.name != "__init__.py") == set(OF_ONE_NAME)
 
 
+def test_listed_long_tests_exist():
+    for name in (ROOT / "tests" / "long.txt").read_text(encoding="utf-8").split():
+        path, _, test = name.partition("::")
+        assert f"def {test.split('::')[-1]}(" in (ROOT / path).read_text(encoding="utf-8"), name
+
+
 def test_folders_of_tests_are_named_after_rooms():
     folders = {path.name for path in (ROOT / "tests").iterdir() if any(path.glob("test_*.py"))}
     assert folders <= {*ROOMS, "example_ads", "extras"}
