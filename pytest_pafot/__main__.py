@@ -187,9 +187,19 @@ def _run(given: list[str]) -> int:
     }
     asked = next((each for each in given if each in parsers), "")  # others are listed, but not imported
     if asked:
-        module = opened(known_commands()[asked].module)
-        module.add_arguments(parsers[asked])
-        parsers[asked].set_defaults(run=module.run)
+        try:
+            module = opened(known_commands()[asked].module)
+            module.add_arguments(parsers[asked])
+            parsers[asked].set_defaults(run=module.run)
+        except Exception as error:
+            if asked in {*OWN_COMMANDS, *COMMANDS}:
+                raise
+            received = f"{type(error).__name__}: {error}"
+            sys.stderr.write(
+                f"{asked}: expected {known_commands()[asked].help} with add_arguments and run, received {received}; "
+                "correct or uninstall that package\n"
+            )
+            return BAD_USE
     # Split at "--" here: argparse would add the arguments after it to the positional arguments before it.
     own = given.index("--") if given[:1] in (["search"], ["requirements"]) and "--" in given else len(given)
     arguments_given, unknown = parser.parse_known_args(given[:own], argparse.Namespace(pytest=given[own + 1 :]))

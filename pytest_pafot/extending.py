@@ -80,6 +80,7 @@ if TYPE_CHECKING:
     from pytest_pafot.searching.space import repaired as repaired
     from pytest_pafot.searching.space import sample as sample
     from pytest_pafot.searching.space import space_on as space_on
+    from pytest_pafot.support.errors import RequestError as RequestError
     from pytest_pafot.world.codec import from_dict as from_dict
     from pytest_pafot.world.driving.ads import AdsFactory as AdsFactory
     from pytest_pafot.world.driving.ads import is_vehicle_class as is_vehicle_class
@@ -118,6 +119,7 @@ _HOMES = {
     "LocalSearchStarted": "searching.events",
     "NewBest": "searching.events",
     "ProcessLostError": "execution.pool",
+    "RequestError": "support.errors",
     "Restarted": "searching.events",
     "SPEED": "model.trace",
     "STEERING": "model.trace",

@@ -16,8 +16,9 @@ def pytest_pafot_event(config: pytest.Config, node_id: str, kind: str, data: Map
         config: the session's.
         node_id: the item that tells it.
         kind: ``start`` and ``search`` for the begin and the end of a search, ``progress``, ``finding`` for a failure
-            that was found or replayed, ``note``, ``warning``, ``compared``.
-        data: what it tells; its keys depend on the kind.
+            that was found or replayed, and again each time that more is known of it, ``note``, ``warning``,
+            ``compared``.
+        data: what it tells; docs/reference/extending.md lists the keys of each kind.
     """
 
 

@@ -35,6 +35,8 @@ if TYPE_CHECKING:
     from pytest_pafot.report.session_record import FindingRecord, OrphanRecord, SessionRecord
 
 JSON = BY_NAME["json"]
+EVENTS = ("start", "progress", "finding", "search", "note", "warning", "compared")
+"""The kinds of messages that hooks of other plugins receive."""
 SUMMARY = "GITHUB_STEP_SUMMARY"
 """The environment variable in which GitHub Actions names the file for the summary of a step."""
 QUICK, REST = 0.1, 10
@@ -76,9 +78,14 @@ class Records:
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
         """Store the messages of items, and the result of each of their phases."""
         message = messages.received(report)
-        if message is not None:
-            config = self._config
-            config.hook.pytest_pafot_event(config=config, node_id=report.nodeid, kind=message.kind, data=message.data)
+        if message is not None and message.kind in EVENTS:
+            data = message.data
+            if message.kind in ("finding", "search"):  # without what is meant for the page and the terminal
+                data = {"record": data["record"], "is_new": bool(data.get("is_new"))} if "record" in data else {}
+            with self._lines.faults("a hook pytest_pafot_event"):
+                self._config.hook.pytest_pafot_event(
+                    config=self._config, node_id=report.nodeid, kind=message.kind, data=data
+                )
         if message is None:
             self._take_phase(report)
         elif message.kind in ("finding", "start", "search", *self._texts):
@@ -92,8 +99,9 @@ class Records:
         if _is_implemented(self._config.hook.pytest_pafot_record):
             from pytest_pafot.report.session_record import to_text  # noqa: PLC0415
 
-            record = json.loads(to_text(self._record(code)))
-            self._config.hook.pytest_pafot_record(config=self._config, record=record)
+            with self._lines.faults("a hook pytest_pafot_record"):
+                record = json.loads(to_text(self._record(code)))
+                self._config.hook.pytest_pafot_record(config=self._config, record=record)
         path = os.environ.get(SUMMARY)
         orphans = self._config.stash[UNRUN].orphans
         if not path or not any((self._searches, self._findings, *self._texts.values(), orphans, self._lines.problems)):
