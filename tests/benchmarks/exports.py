@@ -3,9 +3,10 @@
     python -m tests.benchmarks.exports [--finds DIR]
 
 Searches for collisions of an ego that keeps its lane and its speed, and lets
-``tests/extras/export/test_exports.py`` read all of them. Prints a row for each reader: its version, how many findings it
-read as they were driven, and the largest difference in lengths [m] and speeds [m/s]. Ends with 1 if one is read
-differently. A reader that is not installed is reported as absent. The following commands install all of them, best in a separate virtual environment:
+``tests/extras/export/test_exports.py`` read all of them. Prints a row for each reader: its version, how many findings
+it read as they were driven, and the largest difference in lengths [m] and speeds [m/s]. Ends with 1 if one is read
+differently. A reader that is not installed is reported as absent. The following commands install all of them, best in
+a separate virtual environment:
 
     python -m pip install asam-qc-openscenarioxml asam-qc-opendrive eclipse-sumo
     python -m pip install ".[export,commonroad]" commonroad-drivability-checker
