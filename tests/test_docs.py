@@ -36,7 +36,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import NamedTuple
 
-import highway_env.road.road  # noqa: F401  pytester forgets modules that a run imports; compiled ones must stay
+import highway_env.road.road
 import pytest
 import yaml
 
@@ -51,6 +51,8 @@ from pytest_pafot.corpus.reader import parsed
 from pytest_pafot.world import Highway, from_dict
 from tests.helpers.sessions import in_process, quick_sessions
 from tests.helpers.tables import table
+
+pytest.importorskip("pytest_pafot.extras", reason="the pages are also about the extras")
 
 ROOT = Path(__file__).parents[1]
 DOCUMENTS = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted(ROOT.glob("docs/**/*.md"))]

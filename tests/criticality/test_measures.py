@@ -24,7 +24,7 @@ def gap_across(trace):
     return RoadFrame(trace).gap_across
 
 
-def safe_along(trace, rules=RssRules()):  # noqa: B008  (a frozen value)
+def safe_along(trace, rules=RssRules()):
     return RoadFrame(trace).safe_along(rules)
 
 

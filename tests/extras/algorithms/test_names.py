@@ -2,12 +2,15 @@
 
 import pytest
 
+from pytest_pafot import Highway, World
 from pytest_pafot.door import ALGORITHMS
 from pytest_pafot.extras.algorithms.av_fuzzer import AvFuzzerSearch
 from pytest_pafot.searching import SearchSpace, resolve_algorithm
 from pytest_pafot.searching.ask_tell import ResumableSearch
+from tests.campaign.test_random_beginning import explored
+from tests.campaign.test_request import space_of
 from tests.helpers.tables import table
-from tests.searching.test_crossing_traffic import check_grid, check_junctions
+from tests.searching.test_crossing_traffic import WITHOUT, check_grid, check_junctions, drawn_digest
 
 CLASSES = {name: resolve_algorithm(name) for name in ALGORITHMS}
 
@@ -36,3 +39,18 @@ def test_every_search_except_the_papers_handles_junctions(name, make_evaluation)
 @table("name", [name for name, each in CLASSES.items() if each.is_papers and not each.library])
 def test_the_papers_searches_keep_to_the_grid(name, make_evaluation):
     check_grid(name, make_evaluation)
+
+
+def test_av_fuzzer_draws_without_zones_as_it_did_before(make_evaluation):
+    drawn = {space: drawn_digest("av-fuzzer", WITHOUT[space], make_evaluation) for space in WITHOUT}
+    assert drawn == {"papers": "b07ec34b17d5", "wide": "374eb7f4ea29", "bend": "ef9f486e8604"}
+
+
+def test_searches_of_the_papers_have_its_space():
+    space = space_of(Highway(), algorithm="av-fuzzer")
+    assert (space.npcs, space.ego_lane, space.ego_speed, space.patterns) == (2, 1, 22.0, False)
+    assert space_of(World("intersection-v0"), algorithm="cma-es").crossings is None
+
+
+def test_av_fuzzer_has_no_random_share():
+    assert explored(runs=8, algorithm="av-fuzzer").summary.random_runs == 0

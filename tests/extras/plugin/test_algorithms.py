@@ -6,6 +6,7 @@ import pytest
 
 from pytest_pafot.door import ALGORITHMS
 from tests.plugin.test_algorithms import TEST, check_kinds
+from tests.plugin.test_begin_with import searched, theirs
 
 
 @pytest.fixture(scope="module")
@@ -14,9 +15,9 @@ def libraries():
 
     Compiled libraries cannot be loaded a second time.
     """
-    import cmaes  # noqa: F401
-    import pymoo.operators.survival.rank_and_crowding  # noqa: F401
-    import ribs.archives  # noqa: F401
+    import cmaes
+    import pymoo.operators.survival.rank_and_crowding
+    import ribs.archives
 
 
 def test_the_algorithms_of_extras_search_too(libraries, project):
@@ -50,3 +51,8 @@ def test_missing_library_error_gives_the_install_command(project, monkeypatch):
     result = project.run()
     result.assert_outcomes(failed=1)
     result.stdout.fnmatch_lines(["*pip install 'pytest-pafot?search?'*"])
+
+
+def test_map_elites_begins_with_them_too(project, theirs):  # noqa: F811
+    pytest.importorskip("ribs")
+    assert searched(project, f"--pafot-begin-with={theirs}", "--pafot-algorithm=map-elites")[1]["given"] == 2
