@@ -246,8 +246,8 @@ def run_search(item: pytest.Function, request: Request) -> None:
         if settings.is_search and is_revision(settings.against):
             opened(REFERENCES).compare(item, harness)
         elif settings.is_search and harness.against is not None:
-            before, now = (source_digests(ads, here=harness.root) for ads in (harness.against.ads, harness.ads))
-            messages.send(item, "compared", {"text": files_line(harness.against.shown, before, "now", now)})
+            before, after = (source_digests(ads, here=harness.root) for ads in (harness.against.ads, harness.ads))
+            messages.send(item, "compared", {"text": files_line(harness.against.shown, before, "now", after)})
     replays = Replays(harness=harness, in_own_session=partial(replay_in_own_session, item), today=today)
     # If this policy has killed a process before, it runs in processes that may die of it.
     chosen = isolated_after_a_death(harness, replays)
