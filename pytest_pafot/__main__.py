@@ -170,7 +170,10 @@ def main(arguments: list[str] | None = None) -> int:
     }
     asked = next((each for each in given if each in parsers), "")  # others are listed, but not imported
     if asked:
-        module = opened(known_commands()[asked].module)
+        try:
+            module = opened(known_commands()[asked].module)
+        except RequestError as error:
+            parser.exit(2, f"{asked}: {error}\n")
         module.add_arguments(parsers[asked])
         parsers[asked].set_defaults(run=module.run)
     # Split at "--" here: argparse would add the arguments after it to the positional arguments before it.
