@@ -36,7 +36,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import NamedTuple
 
-import highway_env.road.road
+import highway_env.road.road  # noqa: F401  pytester forgets modules that a run imports; compiled ones must stay
 import pytest
 import yaml
 

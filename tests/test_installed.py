@@ -58,19 +58,13 @@ def test_documented_policies_are_installed_and_importable_anywhere(installed, tm
     assert {"idm_mobil", "example_ads.defects:make:two-defects"} <= {*names}
     code = (
         "import sys, pytest_pafot\n"
-        "from pytest_pafot.extras.comparison.plan import ads_factory\n"
+        "from pytest_pafot.commands.policy_reference import ads_factory\n"
         "made = [ads_factory(name)() for name in sys.argv[1:]]\n"
         "print(len(made), pytest_pafot.__file__)"
     )
     done = run(installed, tmp_path, "-c", code, *names)
     assert done.stderr == ""
     assert done.stdout.split() == [str(len(names)), str(installed / "pytest_pafot" / "__init__.py")]
-
-
-def test_installed_comparison_of_example_policy_runs_anywhere(installed, tmp_path):
-    arguments = "compare --ads idm_mobil --algorithms random --runs 1 --generations 1 --workers 1 --out compared"
-    done = run(installed, tmp_path, "-m", "pytest_pafot", *arguments.split())
-    assert (done.returncode, done.stdout) == (0, str(Path("compared", "report.md")) + "\n"), done.stderr
 
 
 WITHOUT_FINDERS = (
@@ -94,7 +88,7 @@ MISSING = "expected a whole installation of pytest-pafot, received one without p
 
 @pytest.fixture
 def core(tmp_path, monkeypatch):
-    """Return a folder with a policy, and a function that runs Python there with a copy of the package without extras."""
+    """Return a folder with a policy, and a function that runs Python there with a copy without extras."""
     copy, here = tmp_path / "core", tmp_path / "here"
     shutil.copytree(
         ROOT / "pytest_pafot", copy / "pytest_pafot", ignore=shutil.ignore_patterns("extras", "__pycache__")

@@ -16,7 +16,7 @@ def test_every_public_name_of_the_core_can_be_reached():
 
 def test_an_unknown_name_is_an_attribute_error():
     with pytest.raises(AttributeError, match="no attribute 'serach'"):
-        pafot.serach
+        pafot.serach  # noqa: B018
 
 
 def test_dir_lists_the_catalogue():

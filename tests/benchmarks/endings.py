@@ -73,7 +73,7 @@ def ending(run: pafot.Run) -> str:
 
 def row(policy: str, style: str, counts: Counter[str]) -> str:
     """Return a row of the table."""
-    share = lambda count, of="runs": f"{count / max(counts[of], 1):.1%}"
+    share = lambda count, of="runs": f"{count / max(counts[of], 1):.1%}"  # noqa: E731
     others = sum(count for name, count in counts.items() if name.split()[0] in ("both", "none", "shared", "unclear"))
     cells = [
         policy, style, share(counts["safe"]), share(sum(counts[f"ego {side}"] for side in SIDES)),

@@ -375,7 +375,7 @@ def roads(rounds: int) -> None:
             scenarios = [draw(np.random.default_rng(seed)) for seed in range(10)]
             run = world.rollout_in_gym if is_gym else world.rollout
             seconds = sum(run(scenario, ads).duration for scenario in scenarios)
-            took = median_ms(lambda: [run(scenario, ads) for scenario in scenarios], rounds)
+            took = median_ms(lambda: [run(scenario, ads) for scenario in scenarios], rounds)  # noqa: B023  (called here)
             print(f"{env_id:16} {kind:20} {took / seconds:8.3f} ms a simulated second")
 
 

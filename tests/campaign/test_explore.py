@@ -172,7 +172,7 @@ def test_search_notes_once_which_traffic_is_missing():
 
 def test_search_names_once_the_options_that_have_no_effect():
     fields = {"holds": lambda run: None, "population": 2, "generations": 1}
-    idle = lambda: lambda observation: 1
+    idle = lambda: lambda observation: 1  # noqa: E731
 
     def notes(config, ads=idle, planner_hz=None, **more):
         world = pafot.World("highway-fast-v0", config=config, duration=2.0, planner_hz=planner_hz)
@@ -231,7 +231,7 @@ BURNS = (
 
 
 def test_search_names_what_of_an_environment_has_no_effect(own_environments):
-    idle = lambda: lambda observation: 1
+    idle = lambda: lambda observation: 1  # noqa: E731
 
     def notes(name, ads=idle, **fields):
         world = pafot.World(f"{name}-v0", duration=2.0, **fields)

@@ -24,7 +24,7 @@ def gap_across(trace):
     return RoadFrame(trace).gap_across
 
 
-def safe_along(trace, rules=RssRules()):
+def safe_along(trace, rules=RssRules()):  # noqa: B008  (a frozen value)
     return RoadFrame(trace).safe_along(rules)
 
 

@@ -124,7 +124,7 @@ class TestVehicles:
 
     def test_unknown_signal_name_lists_the_known_names(self):
         with pytest.raises(AttributeError, match=r"ego\.sped: expected one of acceleration, jerk"):
-            random_run(3).ego.sped
+            random_run(3).ego.sped  # noqa: B018
 
     def test_run_has_signals_for_each_of_its_npcs(self):
         assert len(random_run(4).npcs) == 3

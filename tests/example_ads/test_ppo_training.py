@@ -9,7 +9,7 @@ from example_ads import ppo
 torch = pytest.importorskip("torch", reason='needs pip install "pytest-pafot[train]"')
 sb3 = pytest.importorskip("stable_baselines3", reason='needs pip install "pytest-pafot[train]"')
 
-from example_ads.ppo import train
+from example_ads.ppo import train  # noqa: E402
 
 
 class FiveVehicles(gym.Env):

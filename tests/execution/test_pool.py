@@ -128,7 +128,7 @@ class Unreadable:
         return int, ("four",)
 
 
-class Unportable(Exception):
+class Unportable(Exception):  # noqa: N818
     """An exception that cannot be unpickled: by default it gets one argument instead of two, and a part fails."""
 
     def __init__(self, number, noun):

@@ -25,7 +25,7 @@ from tests.helpers.toy_world import Toy, idle, scenario, trace_of
 SCENARIOS = [scenario(number) for number in range(48)]
 
 
-class KilledWorker(Exception):
+class KilledWorker(Exception):  # noqa: N818
     """An error like the one that Dask's scheduler raises."""
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from tests.commands.test_endings import check_that_all_ends
-from tests.commands.test_receipt import ENDINGS, check_ending, ended, outside_of_ci
+from tests.commands.test_receipt import ENDINGS, check_ending, ended
 
 pytestmark = pytest.mark.processes
 

@@ -17,7 +17,6 @@ from tests.world.test_gym_environment import (
     Hurried,
     Repeating,
     Roadworks,
-    register,
 )
 
 
@@ -25,7 +24,7 @@ from tests.world.test_gym_environment import (
     ("entry_point", "wrappers"),
     [(Repeating, [partial(MaxAndSkipObservation, skip=2)]), (Hurried, None), (Drawn, None)],
 )
-def test_decisions_at_rates_of_an_environments_own_are_accepted(entry_point, wrappers, register):  # noqa: F811
+def test_decisions_at_rates_of_an_environments_own_are_accepted(entry_point, wrappers, register):
     register("mine-v0", entry_point=entry_point)
     check_world(World("mine-v0", duration=8.0, wrappers=wrappers), ads=IDLE, npcs=1, runs=4)
 
@@ -42,7 +41,7 @@ def test_wrong_times_of_decisions_are_refused(told):
 
 @pytest.mark.parametrize("wrappers", [None, [FlattenObservation]])
 @pytest.mark.parametrize("options", [{}, {"planner_hz": 5}], ids=["policy", "planner"])
-def test_contact_with_an_obstacle_is_accepted(options, wrappers, register):  # noqa: F811
+def test_contact_with_an_obstacle_is_accepted(options, wrappers, register):
     register("mine-v0", entry_point=Roadworks)
     world = World("mine-v0", duration=12.0, **(options or {"wrappers": wrappers}))
     factory = (lambda: lambda seen: (0.0, 0.0)) if options else IDLE
@@ -59,7 +58,7 @@ def test_contact_with_an_obstacle_of_a_lane_that_merges_is_accepted():
     assert all(is_kept for rule in (end(world, trace), contacts(trace)) for is_kept, *_ in rule)
 
 
-def test_collision_with_an_obstacle_is_checked_in_own_worlds(register):  # noqa: F811
+def test_collision_with_an_obstacle_is_checked_in_own_worlds(register):
     register("mine-v0", entry_point=Roadworks)
     trace = World("mine-v0", duration=12.0).rollout(Scenario(npcs=AT_ONCE, ego_lane=1), IDLE)
 

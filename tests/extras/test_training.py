@@ -19,8 +19,7 @@ from pytest_pafot.world import WorldError
 from tests.findings.builders import plain_finding
 from tests.helpers.stages import oracle
 from tests.helpers.tables import table
-from tests.world.engines.test_ordinary_traffic import world_of
-from tests.world.test_gym_environment import Unhurried, register
+from tests.world.test_gym_environment import Unhurried
 
 FAST = pafot.World("highway-fast-v0", {"vehicles_count": 12, "duration": 10}, duration=15)
 BRAKING = Scenario(npcs=[[PositionInstruction(2, 5.0)]])
@@ -220,7 +219,7 @@ class DrivesOn(HighwayEnvFast):
         return False
 
 
-def test_training_episode_ends_at_a_crash(world_of):  # noqa: F811
+def test_training_episode_ends_at_a_crash(world_of):
     env = pafot.training_env(world_of(DrivesOn, vehicles_count=20, duration=30), share=0.0)
     env.reset(seed=5)
     results = [env.step(3)]
@@ -230,7 +229,7 @@ def test_training_episode_ends_at_a_crash(world_of):  # noqa: F811
     assert len(results) < 20
 
 
-def test_environment_with_a_reset_of_its_own_is_refused(register):  # noqa: F811
+def test_environment_with_a_reset_of_its_own_is_refused(register):
     register("mine-v0", entry_point=Unhurried)
     with pytest.raises(WorldError, match="received 'mine-v0', which has its own"):
         pafot.training_env(pafot.World("mine-v0", duration=8.0))

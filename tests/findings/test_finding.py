@@ -185,7 +185,7 @@ def check(run):
 
 
 def caught(function, run=None):
-    with pytest.raises(Exception) as info:
+    with pytest.raises(Exception) as info:  # noqa: PT011
         function(run)
     return raised_failure(info.value, __file__)
 
@@ -214,7 +214,7 @@ def test_assertion_over_several_lines_is_identified_whole():
 def test_assertion_behind_other_code_is_identified_alone():
     # fmt: off
     def behind(run):
-        if run.min_ttc: assert run.min_ttc > 1.0
+        if run.min_ttc: assert run.min_ttc > 1.0  # noqa: E701
     # fmt: on
 
     assert normalised(caught(behind, Stub).assertion) == "run.min_ttc > N"

@@ -329,5 +329,5 @@ def test_a_replay_runs_the_more_neighbours_the_narrower_its_failure_was(failing,
 
 
 def test_re_timed_scenarios_that_do_not_fit_are_left_out():
-    fits = lambda each: each.gene_seconds == 10.0
+    fits = lambda each: each.gene_seconds == 10.0  # noqa: E731
     assert {each.gene_seconds for each in islice(around_at(ON_GRID, 0.5, limits(fits)), 9)} == {10.0}

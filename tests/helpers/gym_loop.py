@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import gymnasium
-import highway_env
+import highway_env  # noqa: F401  (registers its environments)
 import numpy as np
 from highway_env.utils import lmap
 from highway_env.vehicle.kinematics import Vehicle

@@ -3,7 +3,7 @@
 from functools import partial
 
 import gymnasium
-import highway_env
+import highway_env  # noqa: F401  (registers its environments)
 import numpy as np
 from stable_baselines3.common.vec_env import DummyVecEnv, VecFrameStack, VecNormalize
 

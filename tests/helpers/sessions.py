@@ -168,13 +168,13 @@ def _be_a_session(streams, args):
     try:
         for number, path in enumerate((os.devnull, *streams)):
             os.dup2(os.open(path, os.O_RDWR | os.O_CREAT | os.O_TRUNC), number)
-        sys.stdout, sys.stderr = (open(number, "w", encoding="utf-8", closefd=False) for number in (1, 2))
+        sys.stdout, sys.stderr = (open(number, "w", encoding="utf-8", closefd=False) for number in (1, 2))  # noqa: SIM115
         sys.__stdout__, sys.__stderr__ = sys.stdout, sys.stderr
         warnings.resetwarnings()
         faulthandler.disable()
         signal.signal(signal.SIGSEGV, signal.SIG_DFL)  # pygame has a handler that aborts
         status = int(_with_room(pytest.main, args))
-    except BaseException:
+    except BaseException:  # noqa: BLE001
         traceback.print_exc()
     finally:
         sys.stdout.flush()

@@ -24,7 +24,7 @@ def table(names: str | tuple[str, ...], rows: Iterable[Any]) -> Callable[[Callab
                 given = dict(zip(names, row, strict=True))
                 try:
                     test(*arguments, **fixtures, **given)
-                except (Exception, pytest.fail.Exception) as error:
+                except (Exception, pytest.fail.Exception) as error:  # noqa: BLE001  (reported below, with all others)
                     error.add_note("with " + ", ".join(f"{name}={value!r}" for name, value in given.items())[:400])
                     failures.append(error)
             if failures:

@@ -146,7 +146,7 @@ def test_a_failure_travels_between_processes():
     ],
 )
 def test_a_check_that_cannot_be_made_says_why(value, arguments, says):
-    with pytest.raises(ValueError) as error:
+    with pytest.raises(ValueError) as error:  # noqa: PT011
         pafot.check(value, name="jerk", **arguments)
     assert says in str(error.value)
 

@@ -271,7 +271,7 @@ def test_off_plan_is_the_distance_to_the_planned_place(seed, after):
 
 
 def test_an_ego_that_follows_its_plan_is_never_off_it():
-    plan = lambda tick: tuple((time, 4.0 / 3 * tick + 20.0 * time, 4.0) for time in (0.5, 1.0, 2.0))
+    plan = lambda tick: tuple((time, 4.0 / 3 * tick + 20.0 * time, 4.0) for time in (0.5, 1.0, 2.0))  # noqa: E731
     trace = closing(plans=tuple(plan(tick) for tick in range(0, 30, 3)), actions=((0.0, 0.0),) * 10)
     assert Run(trace).off_plan(after=1.0) == pytest.approx(0.0, abs=1e-9)
     assert Run(trace).off_plan(after=0.25) == pytest.approx(0.0, abs=1e-9), "between the decision and the first place"

@@ -6,8 +6,8 @@ import pkgutil
 from pathlib import Path
 
 # pytester forgets modules that a run imports; compiled ones must stay, since they cannot be loaded a second time
-import highway_env.road.road
-import numpy.fft
+import highway_env.road.road  # noqa: F401
+import numpy.fft  # noqa: F401
 import pytest
 
 import pytest_pafot

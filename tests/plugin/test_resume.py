@@ -146,7 +146,7 @@ def test_killed_session_resumes_and_leaves_the_same_files(project, monkeypatch, 
     night(project, runs=24 - done)
     assert simulated(state) == 24
     assert project.contents == whole
-    assert os.listdir(project.path / "states") == [state.name]
+    assert os.listdir(project.path / "states") == [state.name]  # noqa: PTH208
 
 
 @pytest.mark.processes

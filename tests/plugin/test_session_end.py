@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-import pytest_pafot.report.page
+import pytest_pafot.report.page  # noqa: F401  pytester forgets modules that a run imports; this one is patched
 from pytest_pafot.plugin.session import stale_day
 
 FAILS = """

@@ -9,7 +9,7 @@ import pytest_pafot.execution.scenario_pool
 from pytest_pafot.corpus.reader import load
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.plugin import own_session as stuck
-from tests.plugin.test_workers import DIES, IMPATIENT, dear, session
+from tests.plugin.test_workers import DIES, IMPATIENT, dear, session  # noqa: F401  (dear is a fixture)
 
 pytestmark = [pytest.mark.processes, pytest.mark.skipif(sys.platform == "win32", reason="interruptions are signals")]
 

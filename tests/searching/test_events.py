@@ -32,11 +32,11 @@ class History:
     def read(self, event):
         getattr(self, f"read_{type(event).__name__}", lambda _: None)(event)
 
-    def read_Evaluated(self, event):
+    def read_Evaluated(self, event):  # noqa: N802
         assert event.index == len(self.evaluated)
         self.evaluated.append(event.evaluation)
 
-    def read_GenerationFinished(self, event):
+    def read_GenerationFinished(self, event):  # noqa: N802
         rebuilt = [*self.elites(event.local_generation), *self.evaluated]
         assert list(map(id, event.population)) == list(map(id, rebuilt))
         self.sizes[event.generation, event.local_generation] = len(self.evaluated)
@@ -53,21 +53,21 @@ class History:
         ranked = sorted(population, key=lambda member: member.rank, reverse=True)
         return [member for member in ranked[:1] if member.eligible]
 
-    def read_NewBest(self, event):
+    def read_NewBest(self, event):  # noqa: N802
         assert self.best is None or event.evaluation.rank > self.best.rank
         self.best = event.evaluation
 
-    def read_LocalSearchStarted(self, event):
+    def read_LocalSearchStarted(self, event):  # noqa: N802
         assert event.incumbent is self.best
         self.incumbent = event.incumbent
 
-    def read_LocalSearchFinished(self, event):
+    def read_LocalSearchFinished(self, event):  # noqa: N802
         assert event.best is self.best
         assert event.replaced == (event.best is not event.incumbent)
         self.population = [event.best if member is self.incumbent else member for member in self.population]
         self.local_searches.append(event.generation)
 
-    def read_Restarted(self, event):
+    def read_Restarted(self, event):  # noqa: N802
         self.population, self.best = [], None
         self.random_at.append(event.generation)
 

@@ -185,7 +185,7 @@ def test_time_limit_may_depend_on_the_evaluations(cheap_world):
 def test_search_finishing_in_last_second_is_not_cut(cheap_world):
     now = [0.0]
 
-    def slow(scenario, world=cheap_world()):
+    def slow(scenario, world=cheap_world()):  # noqa: B008
         now[0] += 10.0
         return world(scenario)
 

@@ -60,7 +60,7 @@ SCENARIO = Scenario(
     seed=11,
     gene_seconds=4.0,
 )
-IDLE = lambda: lambda seen: 1
+IDLE = lambda: lambda seen: 1  # noqa: E731
 CONTINUOUS = {"action": {"type": "ContinuousAction"}, "policy_frequency": 5}
 
 

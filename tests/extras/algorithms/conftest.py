@@ -1,3 +1,3 @@
 """The fixtures of the tests of searches."""
 
-from tests.searching.conftest import *
+from tests.searching.conftest import *  # noqa: F403

@@ -26,7 +26,7 @@ def test_runs_without_duration_are_drawn_without_warning(tmp_path, quick, monkey
     assert "first-failure" in draw_all(results, tmp_path)
 
 
-def laid_out(figure, buffer, *, format, **options):
+def laid_out(figure, buffer, *, format, **options):  # noqa: A002
     """Trigger once everything that may warn about the content of a figure."""
     if format == "svg":
         figure.draw_without_rendering()

@@ -14,12 +14,11 @@ from pytest_pafot.report.page import render_page
 from pytest_pafot.report.page_data import Report
 from pytest_pafot.report.views import drive_view, finding_view
 from tests.report.builders import cut_in_trace, finding_of
-from tests.report.test_page_in_browser import browser, pytestmark
 
 FILES = Path(__file__).parents[2] / "corpus" / "saved"
 
 
-def saved_by(browser, page, folder):  # noqa: F811
+def saved_by(browser, page, folder):
     """Return the file that the displayed finding's button saves; the keyboard presses it."""
     since = len(browser.events)
     browser.send("Browser.setDownloadBehavior", behavior="allow", downloadPath=str(folder), eventsEnabled=True)
@@ -31,7 +30,7 @@ def saved_by(browser, page, folder):  # noqa: F811
     return file
 
 
-def test_page_saves_run_as_the_export_command_does(browser, tmp_path):  # noqa: F811
+def test_page_saves_run_as_the_export_command_does(browser, tmp_path):
     given = FILES / "collision-xfail.pafot.yaml"
     assert main(["export", str(given), "--to", "csv", "--ads", "constant_speed", "--out", str(tmp_path / "told")]) == 0
     saved = pafot.load(given)
@@ -45,7 +44,7 @@ def test_page_saves_run_as_the_export_command_does(browser, tmp_path):  # noqa: 
     page.close()
 
 
-def test_numbers_of_any_size_are_saved_like_python(browser, tmp_path):  # noqa: F811
+def test_numbers_of_any_size_are_saved_like_python(browser, tmp_path):
     trace = cut_in_trace()
     states = trace.states.copy()
     states[:, :, :LANE] *= 10.0 ** np.random.default_rng(1).integers(-30, 30, states[:, :, :LANE].shape)

@@ -6,7 +6,7 @@ import pytest
 
 from pytest_pafot.door import ALGORITHMS
 from tests.plugin.test_algorithms import TEST, check_kinds
-from tests.plugin.test_begin_with import searched, theirs
+from tests.plugin.test_begin_with import searched
 
 
 @pytest.fixture(scope="module")
@@ -15,9 +15,9 @@ def libraries():
 
     Compiled libraries cannot be loaded a second time.
     """
-    import cmaes
-    import pymoo.operators.survival.rank_and_crowding
-    import ribs.archives
+    import cmaes  # noqa: F401
+    import pymoo.operators.survival.rank_and_crowding  # noqa: F401
+    import ribs.archives  # noqa: F401
 
 
 def test_the_algorithms_of_extras_search_too(libraries, project):
@@ -53,6 +53,6 @@ def test_missing_library_error_gives_the_install_command(project, monkeypatch):
     result.stdout.fnmatch_lines(["*pip install 'pytest-pafot?search?'*"])
 
 
-def test_map_elites_begins_with_them_too(project, theirs):  # noqa: F811
+def test_map_elites_begins_with_them_too(project, theirs):
     pytest.importorskip("ribs")
     assert searched(project, f"--pafot-begin-with={theirs}", "--pafot-algorithm=map-elites")[1]["given"] == 2

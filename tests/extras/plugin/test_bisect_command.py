@@ -19,7 +19,6 @@ from pytest_pafot.extras.revisions.bisect_session import TOLD
 from tests.helpers.processes import begun
 from tests.helpers.sessions import INTERRUPTIBLE
 from tests.plugin.test_driving_on import replay as replayed
-from tests.plugin.test_driving_on import saved
 
 GUIDE = Path(__file__).parents[3] / "docs" / "guide" / "what-broke.md"
 FILE = "pafot_corpus/test_safety/test_never_at_fault/leader-unanswered-b5ed63.pafot.yaml"
@@ -425,7 +424,7 @@ def wait_for(condition):
         time.sleep(0.05)
 
 
-def test_bisect_names_the_failure_after_the_end(saved, monkeypatch):  # noqa: F811
+def test_bisect_names_the_failure_after_the_end(saved, monkeypatch):
     told = saved.path / "told.json"
     monkeypatch.setenv(TOLD, json.dumps({"file": str(told), "policy": []}))
     replayed(saved, "slow", plugins=["pytest_pafot.extras.revisions.bisect_session"])

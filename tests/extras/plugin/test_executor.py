@@ -130,7 +130,7 @@ def test_dask_worker_may_die_and_another_join(cluster, tmp_path):
 
 def test_a_scheduler_that_does_not_answer_is_named():
     pytest.importorskip("distributed")
-    with pytest.raises(ExecutionError, match=r"--pafot-dask=tcp://127\.0\.0\.1:9: expected a scheduler"):
+    with pytest.raises(ExecutionError, match=r"--pafot-dask=tcp://127\.0\.0\.1:9: expected a scheduler"):  # noqa: SIM117
         with dask_executor("tcp://127.0.0.1:9", print, timeout=0.2):
             pass
 

@@ -12,7 +12,7 @@ from pytest_pafot.searching.space import SearchSpace
 stable_baselines3 = pytest.importorskip("stable_baselines3", reason='needs pip install "pytest-pafot[sb3]"')
 sb3_contrib = pytest.importorskip("sb3_contrib", reason='needs pip install "pytest-pafot[sb3]"')
 
-from tests.helpers.sb3_models import CONTINUOUS, ENV, InItsWrappers, saved_model
+from tests.helpers.sb3_models import CONTINUOUS, ENV, InItsWrappers, saved_model  # noqa: E402
 
 WORLD = pafot.World(ENV, duration=10.0)
 OF_DISCRETE_ACTIONS = (

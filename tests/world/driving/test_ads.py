@@ -319,7 +319,7 @@ def test_runs_in_several_threads_equal_sequential_runs(world, busy):
 # --- factories that are none
 
 
-class CustomFault(Exception):
+class CustomFault(Exception):  # noqa: N818
     pass
 
 

@@ -89,7 +89,7 @@ def test_ego_drives_the_same_with_and_without_plan(world, ads, mode):
     scenario = replace(scenario_of(world), seed=3)
 
     def driven(plans):
-        factory = lambda: ads(plans)
+        factory = lambda: ads(plans)  # noqa: E731
         if mode == "seen through noise":
             return world.rollout(scenario, Perception(factory, noise={"position": 0.2}))
         return getattr(world, mode)(scenario, factory)
@@ -291,7 +291,7 @@ def test_planner_beside_a_run_is_compared_by_its_actions():
 
 def test_plan_of_an_ads_that_is_wrong_about_its_place_is_wrong_by_as_much():
     world = Highway(duration=4.0)
-    plan = lambda: lambda seen: Planned((0.0, 0.0), ahead(seen))
+    plan = lambda: lambda seen: Planned((0.0, 0.0), ahead(seen))  # noqa: E731
     exact = Run(world.rollout(SCENARIO, plan)).off_plan(after=1.0)
     trace = world.rollout(SCENARIO, Perception(plan, own_bias={"position": 0.5}))
     t, x, y = trace.plans[0][0]

@@ -10,7 +10,7 @@ import random
 from contextlib import nullcontext
 
 import gymnasium
-import highway_env
+import highway_env  # noqa: F401  (registers its environments)
 import numpy as np
 import pytest
 from highway_env.road.road import RoadNetwork

@@ -31,7 +31,7 @@ from tests.world.driving.test_ads import CONTINUOUS, GYM, HIGHWAY, SCENARIO, alw
 # --- ADSs that fail
 
 
-class CustomFault(Exception):
+class CustomFault(Exception):  # noqa: N818
     pass
 
 
@@ -113,7 +113,7 @@ def test_signal_handler_may_end_session_only_as_failed(status, ends_the_session)
 
 
 def test_unprintable_exception_is_an_ads_error_too():
-    class Mute(Exception):
+    class Mute(Exception):  # noqa: N818
         def __str__(self):
             raise RuntimeError("no words")
 
@@ -235,7 +235,7 @@ def spinning_deaf():
     """Spin without end, and swallow the first interruption."""
     try:
         spinning()
-    except BaseException:
+    except BaseException:  # noqa: BLE001
         spinning()
 
 
@@ -402,7 +402,7 @@ def test_late_interruption_never_breaks_the_following_code(inside_thread):
                     except AdsHang:
                         guard.decision_ends()
                     time.sleep(0)
-        except BaseException as error:
+        except BaseException as error:  # noqa: BLE001
             escaped.append(error)
 
     if inside_thread:

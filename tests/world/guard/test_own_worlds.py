@@ -33,7 +33,7 @@ class Calls:
         for decision in range(len(decisions), 10):
             try:
                 self.ask(ads, decision)
-            except Exception as raised:
+            except Exception as raised:  # noqa: BLE001  (as users write it)
                 error = AdsError(kind=type(raised).__name__, message=str(raised), traceback="", tick=3 * decision)
                 return replace(STILL, outcome=Outcome.ADS_ERROR, error=error, states=STILL.states[: 3 * decision + 1])
         return STILL
@@ -51,7 +51,7 @@ class Forgives(Calls):
         self.calls += 1
         try:
             ads(decision)
-        except Exception:
+        except Exception:  # noqa: BLE001  (as users write it)
             return
 
 
@@ -74,7 +74,7 @@ class InThread(Calls):
         def call():
             try:
                 ads(decision)
-            except Exception as error:
+            except Exception as error:  # noqa: BLE001  (as users write it)
                 raised.append(error)
 
         thread = threading.Thread(target=call)
@@ -161,7 +161,7 @@ class Swallows(Calls):
     def ask(self, ads, decision):
         try:
             ads(decision)
-        except BaseException:
+        except BaseException:  # noqa: BLE001  (some users write it)
             return
 
 
@@ -233,7 +233,7 @@ class Together(Calls):
         assert ads.pure
         try:
             ads.batch(scenarios)
-        except Exception as raised:
+        except Exception as raised:  # noqa: BLE001  (as users write it)
             error = AdsError(kind="any", message=str(raised), traceback="", tick=0)
             broken = replace(STILL, outcome=Outcome.ADS_ERROR, error=error)
             return [broken, STILL]
