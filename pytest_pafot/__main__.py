@@ -192,6 +192,8 @@ def _run(given: list[str]) -> int:
             module.add_arguments(parsers[asked])
             parsers[asked].set_defaults(run=module.run)
         except Exception as error:
+            if isinstance(error, RequestError):
+                parser.exit(2, f"{asked}: {error}\n")
             if asked in {*OWN_COMMANDS, *COMMANDS}:
                 raise
             received = f"{type(error).__name__}: {error}"

@@ -1,7 +1,8 @@
-"""The installed package: its content, and what works in a folder that is no clone."""
+"""The installed package: its content, what works in a folder that is no clone, and what works without extras."""
 
 import os
 import re
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -57,7 +58,7 @@ def test_documented_policies_are_installed_and_importable_anywhere(installed, tm
     assert {"idm_mobil", "example_ads.defects:make:two-defects"} <= {*names}
     code = (
         "import sys, pytest_pafot\n"
-        "from pytest_pafot.extras.comparison.plan import ads_factory\n"
+        "from pytest_pafot.commands.policy_reference import ads_factory\n"
         "made = [ads_factory(name)() for name in sys.argv[1:]]\n"
         "print(len(made), pytest_pafot.__file__)"
     )
@@ -66,7 +67,72 @@ def test_documented_policies_are_installed_and_importable_anywhere(installed, tm
     assert done.stdout.split() == [str(len(names)), str(installed / "pytest_pafot" / "__init__.py")]
 
 
-def test_installed_comparison_of_example_policy_runs_anywhere(installed, tmp_path):
-    arguments = "compare --ads idm_mobil --algorithms random --runs 1 --generations 1 --workers 1 --out compared"
-    done = run(installed, tmp_path, "-m", "pytest_pafot", *arguments.split())
-    assert (done.returncode, done.stdout) == (0, str(Path("compared", "report.md")) + "\n"), done.stderr
+WITHOUT_FINDERS = (
+    "import sys\nsys.meta_path = [each for each in sys.meta_path if 'editable' not in str(each).lower()]\n"
+)
+"""An editable installation finds what a copy of the package lacks."""
+POLICY = """\
+def make():
+    return lambda seen: (0.0, 0.0)
+"""
+MARKED = """\
+import pytest_pafot as pafot
+from policy import make
+
+@pafot.search(ads=make, runs=8, seed=1, shrink_rollouts=20)
+def test_safe(run):
+    assert not run.collision
+"""
+MISSING = "expected a whole installation of pytest-pafot, received one without pytest_pafot.extras; install it again"
+
+
+@pytest.fixture
+def core(tmp_path, monkeypatch):
+    """Return a folder with a policy, and a function that runs Python there with a copy without extras."""
+    copy, here = tmp_path / "core", tmp_path / "here"
+    shutil.copytree(
+        ROOT / "pytest_pafot", copy / "pytest_pafot", ignore=shutil.ignore_patterns("extras", "__pycache__")
+    )
+    (copy / "sitecustomize.py").write_text(WITHOUT_FINDERS)
+    here.mkdir()
+    (here / "policy.py").write_text(POLICY)
+    for name, value in (("DISABLE_PLUGIN_AUTOLOAD", "1"), ("PLUGINS", "pytest_pafot.plugin"), ("ADDOPTS", "")):
+        monkeypatch.setenv(f"PYTEST_{name}", value)
+    monkeypatch.delenv("CI", raising=False)
+    return here, lambda *arguments: run(copy, here, "-m", *arguments)
+
+
+def test_core_without_extras_searches_and_replays(core):
+    here, do = core
+    (here / "test_it.py").write_text(MARKED)
+    done = do("pytest")
+    assert (done.returncode, done.stderr) == (1, ""), done.stdout
+    count = len([*here.rglob("*.pafot.yaml")])
+    assert count > 0
+    assert f"{count} still failing" in do("pytest", "--pafot-generations=0").stdout
+    done = do("pytest_pafot", "search", "policy:make", "--runs", "8", "--seed", "1")
+    assert done.returncode == 1, done.stderr
+    assert "new finding" in done.stdout
+    assert do("pytest_pafot", "corpus", "list").returncode == 0
+
+
+def test_core_without_extras_says_what_is_missing(core):
+    here, do = core
+    for code, command in (
+        (2, "map r157/cut-in --ads policy:make --over gap=10:60:2"),
+        (1, "search policy:make -- --pafot-algorithm=av-fuzzer"),  # an error of its item
+    ):
+        done = do("pytest_pafot", *command.split())
+        assert (done.returncode, MISSING in " ".join((done.stdout + done.stderr).split())) == (code, True), done
+    (here / "test_it.py").write_text(
+        f"{MARKED}\ndef test_swept():\n    pafot.sweep('r157/cut-in', make, over={{'gap': '10:60:3'}})\n\n"
+        "def test_other():\n    pass\n"
+    )
+    done = do("pytest", "--pafot-generations=0", "-p", "no:randomly")
+    assert (done.returncode, "1 failed, 1 passed" in done.stdout) == (1, True), done.stdout
+    assert MISSING in done.stdout
+    (here / "test_it.py").write_text(
+        "import pytest_pafot as pafot\n@pafot.catalogue('r157/cut-in')\ndef test_it(run):\n    pass\n"
+    )
+    done = do("pytest")
+    assert (done.returncode, MISSING in " ".join(done.stdout.split())) == (2, True), done.stdout

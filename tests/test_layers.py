@@ -217,25 +217,6 @@ def test_pure_rooms_use_no_clock_or_global_randomness():
             assert not {name.split(".")[0] for name in imported_names(path)} & forbidden, path
 
 
-BEYOND_THE_DOOR = {
-    "algorithms": 16, "comparison": 12, "episodes": 25, "executors": 10, "requirements": 11, "resumable": 3,
-    "revisions": 39, "sweeps": 25, "testing": 16, "training": 11,
-}  # fmt: skip
-"""The names that an extra imports from the inside of the core, neither public nor on the page for those who
-extend it. Lower a number when it falls; never raise it."""
-
-
-def test_an_extra_imports_ever_fewer_names_of_the_inside():
-    free = ("pytest_pafot.support", "pytest_pafot.extras", "pytest_pafot.extending", "pytest_pafot.door")
-    public = {f"pytest_pafot.{name}" for name in pytest_pafot.__all__}
-    inside: dict[str, set[str]] = {}
-    for path in MODULES:
-        if room_of(path) in EXTRAS:
-            names = {name for name in imported_names(path) if name.startswith("pytest_pafot.")} - public
-            inside.setdefault(room_of(path), set()).update(name for name in names if not name.startswith(free))
-    assert {room: len(names) for room, names in inside.items() if names} == BEYOND_THE_DOOR
-
-
 def test_the_page_has_the_names_for_those_who_extend_the_core():
     page = (PACKAGE.parent / "docs" / "reference" / "extending.md").read_text(encoding="utf-8")
     names = page.partition("## The names")[2]

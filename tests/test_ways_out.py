@@ -18,8 +18,10 @@ import pytest
 from pytest_pafot.__main__ import main
 from pytest_pafot.campaign.options import BY_NAME, OPTIONS
 from pytest_pafot.commands.search_command import add_arguments
-from pytest_pafot.extras.export.exporter import EXTRAS
 from pytest_pafot.support.errors import OF_SEARCH, command, flag, install, page, rerun
+
+pytest.importorskip("pytest_pafot.extras", reason="messages of extras count as well")
+from pytest_pafot.extras.export import exporter
 
 ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "pytest_pafot"
@@ -131,7 +133,7 @@ def test_every_option_that_a_command_names_is_its_own(name, capsys):
 
 def test_every_package_and_page_that_messages_name_exists():
     extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
-    named = [name for _, name in calls("install") if name is not None] + list(EXTRAS.values())
+    named = [name for _, name in calls("install") if name is not None] + list(exporter.EXTRAS.values())
     assert named
     assert set(named) <= extras.keys()
     assert install("table") == "pip install 'pytest-pafot[table]'"

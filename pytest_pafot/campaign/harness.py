@@ -68,7 +68,7 @@ def reference_of(
         return None
     if isinstance(given, DrivesElsewhere):
         return Reference(ads=given, name=given.label, commit=given.commit)
-    if isinstance(given, str) and given.startswith(REVISION):
+    if is_revision(given):
         raise AgainstError(
             f"against: expected a factory or its name as module:factory, received {given!r}; a revision is compared by "
             "pytest and by the commands search and progress"
@@ -88,6 +88,11 @@ def reference_of(
     if same := same_policy(ads, found):
         raise AgainstError(f"against ({reference.shown}): {same}")
     return reference
+
+
+def is_revision(given: object) -> bool:
+    """Return whether the option ``against`` names a revision, whose policy the extra of revisions builds."""
+    return isinstance(given, str) and given.startswith(REVISION)
 
 
 def same_policy(ads: Callable[..., Any], other: Callable[..., Any]) -> str:

@@ -27,7 +27,7 @@ from pytest_pafot.campaign.events import (
     SearchStarted,
     SearchSummary,
 )
-from pytest_pafot.campaign.harness import Harness, checked_factory, reference_of, source_file
+from pytest_pafot.campaign.harness import Harness, checked_factory, is_revision, reference_of, source_file
 from pytest_pafot.campaign.options import BY_NAME, Settings
 from pytest_pafot.campaign.replays import Replays
 from pytest_pafot.campaign.request import Request, build_world
@@ -63,6 +63,7 @@ from pytest_pafot.searching.events import GenerationFinished
 from pytest_pafot.searching.plain import plain
 from pytest_pafot.support.errors import OF_SEARCH, RequestError, command, flag, rerun
 from pytest_pafot.support.files import remove_unfinished
+from pytest_pafot.support.source_files import files_line, source_digests
 from pytest_pafot.support.text import plural
 from pytest_pafot.support.versions import installed_versions
 from pytest_pafot.world.guard.hang_guard import runs_end_in
@@ -115,7 +116,7 @@ def harness_of(item: pytest.Function, request: Request, *, writes: bool = True) 
     name, root = node_ids.qualified_name(item), item.config.rootpath
     folder = folder_of_test(item.path, name, request.settings.corpus, root)
     ads, against, resume = request.ads, request.settings.against, request.settings.resume
-    revision = opened(REFERENCES).revision_of(item, request) if against is not None else None
+    revision = opened(REFERENCES).revision_of(item, request) if is_revision(against) else None
     here = item.config.invocation_params.dir
     link = link_below(chosen_folder(item.path, request.settings.corpus), folder)
     tidied = item.config.stash.setdefault(TIDIED, set())
@@ -242,8 +243,11 @@ def run_search(item: pytest.Function, request: Request) -> None:
     limit = time_limit(settings, now=now, began=shared.began, left=searches_left(item))
     with runs_end_in(max(limit.until - now, LEAST_TO_BUILD)):  # for the policy of a revision, in its own process
         harness = harness_of(item, request)
-        if harness.against is not None:
+        if settings.is_search and is_revision(settings.against):
             opened(REFERENCES).compare(item, harness)
+        elif settings.is_search and harness.against is not None:
+            before, after = (source_digests(ads, here=harness.root) for ads in (harness.against.ads, harness.ads))
+            messages.send(item, "compared", {"text": files_line(harness.against.shown, before, "now", after)})
     replays = Replays(harness=harness, in_own_session=partial(replay_in_own_session, item), today=today)
     # If this policy has killed a process before, it runs in processes that may die of it.
     chosen = isolated_after_a_death(harness, replays)

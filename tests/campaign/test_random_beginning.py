@@ -82,8 +82,7 @@ def test_early_stopped_search_gives_no_random_share():
     assert (summary.random_failing, summary.random_runs, summary.random_otherwise) == (0, 0, 0)
 
 
-@pytest.mark.parametrize(("algorithm", "budget", "most"), [("distinct", 24, 20), ("av-fuzzer", 8, 0)])
-def test_random_share_uses_only_initial_random_scenarios(algorithm, budget, most):
-    summary = explored(runs=budget, algorithm=algorithm).summary
-    assert most - 8 <= summary.random_runs <= most
+def test_random_share_uses_only_initial_random_scenarios():
+    summary = explored(runs=24, algorithm="distinct").summary
+    assert 12 <= summary.random_runs <= 20
     assert summary.random_failing <= summary.random_runs

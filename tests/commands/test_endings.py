@@ -32,23 +32,7 @@ def make():
 def other():
     return lambda observation: (time.sleep(0.01), (1.0, 0.0))[1]
 """
-COMMANDS = {
-    "search": ["search", "slow:make", "--runs", "100000", "--", "--pafot-workers=2"],
-    "compare": [
-        "compare",
-        "--ads",
-        "slow:make",
-        "--algorithms",
-        "random",
-        "--runs",
-        "4",
-        "--out",
-        "out",
-        "--workers=2",
-    ],
-    "rate": ["rate", "--ads", "slow:make@planner", "--world", "highway-fast-v0", "--workers=2"],
-    "progress": ["progress", "slow:make", "slow:other", "--workers=2"],
-}
+SEARCH = ["search", "slow:make", "--runs", "100000", "--", "--pafot-workers=2"]
 
 
 def processes_with(mark):
@@ -73,7 +57,7 @@ if "PYTEST_PAFOT_DRIVES" in os.environ:
 def test_ctrl_c_while_the_process_that_drives_starts_prints_no_traceback(tmp_path):
     (tmp_path / "sitecustomize.py").write_text(STARTING)
     environ = {**os.environ, "PYTHONPATH": os.pathsep.join([str(tmp_path), *sys.path])}
-    command = [sys.executable, "-m", "pytest_pafot", "progress", "slow:make", "slow:other"]
+    command = [sys.executable, "-m", "pytest_pafot", "search", "slow:make"]
     before = signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored in a shell's background job
     try:
         ended = subprocess.run(
@@ -81,7 +65,7 @@ def test_ctrl_c_while_the_process_that_drives_starts_prints_no_traceback(tmp_pat
         )
     finally:
         signal.signal(signal.SIGINT, before)
-    assert (ended.returncode, ended.stderr.strip()) == (130, "progress: interrupted")
+    assert (ended.returncode, ended.stderr.strip()) == (130, "search: interrupted")
 
 
 IMPORTING = """
@@ -105,14 +89,17 @@ def test_signal_while_a_command_is_imported_is_told(tmp_path):
 
 
 @pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])
-@pytest.mark.parametrize("command", COMMANDS)
-def test_command_ends_all_that_it_began(tmp_path, tmp_path_factory, command, name):
-    places, number = tmp_path_factory.mktemp("places"), getattr(signal, name)
-    (tmp_path / "slow.py").write_text(SLOW)
-    environ = {**os.environ, "TMPDIR": str(places)}
-    command = [*INTERRUPTIBLE, *COMMANDS[command]]
+def test_search_ends_all_that_it_began(tmp_path, tmp_path_factory, name):
+    check_that_all_ends(tmp_path, tmp_path_factory.mktemp("places"), SEARCH, name)
+
+
+def check_that_all_ends(folder, places, words, name):
+    """Send a signal to a command; nothing is left of its processes, and in its folder for temporary files."""
+    (folder / "slow.py").write_text(SLOW)
+    environ, number = {**os.environ, "TMPDIR": str(places)}, getattr(signal, name)
+    command = [*INTERRUPTIBLE, *words]
     quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
-    with begun(command, cwd=tmp_path, env=environ, **quiet) as process:
+    with begun(command, cwd=folder, env=environ, **quiet) as process:
         mark, deadline = f"TMPDIR={places}".encode(), time.monotonic() + 60.0
         # Counted once: a process that is just starting its program has no variables for a moment.
         while (count := len(processes_with(mark))) < 3 and time.monotonic() < deadline:

@@ -2,10 +2,8 @@
 
 import os
 import re
-import signal
 import subprocess
 import sys
-import time
 
 import pytest
 
@@ -32,13 +30,7 @@ def check(run):
 
 ON_IMPORT
 """
-COMMANDS = {
-    "map": "map r157/cut-in --ads planner:make --over gap=10:60:2 --fail-on preventable",
-    "search": "search planner:make --runs 4 --report=x.html",
-    "rate": "rate --ads planner:make@planner --world highway-fast-v0 --episodes 8 --workers 1 --fail-above 60%",
-    "progress": "progress planner:Old planner:make --scenarios 4 --workers 1 --fail-on worse",
-    "compare": "compare --ads planner:make --algorithms random --runs 1 --generations 1 --workers 1 --out out",
-}
+SEARCH = "search planner:make --runs 4 --report=x.html"
 ENDINGS = {
     "IN_DECISION": ["os._exit(0)", "sys.exit(0)", "os.execv('/bin/true', ['true'])"],
     "IN_FACTORY": ["os._exit(0)", "sys.exit(0)"],
@@ -58,7 +50,7 @@ def ended(folder, command, *, options=(), **parts):
     for name in ENDINGS:
         source = source.replace(name, parts.get(name, "pass"))
     (folder / "planner.py").write_text(source)
-    line = [sys.executable, *options, "-m", "pytest_pafot", *COMMANDS[command].split()]
+    line = [sys.executable, *options, "-m", "pytest_pafot", *command.split()]
     done = subprocess.run(line, cwd=folder, capture_output=True, text=True, check=False, timeout=120)
     return done.returncode, done.stderr + done.stdout
 
@@ -71,92 +63,45 @@ def outside_of_ci(monkeypatch):
 
 def test_in_ci_the_end_of_a_process_is_a_finding_of_a_search(tmp_path, monkeypatch):
     monkeypatch.setenv("CI", "true")
-    code, told = ended(tmp_path, "search", IN_DECISION="os._exit(0)")
+    code, told = ended(tmp_path, SEARCH, IN_DECISION="os._exit(0)")
     assert code == 1
     assert re.search(r"1 new finding in \d+ runs", told)
     assert " crash-" in told
 
 
-@pytest.mark.parametrize("command", COMMANDS)
 @pytest.mark.parametrize(("place", "how"), [(place, how) for place, ways in ENDINGS.items() for how in ways])
-def test_a_policy_that_ends_its_process_is_no_success(tmp_path, command, place, how):
-    code, told = ended(tmp_path, command, **{place: how})
+def test_a_policy_that_ends_its_process_is_no_success(tmp_path, place, how):
+    check_ending(tmp_path, SEARCH, place, how)
+
+
+def check_ending(folder, command, place, how):
+    """Run a command on a policy that ends its process at a place; it says so, and is no success."""
+    code, told = ended(folder, command, **{place: how})
     assert code != 0
-    assert "Traceback" not in told or command == "search"  # pytest's
+    assert "Traceback" not in told or command == SEARCH  # pytest's
     assert re.search(r"expected (the process|a policy|an ADS|the factory|a module)|SystemExit: 0", told)
 
 
 @pytest.mark.parametrize("how", ["os._exit(0)", "sys.exit(0)"])
-def test_an_ending_after_the_verdict_does_not_change_it(tmp_path, how):
-    assert ended(tmp_path, "map")[0] == 1
-    assert ended(tmp_path, "map", ON_IMPORT=f"atexit.register(lambda: {how})")[0] != 0
+def test_an_ending_after_the_verdict_is_no_success(tmp_path, how):
+    assert ended(tmp_path, SEARCH, ON_IMPORT=f"atexit.register(lambda: {how})")[0] != 0
 
 
-def test_commands_that_come_to_their_end_keep_their_codes(tmp_path):
-    assert {command: ended(tmp_path, command)[0] for command in COMMANDS} == {
-        "map": 1,
-        "search": 1,
-        "rate": 1,
-        "progress": 0,
-        "compare": 0,
-    }
+def test_a_search_that_comes_to_its_end_keeps_its_code(tmp_path):
+    assert ended(tmp_path, SEARCH)[0] == 1
+    help_of, wrong = (ended(tmp_path, f"search {option}")[0] for option in ("--help", "--nothing"))
+    assert (help_of, wrong) == (0, 2)
 
 
 def test_the_session_of_a_search_ends_as_pytest_does_if_nobody_reads_its_output(tmp_path):
     (tmp_path / "planner.py").write_text(re.sub("[A-Z]+_[A-Z]+", "pass", POLICY))
     reader, writer = os.pipe()
     os.close(reader)
-    line = [sys.executable, "-m", "pytest_pafot", *COMMANDS["search"].split()]
+    line = [sys.executable, "-m", "pytest_pafot", *SEARCH.split()]
     done = subprocess.run(line, cwd=tmp_path, stdout=writer, stderr=subprocess.PIPE, check=False, text=True)
     os.close(writer)
     assert done.returncode == 1
     assert "Traceback" not in done.stderr
-
-
-def test_wrong_arguments_and_help_keep_their_codes(tmp_path):
-    def code(*arguments):
-        line = [sys.executable, "-m", "pytest_pafot", *arguments]
-        return subprocess.run(line, cwd=tmp_path, capture_output=True, check=False).returncode
-
-    assert [code("map", "--help"), code("rate", "--hel"), code("map", "--nothing"), code("map")] == [0, 0, 2, 0]
-
-
-def test_assertions_that_are_off_are_refused_and_own_checks_hold(tmp_path):
-    assert ended(tmp_path, "map", options=["-O"])[0] == 1
-    COMMANDS["map --check"] = f"{COMMANDS['map']} --check planner:check"
-    try:
-        code, told = ended(tmp_path, "map --check", options=["-O"])
-    finally:
-        del COMMANDS["map --check"]
-    assert code == 2
-    assert "check: expected a Python that runs assertions" in told
-
-
-@pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
-def test_a_child_that_an_interrupt_ends_without_a_receipt_is_no_fault_of_the_policy(tmp_path):
-    how = "signal.signal(signal.SIGTERM, signal.SIG_IGN); os.kill(os.getppid(), signal.SIGTERM); os._exit(1)"
-    assert ended(tmp_path, "map", ON_IMPORT=how) == (143, "map: interrupted\n")
-
-
-@pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
-def test_a_signal_to_the_command_ends_the_process_that_drives(tmp_path, number):
-    line = [sys.executable, "-m", "pytest_pafot", *COMMANDS["map"].replace("10:60:2", "10:60:200").split()]
-    (tmp_path / "planner.py").write_text(
-        "import os, time\ndef make():\n    open(f'pid-{os.getpid()}', 'w').close()\n    time.sleep(0.1)\n"
-        "    return lambda seen: (0.0, 0.0)\n"
-    )
-    process = subprocess.Popen(line, cwd=tmp_path, stdin=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
-    while not (begun := list(tmp_path.glob("pid-*"))):
-        assert process.poll() is None
-        time.sleep(0.02)
-    process.send_signal(number)
-    _, told = process.communicate(timeout=60)  # until the process that drives has ended, too
-    assert process.returncode == (-9 if number == signal.SIGKILL else 128 + number)
-    assert "map: interrupted" in told
-    if number != signal.SIGKILL:  # then nobody may have waited for it yet, though its output is closed
-        with pytest.raises(ProcessLookupError):
-            os.kill(int(begun[0].name.removeprefix("pid-")), 0)
 
 
 def session(folder, test, *options, docstring=""):

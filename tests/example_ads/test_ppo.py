@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from example_ads import ppo
+from example_ads.ppo import train
 from pytest_pafot import Outcome, World
 from pytest_pafot.world.engines.ordinary_traffic import drive
 
@@ -67,3 +68,9 @@ def test_it_decides_for_many_as_for_each(observations):
     assert policy.batch(observations) == [policy(observation) for observation in observations]
     assert policy.batch(list(observations[:1])) == [policy(observations[0])]
     assert all(type(action) is int for action in policy.batch(observations[:3]))
+
+
+def test_weights_survive_scaling_and_back_exactly():
+    inside = train.in_scale(ppo.read_actor(), np.reciprocal(train.SCALES))
+    for kept, again in zip(ppo.read_actor(), train.in_scale(inside, train.SCALES), strict=True):
+        assert all(np.array_equal(a, b) and a.dtype == b.dtype for a, b in zip(kept, again, strict=True))

@@ -8,15 +8,18 @@ import pytest
 from gymnasium.error import ResetNeeded
 from gymnasium.utils.env_checker import check_env
 from gymnasium.utils.seeding import np_random
+from highway_env.envs.highway_env import HighwayEnvFast
 
 import pytest_pafot as pafot
 from example_ads import ppo
 from pytest_pafot.corpus.writer import write
 from pytest_pafot.model.scenario import PositionInstruction, Scenario, ScenarioError
 from pytest_pafot.support.errors import BadAction, CorpusError
+from pytest_pafot.world import WorldError
 from tests.findings.builders import plain_finding
 from tests.helpers.stages import oracle
 from tests.helpers.tables import table
+from tests.world.test_gym_environment import Unhurried
 
 FAST = pafot.World("highway-fast-v0", {"vehicles_count": 12, "duration": 10}, duration=15)
 BRAKING = Scenario(npcs=[[PositionInstruction(2, 5.0)]])
@@ -207,3 +210,26 @@ def test_step_requires_an_episode_and_valid_action():
     env.reset()
     with pytest.raises(BadAction, match="expected a whole number from 0 to 4, received 5"):
         env.step(5)
+
+
+class DrivesOn(HighwayEnvFast):
+    """An environment that does not end its episodes after crashes."""
+
+    def _is_terminated(self):
+        return False
+
+
+def test_training_episode_ends_at_a_crash(world_of):
+    env = pafot.training_env(world_of(DrivesOn, vehicles_count=20, duration=30), share=0.0)
+    env.reset(seed=5)
+    results = [env.step(3)]
+    while not (results[-1][2] or results[-1][3]):
+        results.append(env.step(3))
+    assert (results[-1][2:4], results[-1][4]["crashed"]) == ((False, True), True)
+    assert len(results) < 20
+
+
+def test_environment_with_a_reset_of_its_own_is_refused(register):
+    register("mine-v0", entry_point=Unhurried)
+    with pytest.raises(WorldError, match="received 'mine-v0', which has its own"):
+        pafot.training_env(pafot.World("mine-v0", duration=8.0))

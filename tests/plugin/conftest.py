@@ -20,16 +20,18 @@ from pytest_pafot.model.scenario import PositionInstruction, Scenario
 from pytest_pafot.world import Highway
 from tests.helpers.sessions import in_a_copy, in_process, quick_sessions
 
+
 # pytester forgets the modules that a session imports; those of the package stay, because importing them is slow.
-ROOMS = (
-    "attribution", "campaign", "corpus", "execution", "extras.revisions", "extras.sweeps", "findings", "oracle",
-    "plugin", "report", "searching", "world",
-)  # fmt: skip
-for room in ROOMS:
-    for module in pkgutil.walk_packages(
-        importlib.import_module(f"pytest_pafot.{room}").__path__, f"pytest_pafot.{room}."
-    ):
-        importlib.import_module(module.name)
+def imported(*rooms):
+    for room in rooms:
+        path = importlib.import_module(f"pytest_pafot.{room}").__path__
+        for module in pkgutil.walk_packages(path, f"pytest_pafot.{room}."):
+            importlib.import_module(module.name)
+
+
+imported(
+    "attribution", "campaign", "corpus", "execution", "findings", "oracle", "plugin", "report", "searching", "world"
+)
 
 DIFFERENCE_IN_GYM = search_loop._difference_in_gym
 REFERENCE_OUTCOMES = Harness.reference_outcomes

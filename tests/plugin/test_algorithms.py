@@ -1,49 +1,29 @@
 """Searches by other algorithms: the same items, files, replays and reports."""
 
 import re
-import sys
 
 import pytest
 
-from pytest_pafot.searching import ALGORITHMS, resolve_algorithm
+from pytest_pafot.searching import resolve_algorithm
+from pytest_pafot.searching.algorithms.catalogue import OF_CORE
 from tests.helpers.sessions import section
 
 TEST = "@pafot.search(SHORT, algorithm={!r}, stop_after=1)\ndef test_it(run):\n    assert not run.collision\n"
 
 
-@pytest.mark.parametrize("algorithm", ["av-fuzzer", "random-manoeuvre"])
-def test_lane_finding_is_saved_confirmed_shrunk_and_replayed(project, algorithm, in_highway_env):
-    project.write(TEST.format(algorithm))
+def test_lane_finding_is_saved_confirmed_shrunk_and_replayed(project, in_highway_env):
+    project.write(TEST.format("random-manoeuvre"))
     result = project.run("--pafot-shrink-rollouts=50", generations=6)
     result.assert_outcomes(failed=2)
     result.stdout.no_fnmatch_line("*flaky*")
     text = project.only_file.read_text()
     assert re.search(r"- \{lane: (keep|left|right), speed: \d", text)
-    assert f"algorithm: {algorithm}" in text
+    assert "algorithm: random-manoeuvre" in text
     assert "shrunk:" in text
     assert "{cell:" not in text
     again = project.run(generations=0)
     again.assert_outcomes(failed=1, skipped=1)
     again.stdout.fnmatch_lines(["*still failing*"])
-
-
-@pytest.fixture(scope="module")
-def libraries():
-    """Import the libraries of algorithms before pytester notes which modules it forgets after a session.
-
-    Compiled libraries cannot be loaded a second time.
-    """
-    import cmaes  # noqa: F401
-    import pymoo.operators.survival.rank_and_crowding  # noqa: F401
-    import ribs.archives  # noqa: F401
-
-
-def test_the_algorithms_of_libraries_search_too(libraries, project):
-    algorithms = ("nsga2", "map-elites", "cma-es")
-    project.write("\n".join(TEST.format(each).replace("test_it", f"test_{n}") for n, each in enumerate(algorithms)))
-    project.run(generations=8).assert_outcomes(failed=2 * len(algorithms))
-    for text, algorithm in zip(project.contents.values(), algorithms, strict=True):
-        assert f"algorithm: {algorithm}" in text
 
 
 KINDS = {
@@ -53,10 +33,14 @@ KINDS = {
 }
 
 
-def test_every_algorithm_searches_with_every_kind_it_supports(libraries, project):
-    """The others are refused with the kinds that the algorithm has."""
+def test_every_algorithm_searches_with_every_kind_it_supports(project):
+    check_kinds(project, OF_CORE, refused=2)
+
+
+def check_kinds(project, algorithms, refused):
+    """Search with every kind of instructions. Those that an algorithm does not support are refused, with its kinds."""
     lines, supported = [], []
-    for algorithm in ALGORITHMS:
+    for algorithm in algorithms:
         for kind, check in KINDS.items():
             supported.append(kind in resolve_algorithm(algorithm).instructions)
             lines += [
@@ -72,42 +56,21 @@ def test_every_algorithm_searches_with_every_kind_it_supports(libraries, project
         if not is_supported:
             text = section(result, f"test_{number}")
             assert re.search(r"instructions=\.\.\.\): expected '(cells|lanes)' for the algorithm \S+, received '", text)
-    assert supported.count(False) == 6, "av-fuzzer and random-manoeuvre have lanes only, cma-es has cells only"
+    assert supported.count(False) == refused, "av-fuzzer and random-manoeuvre have lanes only, cma-es has cells only"
 
 
 def test_a_find_without_cells_is_on_the_page(project):
-    project.write(TEST.format("av-fuzzer"))
+    project.write(TEST.format("random-manoeuvre"))
     project.run("--pafot-report=page.html", generations=6)
     page = (project.path / "page.html").read_text()
     assert re.search(r"<td>(keep|into|from|out of) [a-z0-9 ]*ego", page)
     assert '"lane": "' in page or '"lane":"' in page
 
 
-def test_av_fuzzer_uses_its_own_fitness_by_default(project):
-    project.write(
-        "from pytest_pafot.plugin.option_sources import request_of_mark\n"
-        "def test_it(pytestconfig):\n"
-        "    def fitness(**arguments):\n"
-        "        return request_of_mark(pytestconfig, arguments, 1).fitness\n"
-        "    assert fitness(algorithm='av-fuzzer') == 'av-fuzzer'\n"
-        "    assert fitness(algorithm='av-fuzzer', fitness='default') == 'default'\n"
-        "    assert fitness(algorithm='random') == fitness() == 'default'\n"
-    )
-    project.run().assert_outcomes(passed=1)
-
-
-def test_missing_library_error_gives_the_install_command(project, monkeypatch):
-    monkeypatch.setitem(sys.modules, "cmaes", None)
-    project.write(TEST.format("cma-es"))
-    result = project.run()
-    result.assert_outcomes(failed=1)
-    result.stdout.fnmatch_lines(["*pip install 'pytest-pafot?search?'*"])
-
-
 def test_unknown_algorithm_or_kind_error_lists_the_choices(project):
     told = {
-        "SHORT, algorithm='av-fuzzer', instructions='both'": "*instructions=*expected 'lanes' for the algorithm "
-        "av-fuzzer, received 'both'*",
+        "SHORT, algorithm='random-manoeuvre', instructions='both'": "*instructions=*expected 'lanes' for the algorithm "
+        "random-manoeuvre, received 'both'*",
         "SHORT, instructions='cell'": "*instructions: expected one of cells, lanes, manoeuvres, both, received 'cell'*",
         "SHORT, algorithm='genetic'": "*expected distinct, pafot, *or cma-es, received 'genetic'; or give your own "
         "class*",

@@ -111,11 +111,6 @@ def test_an_algorithm_that_begins_with_nothing_says_so(project, theirs):
     told.fnmatch_lines(["*the algorithm random begins with no saved scenarios"])
 
 
-def test_map_elites_begins_with_them_too(project, theirs):
-    pytest.importorskip("ribs")
-    assert searched(project, f"--pafot-begin-with={theirs}", "--pafot-algorithm=map-elites")[1]["given"] == 2
-
-
 def test_fewer_runs_than_scenarios_are_counted_as_they_are(project, theirs):
     assert searched(project, f"--pafot-begin-with={theirs}", "--pafot-runs=1")[1]["given"] == 1
 

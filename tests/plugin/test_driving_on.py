@@ -1,6 +1,5 @@
 """Replays that pass are driven on for ten seconds after the end of their file."""
 
-import json
 from dataclasses import replace
 
 import pytest
@@ -8,7 +7,6 @@ import pytest
 import pytest_pafot as pafot
 from pytest_pafot.corpus.writer import write
 from pytest_pafot.execution.scenario_pool import LostRun, expectation
-from pytest_pafot.extras.revisions.bisect_command import TOLD
 from pytest_pafot.findings.finding import Finding, Found
 from pytest_pafot.findings.signature import Failure
 from pytest_pafot.oracle.checks import Check
@@ -205,15 +203,6 @@ def test_death_after_the_end_of_a_crash_still_fails(project):
     result = replay(project, "dying")
     result.assert_outcomes(failed=1, skipped=1)
     result.stdout.fnmatch_lines(["replay: still failing, driven on past the file's end", "*1 still failing"])
-
-
-def test_bisect_names_the_failure_after_the_end(saved, monkeypatch):
-    told = saved.path / "told.json"
-    monkeypatch.setenv(TOLD, json.dumps({"file": str(told), "policy": []}))
-    replay(saved, "slow", plugins=["pytest_pafot.extras.revisions.bisect_session"])
-    assert json.loads(told.read_text())["why"] == (
-        "collision after 6.5 s at 7.6 m/s: NPC 0 ahead, ego at fault; driven on past the file's end"
-    )
 
 
 def test_failure_by_chance_after_the_end_is_flaky(saved):

@@ -373,7 +373,7 @@ class Safety:
         pass
 
 class TestIt:
-    @pafot.catalogue("r157/cut-in")
+    @pafot.search(SHORT)
     def drives(self, run):
         pass
 """

@@ -392,19 +392,19 @@ class Exits:
             os._exit(0)
         return 0.0, 0.0
 """
-OTHERS = {
-    "catalogue": '@pafot.catalogue("r157/cut-in", ads=Exits)\ndef test_it(run):\n    pass\n',
-    "sweep": 'def test_it():\n    assert pafot.sweep("r157/cut-in", Exits, over={"gap": "10:60:3"}).errors == 0\n',
-    "simulate": "def test_it(pafot_simulate):\n    pafot_simulate(SCENARIO, Exits)\n",
-}
 SCENARIO = "SCENARIO = pafot.Scenario(npcs=[[pafot.Manoeuvre(beside=0, ahead=30.0, speed=15.0)]], ego_speed=20.0)\n"
 
 
-@pytest.mark.parametrize("kind", OTHERS)
 @pytest.mark.parametrize("source", ["CI", "option"])
-def test_what_is_no_search_is_isolated_as_well(project, monkeypatch, kind, source):
-    """The policy ends only other processes than that of the session, so that the test sees it do so."""
-    project.write(EXITS.replace("PID", str(os.getpid())) + SCENARIO + OTHERS[kind])
+def test_simulated_scenario_is_isolated_as_well(project, monkeypatch, source):
+    check_isolation(
+        project, monkeypatch, source, SCENARIO + "def test_it(pafot_simulate):\n    pafot_simulate(SCENARIO, Exits)\n"
+    )
+
+
+def check_isolation(project, monkeypatch, source, test):
+    """Run a test with a policy that ends only other processes than that of the session, which sees it do so."""
+    project.write(EXITS.replace("PID", str(os.getpid())) + test)
     options = ["--pafot-isolate"] if source == "option" else []
     if source == "CI":
         monkeypatch.setenv("CI", "true")

@@ -103,7 +103,6 @@ def test_link_that_appears_in_the_session_is_not_followed(project, tmp_path_fact
     ("given", "code"),
     [
         (["none.py"], pytest.ExitCode.USAGE_ERROR),
-        (["--pafot-against=rev:none"], pytest.ExitCode.USAGE_ERROR),
         (["-k", "nothing"], pytest.ExitCode.NO_TESTS_COLLECTED),
     ],
 )

@@ -202,7 +202,7 @@ def test_no_session_on_ci_passes_whose_items_a_hook_leaves_out(project, monkeypa
     monkeypatch.setenv("CI", "true")
     conftest = project.path / "conftest.py"
     conftest.write_text(conftest.read_text() + UNRUN)
-    project.write(f"{EXITS}\n@pafot.catalogue('r157/cut-in')\ndef test_named(run):\n    pass\n")
+    project.write(f"{EXITS}\n@pafot.search(SHORT)\ndef test_other(run):\n    pass\n")
     result = project.run(*arguments)
     assert result.ret == 2
     assert "problem: 2 items did not run to the end, test_it.py::test_in_fixture[search] first" in text_of(result)

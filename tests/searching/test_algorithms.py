@@ -7,7 +7,6 @@ import pytest
 
 from pytest_pafot import searching
 from pytest_pafot.campaign.options import BY_NAME
-from pytest_pafot.extras.algorithms.av_fuzzer import AvFuzzerSearch
 from pytest_pafot.searching import (
     ALGORITHMS,
     DistinctSearch,
@@ -20,8 +19,9 @@ from pytest_pafot.searching import (
     run_campaign,
     sample,
 )
+from pytest_pafot.searching.algorithms.catalogue import OF_CORE
 from pytest_pafot.searching.events import GenerationFinished
-from pytest_pafot.searching.fitness import FITNESSES, FitnessError, resolve
+from pytest_pafot.searching.fitness import FitnessError, resolve
 from tests.helpers.tables import table
 
 SPACE = SearchSpace(npcs=3)
@@ -85,8 +85,8 @@ def test_everything_in_the_catalogue_is_there():
 def test_algorithms_are_found_by_name():
     assert resolve_algorithm("pafot").make(SPACE, population=6) == PafotSearch(SPACE, population=6)
     assert resolve_algorithm("random").make(SPACE) == RandomSearch(SPACE)
-    assert [resolve_algorithm(name).make(SPACE).name for name in ALGORITHMS] == list(ALGORITHMS)
-    assert [resolve_algorithm(name).name for name in ALGORITHMS] == list(ALGORITHMS)
+    assert [resolve_algorithm(name).make(SPACE).name for name in OF_CORE] == list(OF_CORE)
+    assert [resolve_algorithm(name).name for name in OF_CORE] == list(OF_CORE)
 
 
 def test_custom_algorithm_is_a_class_or_its_name():
@@ -105,7 +105,7 @@ def test_algorithm_class_declares_fitness_and_kinds_of_instructions():
     told = resolve_algorithm(Structural)
     assert (told.fitness, told.instructions) == ("paper", ("lanes",))
     assert resolve_algorithm(Careful).batch_population == DistinctSearch.batch_population
-    assert resolve_algorithm(AvFuzzerSearch) == resolve_algorithm("av-fuzzer")
+    assert resolve_algorithm(PafotSearch) == resolve_algorithm("pafot")
 
 
 @pytest.mark.parametrize("algorithm", [Own, Structural])
@@ -156,12 +156,6 @@ def test_unknown_parameter_error_names_the_known_ones():
 
 def test_option_offers_exactly_the_existing_algorithms():
     assert set(BY_NAME["algorithm"].choices) == set(ALGORITHMS)
-
-
-def test_each_algorithm_has_its_own_default_fitness():
-    fitness = {name: resolve_algorithm(name).fitness for name in ALGORITHMS}
-    assert {name: own for name, own in fitness.items() if own != "default"} == {"av-fuzzer": "av-fuzzer"}
-    assert set(fitness.values()) <= set(FITNESSES)
 
 
 def test_custom_fitness_is_a_function_or_its_name(make_evaluation):

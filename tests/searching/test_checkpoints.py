@@ -22,8 +22,7 @@ from pytest_pafot.searching import (
     plain,
     run_campaign,
 )
-from pytest_pafot.searching.algorithms.catalogue import ALGORITHMS as NAMES
-from pytest_pafot.searching.algorithms.catalogue import resolve_algorithm
+from pytest_pafot.searching.algorithms.catalogue import OF_CORE
 from pytest_pafot.searching.ask_tell_loop import CheckpointError
 from pytest_pafot.searching.evaluation import Evaluation, EvaluationCache, Remembered
 from pytest_pafot.searching.events import CampaignFinished, CampaignStarted, GenerationFinished
@@ -150,7 +149,7 @@ def test_a_checkpoint_of_another_campaign_is_refused(cheap_world):
 
 
 def test_which_algorithms_can_go_on():
-    able = {name for name in NAMES if issubclass(resolve_algorithm(name).made_by, ResumableSearch)}
+    able = {name for name, made_by in OF_CORE.items() if issubclass(made_by, ResumableSearch)}
     assert able == {"distinct", "random", "random-manoeuvre"}
     assert not isinstance(PafotSearch(), ResumableSearch)
     assert isinstance(RandomManoeuvreSearch(), ResumableSearch)

@@ -14,7 +14,8 @@ from pytest_pafot.model.crossings import slot_name
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.scenario import CrossingInstruction, PositionInstruction, Scenario
 from pytest_pafot.model.trace import Collision, Outcome
-from pytest_pafot.searching import ALGORITHMS, Health, SearchSpace, resolve_algorithm, run_campaign
+from pytest_pafot.searching import Health, SearchSpace, resolve_algorithm, run_campaign
+from pytest_pafot.searching.algorithms.catalogue import OF_CORE
 from pytest_pafot.searching.algorithms.distinct import niche
 from pytest_pafot.searching.crossing_traffic import ACTS, CrossingTraffic, drawn_slot, mixed
 from pytest_pafot.searching.evaluation import EvaluationCache
@@ -215,9 +216,6 @@ AS_BEFORE = {
     ("pafot", "papers"): "fc535b075c81",
     ("pafot", "wide"): "a6156b0451be",
     ("pafot", "bend"): "c7ee8c480c56",
-    ("av-fuzzer", "papers"): "b07ec34b17d5",
-    ("av-fuzzer", "wide"): "374eb7f4ea29",
-    ("av-fuzzer", "bend"): "ef9f486e8604",
     ("random", "papers"): "53bae83dadad",
     ("random", "wide"): "27fef0e149db",
     ("random", "bend"): "401b3447ca53",
@@ -241,10 +239,12 @@ def drawn_digest(name, space, make_evaluation):
     return digest.hexdigest()[:12]
 
 
-@pytest.mark.parametrize("name", [each for each in ALGORITHMS if not resolve_algorithm(each).is_papers])
+@pytest.mark.parametrize("name", [name for name in OF_CORE if not resolve_algorithm(name).is_papers])
 def test_every_search_except_the_papers_handles_junctions(name, make_evaluation):
-    if library := resolve_algorithm(name).library:
-        pytest.importorskip(library)
+    check_junctions(name, make_evaluation)
+
+
+def check_junctions(name, make_evaluation):
     events = list(run_campaign(resolve_algorithm(name).make(SPACE), Judged(make_evaluation), generations=12, seed=1))
     scenarios = [event.evaluation.scenario for event in events if isinstance(event, Evaluated)]
     for each in scenarios:
@@ -256,10 +256,12 @@ def test_every_search_except_the_papers_handles_junctions(name, make_evaluation)
     assert "/20 slots at zones; requested" in coverage.describe(10.0, JUNCTION.ways)
 
 
-@table(
-    "name", [each for each in ALGORITHMS if resolve_algorithm(each).is_papers and not resolve_algorithm(each).library]
-)
+@table("name", [name for name in OF_CORE if resolve_algorithm(name).is_papers])
 def test_the_papers_searches_keep_to_the_grid(name, make_evaluation):
+    check_grid(name, make_evaluation)
+
+
+def check_grid(name, make_evaluation):
     search = resolve_algorithm(name).make(SearchSpace())
     events = run_campaign(search, Judged(make_evaluation), generations=3, seed=1)
     assert not any(event.evaluation.scenario.crossings for event in events if isinstance(event, Evaluated))

@@ -16,7 +16,8 @@ from pytest_pafot.extending import SUFFIX
 from pytest_pafot.extras.revisions.revision_policy import PACKAGE, RevisionPolicy
 from pytest_pafot.extras.revisions.revision_process import digest_of, imported_elsewhere
 from pytest_pafot.support.errors import RequestError, RevisionError
-from pytest_pafot.support.text import plural, visible
+from pytest_pafot.support.source_files import SHOWN, files_line
+from pytest_pafot.support.text import visible
 
 PROCESS = "pytest_pafot.extras.revisions.revision_process"
 """The module whose ``main`` is the process of a policy that a command names."""
@@ -27,9 +28,6 @@ TESTS = ("test_*.py", "*_test.py")
 """Patterns of the names of test modules."""
 OUTPUTS = ("pafot.json", "pafot.html", "pafot.xml")
 """Files that jobs leave in the folder in which they run."""
-
-SHOWN = 5
-"""The largest number of files that are named in a line."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,7 +94,7 @@ class Revision:
         differ = changed | {name for name, digest in seen.items() if _digest(root / name) != digest}
         # New files other than modules are often outputs.
         told = {name for name in differ if name.endswith(".py") or (self.tree / name).exists()}
-        names = sorted({*seen, *told})
+        names = sorted(name for name in {*seen, *told} if not name.endswith(SUFFIX))  # each finding adds a file
         before, now = ({name: digest for name in names if (digest := _digest(at / name))} for at in (self.tree, root))
         changes = " and changes" if {*names} & {*dirty} else ""
         lines = [files_line(self.label, before, f"now ({head:.7}{changes})", now)]
@@ -152,15 +150,3 @@ def revision_at(text: str, folder: Path, here: Path, paths: str, option: str) ->
         is_hash = len(name) >= 7 and commit.startswith(name)
         label = f"{REVISION}{commit:.7}" if is_hash else f"{visible(text)} ({commit:.7})"
         yield Revision(history, label, commit, tree, here, option, copies)
-
-
-def files_line(old: str, before: Mapping[str, str], new: str, now: Mapping[str, str]) -> str:
-    """Return a line with the names of both sides, how many of their files differ, and the first of these.
-
-    ``before`` and ``now`` have the hashes of the files. Saved scenarios are left out: each finding adds one.
-    """
-    names = sorted(name for name in {**before, **now} if not name.endswith(SUFFIX))
-    differ = [name for name in names if before.get(name) != now.get(name)]
-    more = [f"{len(differ) - SHOWN} more"] if len(differ) > SHOWN else []
-    which = f": {', '.join([*map(visible, differ[:SHOWN]), *more])}" if differ else ""
-    return f"{old} and {new}: {len(differ)} of {plural(len(names), 'file')} of the policy differ{which}"

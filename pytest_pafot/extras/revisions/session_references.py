@@ -12,16 +12,15 @@ import numpy as np
 import pytest
 
 from pytest_pafot.campaign.harness import Harness
-from pytest_pafot.campaign.options import OF_COMMAND, REVISION
+from pytest_pafot.campaign.options import OF_COMMAND
 from pytest_pafot.campaign.request import AgainstError, Request, build_space
 from pytest_pafot.extending import ProcessLostError, refusals, sample
-from pytest_pafot.extras.revisions.revision import PROCESS, Revision, files_line, revision_at
+from pytest_pafot.extras.revisions.revision import PROCESS, Revision, revision_at
 from pytest_pafot.extras.revisions.revision_policy import RevisionPolicy, rolled
 from pytest_pafot.extras.revisions.revision_process import NO_TEST, Served
 from pytest_pafot.plugin import messages
 from pytest_pafot.plugin.node_ids import base_id, qualified_name
 from pytest_pafot.support.errors import OutOfTime, RequestError, RevisionError, flag
-from pytest_pafot.support.source_files import source_digests
 
 REVISIONS: pytest.StashKey[Revisions] = pytest.StashKey()
 COPY = flag("copy")
@@ -102,15 +101,13 @@ def _of_test(item: pytest.Item, revision: Revision, test: Path) -> RevisionPolic
     return revision.policy("pytest_pafot.extras.revisions.revision_session", qualified_name(item), tuple(arguments))
 
 
-def revision_of(item: pytest.Item, request: Request) -> OfTest | None:
-    """Return the policy of an item's test in the revision that its request names; None if it names none.
+def revision_of(item: pytest.Item, request: Request) -> OfTest:
+    """Return the policy of an item's test in the revision that its request names.
 
     Raises:
         AgainstError: if there is no such revision, or its policy cannot be built.
     """
-    against, stash = request.settings.against, item.config.stash
-    if not isinstance(against, str) or not against.startswith(REVISION):
-        return None
+    against, stash = str(request.settings.against), item.config.stash
     if REVISIONS not in stash:
         stash[REVISIONS] = Revisions(ExitStack())
         item.config.add_cleanup(stash[REVISIONS].stack.close)
@@ -137,16 +134,11 @@ def compare(item: pytest.Item, harness: Harness) -> None:
     Raises:
         AgainstError: if the policy of the revision cannot be driven, or git fails.
     """
-    found, against, lines, same = revision_of(item, harness.request), harness.against, list[str](), ""
-    if not harness.request.settings.is_search:
-        return
-    if found is None and against is not None:  # a reference by name
-        before, now = (source_digests(ads, here=harness.root) for ads in (against.ads, harness.ads))
-        lines = [files_line(against.shown, before, "now", now)]
-    elif found is not None and found.policy is None:
-        lines = [f"the policy is new since {found.revision.label}: every failure counts"]
-    elif found is not None and found.policy is not None:
-        revision, policy = found.revision, found.policy
+    found = revision_of(item, harness.request)
+    revision, policy, same = found.revision, found.policy, ""
+    if policy is None:
+        lines = [f"the policy is new since {revision.label}: every failure counts"]
+    else:
         scenario = sample(build_space(harness.request, harness.world), np.random.default_rng(0))
         try:
             with refusals():

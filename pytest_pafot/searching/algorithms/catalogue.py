@@ -20,11 +20,11 @@ from pytest_pafot.searching.space import LANE_SHARES, SearchSpace
 from pytest_pafot.support.errors import install
 from pytest_pafot.support.references import referred_to
 
-_OF_CORE: Mapping[str, type[Algorithm[Any]]] = MappingProxyType({
+OF_CORE: Mapping[str, type[Algorithm[Any]]] = MappingProxyType({
     each.name: each for each in (DistinctSearch, PafotSearch, RandomSearch, RandomManoeuvreSearch)
 })  # fmt: skip
 
-ALGORITHMS = (*_OF_CORE, *door.ALGORITHMS)
+ALGORITHMS = (*OF_CORE, *door.ALGORITHMS)
 """The names that :func:`resolve_algorithm` accepts; a new algorithm must be listed above, or in the door."""
 
 
@@ -81,7 +81,7 @@ def resolve_algorithm(given: str | type[Algorithm[Any]]) -> AlgorithmClass:
 
 def _named(given: str) -> Any:
     if given in ALGORITHMS:
-        return _OF_CORE[given] if given in _OF_CORE else door.opened(door.ALGORITHMS[given])
+        return OF_CORE[given] if given in OF_CORE else door.opened(door.ALGORITHMS[given])
     if ":" in given:
         try:
             return referred_to(given)

@@ -18,6 +18,7 @@ from pytest_pafot.extras.revisions.bisect_command import Trials, _group, parted
 from pytest_pafot.extras.revisions.bisect_session import TOLD
 from tests.helpers.processes import begun
 from tests.helpers.sessions import INTERRUPTIBLE
+from tests.plugin.test_driving_on import replay as replayed
 
 GUIDE = Path(__file__).parents[3] / "docs" / "guide" / "what-broke.md"
 FILE = "pafot_corpus/test_safety/test_never_at_fault/leader-unanswered-b5ed63.pafot.yaml"
@@ -421,3 +422,12 @@ def wait_for(condition):
     while not condition():
         assert time.monotonic() < until
         time.sleep(0.05)
+
+
+def test_bisect_names_the_failure_after_the_end(saved, monkeypatch):
+    told = saved.path / "told.json"
+    monkeypatch.setenv(TOLD, json.dumps({"file": str(told), "policy": []}))
+    replayed(saved, "slow", plugins=["pytest_pafot.extras.revisions.bisect_session"])
+    assert json.loads(told.read_text())["why"] == (
+        "collision after 6.5 s at 7.6 m/s: NPC 0 ahead, ego at fault; driven on past the file's end"
+    )

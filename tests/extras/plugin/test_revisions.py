@@ -532,3 +532,11 @@ def test_copy_of_an_ended_session_is_removed(repository, number):
         assert len(git(repository, "worktree", "list").splitlines()) == 2
         git(repository, "checkout", "-q", "test_it.py")
         run(repository).stdout.fnmatch_lines(["against rev:main (*): introduces *"])  # also what the killed one ran
+
+
+def test_session_that_an_unknown_revision_ends_leaves_the_earlier_table(failing):
+    (failing.path / "runs.csv").write_text("an earlier one")
+    result = failing.run("--pafot-table=runs.csv", "--pafot-against=rev:none")
+    assert result.ret == pytest.ExitCode.USAGE_ERROR
+    result.stdout.fnmatch_lines(["*--pafot-table=runs.csv: nothing was written, since no search ran"])
+    assert (failing.path / "runs.csv").read_text() == "an earlier one"

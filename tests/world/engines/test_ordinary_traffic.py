@@ -691,20 +691,3 @@ def test_vehicles_of_another_class_that_appear_are_driven_by_the_road():
     )
     assert compiled.steps == "the traffic has a AggressiveVehicle, not only IDM and MOBIL"
     assert difference(compiled, stepped) <= WITHIN
-
-
-class DrivesOn(HighwayEnvFast):
-    """An environment that does not end its episodes after crashes."""
-
-    def _is_terminated(self):
-        return False
-
-
-def test_training_episode_ends_at_a_crash(world_of):
-    env = pafot.training_env(world_of(DrivesOn, vehicles_count=20, duration=30), share=0.0)
-    env.reset(seed=5)
-    results = [env.step(3)]
-    while not (results[-1][2] or results[-1][3]):
-        results.append(env.step(3))
-    assert (results[-1][2:4], results[-1][4]["crashed"]) == ((False, True), True)
-    assert len(results) < 20

@@ -1,7 +1,7 @@
-"""Train the PPO policy of this folder on its failures, and measure the effect on them and on its ordinary driving.
+"""Train the example PPO policy on its failures, and measure the effect on them and on its ordinary driving.
 
     pip install "pytest-pafot[train]"
-    python -m example_ads.ppo.train_on_failures
+    python -m tests.benchmarks.train_on_failures
 
 This takes minutes; ``--seeds 3 --workers 9`` repeats each training with more seeds, on nine cores. It prints these
 shares before and after training, each with its interval:
@@ -25,13 +25,12 @@ from dataclasses import dataclass
 import numpy as np
 
 import pytest_pafot as pafot
+from example_ads.ppo import PpoPolicy, read_actor
+from example_ads.ppo.train import actor_modules, actor_of, give_actor, untrained
 from pytest_pafot.attribution.responsibility import Fault, is_ego_responsible, rss_rule
 from pytest_pafot.extras.episodes.rate import Pair, Rate, driven
 from pytest_pafot.extras.training import random_scenarios
 from pytest_pafot.support.proportions import interval_text
-
-from . import PpoPolicy, read_actor
-from .train import actor_modules, actor_of, give_actor, untrained
 
 WORLD = pafot.World("highway-fast-v0")
 TRAINED_ON: Fault = "leader-unanswered"

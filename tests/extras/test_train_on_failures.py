@@ -1,11 +1,11 @@
-"""The example's counts before and after training; the training itself only runs with stable-baselines3."""
+"""The counts of an policy before and after training on its failures; training itself needs stable-baselines3."""
 
 import numpy as np
 import pytest
 
 from example_ads import ppo
-from example_ads.ppo import train, train_on_failures
-from example_ads.ppo.train_on_failures import TRAINED_ON, faults, measured, row, scenarios
+from tests.benchmarks import train_on_failures
+from tests.benchmarks.train_on_failures import TRAINED_ON, faults, measured, row, scenarios
 
 COUNT = 12
 """The number of random scenarios in each count."""
@@ -41,12 +41,6 @@ def test_failures_after_training_count_among_those_before(before):
     share = 100 * still / before.faults.count(TRAINED_ON)
     assert 0 < share < 100
     assert row(before, after).split(" | ")[2].startswith(f"{share:.1f} %")
-
-
-def test_weights_survive_scaling_and_back_exactly():
-    inside = train.in_scale(ppo.read_actor(), np.reciprocal(train.SCALES))
-    for kept, again in zip(ppo.read_actor(), train.in_scale(inside, train.SCALES), strict=True):
-        assert all(np.array_equal(a, b) and a.dtype == b.dtype for a, b in zip(kept, again, strict=True))
 
 
 def test_training_begins_with_shipped_policy_and_changes_it(monkeypatch):

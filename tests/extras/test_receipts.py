@@ -1,0 +1,97 @@
+"""A command of an extra ends with 0 only if it came to its end, whatever the policy does; a signal ends all of it."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from tests.commands.test_endings import check_that_all_ends
+from tests.commands.test_receipt import ENDINGS, check_ending, ended
+
+pytestmark = pytest.mark.processes
+
+COMMANDS = {
+    "map": "map r157/cut-in --ads planner:make --over gap=10:60:2 --fail-on preventable",
+    "rate": "rate --ads planner:make@planner --world highway-fast-v0 --episodes 8 --workers 1 --fail-above 60%",
+    "progress": "progress planner:Old planner:make --scenarios 4 --workers 1 --fail-on worse",
+    "compare": "compare --ads planner:make --algorithms random --runs 1 --generations 1 --workers 1 --out out",
+}
+LONG = {
+    "compare": "compare --ads slow:make --algorithms random --runs 4 --out out --workers=2",
+    "rate": "rate --ads slow:make@planner --world highway-fast-v0 --workers=2",
+    "progress": "progress slow:make slow:other --workers=2",
+}
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+@pytest.mark.parametrize(("place", "how"), [(place, how) for place, ways in ENDINGS.items() for how in ways])
+def test_a_policy_that_ends_its_process_is_no_success(tmp_path, command, place, how):
+    check_ending(tmp_path, COMMANDS[command], place, how)
+
+
+@pytest.mark.skipif(not Path("/proc/self/environ").exists(), reason="processes are found by their variables")
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])
+@pytest.mark.parametrize("command", LONG)
+def test_command_ends_all_that_it_began(tmp_path, tmp_path_factory, command, name):
+    check_that_all_ends(tmp_path, tmp_path_factory.mktemp("places"), LONG[command].split(), name)
+
+
+@pytest.mark.parametrize("how", ["os._exit(0)", "sys.exit(0)"])
+def test_an_ending_after_the_verdict_does_not_change_it(tmp_path, how):
+    assert ended(tmp_path, COMMANDS["map"])[0] == 1
+    assert ended(tmp_path, COMMANDS["map"], ON_IMPORT=f"atexit.register(lambda: {how})")[0] != 0
+
+
+def test_commands_that_come_to_their_end_keep_their_codes(tmp_path):
+    assert {command: ended(tmp_path, line)[0] for command, line in COMMANDS.items()} == {
+        "map": 1,
+        "rate": 1,
+        "progress": 0,
+        "compare": 0,
+    }
+
+
+def test_wrong_arguments_and_help_keep_their_codes(tmp_path):
+    def code(*arguments):
+        line = [sys.executable, "-m", "pytest_pafot", *arguments]
+        return subprocess.run(line, cwd=tmp_path, capture_output=True, check=False).returncode
+
+    assert [code("map", "--help"), code("rate", "--hel"), code("map", "--nothing"), code("map")] == [0, 0, 2, 0]
+
+
+def test_assertions_that_are_off_are_refused_and_own_checks_hold(tmp_path):
+    assert ended(tmp_path, COMMANDS["map"], options=["-O"])[0] == 1
+    code, told = ended(tmp_path, f"{COMMANDS['map']} --check planner:check", options=["-O"])
+    assert code == 2
+    assert "check: expected a Python that runs assertions" in told
+
+
+@pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
+def test_a_child_that_an_interrupt_ends_without_a_receipt_is_no_fault_of_the_policy(tmp_path):
+    how = "signal.signal(signal.SIGTERM, signal.SIG_IGN); os.kill(os.getppid(), signal.SIGTERM); os._exit(1)"
+    assert ended(tmp_path, COMMANDS["map"], ON_IMPORT=how) == (143, "map: interrupted\n")
+
+
+@pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+def test_a_signal_to_the_command_ends_the_process_that_drives(tmp_path, number):
+    line = [sys.executable, "-m", "pytest_pafot", *COMMANDS["map"].replace("10:60:2", "10:60:200").split()]
+    (tmp_path / "planner.py").write_text(
+        "import os, time\ndef make():\n    open(f'pid-{os.getpid()}', 'w').close()\n    time.sleep(0.1)\n"
+        "    return lambda seen: (0.0, 0.0)\n"
+    )
+    process = subprocess.Popen(line, cwd=tmp_path, stdin=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+    while not (begun := list(tmp_path.glob("pid-*"))):
+        assert process.poll() is None
+        time.sleep(0.02)
+    process.send_signal(number)
+    _, told = process.communicate(timeout=60)  # until the process that drives has ended, too
+    assert process.returncode == (-9 if number == signal.SIGKILL else 128 + number)
+    assert "map: interrupted" in told
+    if number != signal.SIGKILL:  # then nobody may have waited for it yet, though its output is closed
+        with pytest.raises(ProcessLookupError):
+            os.kill(int(begun[0].name.removeprefix("pid-")), 0)
