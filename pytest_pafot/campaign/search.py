@@ -197,7 +197,14 @@ def prepared(
         beginning = RandomBeginning(listener=listener)
         loop = SearchLoop(
             simulation=simulation,
-            recorder=Recorder(harness=harness, seed=seed, confirm=confirm, listener=listener, clock=time.monotonic),
+            recorder=Recorder(
+                harness=harness,
+                seed=seed,
+                confirm=confirm,
+                listener=listener,
+                clock=time.monotonic,
+                asked=lambda: runner.asked,
+            ),
             space=space,
             fitness=fitness,
             listener=beginning,
@@ -317,8 +324,7 @@ class Search:
                         self._worse.conclude()
             finally:  # Even after Ctrl-C, findings that were simplified must not be simplified again.
                 self._shrink_runs, self._neighbour_runs = work.runs, work.neighbour_runs
-                self._shrink_decisions = work.shrink_decisions
-                self._neighbour_decisions = work.decisions - work.shrink_decisions
+                self._shrink_decisions, self._neighbour_decisions = work.shrink_decisions, work.neighbour_decisions
                 self.driver_notes += work.notes
                 self.sessions.store(simplified=work.done)
         except SetupFaultError as error:
@@ -576,9 +582,11 @@ class Search:
             unsaved={id_: 1 + loop.repeats[id_] for id_ in loop.recorder.unsaved},
             shrink_runs=self._shrink_runs,
             neighbour_runs=self._neighbour_runs,
-            decisions=loop.decisions,
+            decisions=loop.decisions - self._shrink_decisions - self._neighbour_decisions,
+            confirm_decisions=loop.recorder.confirm_decisions,
             shrink_decisions=self._shrink_decisions,
             neighbour_decisions=self._neighbour_decisions,
+            reused_decisions=loop.simulation.runner.reused,
             known=dict(loop.known + self.sessions.found_before),
             unlike=self._unlike(),
             failures={signature.text: id_ for signature, id_ in loop.failures.items()},

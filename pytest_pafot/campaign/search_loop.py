@@ -312,7 +312,7 @@ class SearchLoop:
     manners: dict[Signature, dict[Manner, str]] = field(default_factory=dict)
     failures: dict[Signature, str] = field(default_factory=dict)  # ids by the failures that runs of this session showed
     verdicts: Counter[str] = field(default_factory=Counter)  # number of verdicts by kind
-    decisions: int = 0  # number of decisions of the ADS in the runs of this session's search
+    told_decisions: int = 0  # number of decisions of the ADS in the runs that other processes judged, and beside runs
     caught: Counter[str] = field(default_factory=Counter)  # number of passed runs by a check that failed in them
     counted: Health = field(default_factory=Health)  # health of the evaluations that were counted
     uncounted: list[events.Evaluated] = field(default_factory=list)
@@ -332,6 +332,11 @@ class SearchLoop:
     def runs(self) -> int:
         """The number of scenarios that were simulated so far."""
         return self.verdicts.total()
+
+    @property
+    def decisions(self) -> int:
+        """The number of decisions that the ADS has made so far in this session, except to confirm findings."""
+        return self.told_decisions + self.simulation.runner.asked - self.recorder.confirm_decisions
 
     @property
     def health(self) -> Health:
@@ -477,7 +482,7 @@ class SearchLoop:
         for _, event in tally.judged or ():
             self.listener(event)
         self.verdicts.update(tally.verdicts)
-        self.decisions += tally.decisions
+        self.told_decisions += tally.decisions
         self.caught.update(tally.caught)
         self.doubt = self.doubt or tally.doubt
         self.avoidable = self.avoidable or tally.avoidable
@@ -504,7 +509,7 @@ class SearchLoop:
     def _taken(self, passed: Passed) -> Evaluation:
         """Count a run that another process has judged, and return its evaluation."""
         self.listener(passed.event)
-        self.decisions += passed.decisions
+        self.told_decisions += passed.decisions
         self._count_run(None, passed.event.verdict, passed.caught, passed.doubt)
         if passed.signature is not None:
             self._count_known(passed.signature)
@@ -526,7 +531,6 @@ class SearchLoop:
 
     def _judged(self, run: Run) -> Evaluation:
         is_alone = self.simulation.runner.is_alone
-        self.decisions += len(run.trace.actions)
         verdict = self.simulation.judge(run)
         judged = [Judged.here(run, verdict)]
         if verdict.failed and not is_alone:  # Run it alone as its replay will, in case a batch mixes up its rows.
@@ -635,6 +639,9 @@ class Recorder:
     confirm: Callable[[Run], str]  # returns what differs when a run is repeated; empty if nothing does
     listener: Listener
     clock: Callable[[], float]  # returns the seconds since some fixed moment
+    asked: Callable[[], int]  # returns the number of decisions that the ADS has made so far
+    confirm_decisions: int = 0  # those of them that confirmed a finding
+    confirm_seconds: float = 0.0  # the time that confirming took [s]
     pace: float = 0.0  # the longest time to confirm one second of a run so far [s]
     until: float = math.inf  # the time at which confirming ends [s]
     # files that existed before the search; their replays do not show the findings that are saved here
@@ -707,10 +714,15 @@ class Recorder:
         Raises:
             OutOfTime: if the time of the search is over.
         """
-        began = self.clock()
-        with runs_end_in(self.until - began):
-            differs = self.confirm(run)
-        self.pace = max(self.pace, (self.clock() - began) / max(run.duration, 1.0))
+        began, asked = self.clock(), self.asked()
+        try:
+            with runs_end_in(self.until - began):
+                differs = self.confirm(run)
+        finally:
+            seconds = self.clock() - began
+            self.confirm_seconds += seconds
+            self.confirm_decisions += self.asked() - asked
+        self.pace = max(self.pace, seconds / max(run.duration, 1.0))
         return differs
 
     def release(self) -> None:

@@ -137,6 +137,10 @@ class Runner:
     clock: Callable[[], float]
     is_alone: bool = field(default=True, init=False)
     """True if the last run was made by itself, and not in lock step with other runs."""
+    asked: int = field(default=0, init=False)
+    """The number of decisions that the ADS made in the runs with a trace so far."""
+    reused: int = field(default=0, init=False)
+    """The number of cached decisions in these runs, which the ADS did not make."""
 
     def __post_init__(self) -> None:
         self._prefetching: Processes | LockStep = self.processes
@@ -225,13 +229,16 @@ class Runner:
             return trace
         self.is_alone = trace is None or self._prefetching is not self.lock_step
         self.record.write(scenario, reference=self.job.reference)
+        reused = 0
         if trace is None:
             decisions = () if afresh or self._decisions is None else self._decisions.recall(scenario)
             started = self.clock()
             given = {"decisions": decisions} if decisions else {}  # the user's own world need not have this argument
             trace = rollout_of(self.job.world)(scenario, self._factory, **given)
+            reused = min(len(decisions), len(trace.actions))  # a run may end earlier
             if not self.decides_for_many:
                 self.processes.ran_here(self.clock() - started)
+        self.asked, self.reused = self.asked + len(trace.actions) - reused, self.reused + reused
         if self._decisions is not None and self.is_alone:  # decisions of a batch may differ, so they are not cached
             self._decisions.remember(trace)
         return trace

@@ -312,11 +312,12 @@ def _figures(search: SearchSummary) -> str:
 
 def _decisions(search: SearchSummary) -> list[str]:
     """Count the decisions of a policy by what they were for, if a search takes long and they take most of the time."""
-    counts = (search.decisions, search.shrink_decisions, search.neighbour_decisions)
+    counts = (search.decisions, search.confirm_decisions, search.shrink_decisions, search.neighbour_decisions)
     if not sum(counts) or search.seconds < max(MINUTE, DEAR * sum(counts)):
         return []
-    what = (f"{search.decisions:,} decisions", f"{counts[1]:,} to shrink", f"{counts[2]:,} of neighbours")
-    return [listed([told for told, number in zip(what, counts, strict=True) if number])]
+    purposes = ("decisions", "to confirm", "to shrink", "of neighbours")
+    made = listed([f"{number:,} {purpose}" for purpose, number in zip(purposes, counts, strict=True) if number])
+    return [f"{made}; {search.reused_decisions:,} were known before" if search.reused_decisions else made]
 
 
 def _find_lines(search: SearchSummary) -> list[str]:

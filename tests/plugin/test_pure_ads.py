@@ -1,5 +1,6 @@
 """A search calls an ADS that is declared pure less often, and finds and saves the same."""
 
+import json
 import re
 import sys
 
@@ -53,6 +54,18 @@ def test_pure_ads_is_asked_less_for_same_findings(project):
     assert calls < 0.9 * plain_calls
     counts = [re.findall(r"^  (\d+ runs.*) in ", text, re.MULTILINE) for text in (output, plain_output)]
     assert counts[0] == counts[1] != []
+
+
+@pytest.mark.parametrize("ads", ["Pure", "Planner"])
+def test_decisions_are_counted_as_often_as_the_ads_is_asked(project, ads):
+    """All of them, for whatever they were needed: the owner of an expensive policy pays for each."""
+    path = project.path / "results.json"
+    _, calls, _ = searched(project, ads, args=[f"--pafot-json={path}", "--pafot-neighbours=5"])
+    (search,) = json.loads(path.read_text())["searches"]
+    purposes = ("decisions", "confirm_decisions", "shrink_decisions", "neighbour_decisions")
+    assert sum(search[each] for each in purposes) == calls
+    assert all(search[each] for each in purposes)
+    assert (search["reused_decisions"] > 0.05 * calls) == (ads == "Pure")
 
 
 def test_ads_wrongly_declared_pure_has_flaky_findings(project):
