@@ -38,7 +38,8 @@ class Progress:
     finds: int  # distinct new findings
     seconds: float  # since the search began
     budget: int | None = None  # requested runs
-    decisions: int = 0  # of the policy, in these runs; 0 if some of them are of an earlier session
+    left: float = 0.0  # the time that the runs take that are left, without what confirms findings [s]; 0 if unknown
+    decision_seconds: float = 0.0  # the mean time of a decision in these runs; 0 if unknown
     is_limited: bool = False  # whether a limit of time ends the search
     phase: str = ""  # the work after the generations, such as shrinking; empty while they run
     of: str = ""  # the id of the finding that this work is about

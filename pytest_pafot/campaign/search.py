@@ -248,6 +248,8 @@ class Search:
     _worse: MadeWorse | None = field(init=False, default=None)  # of a search with findings and a reference
     _manners: dict[str, Manner] = field(init=False, default_factory=dict)  # of the saved scenarios, by id
     _told_at: float = field(init=False)
+    # the time [s], without what confirmed findings, and the number of runs after the first one, which loads libraries
+    _since: tuple[float, int] | None = field(init=False, default=None)
 
     def __post_init__(self) -> None:
         self._told_at = self.sessions.clock()
@@ -435,6 +437,8 @@ class Search:
         def tick() -> None:
             nonlocal last
             last = self.sessions.clock()
+            if self._since is None and loop.runs > runs_before:
+                self._since = last - loop.recorder.confirm_seconds, loop.runs
             self._tell_progress()
 
         campaign_ends = self._campaign_ends(campaign_began, runs_before, search_until)
@@ -512,12 +516,31 @@ class Search:
 
         return ends
 
+    @property
+    def _run_seconds(self) -> float:
+        """The mean time of a run in the process that makes it [s]; 0 if it is not known yet.
+
+        Confirming a finding is left out: at first most failures are new, and later hardly any.
+        """
+        loop, runner = self.loop, self.loop.simulation.runner
+        if runner.processes.in_use:
+            return runner.processes.run_seconds
+        # The first runs of an executor come at the same time, after that of one run.
+        if self._since is None or (runner.processes.is_elsewhere and not loop.generation):
+            return 0.0
+        began, before = self._since
+        made = loop.runs + runner.ready - before
+        return (self.sessions.clock() - loop.recorder.confirm_seconds - began) / made if made else 0.0
+
     def _tell_progress(self, phase: str = "", of: str = "") -> None:
         now, loop = self.sessions.clock(), self.loop
         if now - self._told_at < self.progress_seconds:
             return
         self._told_at = now
         budget, generations = self.sessions.budget
+        runner, run_seconds = loop.simulation.runner, self._run_seconds
+        runs_left = 0 if budget is None else budget - loop.runs - runner.ready
+        decisions = 0 if self.sessions.is_resumed else loop.decisions  # some of the runs are of an earlier session
         loop.recorder.listener(
             Progress(
                 node_id=self.node_id,
@@ -528,7 +551,8 @@ class Search:
                 failing=loop.verdicts["failed"],
                 finds=loop.recorder.count,
                 seconds=self.sessions.seconds,
-                decisions=0 if self.sessions.is_resumed else loop.decisions,
+                left=runs_left * run_seconds / max(runner.processes.in_use, 1),
+                decision_seconds=run_seconds * loop.runs / decisions if decisions else 0.0,
                 is_limited=self.limit.until < math.inf,
                 phase=phase,
                 of=of,

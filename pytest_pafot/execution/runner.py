@@ -155,6 +155,11 @@ class Runner:
         return self._prefetching.notes
 
     @property
+    def ready(self) -> int:
+        """The number of runs that were made in lock step and not requested yet."""
+        return 0 if self.lock_step is None else self.lock_step.ready
+
+    @property
     def decides_for_many(self) -> bool:
         """True if the ADS has shown that it decides for many runs at once."""
         return self._prefetching is self.lock_step
@@ -373,6 +378,11 @@ class LockStep:
         why = "since the ADS decides for many runs at once, by its `batch`"
         return [] if self._workers == 1 else [f"{flag('workers', self._workers)}: not in use, {why}"]
 
+    @property
+    def ready(self) -> int:
+        """The number of runs that were made and not taken."""
+        return len(self._made)
+
     def announce(self, scenarios: Iterable[Scenario], *, more: bool = False) -> None:
         """Announce the next scenarios; without ``more``, earlier ones that were not taken are dropped."""
         if not more:
@@ -442,6 +452,19 @@ class Processes:
             return []
         mean, dear = 1000 * self._warm_seconds / (self._runs - 1), 1000 * DEAR
         return [f"{option}: not in use, since a run took {mean:.1f} ms, and it pays off from {dear:g} ms on"]
+
+    @property
+    def in_use(self) -> int:
+        """The number of processes in use; 0 if none are, or if it is the executor that knows."""
+        return 0 if self._executor is not None or self._pool is None or self._pool.failure else self._workers
+
+    @property
+    def run_seconds(self) -> float:
+        """The mean time of the runs so far, without the first one, which loads libraries [s]; 0 if there is none."""
+        runs, seconds = self._runs - 1, self._warm_seconds
+        if self.groups is not None:
+            runs, seconds = self.groups.runs, self.groups.seconds
+        return seconds / runs if runs > 0 else 0.0
 
     def announce(self, scenarios: Iterable[Scenario], *, more: bool = False) -> None:
         """Announce the next scenarios, and start to run them if processes are in use."""
@@ -530,9 +553,12 @@ class Processes:
             self._is_measured = False
             self._learn(seconds)
 
-    def _learn(self, seconds: float) -> None:
+    def _count(self, seconds: float) -> None:
         self._runs += 1
         self._warm_seconds += seconds if self._runs > 1 else 0.0
+
+    def _learn(self, seconds: float) -> None:
+        self._count(seconds)
         is_dear = self._warm_seconds >= DEAR * (self._runs - 1) if self._runs > WARM_RUNS else seconds >= DEAR
         is_dear = (
             is_dear or self.groups is not None
@@ -593,6 +619,8 @@ class Isolated(Processes):
             return trace_apart(self._ready.pop(scenario))
         pool = self._begun()
         answer = pool.fetch(scenario)
+        if isinstance(answer, tuple):
+            self._count(answer[2])
         if pool.failure:
             raise ExecutionError(f"{flag('isolate')}: expected processes to run the ADS in, received: {pool.failure}")
         if self._executor is not None and (unable := cast("ExecutorPool", pool).unable):

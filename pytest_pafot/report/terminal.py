@@ -99,13 +99,11 @@ def progress_line(progress: Progress, width: int = WIDTH) -> str:
 
 def _time_left(progress: Progress) -> str:
     """Return in words how long the runs take that are left, and what ends them; empty for less than a minute."""
-    if progress.budget is None or not progress.runs:
-        return ""
-    seconds = (progress.budget - progress.runs) * progress.seconds / progress.runs
+    seconds = progress.left
     if seconds < MINUTE:
         return ""
     told = f"{seconds / HOUR:.1f} h" if seconds >= 2 * HOUR else f"{seconds / MINUTE:.0f} min"
-    each = f" at {1000 * progress.seconds / progress.decisions:.3g} ms a decision" if progress.decisions else ""
+    each = f" at {1000 * progress.decision_seconds:.3g} ms a decision" if progress.decision_seconds else ""
     way_out = "" if progress.is_limited or seconds < LONG else f"; {flag('max_time', LONG)} ends it"
     return f", about {told} left{each}{way_out}"
 

@@ -232,11 +232,11 @@ def test_progress_is_one_line_with_the_name_cut():
 @table(
     ("runs", "seconds", "fields", "end"),
     [
-        (4, 0.5, {"decisions": 400}, "8/s"),
-        (4, 4.0, {"decisions": 400}, "1/s, about 7 min left at 10 ms a decision"),
-        (4, 80.0, {"decisions": 400}, "2.2 h left at 200 ms a decision; --pafot-max-time=600 ends it"),
-        (4, 80.0, {"is_limited": True}, "20 s a run, about 2.2 h left"),
-        (400, 8000.0, {"decisions": 40_000}, "20 s a run"),
+        (4, 0.5, {"left": 50, "decision_seconds": 0.01}, "8/s"),
+        (4, 4.0, {"left": 396, "decision_seconds": 0.01}, "1/s, about 7 min left at 10 ms a decision"),
+        (4, 80.0, {"left": 7920, "decision_seconds": 0.2}, "h left at 200 ms a decision; --pafot-max-time=600 ends it"),
+        (4, 80.0, {"left": 7920, "is_limited": True}, "20 s a run, about 2.2 h left"),
+        (400, 8000.0, {"decision_seconds": 0.2}, "20 s a run"),
         (0, 0.0, {}, "0 new, 0/s"),
     ],
 )  # fmt: skip
