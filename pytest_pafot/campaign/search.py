@@ -9,7 +9,7 @@ import hashlib
 import math
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, NamedTuple
@@ -264,6 +264,11 @@ class Search:
         """The loop over scenarios, with everything that the search has seen so far."""
         return self.sessions.loop
 
+    @property
+    def _told_with_warnings(self) -> tuple[str, ...]:
+        """The reasons for an end that leave enough runs to warn of their health."""
+        return DONE, ALL_RUN, self.limit.flag
+
     def run(self) -> SearchResult:
         """Replay saved scenarios, search, simplify the findings, and report a summary.
 
@@ -324,6 +329,9 @@ class Search:
                     work.run_all(f"; {flag('resume')} goes on" if self.sessions.go_on else "")
                     if self._worse is not None:
                         self._worse.conclude()
+                    if reason in self._told_with_warnings:
+                        with suppress(OutOfTime), runs_end_in(self.limit.until - self.sessions.clock()):
+                            loop.check_pure()
             finally:  # Even after Ctrl-C, findings that were simplified must not be simplified again.
                 self._shrink_runs, self._neighbour_runs = work.runs, work.neighbour_runs
                 self._shrink_decisions, self._neighbour_decisions = work.shrink_decisions, work.neighbour_decisions
@@ -614,7 +622,7 @@ class Search:
             known=dict(loop.known + self.sessions.found_before),
             unlike=self._unlike(),
             failures={signature.text: id_ for signature, id_ in loop.failures.items()},
-            warnings=loop.warnings if reason in (DONE, ALL_RUN, self.limit.flag) else (),
+            warnings=loop.warnings if reason in self._told_with_warnings else (),
             notes=(*self.sessions.notes, *self.driver_notes, *filter(None, notes), *cut, *self._left_undone(reason)),
             process_notes=tuple(self.process_notes),
             against=self.harness.against_name,

@@ -324,6 +324,7 @@ class SearchLoop:
     repeated: Counter[bool] = field(default_factory=Counter)
     avoidable: str = ""  # what happened in the first run that is excused though braking late avoids the collision
     doubt: str = ""  # a doubt about the units of the ADS's actions, if any
+    impure: str = ""  # a scenario in which an ADS that is marked as pure decided otherwise when it made all decisions
     # how the reference itself failed in all its runs so far; empty if it did not in one of them, None before the first
     broken: str | None = None
     counting: Counting | None = None  # how other processes draw and count scenarios; None if they do not
@@ -377,6 +378,11 @@ class SearchLoop:
             warnings.append(
                 f"{self.repeated[False]} of {plural(self.repeated.total(), 'run')} that failed by the ADS's `batch` "
                 "passed when the ADS was called for each alone, which is all that counts; let both decide the same"
+            )
+        if self.impure:
+            warnings.append(
+                f"the ADS is marked as pure, but decided otherwise in {self.impure} when it made all decisions, "
+                "as it must if it remembers earlier ones: runs may have passed or failed by that; remove `pure`"
             )
         if self.broken:
             warnings.append(
@@ -443,6 +449,17 @@ class SearchLoop:
                 case events.CampaignFinished():
                     self.finished = event
             tick()
+
+    def check_pure(self) -> None:
+        """Make some runs again with all decisions by the ADS, if decisions of earlier runs took their place."""
+        runner, asked = self.simulation.runner, 0
+        for _, trace in runner.resumed:
+            if asked > runner.reused * PURE_SHARE:
+                return
+            asked += len(trace.actions)
+            if not is_same_run(self.simulation.harness.seen(trace), self.simulation.rerun(trace.scenario)):
+                self.impure = trace.scenario.id
+                return
 
     def count(self) -> None:
         """Count the evaluations since the last call. Counting is delayed so that no scenario has to wait for it."""
@@ -569,6 +586,10 @@ class SearchLoop:
         """Count runs with a failure that a saved scenario shows, or that this search has found before."""
         id_ = self.failures[signature] = self.shown.get(signature) or self.finds[signature]
         (self.known if signature in self.shown else self.repeats)[id_] += runs
+
+
+PURE_SHARE = 1 / 10
+"""The share of the decisions that a pure ADS need not make from which on no further run is made to check that it is."""
 
 
 # The recorder of new findings: it saves each finding, confirms it, and reports it. To confirm a finding, its run is

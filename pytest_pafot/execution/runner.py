@@ -123,7 +123,7 @@ class Runner:
 
     If runs begin with the same situations, a pure ADS decides in them only once. Physics is always simulated, so a
     trace is the same to the last bit. That the ADS is pure is only a promise of the user, so the runs that decide on a
-    finding are made without cached decisions.
+    finding are made without cached decisions, and some others are made again at the end of a search.
 
     ``processes`` makes announced runs in advance. As soon as the ADS shows that it has ``batch``, ``lock_step`` makes
     them instead. With ``can_resume``, decisions are cached as soon as the ADS shows that it is pure.
@@ -141,6 +141,9 @@ class Runner:
     """The number of decisions that the ADS made in the runs with a trace so far."""
     reused: int = field(default=0, init=False)
     """The number of cached decisions in these runs, which the ADS did not make."""
+    resumed: list[tuple[int, Trace]] = field(default_factory=list, init=False)
+    """The runs that would best show that the ADS remembers something, the best first, each with the number of cached
+    decisions or of those after them, whichever is smaller."""
 
     def __post_init__(self) -> None:
         self._prefetching: Processes | LockStep = self.processes
@@ -243,6 +246,9 @@ class Runner:
             reused = min(len(decisions), len(trace.actions))  # a run may end earlier
             if not self.decides_for_many:
                 self.processes.ran_here(self.clock() - started)
+            if 0 < reused < len(trace.actions):
+                self.resumed.append((min(reused, len(trace.actions) - reused), trace))
+                self.resumed = sorted(self.resumed, key=lambda pair: -pair[0])[:RESUMED]
         self.asked, self.reused = self.asked + len(trace.actions) - reused, self.reused + reused
         if self._decisions is not None and self.is_alone:  # decisions of a batch may differ, so they are not cached
             self._decisions.remember(trace)
@@ -270,6 +276,9 @@ class Runner:
 
 DECISIONS = 100_000
 """The largest number of cached decisions, which are about 300 runs of a minute at 5 Hz and take about 15 MB."""
+
+RESUMED = 20
+"""The largest number of runs with cached decisions that are made again at the end of a search, with all decisions."""
 
 _Key = tuple[object, ...]
 _Actions = tuple[Any, ...]
