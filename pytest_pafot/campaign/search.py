@@ -289,6 +289,7 @@ class Search:
         )
         began = self.sessions.clock()
         recorder.until = max(self.limit.until, began + LEAST)
+        recorder.begins = lambda find_id: self._tell_progress(f"found {find_id}, running it again")
         # A process of an earlier session may have died: its scenarios are tried again before anything else.
         left = harness.left_behind()
         retried = [self._retried(leftover, left) for leftover in left]

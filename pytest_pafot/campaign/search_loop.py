@@ -661,6 +661,7 @@ class Recorder:
     listener: Listener
     clock: Callable[[], float]  # returns the seconds since some fixed moment
     asked: Callable[[], int]  # returns the number of decisions that the ADS has made so far
+    begins: Callable[[str], object] = lambda find_id: None  # is called before a finding is confirmed
     confirm_decisions: int = 0  # those of them that confirmed a finding
     confirm_seconds: float = 0.0  # the time that confirming took [s]
     pace: float = 0.0  # the longest time to confirm one second of a run so far [s]
@@ -718,7 +719,9 @@ class Recorder:
             self.held.append(kept.find.id)
         differs = ""
         try:
-            differs = "" if verdict.is_timed else self.confirmed(run)
+            if not verdict.is_timed:
+                self.begins(kept.find.id)
+                differs = self.confirmed(run)
         except OutOfTime:
             kept = replace(kept, find=replace(kept.find, unshrunk=UNCONFIRMED))
         finally:  # The finding must be reported even if these runs are interrupted.

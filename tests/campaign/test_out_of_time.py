@@ -79,6 +79,21 @@ def attempts(exploration):
     return Counter(phase[1] for phase in phases if phase[:1] == ["shrinking"])
 
 
+def test_a_finding_of_a_slow_policy_is_told_before_it_is_confirmed(clock, monkeypatch):
+    def confirming(run, simulation):
+        confirmed.append(clock.now)
+        clock.now += 30
+        return ""
+
+    confirmed = []
+    clock.step = lambda: 20.0
+    monkeypatch.setattr(search, "difference", confirming)
+    result = searched(clock, fails_in_three_ways, runs=4, shrink_rollouts=0)
+    told = [event for event in result.events if isinstance(event, FindTold) and event.is_new]
+    phases = {event.phase: event.seconds for event in result.events if isinstance(event, Progress)}
+    assert [phases[f"found {each.find.id}, running it again"] for each in told] == confirmed != []
+
+
 def test_search_without_findings_leaves_time_to_confirm_one(clock):
     result = searched(clock, lambda run: None, runs=1000, max_time=30)
     assert (result.summary.runs, result.summary.reason) == (26, "--pafot-max-time")
