@@ -38,7 +38,8 @@ class Progress:
     finds: int  # distinct new findings
     seconds: float  # since the search began
     budget: int | None = None  # requested runs
-    decisions: int = 0  # of the policy, in these runs; 0 if some of them are of an earlier session
+    left: float = 0.0  # the time that the runs take that are left, without what confirms findings [s]; 0 if unknown
+    decision_seconds: float = 0.0  # the mean time of a decision in these runs; 0 if unknown
     is_limited: bool = False  # whether a limit of time ends the search
     phase: str = ""  # the work after the generations, such as shrinking; empty while they run
     of: str = ""  # the id of the finding that this work is about
@@ -234,8 +235,11 @@ class SearchSummary:
         runs: number of simulated scenarios.
         shrink_runs: number of runs that simplified the findings, in addition to `runs`.
         neighbour_runs: number of runs of the findings' neighbours, likewise.
-        decisions, shrink_decisions, neighbour_decisions: numbers of decisions of the policy in these runs of this
-            session, without those of replays.
+        decisions, shrink_decisions, neighbour_decisions: numbers of decisions that the policy made in these runs of
+            this session, without those of replays.
+        confirm_decisions: number of decisions that it made in the runs that confirmed findings.
+        reused_decisions: number of decisions in all these runs that it did not make, because it is `pure` and had made
+            them in a run that began alike.
         known_runs: number of scenarios that were not run again.
         failing, invalid, npc, avoidable, unpreventable, common, rejected, skipped, no_interaction: numbers of runs, as
             in the summary; there `npc` is npc at fault, `unpreventable` is not preventable, `common` is failing with
@@ -277,8 +281,10 @@ class SearchSummary:
     shrink_runs: int = 0
     neighbour_runs: int = 0
     decisions: int = 0
+    confirm_decisions: int = 0
     shrink_decisions: int = 0
     neighbour_decisions: int = 0
+    reused_decisions: int = 0
     known_runs: int = 0
     failing: int = 0
     invalid: int = 0

@@ -410,6 +410,7 @@ class Simulation:
                 trace = replay_in_gym_apart(self.harness.job(), self.record, scenario)
             else:
                 trace = GENERATORS.run(world.rollout_in_gym, scenario, self.harness.drawing(ads))
+        self.runner.asked += len(trace.actions)
         self.record.clear()
         return Run(trace, decision_limit=self.harness.request.decision_limit)
 

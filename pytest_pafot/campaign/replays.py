@@ -49,7 +49,7 @@ from pytest_pafot.model.trace import Outcome, Trace
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.searching.space import sample
 from pytest_pafot.support.errors import OutOfTime, RequestError
-from pytest_pafot.support.text import one_line
+from pytest_pafot.support.text import one_line, plural
 from pytest_pafot.world import WorldError, codec, protocol
 from pytest_pafot.world.driving.ads import weights_digest
 from pytest_pafot.world.driving.perception import sight_of
@@ -555,6 +555,8 @@ class Replays:
             finding, scenario=run.scenario, expect=expect, found=found, original=None, shrunk=None, neighbours=None
         )
         its = Around(passing=passing, failing=shown, seconds=self.clock() - began)
+        if now.rate is not None:
+            now = replace(now, note=f"{now.note}; nearby in 1 of {plural(passing + 1, 'neighbour')}")
         return replace(now, label=NEARBY, run=run, verdict=verdict, around=its)
 
     def _number(self, finding: Finding) -> int:

@@ -9,7 +9,7 @@ import hashlib
 import math
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, NamedTuple
@@ -197,7 +197,14 @@ def prepared(
         beginning = RandomBeginning(listener=listener)
         loop = SearchLoop(
             simulation=simulation,
-            recorder=Recorder(harness=harness, seed=seed, confirm=confirm, listener=listener, clock=time.monotonic),
+            recorder=Recorder(
+                harness=harness,
+                seed=seed,
+                confirm=confirm,
+                listener=listener,
+                clock=time.monotonic,
+                asked=lambda: runner.asked,
+            ),
             space=space,
             fitness=fitness,
             listener=beginning,
@@ -241,6 +248,8 @@ class Search:
     _worse: MadeWorse | None = field(init=False, default=None)  # of a search with findings and a reference
     _manners: dict[str, Manner] = field(init=False, default_factory=dict)  # of the saved scenarios, by id
     _told_at: float = field(init=False)
+    # the time [s], without what confirmed findings, and the number of runs after the first one, which loads libraries
+    _since: tuple[float, int] | None = field(init=False, default=None)
 
     def __post_init__(self) -> None:
         self._told_at = self.sessions.clock()
@@ -254,6 +263,11 @@ class Search:
     def loop(self) -> SearchLoop:
         """The loop over scenarios, with everything that the search has seen so far."""
         return self.sessions.loop
+
+    @property
+    def _told_with_warnings(self) -> tuple[str, ...]:
+        """The reasons for an end that leave enough runs to warn of their health."""
+        return DONE, ALL_RUN, self.limit.flag
 
     def run(self) -> SearchResult:
         """Replay saved scenarios, search, simplify the findings, and report a summary.
@@ -275,6 +289,7 @@ class Search:
         )
         began = self.sessions.clock()
         recorder.until = max(self.limit.until, began + LEAST)
+        recorder.begins = lambda find_id: self._tell_progress(f"found {find_id}, running it again")
         # A process of an earlier session may have died: its scenarios are tried again before anything else.
         left = harness.left_behind()
         retried = [self._retried(leftover, left) for leftover in left]
@@ -315,10 +330,12 @@ class Search:
                     work.run_all(f"; {flag('resume')} goes on" if self.sessions.go_on else "")
                     if self._worse is not None:
                         self._worse.conclude()
+                    if reason in self._told_with_warnings:
+                        with suppress(OutOfTime), runs_end_in(self.limit.until - self.sessions.clock()):
+                            loop.check_pure()
             finally:  # Even after Ctrl-C, findings that were simplified must not be simplified again.
                 self._shrink_runs, self._neighbour_runs = work.runs, work.neighbour_runs
-                self._shrink_decisions = work.shrink_decisions
-                self._neighbour_decisions = work.decisions - work.shrink_decisions
+                self._shrink_decisions, self._neighbour_decisions = work.shrink_decisions, work.neighbour_decisions
                 self.driver_notes += work.notes
                 self.sessions.store(simplified=work.done)
         except SetupFaultError as error:
@@ -429,6 +446,8 @@ class Search:
         def tick() -> None:
             nonlocal last
             last = self.sessions.clock()
+            if self._since is None and loop.runs > runs_before:
+                self._since = last - loop.recorder.confirm_seconds, loop.runs
             self._tell_progress()
 
         campaign_ends = self._campaign_ends(campaign_began, runs_before, search_until)
@@ -506,12 +525,31 @@ class Search:
 
         return ends
 
+    @property
+    def _run_seconds(self) -> float:
+        """The mean time of a run in the process that makes it [s]; 0 if it is not known yet.
+
+        Confirming a finding is left out: at first most failures are new, and later hardly any.
+        """
+        loop, runner = self.loop, self.loop.simulation.runner
+        if runner.processes.in_use:
+            return runner.processes.run_seconds
+        # The first runs of an executor come at the same time, after that of one run.
+        if self._since is None or (runner.processes.is_elsewhere and not loop.generation):
+            return 0.0
+        began, before = self._since
+        made = loop.runs + runner.ready - before
+        return (self.sessions.clock() - loop.recorder.confirm_seconds - began) / made if made else 0.0
+
     def _tell_progress(self, phase: str = "", of: str = "") -> None:
         now, loop = self.sessions.clock(), self.loop
         if now - self._told_at < self.progress_seconds:
             return
         self._told_at = now
         budget, generations = self.sessions.budget
+        runner, run_seconds = loop.simulation.runner, self._run_seconds
+        runs_left = 0 if budget is None else budget - loop.runs - runner.ready
+        decisions = 0 if self.sessions.is_resumed else loop.decisions  # some of the runs are of an earlier session
         loop.recorder.listener(
             Progress(
                 node_id=self.node_id,
@@ -522,7 +560,8 @@ class Search:
                 failing=loop.verdicts["failed"],
                 finds=loop.recorder.count,
                 seconds=self.sessions.seconds,
-                decisions=0 if self.sessions.is_resumed else loop.decisions,
+                left=runs_left * run_seconds / max(runner.processes.in_use, 1),
+                decision_seconds=run_seconds * loop.runs / decisions if decisions else 0.0,
                 is_limited=self.limit.until < math.inf,
                 phase=phase,
                 of=of,
@@ -576,13 +615,15 @@ class Search:
             unsaved={id_: 1 + loop.repeats[id_] for id_ in loop.recorder.unsaved},
             shrink_runs=self._shrink_runs,
             neighbour_runs=self._neighbour_runs,
-            decisions=loop.decisions,
+            decisions=loop.decisions - self._shrink_decisions - self._neighbour_decisions,
+            confirm_decisions=loop.recorder.confirm_decisions,
             shrink_decisions=self._shrink_decisions,
             neighbour_decisions=self._neighbour_decisions,
+            reused_decisions=loop.simulation.runner.reused,
             known=dict(loop.known + self.sessions.found_before),
             unlike=self._unlike(),
             failures={signature.text: id_ for signature, id_ in loop.failures.items()},
-            warnings=loop.warnings if reason in (DONE, ALL_RUN, self.limit.flag) else (),
+            warnings=loop.warnings if reason in self._told_with_warnings else (),
             notes=(*self.sessions.notes, *self.driver_notes, *filter(None, notes), *cut, *self._left_undone(reason)),
             process_notes=tuple(self.process_notes),
             against=self.harness.against_name,

@@ -312,7 +312,7 @@ class SearchLoop:
     manners: dict[Signature, dict[Manner, str]] = field(default_factory=dict)
     failures: dict[Signature, str] = field(default_factory=dict)  # ids by the failures that runs of this session showed
     verdicts: Counter[str] = field(default_factory=Counter)  # number of verdicts by kind
-    decisions: int = 0  # number of decisions of the ADS in the runs of this session's search
+    told_decisions: int = 0  # number of decisions of the ADS in the runs that other processes judged, and beside runs
     caught: Counter[str] = field(default_factory=Counter)  # number of passed runs by a check that failed in them
     counted: Health = field(default_factory=Health)  # health of the evaluations that were counted
     uncounted: list[events.Evaluated] = field(default_factory=list)
@@ -324,6 +324,7 @@ class SearchLoop:
     repeated: Counter[bool] = field(default_factory=Counter)
     avoidable: str = ""  # what happened in the first run that is excused though braking late avoids the collision
     doubt: str = ""  # a doubt about the units of the ADS's actions, if any
+    impure: str = ""  # a scenario in which an ADS that is marked as pure decided otherwise when it made all decisions
     # how the reference itself failed in all its runs so far; empty if it did not in one of them, None before the first
     broken: str | None = None
     counting: Counting | None = None  # how other processes draw and count scenarios; None if they do not
@@ -332,6 +333,11 @@ class SearchLoop:
     def runs(self) -> int:
         """The number of scenarios that were simulated so far."""
         return self.verdicts.total()
+
+    @property
+    def decisions(self) -> int:
+        """The number of decisions that the ADS has made so far in this session, except to confirm findings."""
+        return self.told_decisions + self.simulation.runner.asked - self.recorder.confirm_decisions
 
     @property
     def health(self) -> Health:
@@ -372,6 +378,11 @@ class SearchLoop:
             warnings.append(
                 f"{self.repeated[False]} of {plural(self.repeated.total(), 'run')} that failed by the ADS's `batch` "
                 "passed when the ADS was called for each alone, which is all that counts; let both decide the same"
+            )
+        if self.impure:
+            warnings.append(
+                f"the ADS is marked as pure, but decided otherwise in {self.impure} when it made all decisions, "
+                "as it must if it remembers earlier ones: runs may have passed or failed by that; remove `pure`"
             )
         if self.broken:
             warnings.append(
@@ -439,6 +450,17 @@ class SearchLoop:
                     self.finished = event
             tick()
 
+    def check_pure(self) -> None:
+        """Make some runs again with all decisions by the ADS, if decisions of earlier runs took their place."""
+        runner, asked = self.simulation.runner, 0
+        for _, trace in runner.resumed:
+            if asked > runner.reused * PURE_SHARE:
+                return
+            asked += len(trace.actions)
+            if not is_same_run(self.simulation.harness.seen(trace), self.simulation.rerun(trace.scenario)):
+                self.impure = trace.scenario.id
+                return
+
     def count(self) -> None:
         """Count the evaluations since the last call. Counting is delayed so that no scenario has to wait for it."""
         self.counted += Health.of(self.uncounted)
@@ -477,7 +499,7 @@ class SearchLoop:
         for _, event in tally.judged or ():
             self.listener(event)
         self.verdicts.update(tally.verdicts)
-        self.decisions += tally.decisions
+        self.told_decisions += tally.decisions
         self.caught.update(tally.caught)
         self.doubt = self.doubt or tally.doubt
         self.avoidable = self.avoidable or tally.avoidable
@@ -504,7 +526,7 @@ class SearchLoop:
     def _taken(self, passed: Passed) -> Evaluation:
         """Count a run that another process has judged, and return its evaluation."""
         self.listener(passed.event)
-        self.decisions += passed.decisions
+        self.told_decisions += passed.decisions
         self._count_run(None, passed.event.verdict, passed.caught, passed.doubt)
         if passed.signature is not None:
             self._count_known(passed.signature)
@@ -526,7 +548,6 @@ class SearchLoop:
 
     def _judged(self, run: Run) -> Evaluation:
         is_alone = self.simulation.runner.is_alone
-        self.decisions += len(run.trace.actions)
         verdict = self.simulation.judge(run)
         judged = [Judged.here(run, verdict)]
         if verdict.failed and not is_alone:  # Run it alone as its replay will, in case a batch mixes up its rows.
@@ -565,6 +586,10 @@ class SearchLoop:
         """Count runs with a failure that a saved scenario shows, or that this search has found before."""
         id_ = self.failures[signature] = self.shown.get(signature) or self.finds[signature]
         (self.known if signature in self.shown else self.repeats)[id_] += runs
+
+
+PURE_SHARE = 1 / 10
+"""The share of the decisions that a pure ADS need not make from which on no further run is made to check that it is."""
 
 
 # The recorder of new findings: it saves each finding, confirms it, and reports it. To confirm a finding, its run is
@@ -635,6 +660,10 @@ class Recorder:
     confirm: Callable[[Run], str]  # returns what differs when a run is repeated; empty if nothing does
     listener: Listener
     clock: Callable[[], float]  # returns the seconds since some fixed moment
+    asked: Callable[[], int]  # returns the number of decisions that the ADS has made so far
+    begins: Callable[[str], object] = lambda find_id: None  # is called before a finding is confirmed
+    confirm_decisions: int = 0  # those of them that confirmed a finding
+    confirm_seconds: float = 0.0  # the time that confirming took [s]
     pace: float = 0.0  # the longest time to confirm one second of a run so far [s]
     until: float = math.inf  # the time at which confirming ends [s]
     # files that existed before the search; their replays do not show the findings that are saved here
@@ -690,7 +719,9 @@ class Recorder:
             self.held.append(kept.find.id)
         differs = ""
         try:
-            differs = "" if verdict.is_timed else self.confirmed(run)
+            if not verdict.is_timed:
+                self.begins(kept.find.id)
+                differs = self.confirmed(run)
         except OutOfTime:
             kept = replace(kept, find=replace(kept.find, unshrunk=UNCONFIRMED))
         finally:  # The finding must be reported even if these runs are interrupted.
@@ -707,10 +738,15 @@ class Recorder:
         Raises:
             OutOfTime: if the time of the search is over.
         """
-        began = self.clock()
-        with runs_end_in(self.until - began):
-            differs = self.confirm(run)
-        self.pace = max(self.pace, (self.clock() - began) / max(run.duration, 1.0))
+        began, asked = self.clock(), self.asked()
+        try:
+            with runs_end_in(self.until - began):
+                differs = self.confirm(run)
+        finally:
+            seconds = self.clock() - began
+            self.confirm_seconds += seconds
+            self.confirm_decisions += self.asked() - asked
+        self.pace = max(self.pace, seconds / max(run.duration, 1.0))
         return differs
 
     def release(self) -> None:

@@ -158,8 +158,8 @@ class Simplification:
         current: the id of the finding that is simplified or examined now.
         runs: the number of runs so far in this session, except those of neighbours.
         neighbour_runs: the number of runs of neighbours.
-        decisions: the number of decisions of the ADS in all these runs.
-        shrink_decisions: that of the runs except those of neighbours, known as soon as all findings are shrunk.
+        shrink_decisions: the number of decisions of the ADS to shrink the findings, known as soon as that is done.
+        neighbour_decisions: that of neighbours, and of the ADS beside a run, known at the end.
         notes: notes on what could not be found out about findings.
     """
 
@@ -176,8 +176,8 @@ class Simplification:
     current: str = field(default="", init=False)
     runs: int = field(default=0, init=False)
     neighbour_runs: int = field(default=0, init=False)
-    decisions: int = field(default=0, init=False)
     shrink_decisions: int = field(default=0, init=False)
+    neighbour_decisions: int = field(default=0, init=False)
     notes: list[str] = field(default_factory=list, init=False)
 
     def run_all(self, way_on: str) -> None:
@@ -191,15 +191,20 @@ class Simplification:
         __tracebackhide__ = True
         runner = self.loop.simulation.runner
         runner.read_here()  # Candidates are judged by the failure of one finding, which no other process knows.
+        before = self.loop.decisions
         with runner:
             try:
                 self._shrink_all(way_on)
             finally:
-                self.shrink_decisions = self.decisions
-            for kept in list(self.loop.recorder.kept.values()) if self.neighbours else ():
-                if kept.is_firm and kept.find.id in self.done:
-                    self.current = kept.find.id
-                    self._examine(kept)
+                shrunk = self.loop.decisions
+                self.shrink_decisions = shrunk - before
+            try:
+                for kept in list(self.loop.recorder.kept.values()) if self.neighbours else ():
+                    if kept.is_firm and kept.find.id in self.done:
+                        self.current = kept.find.id
+                        self._examine(kept)
+            finally:
+                self.neighbour_decisions = self.loop.decisions - shrunk
 
     def _shrink_all(self, way_on: str) -> None:
         __tracebackhide__ = True
@@ -366,8 +371,6 @@ class Simplification:
         self._check_time()
         self.tell(f"asking the policy of {found.scenario.id} again")
         self.neighbour_runs += 1
-        is_whole = question is None or question.instead is None
-        self.decisions += len(found.trace.actions) if question is None or is_whole else question.number + 1
         from pytest_pafot.world.driving.policy import checked_action  # noqa: PLC0415  (it needs highway-env, helps do not)
 
         harness, record = self.loop.simulation.harness, self.loop.simulation.record
@@ -381,13 +384,15 @@ class Simplification:
         try:
             with refusals():
                 if isolate:  # the other process notes what is decided in a copy
-                    return call_apart(job, found.scenario, lambda *run: (rollout_of(job.world)(*run), aside)[1])
+                    aside = call_apart(job, found.scenario, lambda *run: (rollout_of(job.world)(*run), aside)[1])
+                    return aside
                 with runner_for(job, record, isolate=False) as runner:
                     runner.run(found.scenario, afresh=True)
                     return aside
         except RequestError:
             return None
         finally:
+            self.loop.told_decisions += aside.asked  # not by the runner of the search
             record.clear()
 
     def _have_turn(self, find_id: str, sharing: int) -> None:
@@ -558,7 +563,6 @@ class Simplification:
             other = scenario if kept.find.is_flaky else with_other_seed(scenario, number)
             simulation = self.loop.simulation
             run = simulation.run(other, afresh=True)
-            self.decisions += len(run.trace.actions)
             yield simulation.judge(run).failed
 
     def _rate(self, kept: FindTold, scenario: Scenario) -> FailureRate:
@@ -584,7 +588,6 @@ class Simplification:
         except ProcessLostError as error:
             loop.lose(error)
             return None
-        self.decisions += len(run.trace.actions)
         shows = self._shows(find_id, run, loop.simulation.judge(run, driven(run)))
         if shows and not loop.simulation.runner.is_alone:  # A batch may mix up its rows, and a replay runs it alone.
             run = loop.simulation.run(candidate, afresh=True)
@@ -602,7 +605,6 @@ class Simplification:
         __tracebackhide__ = True
         for _ in range(MANY_RUNS if kept.find.is_flaky else 1):
             run = self.loop.simulation.run(scenario, afresh=True)
-            self.decisions += len(run.trace.actions)
             verdict = self.loop.simulation.judge(run)
             if self._shows(kept.find.id, run, verdict):
                 break

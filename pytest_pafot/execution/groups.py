@@ -49,7 +49,7 @@ class Groups:
         self._under_way: dict[tuple[int, int], Places] = {}  # by their first place
         self._parts: deque[GroupPart] = deque()  # of the group that is being taken
         self._lost = (0, 0)  # the place after the last group whose process was lost
-        self._runs, self._seconds = 0, 0.0
+        self.runs, self.seconds = 0, 0.0  # of the rollouts so far
 
     def take(self, pool: WorkerPool[Any, Any], generation: int, index: int) -> tuple[GroupPart, bool]:
         """Return the next part, from the place that the search requests, and whether its process was lost.
@@ -66,7 +66,7 @@ class Groups:
                 parts, output, seconds = answer
                 output.repeat()
                 self._parts.extend(parts)
-                self._runs, self._seconds = self._runs + places.stop - places.start, self._seconds + seconds
+                self.runs, self.seconds = self.runs + places.stop - places.start, self.seconds + seconds
             elif not isinstance(answer, ProcessLostError) and not pool.failure:
                 raise answer  # by the algorithm, which draws the scenarios
             else:  # One of its scenarios may be the cause, so each is run by itself.
@@ -97,7 +97,7 @@ class Groups:
         But all processes must get some of the scenarios that can be drawn now, which include those under way; and
         groups with long runs are smaller.
         """
-        mean = self._seconds / self._runs if self._runs else GROUP_SECONDS
+        mean = self.seconds / self.runs if self.runs else GROUP_SECONDS
         population = max(self.course.population(generation), self.course.population(generation + 1))
         most = min(round(GROUP_SECONDS / max(mean, 1e-9)), population)
         places = -index  # before the group's end, from the requested one on

@@ -123,7 +123,7 @@ class Runner:
 
     If runs begin with the same situations, a pure ADS decides in them only once. Physics is always simulated, so a
     trace is the same to the last bit. That the ADS is pure is only a promise of the user, so the runs that decide on a
-    finding are made without cached decisions.
+    finding are made without cached decisions, and some others are made again at the end of a search.
 
     ``processes`` makes announced runs in advance. As soon as the ADS shows that it has ``batch``, ``lock_step`` makes
     them instead. With ``can_resume``, decisions are cached as soon as the ADS shows that it is pure.
@@ -137,6 +137,13 @@ class Runner:
     clock: Callable[[], float]
     is_alone: bool = field(default=True, init=False)
     """True if the last run was made by itself, and not in lock step with other runs."""
+    asked: int = field(default=0, init=False)
+    """The number of decisions that the ADS made in the runs with a trace so far."""
+    reused: int = field(default=0, init=False)
+    """The number of cached decisions in these runs, which the ADS did not make."""
+    resumed: list[tuple[int, Trace]] = field(default_factory=list, init=False)
+    """The runs that would best show that the ADS remembers something, the best first, each with the number of cached
+    decisions or of those after them, whichever is smaller."""
 
     def __post_init__(self) -> None:
         self._prefetching: Processes | LockStep = self.processes
@@ -149,6 +156,11 @@ class Runner:
     def notes(self) -> list[str]:
         """Notes on how the runs were made; complete after the processes have ended."""
         return self._prefetching.notes
+
+    @property
+    def ready(self) -> int:
+        """The number of runs that were made in lock step and not requested yet."""
+        return 0 if self.lock_step is None else self.lock_step.ready
 
     @property
     def decides_for_many(self) -> bool:
@@ -225,13 +237,19 @@ class Runner:
             return trace
         self.is_alone = trace is None or self._prefetching is not self.lock_step
         self.record.write(scenario, reference=self.job.reference)
+        reused = 0
         if trace is None:
             decisions = () if afresh or self._decisions is None else self._decisions.recall(scenario)
             started = self.clock()
             given = {"decisions": decisions} if decisions else {}  # the user's own world need not have this argument
             trace = rollout_of(self.job.world)(scenario, self._factory, **given)
+            reused = min(len(decisions), len(trace.actions))  # a run may end earlier
             if not self.decides_for_many:
                 self.processes.ran_here(self.clock() - started)
+            if 0 < reused < len(trace.actions):
+                self.resumed.append((min(reused, len(trace.actions) - reused), trace))
+                self.resumed = sorted(self.resumed, key=lambda pair: -pair[0])[:RESUMED]
+        self.asked, self.reused = self.asked + len(trace.actions) - reused, self.reused + reused
         if self._decisions is not None and self.is_alone:  # decisions of a batch may differ, so they are not cached
             self._decisions.remember(trace)
         return trace
@@ -258,6 +276,9 @@ class Runner:
 
 DECISIONS = 100_000
 """The largest number of cached decisions, which are about 300 runs of a minute at 5 Hz and take about 15 MB."""
+
+RESUMED = 20
+"""The largest number of runs with cached decisions that are made again at the end of a search, with all decisions."""
 
 _Key = tuple[object, ...]
 _Actions = tuple[Any, ...]
@@ -366,6 +387,11 @@ class LockStep:
         why = "since the ADS decides for many runs at once, by its `batch`"
         return [] if self._workers == 1 else [f"{flag('workers', self._workers)}: not in use, {why}"]
 
+    @property
+    def ready(self) -> int:
+        """The number of runs that were made and not taken."""
+        return len(self._made)
+
     def announce(self, scenarios: Iterable[Scenario], *, more: bool = False) -> None:
         """Announce the next scenarios; without ``more``, earlier ones that were not taken are dropped."""
         if not more:
@@ -435,6 +461,19 @@ class Processes:
             return []
         mean, dear = 1000 * self._warm_seconds / (self._runs - 1), 1000 * DEAR
         return [f"{option}: not in use, since a run took {mean:.1f} ms, and it pays off from {dear:g} ms on"]
+
+    @property
+    def in_use(self) -> int:
+        """The number of processes in use; 0 if none are, or if it is the executor that knows."""
+        return 0 if self._executor is not None or self._pool is None or self._pool.failure else self._workers
+
+    @property
+    def run_seconds(self) -> float:
+        """The mean time of the runs so far, without the first one, which loads libraries [s]; 0 if there is none."""
+        runs, seconds = self._runs - 1, self._warm_seconds
+        if self.groups is not None:
+            runs, seconds = self.groups.runs, self.groups.seconds
+        return seconds / runs if runs > 0 else 0.0
 
     def announce(self, scenarios: Iterable[Scenario], *, more: bool = False) -> None:
         """Announce the next scenarios, and start to run them if processes are in use."""
@@ -523,9 +562,12 @@ class Processes:
             self._is_measured = False
             self._learn(seconds)
 
-    def _learn(self, seconds: float) -> None:
+    def _count(self, seconds: float) -> None:
         self._runs += 1
         self._warm_seconds += seconds if self._runs > 1 else 0.0
+
+    def _learn(self, seconds: float) -> None:
+        self._count(seconds)
         is_dear = self._warm_seconds >= DEAR * (self._runs - 1) if self._runs > WARM_RUNS else seconds >= DEAR
         is_dear = (
             is_dear or self.groups is not None
@@ -586,6 +628,8 @@ class Isolated(Processes):
             return trace_apart(self._ready.pop(scenario))
         pool = self._begun()
         answer = pool.fetch(scenario)
+        if isinstance(answer, tuple):
+            self._count(answer[2])
         if pool.failure:
             raise ExecutionError(f"{flag('isolate')}: expected processes to run the ADS in, received: {pool.failure}")
         if self._executor is not None and (unable := cast("ExecutorPool", pool).unable):

@@ -85,7 +85,8 @@ class FailureRate:
         change = self.change(now)
         chance = now._chance(self) if change == "worse" else self._chance(now)
         sure = {
-            "fixed": f"fixed, 95 % sure to fail in less than {percent(upper_bound(0, now.runs, CONFIDENCE))} of all",
+            # The label of the replay says whether that is a fix: a neighbour may fail.
+            "fixed": f"here in less than {percent(upper_bound(0, now.runs, CONFIDENCE))} of all, 95 % sure",
             "as before": f"as before, {now.in_general}",
         }.get(change, f"{change}, {now.in_general}, by chance with p = {chance:.2g}")
         return f"fails in {now} {what}, {self} when it was found: {sure}"

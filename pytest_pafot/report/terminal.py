@@ -99,13 +99,11 @@ def progress_line(progress: Progress, width: int = WIDTH) -> str:
 
 def _time_left(progress: Progress) -> str:
     """Return in words how long the runs take that are left, and what ends them; empty for less than a minute."""
-    if progress.budget is None or not progress.runs:
-        return ""
-    seconds = (progress.budget - progress.runs) * progress.seconds / progress.runs
+    seconds = progress.left
     if seconds < MINUTE:
         return ""
     told = f"{seconds / HOUR:.1f} h" if seconds >= 2 * HOUR else f"{seconds / MINUTE:.0f} min"
-    each = f" at {1000 * progress.seconds / progress.decisions:.3g} ms a decision" if progress.decisions else ""
+    each = f" at {1000 * progress.decision_seconds:.3g} ms a decision" if progress.decision_seconds else ""
     way_out = "" if progress.is_limited or seconds < LONG else f"; {flag('max_time', LONG)} ends it"
     return f", about {told} left{each}{way_out}"
 
@@ -312,11 +310,12 @@ def _figures(search: SearchSummary) -> str:
 
 def _decisions(search: SearchSummary) -> list[str]:
     """Count the decisions of a policy by what they were for, if a search takes long and they take most of the time."""
-    counts = (search.decisions, search.shrink_decisions, search.neighbour_decisions)
+    counts = (search.decisions, search.confirm_decisions, search.shrink_decisions, search.neighbour_decisions)
     if not sum(counts) or search.seconds < max(MINUTE, DEAR * sum(counts)):
         return []
-    what = (f"{search.decisions:,} decisions", f"{counts[1]:,} to shrink", f"{counts[2]:,} of neighbours")
-    return [listed([told for told, number in zip(what, counts, strict=True) if number])]
+    purposes = ("decisions", "to confirm", "to shrink", "of neighbours")
+    made = listed([f"{number:,} {purpose}" for purpose, number in zip(purposes, counts, strict=True) if number])
+    return [f"{made}; {search.reused_decisions:,} were known before" if search.reused_decisions else made]
 
 
 def _find_lines(search: SearchSummary) -> list[str]:

@@ -93,7 +93,7 @@ def test_unseeded_generators_are_the_users(tmp_path):
     ("then", "share", "label", "note"),
     [
         (12, 0.6, "still failing", ": as before, "),
-        (12, 0.0, "fixed", ": fixed, 95 % sure to fail in less than 5.0 % of all"),
+        (12, 0.0, "fixed", ": here in less than 5.0 % of all, 95 % sure"),
         (18, 0.3, "still failing", ": better, "),
         (4, 0.95, "still failing", ": worse, "),
     ],
@@ -106,6 +106,24 @@ def test_a_replay_compares_rates(tmp_path, ads, then, share, label, note):
     assert note in now.note
     assert now.verdict.failed == (label != "fixed")
     assert now.rate.runs == (59 if label == "fixed" else 20)
+
+
+def test_a_replay_that_fails_only_nearby_says_how_often_here_and_nearby(tmp_path):
+    class Raises(Brakes):
+        raises_here = True
+
+        def __call__(self, seen):
+            self.is_elsewhere = getattr(self, "is_elsewhere", seen.ego.speed != SHORT["ego_speed"])
+            if self.acceleration and seen.time > 1 and (self.raises_here or self.is_elsewhere):
+                raise LookupError
+            return 0.0, 0.0
+
+    told = found(Raises, tmp_path, shrink_rollouts=0)
+    rewrite(told.file, replace(load(told.file), rate=FailureRate(failing=12, runs=20)))
+    now = replayed(type("Mended", (Raises,), {"raises_here": False}), tmp_path, replay_neighbours=30)
+    assert now.label == "still failing, nearby"
+    here = "fails in none of 59 seeds, 12 of 20 when it was found: here in less than 5.0 % of all, 95 % sure"
+    assert f"; {now.note}".endswith(f"; {here}; nearby in 1 of {now.around.passing + 1} neighbours")
 
 
 def test_other_draws_are_no_fix(tmp_path):

@@ -3,6 +3,7 @@
 import math
 from collections import Counter
 from contextlib import contextmanager
+from functools import partial
 from itertools import cycle
 from types import SimpleNamespace
 
@@ -12,9 +13,13 @@ import pytest_pafot as pafot
 from example_ads import constant_speed
 from pytest_pafot.campaign import explore, search, search_loop, simplification, state_file
 from pytest_pafot.campaign.events import FindTold, Progress
+from pytest_pafot.execution import runner
+from pytest_pafot.execution.scenario_pool import CapturedOutput
 from pytest_pafot.findings.shrink import OutOfBudget
+from pytest_pafot.report import terminal
 from pytest_pafot.searching.events import Evaluated
 from pytest_pafot.support.errors import OutOfTime
+from pytest_pafot.world.guard.own_worlds import rollout_of
 
 NODE_ID = "test_it.py::test_it"
 SHORT = {
@@ -74,9 +79,75 @@ def attempts(exploration):
     return Counter(phase[1] for phase in phases if phase[:1] == ["shrinking"])
 
 
+def test_a_finding_of_a_slow_policy_is_told_before_it_is_confirmed(clock, monkeypatch):
+    def confirming(run, simulation):
+        confirmed.append(clock.now)
+        clock.now += 30
+        return ""
+
+    confirmed = []
+    clock.step = lambda: 20.0
+    monkeypatch.setattr(search, "difference", confirming)
+    result = searched(clock, fails_in_three_ways, runs=4, shrink_rollouts=0)
+    told = [event for event in result.events if isinstance(event, FindTold) and event.is_new]
+    phases = {event.phase: event.seconds for event in result.events if isinstance(event, Progress)}
+    assert [phases[f"found {each.find.id}, running it again"] for each in told] == confirmed != []
+
+
 def test_search_without_findings_leaves_time_to_confirm_one(clock):
     result = searched(clock, lambda run: None, runs=1000, max_time=30)
     assert (result.summary.runs, result.summary.reason) == (26, "--pafot-max-time")
+
+
+@pytest.mark.parametrize("workers", [1, 2, 4])
+def test_time_left_is_true_within_a_factor_of_two_or_not_told(clock, monkeypatch, workers):
+    """Also in the beginning, when most failures are new and confirmed, and other processes are hardly in use."""
+
+    class Pool:
+        """Processes that run scenarios in the order in which they were announced, on the test's clock."""
+
+        failure = ""
+
+        def __init__(self, job, size):
+            self.job, self.size, self.recovered, self.ends, self.free = job, size, [], {}, [clock.now] * size
+
+        def add_all(self, scenarios):
+            for each in scenarios:
+                self.free.sort()
+                self.free[0] = self.ends[each] = max(self.free[0], clock.now) + 10
+
+        expect = add_all
+
+        def fetch(self, scenario):
+            clock.now = max(clock.now, self.ends.pop(scenario))
+            return rollout_of(self.job.world)(scenario, self.job.ads), CapturedOutput(), 10.0
+
+        def close(self, *, at_once=False):
+            pass
+
+    def here(world):
+        clock.now += 10 if ended else 15  # the first run loads libraries
+        return rollout_of(world)
+
+    def confirming(run, simulation):
+        clock.now += 30
+        return ""
+
+    def judged(run):
+        ended.append(clock.now)
+        fails_in_three_ways(run)
+
+    ended = []
+    monkeypatch.setattr(runner, "pool_for", Pool)
+    monkeypatch.setattr(runner, "rollout_of", here)
+    monkeypatch.setattr(search, "difference", confirming)
+    monkeypatch.setattr(search, "runner_for", partial(runner.runner_for, clock=lambda: clock.now))
+    given = {"runs": 120, "workers": workers, "fitness": lambda trace: 0.0, "population": 16, "shrink_rollouts": 0}
+    result = pafot.explore(constant_speed.make, holds=judged, corpus="corpus", **SHORT | given)
+    told = [(event.left, ended[-1] - event.seconds) for event in result.events if isinstance(event, Progress)]
+    told = [(left, truth) for left, truth in told if left >= terminal.MINUTE]  # less is not told
+    assert len(told) > 5
+    assert [pair for pair in told if not pair[1] / 2 <= pair[0] <= pair[1] * 2] == []
 
 
 def test_search_with_finding_leaves_third_for_shrinking(clock):

@@ -44,7 +44,7 @@ def test_runs_that_show_a_fix_are_unlikely_without_one(failing, runs):
 
 def test_a_sentence_says_how_sure_a_change_is():
     assert rate(14, 20).compared(rate(0, 59), "seeds") == (
-        "fails in none of 59 seeds, 14 of 20 when it was found: fixed, 95 % sure to fail in less than 5.0 % of all"
+        "fails in none of 59 seeds, 14 of 20 when it was found: here in less than 5.0 % of all, 95 % sure"
     )
     assert rate(14, 20).compared(rate(2, 20), "runs") == (
         "fails in 2 of 20 runs, 14 of 20 when it was found: better, 95 %: 1.2 to 31.7 %, by chance with p = 0.00012"

@@ -1,5 +1,6 @@
 """A search calls an ADS that is declared pure less often, and finds and saves the same."""
 
+import json
 import re
 import sys
 
@@ -51,8 +52,21 @@ def test_pure_ads_is_asked_less_for_same_findings(project):
     plain_finds, plain_calls, plain_output = searched(project, "Planner")
     assert finds == plain_finds != {}
     assert calls < 0.9 * plain_calls
+    assert "marked as pure" not in output
     counts = [re.findall(r"^  (\d+ runs.*) in ", text, re.MULTILINE) for text in (output, plain_output)]
     assert counts[0] == counts[1] != []
+
+
+@pytest.mark.parametrize("ads", ["Pure", "Planner"])
+def test_decisions_are_counted_as_often_as_the_ads_is_asked(project, ads):
+    """All of them, for whatever they were needed: the owner of an expensive policy pays for each."""
+    path = project.path / "results.json"
+    _, calls, _ = searched(project, ads, args=[f"--pafot-json={path}", "--pafot-neighbours=5"])
+    (search,) = json.loads(path.read_text())["searches"]
+    purposes = ("decisions", "confirm_decisions", "shrink_decisions", "neighbour_decisions")
+    assert sum(search[each] for each in purposes) == calls
+    assert all(search[each] for each in purposes)
+    assert (search["reused_decisions"] > 0.05 * calls) == (ads == "Pure")
 
 
 def test_ads_wrongly_declared_pure_has_flaky_findings(project):
@@ -91,6 +105,35 @@ def test_drives(run):
     assert "flaky" not in project.only_file.read_text()
     result = project.run(generations=0)
     result.stdout.fnmatch_lines(["replayed 1 saved scenario: 1 still failing"])
+
+
+MEMORIES = {
+    "counter": "return (0.0 if self.decisions <= 12 else -2.0, 0.0)",
+    "latch": """
+        self.has_seen = getattr(self, "has_seen", False) or 1.0 < observation.time < 1.3
+        return (0.0, 0.0) if self.has_seen else (-0.5, 0.0)""",
+    "tracker": """
+        before, self.before = getattr(self, "before", observation.ego.speed), observation.ego.speed
+        return (0.4 - 2.0 * (observation.ego.speed - before), 0.0)""",
+    "warm-up": "return (0.0 if self.decisions < 4 else -0.5, 0.0)",
+}
+
+
+@pytest.mark.parametrize("memory", MEMORIES)
+def test_ads_wrongly_declared_pure_is_found_out_at_the_end(project, memory):
+    source = (
+        PLANNERS
+        + f"""
+class Remembering(Pure):
+    def decided(self, observation):
+        {MEMORIES[memory].strip()}
+"""
+    )
+    search = SEARCH.replace("shrink_rollouts=8", "shrink_rollouts=80")
+    _, _, output = searched(project, "lambda: Remembering()", source + search)
+    assert " ".join(output.split()).count("warning: the ADS is marked as pure, but decided otherwise in ") == 1
+    _, _, output = searched(project, "lambda: Remembering()", source.replace("(Pure)", "(Planner)") + search)
+    assert "marked as pure" not in output
 
 
 OWN_WORLD = """

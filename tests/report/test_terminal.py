@@ -232,11 +232,11 @@ def test_progress_is_one_line_with_the_name_cut():
 @table(
     ("runs", "seconds", "fields", "end"),
     [
-        (4, 0.5, {"decisions": 400}, "8/s"),
-        (4, 4.0, {"decisions": 400}, "1/s, about 7 min left at 10 ms a decision"),
-        (4, 80.0, {"decisions": 400}, "2.2 h left at 200 ms a decision; --pafot-max-time=600 ends it"),
-        (4, 80.0, {"is_limited": True}, "20 s a run, about 2.2 h left"),
-        (400, 8000.0, {"decisions": 40_000}, "20 s a run"),
+        (4, 0.5, {"left": 50, "decision_seconds": 0.01}, "8/s"),
+        (4, 4.0, {"left": 396, "decision_seconds": 0.01}, "1/s, about 7 min left at 10 ms a decision"),
+        (4, 80.0, {"left": 7920, "decision_seconds": 0.2}, "h left at 200 ms a decision; --pafot-max-time=600 ends it"),
+        (4, 80.0, {"left": 7920, "is_limited": True}, "20 s a run, about 2.2 h left"),
+        (400, 8000.0, {"decision_seconds": 0.2}, "20 s a run"),
         (0, 0.0, {}, "0 new, 0/s"),
     ],
 )  # fmt: skip
@@ -250,7 +250,10 @@ def test_progress_says_how_long_the_runs_take_that_are_left(runs, seconds, field
 
 def test_decisions_are_counted_where_they_take_the_time():
     search = replace(SEARCH, seconds=99.0, decisions=3923, shrink_decisions=8357, neighbour_decisions=0)
-    assert "3,923 decisions and 8,357 to shrink" in "\n".join(terminal.search_lines(search))
+    assert "  3,923 decisions and 8,357 to shrink" in terminal.search_lines(search)
+    pure = replace(search, confirm_decisions=198, reused_decisions=1234)
+    told = "  3,923 decisions, 198 to confirm and 8,357 to shrink; 1,234 were known before"
+    assert told in terminal.search_lines(pure)
     assert "decisions" not in "\n".join(terminal.search_lines(replace(search, seconds=12.0)))
 
 

@@ -28,6 +28,7 @@ class Aside:
     """The decisions of an ADS beside a run.
 
     Attributes:
+        asked: the number of decisions that it was asked for.
         answers: its actions, one per decision; None where it raised an error.
         is_noted: whether to note what it sees, which takes longer than a decision.
         seen: digests of its observations; those that cannot be pickled are left out.
@@ -36,6 +37,7 @@ class Aside:
     """
 
     is_noted: bool = True
+    asked: int = 0
     answers: list[Any] = field(default_factory=list)
     seen: list[bytes] = field(default_factory=list)
     at: Any = None
@@ -88,6 +90,7 @@ class Shadow:
             observation = observation if question.instead is None else question.instead
             if question.conditions is not None:
                 recording = question.conditions.recorded(self._ads, aside.conditions)
+        aside.asked += 1
         try:
             with recording:
                 answer = self._check(plain_action(self._ads(observation)))
