@@ -68,8 +68,8 @@ that stands, if at most :data:`MOST` phases can tell it."""
 MOST = 7
 """The largest number of phases in the sentences."""
 EDGE = 0.15
-"""The time at both ends of a phase of which the braking does not count as the hardest of the phase [s], because it may
-still be that of the phase before or after."""
+"""The time at both ends of a phase whose braking does not decide whether the phase is told as braking [s], because it
+may still be that of the phase before or after."""
 MOVES = 2
 """The largest number of changes of lane in the sentences, from the last back."""
 LEAST = 0.2
@@ -252,6 +252,6 @@ def _phase(speeds: FloatArray, hz: int, first: int, last: int, step: int) -> Pha
         doing = Doing.BRAKED if inner.max() >= BRAKES else Doing.SLOWED
     elif -lost >= NEAR or -lost / seconds >= BRAKES:
         doing = Doing.SPED_UP
-    hardest = max(0.0, float(inner.max()))
+    hardest = max(0.0, float(slowed.max()))  # also at the edges: it is told as what happened in this time
     before, after = (max(0.0, float(speeds[tick])) for tick in (first, last))  # some vehicles roll back a little
     return Phase(doing, first / hz, last / hz, before, after, hardest)
