@@ -1,0 +1,297 @@
+"""What each extra promises, in short. The stage of tests/extras has the details, and what goes wrong."""
+
+import csv
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import pytest_pafot as pafot
+from pytest_pafot import door
+from pytest_pafot.__main__ import GROUP, known_commands, main
+from pytest_pafot.searching import SearchSpace, resolve_algorithm
+from pytest_pafot.world import AdsFactoryError
+from tests.extras.plugin.test_bisect_command import BAD, GOOD, bisect, commit, tried  # noqa: F401
+from tests.plugin.conftest import found, project  # noqa: F401
+from tests.searching.conftest import make_evaluation  # noqa: F401
+
+SAVED = Path(__file__).parent / "corpus" / "saved" / "collision-xfail.pafot.yaml"
+FAST = pafot.World("highway-fast-v0", {"vehicles_count": 8, "duration": 6})
+CUT_IN = pafot.Scenario(npcs=[[pafot.PositionInstruction(2, 10.0)]])
+ROAD = pafot.Highway(duration=4.0)
+POLICIES = """
+def keeps_speed():
+    return lambda seen: (0.0, 0.0)
+
+def brakes():
+    return lambda seen: (-4.0 if seen.ego.speed > 5.0 else 0.0, 0.0)
+
+def raises():
+    return lambda seen: 1 / 0
+"""
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch):
+    """Go to a folder with policies."""
+    (tmp_path / "policies.py").write_text(POLICIES)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setitem(os.environ, "PYTEST_PAFOT_DRIVES", "")
+    return tmp_path
+
+
+@pytest.fixture
+def told(here, capsys):
+    """Return a function that runs a command, and returns its exit code and its output."""
+
+    def run(command, *arguments):
+        code = main([*command.split(), *map(str, arguments)])
+        return code, "".join(capsys.readouterr())
+
+    return run
+
+
+def test_every_public_name_of_an_extra_can_be_reached():
+    assert set(door.NAMES) <= set(pafot.__all__)
+    assert all(getattr(pafot, name) is not None for name in door.NAMES)
+
+
+def test_every_command_of_an_extra_explains_itself(capsys):
+    for name, command in door.COMMANDS.items():
+        with pytest.raises(SystemExit, match="0"):
+            main([name, "--help"])
+        assert command.about[:20] in " ".join(capsys.readouterr().out.split())
+
+
+def test_map_drives_a_grid_of_two_numbers(told):
+    code, text = told("map r157/cut-in --ads policies:keeps_speed --over gap=10:60:2 --over ego_speed=10:16:2")
+    assert code == 0
+    assert "4 points: " in text
+
+
+def test_sweep_is_a_map_for_a_test():
+    swept = pafot.sweep("r157/cut-in", lambda: lambda seen: (-6.0, 0.0), over={"gap": "10:60:2"})
+    assert (isinstance(swept, pafot.Sweep), swept.errors, len(swept.points)) == (True, 0, 2)
+
+
+def test_catalogue_makes_an_item_for_a_named_scenario(project):  # noqa: F811
+    project.write(
+        "@pafot.catalogue('r157/cut-in', ads=lambda: lambda seen: (0.0, 0.0))\ndef test_drives(run):\n"
+        "    assert run.duration\n"
+    )
+    result = project.run("-v")
+    result.assert_outcomes(passed=1)
+    result.stdout.fnmatch_lines(["test_it.py::test_drives[[]r157/cut-in[]] PASSED*"])
+
+
+def test_rate_counts_crashes_of_a_policy_in_ordinary_traffic(told):
+    config = json.dumps(FAST.to_dict()["config"])
+    options = ["--world", "highway-fast-v0", "--config", config, "--episodes", "2", "--workers", "1"]
+    code, text = told("rate --ads policies:keeps_speed@planner", *options)
+    assert (code, "of 2 episodes crashed" in text) == (0, True)
+    code, text = told("rate --ads policies:raises@planner", *options)
+    assert (code, "the ADS failed in 2 episodes" in text) == (1, True), text
+
+
+def test_progress_tells_whether_a_version_is_better(told):
+    code, text = told("progress policies:keeps_speed policies:brakes --scenarios 1 --workers 1")
+    assert code == 0
+    assert "policies:brakes is not told apart from policies:keeps_speed: failures of its own (" in text
+
+
+def test_progress_refuses_a_policy_that_is_the_old_one(told):
+    code, text = told("progress policies:brakes policies:brakes --scenarios 2 --workers 1")
+    assert code == 2
+    assert "expected another version than OLD" in text
+
+
+def test_training_env_is_an_environment_of_scenarios():
+    env = pafot.training_env(FAST, [CUT_IN], share=1.0)
+    seen, _ = env.reset(seed=1)
+    again, reward, is_over, is_cut, _ = env.step(1)
+    assert seen.shape == again.shape == env.observation_space.shape
+    assert (np.isfinite(reward), is_over, is_cut) == (True, False, False)
+
+
+def test_export_writes_the_run_of_a_saved_file(told, here):
+    code, text = told("export", SAVED, "--to", "csv", "--ads", "constant_speed")
+    assert (code, text) == (0, "collision-xfail.csv\n")
+    rows = list(csv.DictReader((here / "collision-xfail.csv").read_text().splitlines()))
+    assert (rows[0]["time"], rows[0]["vehicle"], rows[0]["speed"]) == ("0.0", "ego", "22.0")
+
+
+PROGRAM = """
+import json, sys
+for line in sys.stdin:
+    json.loads(line)
+    print(json.dumps({"acceleration": -1.0, "steering": 0.0}), flush=True)
+"""
+
+
+def test_program_in_any_language_is_a_policy(tmp_path):
+    (tmp_path / "planner.py").write_text(PROGRAM)
+    ads = pafot.policies.process([sys.executable, "-S", "-E", str(tmp_path / "planner.py")])
+    trace = ROAD.rollout(CUT_IN, ads)
+    assert trace.error is None
+    assert {acceleration for acceleration, _ in trace.actions} == {-1.0}
+
+
+def test_file_that_is_no_model_is_refused(tmp_path):
+    pytest.importorskip("onnxruntime")
+    (tmp_path / "policy.onnx").write_bytes(b"no network")
+    with pytest.raises(
+        AdsFactoryError, match=r"expected an ONNX file that onnxruntime can run, received .*policy\.onnx"
+    ):
+        ROAD.rollout(CUT_IN, pafot.policies.onnx(tmp_path / "policy.onnx"))
+
+
+class Wrong:
+    """A world that hides what it is."""
+
+    speed_limit, longest_run, hang_limit = 26.8, 4.0, 0.3
+
+    def rollout(self, scenario, ads_factory):
+        return ROAD.rollout(scenario, ads_factory)
+
+    def to_dict(self):
+        return {"number": object()}
+
+
+@pytest.mark.filterwarnings("ignore:check_world. no collision:RuntimeWarning")
+def test_check_world_accepts_a_right_world_and_names_what_is_wrong():
+    from pytest_pafot.testing import check_world
+
+    short = {"npcs": 1, "genes": 1, "gene_seconds": 1.0, "runs": 1}
+    check_world(pafot.Highway(duration=1.0, hang_limit=0.05), **short)
+    with pytest.raises(AssertionError, match="to_dict"):
+        check_world(Wrong(), **short)
+
+
+@pytest.mark.processes
+def test_requirements_lists_what_is_tested_and_open(told, here):
+    (here / "test_it.py").write_text(
+        "import pytest_pafot as pafot\n"
+        "@pafot.search(ads=lambda: None, requirement='R-1')\ndef test_it(run):\n    pass\n"
+    )
+    code, text = told("requirements")
+    assert (code, "R-1" in text) == (0, True), text
+
+
+@pytest.mark.processes
+def test_executor_of_any_kind_makes_the_runs_of_a_search(project):  # noqa: F811
+    project.write(
+        "from concurrent.futures import ThreadPoolExecutor\n\n"
+        "@pytest.fixture(scope='session')\ndef pafot_executor():\n"
+        "    with ThreadPoolExecutor(1) as executor:\n        yield executor\n\n"
+        "@pafot.search(SHORT)\ndef test_it(run):\n    assert run.duration\n"
+    )
+    project.run().assert_outcomes(passed=1)
+
+
+SLOW = pytest.mark.processes  # importing its library takes seconds
+
+
+@pytest.mark.parametrize(
+    "name", ["av-fuzzer", *(pytest.param(name, marks=SLOW) for name in ("nsga2", "map-elites", "cma-es"))]
+)
+def test_algorithm_asks_and_is_told(name, make_evaluation):  # noqa: F811
+    algorithm = resolve_algorithm(name)
+    if algorithm.library is not None:
+        pytest.importorskip(algorithm.library)
+    search, rng = algorithm.make(SearchSpace(npcs=2)), np.random.default_rng(1)
+    state, asked = search.ask(search.start(rng), rng)
+    assert len(asked) > 0
+    state, events = search.tell(state, [make_evaluation(each) for each in asked], rng)
+    assert events
+
+
+@pytest.mark.parametrize("name", ["nsga2", "map-elites", "cma-es"])
+def test_algorithm_without_its_library_is_refused(name, monkeypatch):
+    monkeypatch.setattr("pytest_pafot.searching.algorithms.catalogue.find_spec", lambda library: None)
+    with pytest.raises(ValueError, match=r"pip install 'pytest-pafot\[search\]'"):
+        resolve_algorithm(name).make(SearchSpace(npcs=2))
+
+
+def add_arguments(parser):
+    parser.add_argument("count", type=int)
+
+
+def run(arguments, line):
+    print("counted to", arguments.count, "by", line[-2])
+    return 3
+
+
+def test_package_adds_a_command_by_an_entry_point(told, register):
+    register(GROUP, tally=__name__, map=__name__)
+    known_commands.cache_clear()
+    try:
+        assert told("tally 7") == (3, "counted to 7 by tally\n")
+        assert known_commands()["map"] is door.COMMANDS["map"]
+    finally:
+        known_commands.cache_clear()
+
+
+LISTENER = """
+told = []
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_pafot_event(config, node_id, kind, data):
+    assert not hasattr(config, "workerinput")
+    told.append(kind)
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_pafot_record(config, record):
+    assert not hasattr(config, "workerinput")
+    print("TOLD", *sorted({*told}), record["exit"], len(record["findings"]))
+"""
+FAILS = "@pafot.search(SHORT, stop_after=1)\ndef test_it(run):\n    assert not run\n"
+
+
+@pytest.mark.parametrize("workers", [(), pytest.param(("-n", "2"), marks=pytest.mark.processes)], ids=["one", "xdist"])
+def test_plugin_follows_searches_by_two_hooks(project, workers):  # noqa: F811
+    conftest = project.path / "conftest.py"
+    conftest.write_text(conftest.read_text() + LISTENER)
+    project.write(FAILS)
+    project.run("-s", *workers).stdout.re_match_lines([r".*TOLD .*finding.*search start.* 1 1"])
+
+
+def test_exception_of_a_listener_is_seen(project):  # noqa: F811
+    conftest = project.path / "conftest.py"
+    conftest.write_text(conftest.read_text() + LISTENER.replace("told.append(kind)", "raise KeyError('mine')"))
+    project.write(FAILS)
+    result = project.run()
+    assert result.ret == 1
+    assert "KeyError: 'mine'" in result.stdout.str()
+
+
+@pytest.mark.processes
+def test_compare_writes_a_report_on_two_algorithms(told, here, monkeypatch):
+    monkeypatch.setattr("pytest_pafot.extras.comparison.figures.draw_all", lambda measured, folder: {})
+    options = "--runs 2 --generations 1 --duration 10 --workers 1 --out out"
+    code, text = told(f"compare --ads constant_speed --algorithms pafot,random {options}")
+    assert (code, text.splitlines()[0]) == (0, "out/report.md")
+    report = (here / "out" / "report.md").read_text()
+    assert "2 runs of each algorithm" in report
+    assert "| random |" in report
+
+
+def test_bisect_names_the_first_commit_that_fails(commit, tried, capsys):  # noqa: F811
+    first, bad = commit(GOOD), commit(BAD)
+    assert bisect("--good", first) == 0
+    assert f"\n{bad} is the first that fails, by Ann at " in capsys.readouterr().out
+
+
+@pytest.mark.processes
+def test_reference_may_be_a_revision(commit):  # noqa: F811
+    commit(f"{POLICIES}\n# its first version\n")
+    Path("planner.py").write_text(POLICIES)
+    line = "search planner:brakes --runs 4 --seed 1 --against rev:HEAD"
+    command = [sys.executable, "-m", "pytest_pafot", *line.split()]
+    told = subprocess.run(command, check=False, capture_output=True, text=True).stdout
+    assert "1 of 1 file of the policy differ: planner.py" in " ".join(told.split()), told
+    assert "introduces 0 failures" in told
