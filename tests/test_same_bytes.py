@@ -16,6 +16,7 @@ TREE = Path("/home/me/tree")
         ("  5 neighbours passed, in 1.8 s (--pafot-replay-neighbours)",
          "  5 neighbours passed, in 2.0 s (--pafot-replay-neighbours)"),
         ("pafot: test_it.py::test_batch[search] 4/9 runs, 1 failing, 1 new, 2/s\n", ""),
+        ("  170 decisions, 240 to shrink and 103 of neighbours\n", ""),
         ("test_it.py .FF\n", "test_it.py \npafot: test_it.py::test_batch[search] 4/9 runs\n.FF\n"),
         (f"{TREE}/pytest_pafot/support/interrupts.py:54: KeyboardInterrupt", "TREE/...: KeyboardInterrupt"),
     ],
