@@ -235,9 +235,9 @@ class SearchSummary:
         runs: number of simulated scenarios.
         shrink_runs: number of runs that simplified the findings, in addition to `runs`.
         neighbour_runs: number of runs of the findings' neighbours, likewise.
-        decisions, shrink_decisions, neighbour_decisions: numbers of decisions that the policy made in these runs of
-            this session, without those of replays.
-        confirm_decisions: number of decisions that it made in the runs that confirmed findings.
+        decisions, confirm_decisions, shrink_decisions, neighbour_decisions: numbers of decisions that the policy made
+            in the `runs` of this session, in those that confirmed findings, in `shrink_runs` and in `neighbour_runs`,
+            without those of replays.
         reused_decisions: number of decisions in all these runs that it did not make, because it is `pure` and had made
             them in a run that began alike.
         known_runs: number of scenarios that were not run again.
