@@ -98,8 +98,8 @@ NAMES: Mapping[str, str] = MappingProxyType({
 })  # fmt: skip
 """The public names of ``pytest_pafot`` that an extra has."""
 
-CATALOGUED = f"{EXTRAS}.sweeps.catalogue_item:Catalogued"
-"""The hooks for tests with ``@pafot.catalogue``."""
+CATALOGUE = f"{EXTRAS}.sweeps.catalogue"
+"""What the catalogue of named scenarios does for tests with ``@pafot.catalogue``."""
 DASK_EXECUTOR = f"{EXTRAS}.executors:dask_executor"
 """A context manager: the executor of a Dask scheduler for the option ``dask``."""
 EXECUTOR_POOL = f"{EXTRAS}.executors:ExecutorPool"

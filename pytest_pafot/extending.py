@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from pytest_pafot.campaign.request import drawn_space as drawn_space
     from pytest_pafot.campaign.search import prepared as prepared
     from pytest_pafot.campaign.setup_fault import SetupFaultError as SetupFaultError
-    from pytest_pafot.campaign.verdict import Test as Test
     from pytest_pafot.campaign.verdict import Verdict as Verdict
     from pytest_pafot.campaign.verdict import headline as headline
     from pytest_pafot.campaign.verdict import judge as judge
@@ -39,8 +38,7 @@ if TYPE_CHECKING:
     from pytest_pafot.corpus.saved import read_saved_file as read_saved_file
     from pytest_pafot.execution.pool import ProcessLostError as ProcessLostError
     from pytest_pafot.execution.pool import WorkerPool as WorkerPool
-    from pytest_pafot.execution.runner import driven_first as driven_first
-    from pytest_pafot.execution.runner import ended as ended
+    from pytest_pafot.execution.runner import driving as driving
     from pytest_pafot.execution.scenario_pool import ExecutionError as ExecutionError
     from pytest_pafot.findings.finding import Finding as Finding
     from pytest_pafot.findings.finding import ads_failure as ads_failure
@@ -126,7 +124,6 @@ _HOMES = {
     "SearchEvent": "campaign.events",
     "SearchSpace": "searching.space",
     "SetupFaultError": "campaign.setup_fault",
-    "Test": "campaign.verdict",
     "Verdict": "campaign.verdict",
     "WorkerPool": "execution.pool",
     "X": "model.trace",
@@ -144,8 +141,7 @@ _HOMES = {
     "config_of": "commands.policy_reference",
     "crossings": "world.protocol",
     "drawn_space": "campaign.request",
-    "driven_first": "execution.runner",
-    "ended": "execution.runner",
+    "driving": "execution.runner",
     "ending": "findings.finding",
     "files_below": "corpus.layout",
     "from_dict": "world.codec",

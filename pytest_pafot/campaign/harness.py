@@ -194,9 +194,7 @@ class Harness:
 
     def seen(self, trace: Trace, world: Any = None) -> Run:
         """Return a trace as the test function sees it; ``world`` is by default the world of the search."""
-        world = self.world if world is None else world
-        known, take_over = protocol.reference_world(world), protocol.taking_over(world, trace)
-        return Run(trace, decision_limit=self.request.decision_limit, world=known, take_over=take_over)
+        return protocol.run_of(self.world if world is None else world, trace, self.request.decision_limit)
 
     def judge(self, run: Run) -> Verdict:
         """Return the verdict on a run. The test function decides, unless the ADS itself failed."""

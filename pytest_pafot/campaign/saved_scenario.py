@@ -100,8 +100,7 @@ class SavedScenario(Shown):
             trace = rollout_of(world)(self.scenario, ads)  # the user's own world may raise only now
         except (ScenarioError, WorldError) as error:
             raise reader.located(self.path, "scenario", error) from None
-        run = Run(trace, world=protocol.reference_world(world), take_over=protocol.taking_over(world, trace))
-        return self.expect.known_of(run)
+        return self.expect.known_of(protocol.run_of(world, trace))
 
     def matches(self, run: Run) -> bool:
         """Return whether a run ends as the file expects: by the same contact or in the same other way, within 0.2 s.

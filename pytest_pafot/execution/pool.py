@@ -28,7 +28,7 @@ from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from typing import Any, Generic, Self, TypeAlias, TypeVar
 
-from pytest_pafot.support.errors import OutOfTime, flag
+from pytest_pafot.support.errors import OutOfTime, flag, page
 from pytest_pafot.world.guard.hang_guard import LastResort, check_time, last_resort
 
 TaskT = TypeVar("TaskT", bound=Hashable)
@@ -83,6 +83,15 @@ class ProcessLostError(Exception, Generic[TaskT]):
         self.pid = pid
         self.how = how
         self.is_hang = is_hang
+
+    @property
+    def advice(self) -> str:
+        """The message about a policy that has ended the process in which it drove."""
+        return (
+            f"expected a policy that drives to the end of the run, received one whose process {self.how}. It ends the "
+            f"process itself, as sys.exit and os._exit do, or its compiled code crashes: see "
+            f"{page('guide/planners.md')}"
+        )
 
     def __reduce__(self) -> tuple[Any, ...]:
         return partial(ProcessLostError, self.task, pid=self.pid, how=self.how, is_hang=self.is_hang), ()

@@ -22,7 +22,7 @@ from pytest_pafot.model.crossings import Crossings
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.scenario import PositionInstruction, Scenario, ScenarioError
 from pytest_pafot.model.trace import Trace
-from pytest_pafot.oracle.run import ReferenceWorld
+from pytest_pafot.oracle.run import ReferenceWorld, Run
 from pytest_pafot.support.errors import driven_by, plain_number
 from pytest_pafot.world.driving.ads import AdsFactory, is_vehicle_class
 from pytest_pafot.world.kernel.action import Drive
@@ -372,6 +372,12 @@ def taking_over(world: Any, trace: Trace) -> TakingOver | None:
     by_decisions = STEADY_BRAKING not in declared and resumable(world) is not None and looks_si(trace.actions)
     drivers = (*declared, STEADY_BRAKING) if by_decisions else declared
     return TakingOver(world, drivers, by_decisions) if drivers else None
+
+
+def run_of(world: Any, trace: Trace, decision_limit: float | None = None) -> Run:
+    """Return a trace that was made in a world as a test function sees it."""
+    take_over = taking_over(world, trace)
+    return Run(trace, decision_limit=decision_limit, world=reference_world(world), take_over=take_over)
 
 
 def looks_si(actions: Sequence[Any]) -> bool:

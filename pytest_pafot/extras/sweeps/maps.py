@@ -12,19 +12,16 @@ from itertools import product
 from pathlib import Path
 from typing import Any, Literal, get_args
 
-from pytest_pafot import Highway, Outcome, Run, SavedScenario, Scenario, ScenarioError, Trace
+from pytest_pafot import Highway, Outcome, Run, SavedScenario, Scenario, ScenarioError, Trace, load
 from pytest_pafot.campaign.verdict import assertions, reference_outcomes
-from pytest_pafot.corpus.reader import load
 from pytest_pafot.criticality.asked import asked
 from pytest_pafot.extending import (
     SUFFIX,
     AdsFactory,
     Finding,
     ProcessLostError,
-    Test,
     Verdict,
-    driven_first,
-    ended,
+    driving,
     from_dict,
     headline,
     judge,
@@ -32,7 +29,6 @@ from pytest_pafot.extending import (
     reference_world,
     refusals,
     require,
-    rollout_of,
     source_file,
 )
 from pytest_pafot.extras.sweeps.entries import Entry, entry_of, fits
@@ -41,7 +37,6 @@ from pytest_pafot.support.errors import RequestError, check_asserts
 from pytest_pafot.support.files import open_regular, write_whole
 from pytest_pafot.support.references import described, factory_named
 from pytest_pafot.support.text import ascii_text, csv_text, plural, spreadsheet_cell, visible, wrapped_to
-from pytest_pafot.world.protocol import taking_over
 
 Kind = Literal["avoided", "preventable", "unavoidable", "ADS error", "not as asked"]
 """What became of a point: ``avoided``; ``preventable``, it failed though a reference driver avoids it; ``unavoidable``,
@@ -359,7 +354,7 @@ def sweep(
     *,
     over: Mapping[str, object],
     world: Any = None,
-    holds: Test | None = None,
+    holds: Callable[[Run], Any] | None = None,
     against: str | Path | Sweep | None = None,
     on_point: Callable[[int], None] | None = None,
     on_stop: Callable[[str], str] | None = None,
@@ -408,8 +403,8 @@ def sweep(
             "sweep: expected a world with reference drivers, which tell what can be avoided, received one without"
         )
     remarks = make.check(axes)
-    with driven_first(make.world, factory) as drive:
-        driver = _Driver(make, axes, factory, holds or stays_safe, on_point, drive)
+    with driving(make.world, factory) as drive:
+        driver = _Driver(make, axes, holds or stays_safe, on_point, drive)
         try:
             for at in product(*(axis.values for axis in axes)):
                 driver.drive(at)
@@ -533,10 +528,9 @@ class _Driver:
 
     make: _Made
     axes: tuple[Axis, ...]
-    ads: Callable[..., Any]
-    holds: Test
+    holds: Callable[[Run], Any]
     on_point: Callable[[int], None] | None
-    drive_first: Callable[[Scenario], None]
+    run_of: Callable[[Scenario], Run]
     points: list[Point] = field(default_factory=list)
 
     def drive(self, at: tuple[float, ...]) -> None:
@@ -555,12 +549,11 @@ class _Driver:
             return Point(at=at, kind="not as asked", words=f"{UNDRIVABLE}{why}")
         try:
             with refusals():
-                self.drive_first(scenario)
-                run = driven(self.make.world, scenario, self.ads)
+                run = self.run_of(scenario)
         except RequestError:
             raise
         except ProcessLostError as lost:  # no error of a point, which a test that counts failures may not count
-            raise RequestError(f"ads: {ended(lost)}. It was at {self._named(at)}") from None
+            raise RequestError(f"ads: {lost.advice}. It was at {self._named(at)}") from None
         except Exception as error:  # what a policy raises as it drives is part of its run
             received = f"one that raises {described(error)}"
             raise RequestError(f"ads: expected a factory of a policy, received {received}; correct it") from error
@@ -575,12 +568,6 @@ class _Driver:
 
     def _named(self, at: tuple[float, ...]) -> str:
         return ", ".join(f"{axis.name}={short(value)}" for axis, value in zip(self.axes, at, strict=True))
-
-
-def driven(world: Any, scenario: Scenario, ads: Callable[..., Any]) -> Run:
-    """Return the run of a policy in a scenario."""
-    trace = rollout_of(world)(scenario, ads)
-    return Run(trace, world=reference_world(world), take_over=taking_over(world, trace))
 
 
 @dataclass(frozen=True, slots=True)
@@ -599,7 +586,7 @@ class Judged:
         return self.verdict.exception if self.verdict.failed and not is_told else None
 
 
-def judged(run: Run, holds: Test, test_file: str) -> Judged:
+def judged(run: Run, holds: Callable[[Run], Any], test_file: str) -> Judged:
     """Judge a run that was asked for. A failure counts whoever is at fault, if a reference driver avoids it.
 
     An error of the policy itself counts in any case.
