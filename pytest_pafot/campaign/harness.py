@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import inspect
 import re
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
@@ -15,7 +14,6 @@ from pathlib import Path
 from typing import Any
 
 from pytest_pafot.attribution.takeovers import Avoidance, Escape, avoidance
-from pytest_pafot.campaign.options import REVISION
 from pytest_pafot.campaign.request import AgainstError, Request
 from pytest_pafot.campaign.verdict import Test, Verdict, judge, no_skip, reference_outcomes, skips
 from pytest_pafot.execution.crash_records import CrashRecord, Leftover, left_by
@@ -29,7 +27,7 @@ from pytest_pafot.model.scenario import Scenario, ScenarioError
 from pytest_pafot.model.trace import Outcome, Trace
 from pytest_pafot.oracle.run import ReferenceOutcome, Run
 from pytest_pafot.support.errors import DriverError, OutOfTime, RequestError, RevisionError
-from pytest_pafot.support.references import factory_named, referred_to
+from pytest_pafot.support.references import REVISION, factory_named, referred_to
 from pytest_pafot.support.source_files import source_files
 from pytest_pafot.world import AdsFactoryError, WorldError, codec, protocol
 from pytest_pafot.world.driving.ads import hint_at_object, is_vehicle_class, preload, weights_digest
@@ -430,12 +428,6 @@ def checked_factory(given: object, name: str) -> Callable[..., Any]:
             f"such as `return lambda: MyPlanner()`, received {given!r:.100}{f'. {hint}' if hint else ''}"
         )
     return given
-
-
-def source_file(function: Callable[..., Any], default: str = "") -> str:
-    """Return the source file of a function, not of decorators around it; ``default`` if it is unknown."""
-    code = getattr(inspect.unwrap(function), "__code__", None)
-    return default if code is None else str(code.co_filename)
 
 
 def limits_of(world: Any) -> Limits:

@@ -16,8 +16,7 @@ import gymnasium
 from gymnasium.error import ResetNeeded
 from numpy.random import Generator
 
-from pytest_pafot import Scenario, ScenarioError, Trace, World, WorldError
-from pytest_pafot.attribution.responsibility import rss_rule
+from pytest_pafot import Run, Scenario, ScenarioError, Trace, World, WorldError
 from pytest_pafot.corpus.reader import load, located
 from pytest_pafot.extending import (
     SUFFIX,
@@ -25,9 +24,8 @@ from pytest_pafot.extending import (
     checked_action,
     drawn_space,
     files_below,
-    road_start,
     sample,
-    space_on,
+    space_of,
 )
 from pytest_pafot.support.errors import checked_number
 from pytest_pafot.world.driving.observations import observe_fast
@@ -156,7 +154,9 @@ class TrainingEnv(gymnasium.Env[Any, Any]):
         return seen, reward, terminated, truncated, self._told(info)
 
     def _told(self, info: dict[str, Any]) -> dict[str, Any]:
-        responsible = "" if self.trace is None or self.trace.collision is None else rss_rule(self.trace).responsibility
+        responsible = ""
+        if self.trace is not None and self.trace.collision is not None:
+            responsible = Run(self.trace).responsibility or "none"
         identity = "" if self._scenario is None else self._scenario.id
         return {**info, "is_scenario": bool(identity), "scenario": identity, "responsible": responsible}
 
@@ -194,7 +194,7 @@ def training_env(world: World, scenarios: Scenarios = None, share: float = 0.5) 
 
 def random_scenarios(world: Any) -> Sampler:
     """Return a sampler of random scenarios, like the first scenarios of a search with default settings in a world."""
-    return partial(sample, space_on(world, drawn_space(world, {}), road_start(world)))
+    return partial(sample, space_of(world, drawn_space(world, {})))
 
 
 def _sampler(world: World, scenarios: Scenarios) -> Sampler:

@@ -56,7 +56,8 @@ class Catalogued:
 
 def _drive(item: pytest.Function, name: str, given: Mapping[str, Any]) -> None:
     __tracebackhide__ = True
-    from pytest_pafot.campaign.harness import checked_factory, source_file  # noqa: PLC0415
+    from pytest_pafot.campaign.harness import checked_factory  # noqa: PLC0415
+    from pytest_pafot.campaign.verdict import source_file  # noqa: PLC0415
     from pytest_pafot.plugin.failure_reports import SUMMARY  # noqa: PLC0415
     from pytest_pafot.plugin.search_item import bound_test, shown  # noqa: PLC0415
     from pytest_pafot.world import Highway  # noqa: PLC0415

@@ -27,7 +27,7 @@ from pytest_pafot.campaign.events import (
     SearchStarted,
     SearchSummary,
 )
-from pytest_pafot.campaign.harness import Harness, checked_factory, reference_of, source_file
+from pytest_pafot.campaign.harness import Harness, checked_factory, reference_of
 from pytest_pafot.campaign.options import BY_NAME, Settings
 from pytest_pafot.campaign.replays import Replays
 from pytest_pafot.campaign.request import Request, build_world
@@ -40,7 +40,7 @@ from pytest_pafot.campaign.search import (
     prepared,
     time_limit,
 )
-from pytest_pafot.campaign.verdict import PlainFailure, Test
+from pytest_pafot.campaign.verdict import PlainFailure, Test, source_file
 from pytest_pafot.corpus.layout import SUFFIX, chosen_folder, files_in, folder_of_test, link_below
 from pytest_pafot.corpus.saved import refusal
 from pytest_pafot.door import REFERENCES, opened

@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import inspect
 from bisect import bisect_left
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from types import FunctionType
-from typing import Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import numpy as np
 
@@ -30,6 +30,9 @@ from pytest_pafot.world.kernel.observation import Observation
 from pytest_pafot.world.limits import HANG_LIMIT
 from pytest_pafot.world.roads.network import Meeting
 from pytest_pafot.world.roads.straight import StraightRoad
+
+if TYPE_CHECKING:
+    from pytest_pafot.searching.space import SearchSpace
 
 
 @dataclass(frozen=True, slots=True)
@@ -201,6 +204,13 @@ def road_start(world: Any) -> RoadStart | None:
     """Return the ego's start that a world's ``start`` prescribes; None if the ego may start in any lane and speed."""
     start: tuple[int, float] | None = getattr(world, "start", None)
     return None if start is None else RoadStart(*start, physics_hz=world.physics_hz)
+
+
+def space_of(world: Any, given: Mapping[str, Any]) -> SearchSpace:
+    """Return the space of scenarios with the given fields that fits a world, see ``space_on``."""
+    from pytest_pafot.searching.space import space_on  # noqa: PLC0415  (slow to import, and many worlds need none)
+
+    return space_on(world, given, road_start(world))
 
 
 def unused_roads(world: Any) -> frozenset[Meeting]:

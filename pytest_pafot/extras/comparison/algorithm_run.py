@@ -12,13 +12,11 @@ from pathlib import Path
 from typing import Any, TextIO
 
 from pytest_pafot import Run, WorldLike
-from pytest_pafot.attribution.responsibility import position_rule
 from pytest_pafot.campaign import run_table
 from pytest_pafot.campaign.run_table import Row, RunTable
 from pytest_pafot.extending import (
     Evaluated,
     Failure,
-    SearchEvent,
     SetupFaultError,
     ads_factory,
     ads_failure,
@@ -120,7 +118,7 @@ def run_rows(plan: Plan, algorithm: str, run: int, tick: Tick = lambda share: No
     request = replace(request, settings=replace(request.settings, max_saved=0))
     table, seconds = RunTable(seed=seed, more=_of_run), 0.0
 
-    def listen(event: SearchEvent) -> None:
+    def listen(event: Any) -> None:
         nonlocal seconds
         table.see(event)
         if isinstance(event, Evaluated):
@@ -168,7 +166,7 @@ def _of_run(run: Run) -> Row:
     return {
         "cell": None if hit is None or hit.cell is None else int(hit.cell),
         "zone": None if hit is None else event_of(run, failure).zone,
-        "position_responsibility": None if hit is None else position_rule(run.trace),
+        "position_responsibility": None if hit is None else run.second_opinion or "none",
         "signature": signature,
     }
 

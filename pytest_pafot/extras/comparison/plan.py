@@ -16,7 +16,6 @@ from pytest_pafot.extending import (
     AlgorithmClass,
     SearchSpace,
     ads_factory,
-    crossings,
     identity,
     resolve_algorithm,
 )
@@ -145,7 +144,7 @@ class Plan:
         than the genes of the plan. Sampled durations of genes stay sampled.
         """
         entrant, seconds, own = self.entrant(name), self.entrant(name).seconds, world_of(self)
-        drawn = {} if entrant.has_papers_scenarios else {**self.drawn, "crossings": crossings(own)}
+        drawn = {} if entrant.has_papers_scenarios else {**self.drawn, "crossings": getattr(own, "crossings", None)}
         space = SearchSpace(**{**self.space, **drawn})
         if seconds is None:
             return own, space

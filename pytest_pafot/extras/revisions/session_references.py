@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from pytest_pafot.campaign.harness import Harness
-from pytest_pafot.campaign.options import OF_COMMAND, REVISION
+from pytest_pafot.campaign.options import OF_COMMAND
 from pytest_pafot.campaign.request import AgainstError, Request, build_space
 from pytest_pafot.extending import ProcessLostError, refusals, sample
 from pytest_pafot.extras.revisions.revision import PROCESS, Revision, files_line, revision_at
@@ -21,6 +21,7 @@ from pytest_pafot.extras.revisions.revision_process import NO_TEST, Served
 from pytest_pafot.plugin import messages
 from pytest_pafot.plugin.node_ids import base_id, qualified_name
 from pytest_pafot.support.errors import OutOfTime, RequestError, RevisionError, flag
+from pytest_pafot.support.references import REVISION
 from pytest_pafot.support.source_files import source_digests
 
 REVISIONS: pytest.StashKey[Revisions] = pytest.StashKey()

@@ -13,8 +13,6 @@ from pathlib import Path
 from typing import Any, Literal, get_args
 
 from pytest_pafot import Highway, Outcome, Run, SavedScenario, Scenario, ScenarioError, Trace, load
-from pytest_pafot.campaign.verdict import assertions, reference_outcomes
-from pytest_pafot.criticality.asked import asked
 from pytest_pafot.extending import (
     SUFFIX,
     AdsFactory,
@@ -26,10 +24,10 @@ from pytest_pafot.extending import (
     headline,
     judge,
     named_file,
+    reference_outcomes,
     reference_world,
     refusals,
     require,
-    source_file,
 )
 from pytest_pafot.extras.sweeps.entries import Entry, entry_of, fits
 from pytest_pafot.extras.sweeps.numbers import Axis, unit_of, values_of, with_number
@@ -93,7 +91,7 @@ class Point:
     @property
     def ego_off(self) -> float:
         """By how much the ego was faster than asked as the first manoeuvre by distance began [m/s]; 0 if none did."""
-        met = () if self.trace is None else asked(self.trace)
+        met = () if self.trace is None else Run(self.trace).asked
         return next((each.was - each.asked for each in met if each.what == "ego speed"), 0.0)
 
     @property
@@ -557,7 +555,7 @@ class _Driver:
         except Exception as error:  # what a policy raises as it drives is part of its run
             received = f"one that raises {described(error)}"
             raise RequestError(f"ads: expected a factory of a policy, received {received}; correct it") from error
-        found = judged(run, self.holds, source_file(self.holds))
+        found = judged(run, self.holds)
         raised = found.error
         if raised is not None:
             raise RequestError(
@@ -582,11 +580,11 @@ class Judged:
     @property
     def error(self) -> BaseException | None:
         """The exception of the property itself, if it is none with which properties state that they do not hold."""
-        is_told = self.verdict.is_ads or isinstance(self.verdict.exception, assertions())
+        is_told = self.verdict.is_ads or self.verdict.asserts
         return self.verdict.exception if self.verdict.failed and not is_told else None
 
 
-def judged(run: Run, holds: Callable[[Run], Any], test_file: str) -> Judged:
+def judged(run: Run, holds: Callable[[Run], Any], test_file: str | None = None) -> Judged:
     """Judge a run that was asked for. A failure counts whoever is at fault, if a reference driver avoids it.
 
     An error of the policy itself counts in any case.
