@@ -72,12 +72,14 @@ finished share of the task."""
 class ProcessLostError(Exception, Generic[TaskT]):
     """Error for a task without a result, because the process that ran it died or hung.
 
-    ``how`` describes in a few words how the process ended. ``is_hang`` is True if the process hung and was killed. A
-    ``pid`` of 0 stands for an executor's worker, whose process id is unknown.
+    ``how`` describes in a few words how the process ended; it is given as these words or as its exit code. ``is_hang``
+    is True if the process hung and was killed. A ``pid`` of 0 stands for an executor's worker, whose process id is
+    unknown.
     """
 
-    def __init__(self, task: TaskT, *, pid: int, how: str, is_hang: bool = False) -> None:
+    def __init__(self, task: TaskT, *, pid: int, how: str | int | None, is_hang: bool = False) -> None:
         self.who = f"process (pid {pid})" if pid else "worker"
+        how = how if isinstance(how, str) else ending(how)
         super().__init__(f"the {self.who} that ran {task} {how}")
         self.task = task
         self.pid = pid
@@ -312,7 +314,7 @@ class WorkerPool(Generic[TaskT, ResultT]):
 
     def _lose(self, task: TaskT, worker: _Worker[TaskT], how: str = "", *, is_hang: bool = False) -> None:
         self._remove(worker)
-        lost = ProcessLostError(task, pid=worker.pid, how=how or ending(worker.process.exitcode), is_hang=is_hang)
+        lost = ProcessLostError(task, pid=worker.pid, how=how or worker.process.exitcode, is_hang=is_hang)
         if not worker.has_begun:
             self._fail(task, self.failure or f"a process {lost.how} before it had begun")
         elif task in self._wanted:

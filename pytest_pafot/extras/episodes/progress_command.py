@@ -57,13 +57,12 @@ from pytest_pafot.extras.revisions.revision import PROCESS, revision_at
 from pytest_pafot.extras.revisions.revision_policy import RevisionPolicy
 from pytest_pafot.extras.revisions.revision_process import Served
 from pytest_pafot.findings.severity import WORSE_BY, worsening
-from pytest_pafot.support.errors import RequestError, RevisionError, command
+from pytest_pafot.support.errors import AdsFactoryError, RequestError, RevisionError, command
 from pytest_pafot.support.files import way_out, write_whole
 from pytest_pafot.support.proportions import LEVEL, difference, holm, mcnemar
 from pytest_pafot.support.references import REVISION, described
 from pytest_pafot.support.text import ascii_text, csv_text, markdown_table, one_line, plural, visible
 from pytest_pafot.support.versions import installed_versions
-from pytest_pafot.world import AdsFactoryError
 from pytest_pafot.world.protocol import first_decision
 
 # Comparison of two versions of a policy in the same situations, as values and in words.
