@@ -82,6 +82,7 @@ if TYPE_CHECKING:
     from pytest_pafot.searching.space import sample as sample
     from pytest_pafot.searching.space import sample_manoeuvres as sample_manoeuvres
     from pytest_pafot.searching.space import scenario_of as scenario_of
+    from pytest_pafot.world.codec import code_of as code_of
     from pytest_pafot.world.codec import from_dict as from_dict
     from pytest_pafot.world.driving.ads import AdsFactory as AdsFactory
     from pytest_pafot.world.driving.ads import is_vehicle_class as is_vehicle_class
@@ -89,7 +90,6 @@ if TYPE_CHECKING:
     from pytest_pafot.world.driving.policy import checked_action as checked_action
     from pytest_pafot.world.guard.hang_guard import check_time as check_time
     from pytest_pafot.world.guard.own_worlds import rollout_of as rollout_of
-    from pytest_pafot.world.gym_environment import GymEnvironment as GymEnvironment
     from pytest_pafot.world.protocol import reference_world as reference_world
     from pytest_pafot.world.protocol import space_of as space_of
 
@@ -111,7 +111,6 @@ _HOMES = {
     "GenerationFinished": "searching.events",
     "GenerationState": "searching.ask_tell",
     "GenerationalSearch": "searching.ask_tell",
-    "GymEnvironment": "world.gym_environment",
     "HEADING": "model.trace",
     "Judged": "campaign.events",
     "LANE": "model.trace",
@@ -141,6 +140,7 @@ _HOMES = {
     "check_time": "world.guard.hang_guard",
     "checked_action": "world.driving.policy",
     "checked_factory": "campaign.harness",
+    "code_of": "world.codec",
     "config_of": "commands.policy_reference",
     "drawn_space": "campaign.request",
     "driving": "execution.runner",

@@ -218,8 +218,8 @@ def test_pure_rooms_use_no_clock_or_global_randomness():
 
 
 BEYOND_THE_DOOR = {
-    "algorithms": 3, "comparison": 11, "episodes": 21, "executors": 9, "requirements": 11, "resumable": 3,
-    "revisions": 21, "sweeps": 3, "testing": 16, "training": 10,
+    "algorithms": 3, "comparison": 10, "episodes": 20, "executors": 9, "requirements": 11, "resumable": 3,
+    "revisions": 21, "sweeps": 3, "testing": 16, "training": 4,
 }  # fmt: skip
 """The names that an extra imports from the inside of the core, neither public nor on the page for those who
 extend it. Lower a number when it falls; never raise it."""

@@ -75,6 +75,17 @@ class SavedScenario(Shown):
         except (WorldError, TypeError, ValueError) as error:
             raise reader.located(self.path, "world", error) from None
 
+    def check_fits(self, world: Any) -> None:
+        """Refuse a world that the scenario does not fit.
+
+        Raises:
+            CorpusError: if it does not; the message names the line of the scenario.
+        """
+        try:
+            protocol.check_fits(world, self.scenario)
+        except (ScenarioError, WorldError) as error:
+            raise reader.located(self.path, "scenario", error) from error
+
     def replay(self, ads: AdsFactory, *, world: Any = None) -> Run:
         """Run the scenario once, without judging it. Pass the run to the test function or to :meth:`matches` for that.
 

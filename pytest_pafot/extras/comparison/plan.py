@@ -16,6 +16,7 @@ from pytest_pafot.extending import (
     AlgorithmClass,
     SearchSpace,
     ads_factory,
+    code_of,
     identity,
     resolve_algorithm,
 )
@@ -26,7 +27,6 @@ from pytest_pafot.support.references import referred_to
 from pytest_pafot.support.source_files import source_digests
 from pytest_pafot.support.text import plural
 from pytest_pafot.support.versions import installed_versions
-from pytest_pafot.world import codec
 
 DIFFERENT = (
     "the algorithms have different scenarios, so differences between these groups may be due to the scenarios; "
@@ -107,7 +107,7 @@ class Plan:
         return {
             "plan": asdict(replace(self, algorithms=(), runs=1)),
             "policy": identity(self.ads),
-            "code": source_digests(own_fitness, *codec.code_of(world_of(self)), here=Path.cwd()),
+            "code": source_digests(own_fitness, *code_of(world_of(self)), here=Path.cwd()),
             "versions": installed_versions(),
         }
 
