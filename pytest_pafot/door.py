@@ -98,14 +98,14 @@ NAMES: Mapping[str, str] = MappingProxyType({
 })  # fmt: skip
 """The public names of ``pytest_pafot`` that an extra has."""
 
-CATALOGUED = f"{EXTRAS}.sweeps.catalogue_item:Catalogued"
-"""The hooks for tests with ``@pafot.catalogue``."""
+CATALOGUE = f"{EXTRAS}.sweeps.driven_entries"
+"""What the catalogue of named scenarios does for tests with ``@pafot.catalogue``."""
 DASK_EXECUTOR = f"{EXTRAS}.executors:dask_executor"
 """A context manager: the executor of a Dask scheduler for the option ``dask``."""
 EXECUTOR_POOL = f"{EXTRAS}.executors:ExecutorPool"
 """The pool of scenarios that runs them by the user's executor."""
 REFERENCES = f"{EXTRAS}.revisions.session_references"
-"""What a search needs to know of its reference: ``revision_of(item, request)`` and ``compare(item, harness)``."""
+"""What a search needs to know of its reference: ``revision_of``, ``compared`` with it, and ``files_of`` a factory."""
 
 
 def opened(place: str) -> Any:

@@ -13,19 +13,17 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from pytest_pafot.campaign.events import Judged as Judged
-    from pytest_pafot.campaign.events import SearchEvent as SearchEvent
     from pytest_pafot.campaign.explore import replays_of as replays_of
     from pytest_pafot.campaign.explore import request_of as request_of
     from pytest_pafot.campaign.harness import checked_factory as checked_factory
     from pytest_pafot.campaign.harness import refusals as refusals
-    from pytest_pafot.campaign.harness import source_file as source_file
     from pytest_pafot.campaign.request import drawn_space as drawn_space
     from pytest_pafot.campaign.search import prepared as prepared
     from pytest_pafot.campaign.setup_fault import SetupFaultError as SetupFaultError
-    from pytest_pafot.campaign.verdict import Test as Test
     from pytest_pafot.campaign.verdict import Verdict as Verdict
     from pytest_pafot.campaign.verdict import headline as headline
     from pytest_pafot.campaign.verdict import judge as judge
+    from pytest_pafot.campaign.verdict import reference_outcomes as reference_outcomes
     from pytest_pafot.commands.policy_reference import ABOUT_POLICIES as ABOUT_POLICIES
     from pytest_pafot.commands.policy_reference import ads_factory as ads_factory
     from pytest_pafot.commands.policy_reference import caution as caution
@@ -39,11 +37,9 @@ if TYPE_CHECKING:
     from pytest_pafot.corpus.saved import read_saved_file as read_saved_file
     from pytest_pafot.execution.pool import ProcessLostError as ProcessLostError
     from pytest_pafot.execution.pool import WorkerPool as WorkerPool
-    from pytest_pafot.execution.runner import driven_first as driven_first
-    from pytest_pafot.execution.runner import ended as ended
+    from pytest_pafot.execution.runner import driving as driving
     from pytest_pafot.execution.scenario_pool import ExecutionError as ExecutionError
     from pytest_pafot.findings.finding import Finding as Finding
-    from pytest_pafot.findings.finding import ads_failure as ads_failure
     from pytest_pafot.findings.finding import ending as ending
     from pytest_pafot.findings.finding import of_failure as of_failure
     from pytest_pafot.findings.signature import Failure as Failure
@@ -61,12 +57,15 @@ if TYPE_CHECKING:
     from pytest_pafot.searching.algorithms.catalogue import ALGORITHMS as ALGORITHMS
     from pytest_pafot.searching.algorithms.catalogue import AlgorithmClass as AlgorithmClass
     from pytest_pafot.searching.algorithms.catalogue import resolve_algorithm as resolve_algorithm
+    from pytest_pafot.searching.algorithms.distinct import NicheSearch as NicheSearch
+    from pytest_pafot.searching.algorithms.distinct import meeting_place as meeting_place
     from pytest_pafot.searching.ask_tell import Algorithm as Algorithm
     from pytest_pafot.searching.ask_tell import GenerationalSearch as GenerationalSearch
     from pytest_pafot.searching.ask_tell import GenerationState as GenerationState
     from pytest_pafot.searching.ask_tell import check_ask as check_ask
     from pytest_pafot.searching.ask_tell import check_evaluations as check_evaluations
     from pytest_pafot.searching.ask_tell import check_parameters as check_parameters
+    from pytest_pafot.searching.ask_tell import end_of_local_search as end_of_local_search
     from pytest_pafot.searching.ask_tell_loop import run_campaign as run_campaign
     from pytest_pafot.searching.evaluation import Evaluation as Evaluation
     from pytest_pafot.searching.events import AlgorithmEvent as AlgorithmEvent
@@ -75,12 +74,15 @@ if TYPE_CHECKING:
     from pytest_pafot.searching.events import LocalSearchStarted as LocalSearchStarted
     from pytest_pafot.searching.events import NewBest as NewBest
     from pytest_pafot.searching.events import Restarted as Restarted
+    from pytest_pafot.searching.operators import first_crossed as first_crossed
     from pytest_pafot.searching.operators import mutate as mutate
+    from pytest_pafot.searching.operators import varied as varied
     from pytest_pafot.searching.space import SearchSpace as SearchSpace
-    from pytest_pafot.searching.space import repaired as repaired
     from pytest_pafot.searching.space import sample as sample
-    from pytest_pafot.searching.space import space_on as space_on
+    from pytest_pafot.searching.space import sample_manoeuvres as sample_manoeuvres
+    from pytest_pafot.searching.space import scenario_of as scenario_of
     from pytest_pafot.support.errors import RequestError as RequestError
+    from pytest_pafot.world.codec import code_of as code_of
     from pytest_pafot.world.codec import from_dict as from_dict
     from pytest_pafot.world.driving.ads import AdsFactory as AdsFactory
     from pytest_pafot.world.driving.ads import is_vehicle_class as is_vehicle_class
@@ -88,10 +90,8 @@ if TYPE_CHECKING:
     from pytest_pafot.world.driving.policy import checked_action as checked_action
     from pytest_pafot.world.guard.hang_guard import check_time as check_time
     from pytest_pafot.world.guard.own_worlds import rollout_of as rollout_of
-    from pytest_pafot.world.gym_environment import GymEnvironment as GymEnvironment
-    from pytest_pafot.world.protocol import crossings as crossings
     from pytest_pafot.world.protocol import reference_world as reference_world
-    from pytest_pafot.world.protocol import road_start as road_start
+    from pytest_pafot.world.protocol import space_of as space_of
 
 _HOMES = {
     "ABOUT_POLICIES": "commands.policy_reference",
@@ -111,13 +111,13 @@ _HOMES = {
     "GenerationFinished": "searching.events",
     "GenerationState": "searching.ask_tell",
     "GenerationalSearch": "searching.ask_tell",
-    "GymEnvironment": "world.gym_environment",
     "HEADING": "model.trace",
     "Judged": "campaign.events",
     "LANE": "model.trace",
     "Lane": "model.trace",
     "LocalSearchStarted": "searching.events",
     "NewBest": "searching.events",
+    "NicheSearch": "searching.algorithms.distinct",
     "ProcessLostError": "execution.pool",
     "RequestError": "support.errors",
     "Restarted": "searching.events",
@@ -125,16 +125,13 @@ _HOMES = {
     "STEERING": "model.trace",
     "SUFFIX": "corpus.layout",
     "Saved": "corpus.saved",
-    "SearchEvent": "campaign.events",
     "SearchSpace": "searching.space",
     "SetupFaultError": "campaign.setup_fault",
-    "Test": "campaign.verdict",
     "Verdict": "campaign.verdict",
     "WorkerPool": "execution.pool",
     "X": "model.trace",
     "Y": "model.trace",
     "ads_factory": "commands.policy_reference",
-    "ads_failure": "findings.finding",
     "caution": "commands.policy_reference",
     "check_ask": "searching.ask_tell",
     "check_evaluations": "searching.ask_tell",
@@ -143,36 +140,39 @@ _HOMES = {
     "check_time": "world.guard.hang_guard",
     "checked_action": "world.driving.policy",
     "checked_factory": "campaign.harness",
+    "code_of": "world.codec",
     "config_of": "commands.policy_reference",
-    "crossings": "world.protocol",
     "drawn_space": "campaign.request",
-    "driven_first": "execution.runner",
-    "ended": "execution.runner",
+    "driving": "execution.runner",
+    "end_of_local_search": "searching.ask_tell",
     "ending": "findings.finding",
     "files_below": "corpus.layout",
+    "first_crossed": "searching.operators",
     "from_dict": "world.codec",
     "headline": "campaign.verdict",
     "identity": "commands.policy_reference",
     "is_vehicle_class": "world.driving.ads",
     "judge": "campaign.verdict",
+    "meeting_place": "searching.algorithms.distinct",
     "mutate": "searching.operators",
     "named_file": "corpus.saved",
     "of_failure": "findings.finding",
     "prepared": "campaign.search",
     "read_saved_file": "corpus.saved",
+    "reference_outcomes": "campaign.verdict",
     "reference_world": "world.protocol",
     "refusals": "campaign.harness",
-    "repaired": "searching.space",
     "replays_of": "campaign.explore",
     "request_of": "campaign.explore",
     "require": "oracle.checks",
     "resolve_algorithm": "searching.algorithms.catalogue",
-    "road_start": "world.protocol",
     "rollout_of": "world.guard.own_worlds",
     "run_campaign": "searching.ask_tell_loop",
     "sample": "searching.space",
-    "source_file": "campaign.harness",
-    "space_on": "searching.space",
+    "sample_manoeuvres": "searching.space",
+    "scenario_of": "searching.space",
+    "space_of": "world.protocol",
+    "varied": "searching.operators",
     "wants_env": "world.driving.ads",
 }
 

@@ -285,12 +285,11 @@ def scenarios_in(
         ValueError: if no scenario is within the bounds, or if the world's NPCs cannot have the instructions.
         WorldError: if the world cannot be built.
     """
-    from pytest_pafot.searching.space import space_on  # noqa: PLC0415  (slow to import, and rarely needed)
     from pytest_pafot.world.protocol import (  # noqa: PLC0415
         crossings,
         has_lane_instructions,
         most_on_grid,
-        road_start,
+        space_of,
     )
 
     given: dict[str, Any] = {"traffic": traffic, "crossings": crossings(world)}
@@ -307,7 +306,7 @@ def scenarios_in(
             "declares none; leave instructions out, or write has_lane_instructions = True in its class if its NPCs can"
         )
     # Lanes in which the ego can start with enough free cells around it.
-    space = space_on(world, given, road_start(world))
+    space = space_of(world, given)
     crossing, starts, room = space.crossing_traffic, _starts(world, space.ego_lane), most_on_grid(world)
     usable = [lane for lane, cells in starts.items() if crossing is not None or min(len(cells), room) >= max_npcs]
     if not usable:

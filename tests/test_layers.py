@@ -38,7 +38,7 @@ HOMES = {
     "highway_env": {"world"},
     "gymnasium": {"world", "training"},
     "hypothesis": {"strategies"},
-    "pytest": {"plugin", "revisions", "sweeps"},
+    "pytest": {"plugin", "revisions"},
     "_pytest": set(),
     "pluggy": set(),
     "PIL": {"report"},

@@ -11,13 +11,14 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from pytest_pafot.campaign.events import FindTold, Judged, Listener, SearchEvent, SearchSummary
-from pytest_pafot.campaign.harness import Harness, reference_of, source_file
+from pytest_pafot.campaign.harness import Harness, reference_of
 from pytest_pafot.campaign.options import BY_NAME, LOCAL, OPTIONS, PROFILES, Settings
 from pytest_pafot.campaign.replays import Replays
 from pytest_pafot.campaign.request import Request, SearchArguments, build_world, check_names, checked_request
 from pytest_pafot.campaign.resuming import check_states
 from pytest_pafot.campaign.run_table import RunTable
 from pytest_pafot.campaign.search import Search, prepared, time_limit
+from pytest_pafot.campaign.verdict import source_file
 from pytest_pafot.corpus.layout import folder_of_test, link_below
 from pytest_pafot.corpus.saved import refusal
 from pytest_pafot.findings.finding import Finding

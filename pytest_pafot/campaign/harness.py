@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import inspect
 import re
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
@@ -15,7 +14,6 @@ from pathlib import Path
 from typing import Any
 
 from pytest_pafot.attribution.takeovers import Avoidance, Escape, avoidance
-from pytest_pafot.campaign.options import REVISION
 from pytest_pafot.campaign.request import AgainstError, Request
 from pytest_pafot.campaign.verdict import Test, Verdict, judge, no_skip, reference_outcomes, skips
 from pytest_pafot.execution.crash_records import CrashRecord, Leftover, left_by
@@ -29,7 +27,7 @@ from pytest_pafot.model.scenario import Scenario, ScenarioError
 from pytest_pafot.model.trace import Outcome, Trace
 from pytest_pafot.oracle.run import ReferenceOutcome, Run
 from pytest_pafot.support.errors import DriverError, OutOfTime, RequestError, RevisionError
-from pytest_pafot.support.references import factory_named, referred_to
+from pytest_pafot.support.references import REVISION, factory_named, referred_to
 from pytest_pafot.support.source_files import source_files
 from pytest_pafot.world import AdsFactoryError, WorldError, codec, protocol
 from pytest_pafot.world.driving.ads import hint_at_object, is_vehicle_class, preload, weights_digest
@@ -199,9 +197,7 @@ class Harness:
 
     def seen(self, trace: Trace, world: Any = None) -> Run:
         """Return a trace as the test function sees it; ``world`` is by default the world of the search."""
-        world = self.world if world is None else world
-        known, take_over = protocol.reference_world(world), protocol.taking_over(world, trace)
-        return Run(trace, decision_limit=self.request.decision_limit, world=known, take_over=take_over)
+        return protocol.run_of(self.world if world is None else world, trace, self.request.decision_limit)
 
     def judge(self, run: Run) -> Verdict:
         """Return the verdict on a run. The test function decides, unless the ADS itself failed."""
@@ -438,12 +434,6 @@ def checked_factory(given: object, name: str) -> Callable[..., Any]:
             f"such as `return lambda: MyPlanner()`, received {given!r:.100}{f'. {hint}' if hint else ''}"
         )
     return given
-
-
-def source_file(function: Callable[..., Any], default: str = "") -> str:
-    """Return the source file of a function, not of decorators around it; ``default`` if it is unknown."""
-    code = getattr(inspect.unwrap(function), "__code__", None)
-    return default if code is None else str(code.co_filename)
 
 
 def limits_of(world: Any) -> Limits:

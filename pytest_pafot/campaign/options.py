@@ -35,9 +35,6 @@ MOST_NEIGHBOURS = 1000
 MOST_OF_COMMIT = 100
 """The largest number of characters in the name of a commit."""
 
-REVISION = "rev:"
-"""The prefix of a reference that is a revision of the repository."""
-
 OF_COMMAND = "PYTEST_PAFOT_POLICY"
 """The environment variable with the policy that a command names, for the pytest session that it starts."""
 

@@ -19,7 +19,7 @@ from pytest_pafot.searching import asked_traffic
 from pytest_pafot.searching.algorithms.catalogue import AlgorithmClass, resolve_algorithm
 from pytest_pafot.searching.ask_tell import Algorithm
 from pytest_pafot.searching.fitness import Weights
-from pytest_pafot.searching.space import MOST_ON_GRID, SearchSpace, sample, space_on
+from pytest_pafot.searching.space import MOST_ON_GRID, SearchSpace, sample
 from pytest_pafot.support.errors import RequestError, flag, plain_number
 from pytest_pafot.support.references import factory_named
 from pytest_pafot.support.text import shown
@@ -281,7 +281,7 @@ def build_space(request: Request, world: Any) -> SearchSpace:
             )
         # The paper's algorithms keep the paper's space; the others fill in what the mark leaves open.
         drawn = {} if request.algorithm.is_papers else drawn_space(world, {"instructions": kinds[-1], **request.space})
-        space = space_on(world, {**drawn, **request.space}, protocol.road_start(world))
+        space = protocol.space_of(world, {**drawn, **request.space})
         if space.instructions == "manoeuvres":
             space = _with_room(space, world, "npcs" in request.space)
         given = ", ".join(f"{name}={value!r}" for name, value in request.space.items())

@@ -75,6 +75,17 @@ class SavedScenario(Shown):
         except (WorldError, TypeError, ValueError) as error:
             raise reader.located(self.path, "world", error) from None
 
+    def check_fits(self, world: Any) -> None:
+        """Refuse a world that the scenario does not fit.
+
+        Raises:
+            CorpusError: if it does not; the message names the line of the scenario.
+        """
+        try:
+            protocol.check_fits(world, self.scenario)
+        except (ScenarioError, WorldError) as error:
+            raise reader.located(self.path, "scenario", error) from error
+
     def replay(self, ads: AdsFactory, *, world: Any = None) -> Run:
         """Run the scenario once, without judging it. Pass the run to the test function or to :meth:`matches` for that.
 
@@ -100,8 +111,7 @@ class SavedScenario(Shown):
             trace = rollout_of(world)(self.scenario, ads)  # the user's own world may raise only now
         except (ScenarioError, WorldError) as error:
             raise reader.located(self.path, "scenario", error) from None
-        run = Run(trace, world=protocol.reference_world(world), take_over=protocol.taking_over(world, trace))
-        return self.expect.known_of(run)
+        return self.expect.known_of(protocol.run_of(world, trace))
 
     def matches(self, run: Run) -> bool:
         """Return whether a run ends as the file expects: by the same contact or in the same other way, within 0.2 s.

@@ -12,7 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from pytest_pafot.campaign.verdict import PlainFailure, Verdict, assertions
+from pytest_pafot.campaign.verdict import PlainFailure, Verdict
 from pytest_pafot.model.trace import Trace
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.world.driving.ads import is_vehicle_class
@@ -128,7 +128,7 @@ def cause_of(run: Run, verdict: Verdict) -> Cause | None:
     can be the scenario or the machine.
     """
     failure = verdict.failure
-    if failure is None or failure.kind == AssertionError.__name__ or isinstance(verdict.exception, assertions()):
+    if failure is None or failure.kind == AssertionError.__name__ or verdict.asserts:
         return None
     if not verdict.is_ads:
         return failure.kind, failure.assertion

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import math
 import sys
 from collections.abc import Callable, Iterator, Sequence
@@ -60,6 +61,11 @@ class Verdict:
         """True if the test function declined to judge the run: it skipped or rejected it."""
         return self.kind in ("rejected", "skipped")
 
+    @property
+    def asserts(self) -> bool:
+        """True if the test function states by its exception that a property does not hold, and did not fail itself."""
+        return isinstance(self.exception, assertions())
+
     def beside(self, reference: Verdict) -> Self:
         """Return the verdict together with the verdict on the reference in the same scenario.
 
@@ -68,13 +74,20 @@ class Verdict:
         return replace(self, kind="failed" if reference.passes else "common", reference=reference)
 
 
-def judge(run: Run, test: Test, *, blame: str, test_file: str) -> Verdict:
+def source_file(function: Callable[..., Any], default: str = "") -> str:
+    """Return the source file of a function, not of decorators around it; ``default`` if it is unknown."""
+    code = getattr(inspect.unwrap(function), "__code__", None)
+    return default if code is None else str(code.co_filename)
+
+
+def judge(run: Run, test: Test, *, blame: str, test_file: str | None = None) -> Verdict:
     """Judge a run by the test function, unless the ADS itself failed or NPCs touched.
 
     Unless ``blame`` is ``any``, the function is not called for collisions for which only an NPC is responsible; with
     ``avoidable``, it is called for those of them that braking late, but hard, would have avoided. With ``preventable``,
     a failing assertion counts only if a reference driver would have prevented the failure. Any other exception is an
-    error of the function. A failure is identified by the line in ``test_file`` that failed.
+    error of the function. A failure is identified by the line in ``test_file`` that failed,
+    by default in the file of the function.
 
     Raises:
         BaseException: any exception that says nothing about the run, such as an interrupt, the end of the session, a
@@ -84,6 +97,7 @@ def judge(run: Run, test: Test, *, blame: str, test_file: str) -> Verdict:
     """
     if run.outcome is Outcome.INVALID:
         return Verdict(kind="invalid")
+    test_file = source_file(test) if test_file is None else test_file
     broken = ads_failure(run)
     if broken is None or run.ads_error is None:
         is_excused, avoidable = blame != "any" and run.responsibility == "npc", run.attribution.avoidable
@@ -93,7 +107,7 @@ def judge(run: Run, test: Test, *, blame: str, test_file: str) -> Verdict:
             verdict = Verdict(kind="npc")
         else:
             verdict = _asked(run, test, test_file)
-        if blame == "preventable" and isinstance(verdict.exception, assertions()):
+        if blame == "preventable" and verdict.asserts:
             outcomes = reference_outcomes(run, test, blame=blame, test_file=test_file)
             try:
                 is_preventable = next(preventing(outcomes, run.responsibility), None) is not None
@@ -109,7 +123,7 @@ def judge(run: Run, test: Test, *, blame: str, test_file: str) -> Verdict:
 
 
 def reference_outcomes(
-    run: Run, test: Test, *, blame: str, test_file: str, names: Sequence[str] | None = None
+    run: Run, test: Test, *, blame: str, test_file: str | None = None, names: Sequence[str] | None = None
 ) -> Iterator[tuple[str, ReferenceOutcome]]:
     """Yield the outcome of each reference driver in the ego's place. Its run is judged like the run of the ego.
 

@@ -19,7 +19,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-from pytest_pafot.campaign.options import BY_NAME, OF_COMMAND, OPTIONS, REVISION
+from pytest_pafot.campaign.options import BY_NAME, OF_COMMAND, OPTIONS
 from pytest_pafot.campaign.request import BLAMES
 from pytest_pafot.commands.policy_reference import (
     ABOUT_POLICIES,
@@ -35,6 +35,7 @@ from pytest_pafot.support.errors import OF_SEARCH, RequestError, flag, page
 from pytest_pafot.support.files import way_out, write_if_free
 from pytest_pafot.support.interrupts import Ended, undisturbed
 from pytest_pafot.support.receipts import taken_receipt, unfinished
+from pytest_pafot.support.references import REVISION
 from pytest_pafot.support.text import one_line, visible
 
 CONFTEST, TEST = "conftest.py", "test_safety.py"

@@ -28,7 +28,7 @@ from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from typing import Any, Generic, Self, TypeAlias, TypeVar
 
-from pytest_pafot.support.errors import OutOfTime, flag
+from pytest_pafot.support.errors import OutOfTime, flag, page
 from pytest_pafot.world.guard.hang_guard import LastResort, check_time, last_resort
 
 TaskT = TypeVar("TaskT", bound=Hashable)
@@ -72,17 +72,28 @@ finished share of the task."""
 class ProcessLostError(Exception, Generic[TaskT]):
     """Error for a task without a result, because the process that ran it died or hung.
 
-    ``how`` describes in a few words how the process ended. ``is_hang`` is True if the process hung and was killed. A
-    ``pid`` of 0 stands for an executor's worker, whose process id is unknown.
+    ``how`` describes in a few words how the process ended; it is given as these words or as its exit code. ``is_hang``
+    is True if the process hung and was killed. A ``pid`` of 0 stands for an executor's worker, whose process id is
+    unknown.
     """
 
-    def __init__(self, task: TaskT, *, pid: int, how: str, is_hang: bool = False) -> None:
+    def __init__(self, task: TaskT, *, pid: int, how: str | int | None, is_hang: bool = False) -> None:
         self.who = f"process (pid {pid})" if pid else "worker"
+        how = how if isinstance(how, str) else ending(how)
         super().__init__(f"the {self.who} that ran {task} {how}")
         self.task = task
         self.pid = pid
         self.how = how
         self.is_hang = is_hang
+
+    @property
+    def advice(self) -> str:
+        """The message about a policy that has ended the process in which it drove."""
+        return (
+            f"expected a policy that drives to the end of the run, received one whose process {self.how}. It ends the "
+            f"process itself, as sys.exit and os._exit do, or its compiled code crashes: see "
+            f"{page('guide/planners.md')}"
+        )
 
     def __reduce__(self) -> tuple[Any, ...]:
         return partial(ProcessLostError, self.task, pid=self.pid, how=self.how, is_hang=self.is_hang), ()
@@ -303,7 +314,7 @@ class WorkerPool(Generic[TaskT, ResultT]):
 
     def _lose(self, task: TaskT, worker: _Worker[TaskT], how: str = "", *, is_hang: bool = False) -> None:
         self._remove(worker)
-        lost = ProcessLostError(task, pid=worker.pid, how=how or ending(worker.process.exitcode), is_hang=is_hang)
+        lost = ProcessLostError(task, pid=worker.pid, how=how or worker.process.exitcode, is_hang=is_hang)
         if not worker.has_begun:
             self._fail(task, self.failure or f"a process {lost.how} before it had begun")
         elif task in self._wanted:

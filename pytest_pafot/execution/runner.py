@@ -46,8 +46,9 @@ from pytest_pafot.execution.scenario_pool import (
 )
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Outcome, Trace
+from pytest_pafot.oracle.run import Run
 from pytest_pafot.searching.evaluation import Chains, plain_chains
-from pytest_pafot.support.errors import flag, page
+from pytest_pafot.support.errors import flag
 from pytest_pafot.support.isolation import isolates
 from pytest_pafot.support.text import listed, plural, visible
 from pytest_pafot.world import Highway, protocol
@@ -755,37 +756,30 @@ def call_apart(job: Job, scenario: Scenario, drive: Callable[[Scenario, Callable
     return result  # type: ignore[no-any-return]
 
 
-def ended(lost: ProcessLostError[Any]) -> str:
-    """Return the message about a policy that has ended the process in which it drove."""
-    return (
-        f"expected a policy that drives to the end of the run, received one whose process {lost.how}. It ends the "
-        f"process itself, as sys.exit and os._exit do, or its compiled code crashes: see {page('guide/planners.md')}"
-    )
-
-
 @contextmanager
-def driven_first(world: Any, ads: Callable[..., Any]) -> Iterator[Callable[[Scenario], None]]:
-    """Provide a function that drives a scenario in a forked process, for a test in which a policy is isolated.
+def driving(world: Any, ads: Callable[..., Any]) -> Iterator[Callable[[Scenario], Run]]:
+    """Provide a function that drives a scenario and returns its run, for a test.
 
-    The test then drives the scenario itself, because it may read what a policy has noted, and a policy that works only
-    in the process of the test must work. A copy of the process ends as the process itself would.
+    If policies are isolated, a forked process drives the scenario first, and ends in place of this one. This process
+    then drives it as well, because a test may read what a policy has noted, and a policy that works only in the process
+    of the test must work.
 
-    The function raises a ``ProcessLostError`` if the process died or hung, and nothing else.
+    The function raises a ``ProcessLostError`` if the forked process died or hung.
     """
-    if scenario_pool.METHOD != "fork" or not isolates():
-        yield lambda scenario: None
-        return
-    with tempfile.TemporaryDirectory(prefix="pafot-") as records:
-        job = Job(world=world, ads=ads, records=Path(records), owner="test")
-        with pool_for(job, 1) as pool:
+    with ExitStack() as stack:
+        pool = None
+        if scenario_pool.METHOD == "fork" and isolates():
+            records = stack.enter_context(tempfile.TemporaryDirectory(prefix="pafot-"))
+            pool = stack.enter_context(pool_for(Job(world=world, ads=ads, records=Path(records), owner="test"), 1))
 
-            def drive(scenario: Scenario) -> None:
-                __tracebackhide__ = True
-                answer = pool.fetch(scenario)
-                if isinstance(answer, ProcessLostError):
-                    raise answer
+        def drive(scenario: Scenario) -> Run:
+            __tracebackhide__ = True
+            answer = None if pool is None else pool.fetch(scenario)
+            if isinstance(answer, ProcessLostError):
+                raise answer
+            return protocol.run_of(world, rollout_of(world)(scenario, ads))
 
-            yield drive
+        yield drive
 
 
 def must_stay_here(job: Job, scenario: Scenario) -> str:

@@ -27,13 +27,15 @@ from types import ModuleType
 from typing import Any
 
 from pytest_pafot import Scenario
-from pytest_pafot.execution.pool import GRACE, POLL
+from pytest_pafot.execution.pool import GRACE
 from pytest_pafot.execution.scenario_pool import Answer, Job, LostRun, Timed, capture_output, recovery_note, timed
 from pytest_pafot.extending import ExecutionError, ProcessLostError, WorkerPool, check_time
 from pytest_pafot.support.errors import flag, install
 from pytest_pafot.support.versions import installed_versions
 from pytest_pafot.world import protocol
 
+POLL = 0.5
+"""The longest time to wait for an answer before the time of the search is checked [s]."""
 INSTALL = install("dask")
 TASK_SECONDS = 2.0
 """The longest duration of a task with several scenarios [s]. The overhead of a task is some milliseconds."""

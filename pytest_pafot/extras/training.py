@@ -16,26 +16,20 @@ import gymnasium
 from gymnasium.error import ResetNeeded
 from numpy.random import Generator
 
-from pytest_pafot import Scenario, ScenarioError, Trace, World, WorldError
-from pytest_pafot.attribution.responsibility import rss_rule
-from pytest_pafot.corpus.reader import load, located
+from pytest_pafot import Run, Scenario, Trace, World, WorldError, load
 from pytest_pafot.extending import (
     SUFFIX,
-    GymEnvironment,
     checked_action,
     drawn_space,
     files_below,
-    road_start,
     sample,
-    space_on,
+    space_of,
 )
 from pytest_pafot.support.errors import checked_number
 from pytest_pafot.world.driving.observations import observe_fast
-from pytest_pafot.world.engines.episode import Start, Step
-from pytest_pafot.world.engines.ordinary_traffic import CompiledSteps, why_not
+from pytest_pafot.world.engines.ordinary_traffic import stepped
 from pytest_pafot.world.engines.policies import begin
 from pytest_pafot.world.guard.hang_guard import HangGuard
-from pytest_pafot.world.run_config import Rules
 
 # A scenario as an episode: it receives actions, runs as in ``World.rollout``, and has the environment's reward.
 
@@ -43,11 +37,11 @@ from pytest_pafot.world.run_config import Rules
 class ScenarioSteps:
     """A run of one scenario that advances by calls of ``step``.
 
-    The environment must have one of highway-env's own ``step``, and the scenario must fit the rules.
+    The world's environment must have one of highway-env's own ``step``, and the scenario must fit the world.
     """
 
-    def __init__(self, environment: GymEnvironment, rules: Rules, scenario: Scenario) -> None:
-        self._run = begin(environment, rules, scenario, HangGuard(rules.hang_limit), None)
+    def __init__(self, world: World, scenario: Scenario) -> None:
+        self._run = begin(world.environment, world.rules, scenario, HangGuard(world.rules.hang_limit), None)
         self._env = self._run.driver.env
         self._env.action_space.seed(scenario.seed)
 
@@ -80,6 +74,9 @@ class ScenarioSteps:
             run.trace = trace = run.vehicles.trace(run.driver)
         return seen, reward, is_terminated, trace is not None and not is_terminated, env._info(seen, action)
 
+
+Step = tuple[Any, float, bool, bool, dict[str, Any]]
+"""What ``step`` of an environment returns."""
 
 Sampler = Callable[[Generator], Scenario]
 Scenarios = str | os.PathLike[str] | Sequence[Scenario] | Sampler | None
@@ -132,12 +129,11 @@ class TrainingEnv(gymnasium.Env[Any, Any]):
         self._scenario = self._drawn(rng) if is_scenario else None
         if self._scenario is not None:
             self._world.check_fits(self._scenario)
-            self._steps = ScenarioSteps(self._world.environment, self._world.rules, self._scenario)
+            self._steps = ScenarioSteps(self._world, self._scenario)
             seen, info = self._steps.reset()
         else:
             seen, info = self._ordinary.reset(seed=int(rng.integers(2**31)))
-            start = Start(outer=self._ordinary, seen=seen, ads=None, kind="policy", guard=self._guard)
-            self._steps = self._ordinary if why_not(start) else CompiledSteps(start)
+            self._steps = stepped(self._ordinary, seen, self._guard)
         return seen, self._told(info)
 
     def step(self, action: Any) -> Step:
@@ -156,7 +152,9 @@ class TrainingEnv(gymnasium.Env[Any, Any]):
         return seen, reward, terminated, truncated, self._told(info)
 
     def _told(self, info: dict[str, Any]) -> dict[str, Any]:
-        responsible = "" if self.trace is None or self.trace.collision is None else rss_rule(self.trace).responsibility
+        responsible = ""
+        if self.trace is not None and self.trace.collision is not None:
+            responsible = Run(self.trace).responsibility or "none"
         identity = "" if self._scenario is None else self._scenario.id
         return {**info, "is_scenario": bool(identity), "scenario": identity, "responsible": responsible}
 
@@ -194,7 +192,7 @@ def training_env(world: World, scenarios: Scenarios = None, share: float = 0.5) 
 
 def random_scenarios(world: Any) -> Sampler:
     """Return a sampler of random scenarios, like the first scenarios of a search with default settings in a world."""
-    return partial(sample, space_on(world, drawn_space(world, {}), road_start(world)))
+    return partial(sample, space_of(world, drawn_space(world, {})))
 
 
 def _sampler(world: World, scenarios: Scenarios) -> Sampler:
@@ -229,9 +227,7 @@ def _saved_in(folder: Path, world: World) -> list[Scenario]:
         raise ValueError(f"scenarios: expected a folder with saved scenarios, *{SUFFIX}, received {received}; {fix}")
     scenarios = []
     for file in files:
-        scenarios.append(load(file).scenario)
-        try:
-            world.check_fits(scenarios[-1])
-        except (ScenarioError, WorldError) as error:
-            raise located(file, "scenario", error) from error
+        saved = load(file)
+        saved.check_fits(world)
+        scenarios.append(saved.scenario)
     return scenarios

@@ -82,7 +82,7 @@ def pytest_configure(config: pytest.Config) -> None:
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
-    """Let the extra of named scenarios make the items of the first test that asks for them, and of later ones."""
+    """Let the hooks of named scenarios make the items of the first test that asks for them, and of later ones."""
     is_known = metafunc.config.pluginmanager.has_plugin("pafot-catalogue")
     if not is_known and metafunc.definition.get_closest_marker(CATALOGUE_MARK) is not None:
         _drive_catalogue(metafunc.config).pytest_generate_tests(metafunc)  # it is too late for this call of the hook
@@ -90,9 +90,9 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
 
 def _drive_catalogue(config: pytest.Config) -> Any:
     """Register the hooks of named scenarios, and return them."""
-    from pytest_pafot.door import CATALOGUED, opened  # noqa: PLC0415
+    from pytest_pafot.plugin.catalogue_item import Catalogued  # noqa: PLC0415
 
-    _register(config, {"catalogue": opened(CATALOGUED)()})
+    _register(config, {"catalogue": Catalogued()})
     return config.pluginmanager.get_plugin("pafot-catalogue")
 
 

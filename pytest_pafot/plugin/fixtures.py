@@ -109,28 +109,23 @@ def pafot_simulate(pafot_world: WorldLike) -> Simulate:
     """
     from pytest_pafot.campaign.verdict import ads_text  # noqa: PLC0415
     from pytest_pafot.execution.pool import ProcessLostError  # noqa: PLC0415
-    from pytest_pafot.execution.runner import driven_first, ended  # noqa: PLC0415
+    from pytest_pafot.execution.runner import driving  # noqa: PLC0415
     from pytest_pafot.findings.finding import ads_failure  # noqa: PLC0415
     from pytest_pafot.model.grid import Cell  # noqa: PLC0415
     from pytest_pafot.model.scenario import PositionInstruction, Scenario  # noqa: PLC0415
     from pytest_pafot.model.trace import Outcome  # noqa: PLC0415
-    from pytest_pafot.oracle.run import Run  # noqa: PLC0415
     from pytest_pafot.world import Highway  # noqa: PLC0415
-    from pytest_pafot.world.guard.own_worlds import rollout_of  # noqa: PLC0415
-    from pytest_pafot.world.protocol import reference_world, taking_over  # noqa: PLC0415
 
     def simulate(scenario: Scenario, ads_factory: AdsFactory, world: WorldLike | None = None) -> Run:
         world = pafot_world if world is None else world
         end = ""
-        with driven_first(world, ads_factory) as drive:
+        with driving(world, ads_factory) as drive:
             try:
-                drive(scenario)
+                run = drive(scenario)
             except ProcessLostError as lost:
-                end = ended(lost)
+                end = lost.advice
         if end:
             pytest.fail(end, pytrace=False)
-        trace = rollout_of(world)(scenario, ads_factory)
-        run = Run(trace, world=reference_world(world), take_over=taking_over(world, trace))
         failure = ads_failure(run)
         if failure is not None:  # Such a run is short, and would pass most assertions that something did not happen.
             pytest.fail(ads_text(failure), pytrace=False)

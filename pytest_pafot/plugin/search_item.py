@@ -15,6 +15,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import pytest
 
 from pytest_pafot.campaign.events import (
@@ -27,10 +28,10 @@ from pytest_pafot.campaign.events import (
     SearchStarted,
     SearchSummary,
 )
-from pytest_pafot.campaign.harness import Harness, checked_factory, is_revision, reference_of, source_file
-from pytest_pafot.campaign.options import BY_NAME, Settings
+from pytest_pafot.campaign.harness import Harness, checked_factory, is_revision, reference_of
+from pytest_pafot.campaign.options import BY_NAME, OF_COMMAND, Settings
 from pytest_pafot.campaign.replays import Replays
-from pytest_pafot.campaign.request import Request, build_world
+from pytest_pafot.campaign.request import AgainstError, Request, build_space, build_world
 from pytest_pafot.campaign.resuming import check_states
 from pytest_pafot.campaign.search import (
     AFTER_A_DEATH,
@@ -40,7 +41,7 @@ from pytest_pafot.campaign.search import (
     prepared,
     time_limit,
 )
-from pytest_pafot.campaign.verdict import PlainFailure, Test
+from pytest_pafot.campaign.verdict import PlainFailure, Test, source_file
 from pytest_pafot.corpus.layout import SUFFIX, chosen_folder, files_in, folder_of_test, link_below
 from pytest_pafot.corpus.saved import refusal
 from pytest_pafot.door import REFERENCES, opened
@@ -61,7 +62,8 @@ from pytest_pafot.plugin.session import SHARED, is_worker, records_folder
 from pytest_pafot.report import terminal
 from pytest_pafot.searching.events import GenerationFinished
 from pytest_pafot.searching.plain import plain
-from pytest_pafot.support.errors import OF_SEARCH, RequestError, command, flag, rerun
+from pytest_pafot.searching.space import sample
+from pytest_pafot.support.errors import OF_SEARCH, RequestError, RevisionError, command, flag, rerun
 from pytest_pafot.support.files import remove_unfinished
 from pytest_pafot.support.source_files import files_line, source_digests
 from pytest_pafot.support.text import plural
@@ -116,7 +118,7 @@ def harness_of(item: pytest.Function, request: Request, *, writes: bool = True) 
     name, root = node_ids.qualified_name(item), item.config.rootpath
     folder = folder_of_test(item.path, name, request.settings.corpus, root)
     ads, against, resume = request.ads, request.settings.against, request.settings.resume
-    revision = opened(REFERENCES).revision_of(item, request) if is_revision(against) else None
+    revision = _revision_of(item, request)
     here = item.config.invocation_params.dir
     link = link_below(chosen_folder(item.path, request.settings.corpus), folder)
     tidied = item.config.stash.setdefault(TIDIED, set())
@@ -161,6 +163,47 @@ def harness_of(item: pytest.Function, request: Request, *, writes: bool = True) 
         if not known[harness.node_id]:
             return harness
     return replace(harness, request=replace(request, settings=replace(request.settings, isolate=False)))
+
+
+def _revision_of(item: pytest.Item, request: Request) -> Any:
+    """Return the policy of an item's test in the revision that its request names; None if it names none.
+
+    Raises:
+        AgainstError: if there is no such revision, or its policy cannot be built.
+    """
+    against = request.settings.against
+    if not is_revision(against):
+        return None
+    names = node_ids.base_id(item), node_ids.qualified_name(item), os.environ.get(OF_COMMAND, "")
+    try:
+        return opened(REFERENCES).revision_of(item, against, request.settings.copy or "", *names)
+    except RevisionError as error:
+        raise AgainstError(str(error)) from None
+
+
+def _compare(item: pytest.Item, harness: Harness) -> None:
+    """Send lines on the policy and its reference. Skip the item if both are the same.
+
+    Raises:
+        AgainstError: if the policy of a revision cannot be driven, or git fails.
+    """
+    found, against = _revision_of(item, harness.request), harness.against
+    lines, same = list[str](), ""
+    if not harness.request.settings.is_search:
+        return
+    if found is not None:
+        scenario = sample(build_space(harness.request, harness.world), np.random.default_rng(0))
+        try:
+            lines, same = opened(REFERENCES).compared(found, harness.world, scenario)
+        except RevisionError as error:
+            raise AgainstError(str(error)) from None
+    elif against is not None:
+        before, after = (source_digests(ads, here=harness.root) for ads in (against.ads, harness.ads))
+        lines = [files_line(against.shown, before, "now", after)]
+    for line in (*lines, same) if same else lines:
+        messages.send(item, "compared", {"text": line})
+    if same:
+        pytest.skip(same)
 
 
 def _checked_executor(given: object) -> Executor | None:
@@ -243,11 +286,8 @@ def run_search(item: pytest.Function, request: Request) -> None:
     limit = time_limit(settings, now=now, began=shared.began, left=searches_left(item))
     with runs_end_in(max(limit.until - now, LEAST_TO_BUILD)):  # for the policy of a revision, in its own process
         harness = harness_of(item, request)
-        if settings.is_search and is_revision(settings.against):
-            opened(REFERENCES).compare(item, harness)
-        elif settings.is_search and harness.against is not None:
-            before, after = (source_digests(ads, here=harness.root) for ads in (harness.against.ads, harness.ads))
-            messages.send(item, "compared", {"text": files_line(harness.against.shown, before, "now", after)})
+        if harness.against is not None:
+            _compare(item, harness)
     replays = Replays(harness=harness, in_own_session=partial(replay_in_own_session, item), today=today)
     # If this policy has killed a process before, it runs in processes that may die of it.
     chosen = isolated_after_a_death(harness, replays)

@@ -5,8 +5,6 @@ A page has a list of findings, an article on each, and each search. Without its 
 
 from __future__ import annotations
 
-import base64
-import hashlib
 import json
 import os
 import pickle
@@ -47,7 +45,8 @@ from pytest_pafot.report.page_data import (
 )
 from pytest_pafot.support.errors import flag
 from pytest_pafot.support.files import write_whole
-from pytest_pafot.support.text import plural, quiet_json, visible_lines
+from pytest_pafot.support.markup import content_hash, json_in_script
+from pytest_pafot.support.text import plural, visible_lines
 from pytest_pafot.support.traced import Traced
 from pytest_pafot.support.versions import installed_versions
 
@@ -543,11 +542,6 @@ def data_json(report: Report) -> str:
     return json_in_script(json.dumps(data, ensure_ascii=True, allow_nan=False, separators=(",", ":")))
 
 
-def json_in_script(plain: str) -> str:
-    """Return equal JSON that is safe inside a ``<script>`` element: nothing in it ends the element."""
-    return quiet_json(plain).replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
-
-
 def _nothing_found(report: Report) -> str:
     """Return the sentence on a page without findings. It says that the property held only if nothing was cut short."""
     ends = {view.reason for view in report.campaigns}
@@ -560,11 +554,6 @@ def _nothing_found(report: Report) -> str:
     if "time" in ends:
         return "No findings before time ran out. The property held in every run that was evaluated by then."
     return "No findings. The property held in every evaluated run."
-
-
-def content_hash(content: str) -> str:
-    """Return the hash with which a page's policy allows a style or a script."""
-    return f"'sha256-{base64.b64encode(hashlib.sha256(content.encode()).digest()).decode()}'"
 
 
 def _asset(name: str) -> str:

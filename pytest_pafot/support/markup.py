@@ -1,11 +1,13 @@
-"""Texts from users, files and exceptions in Markdown: nothing in them becomes markup, a mention or a link."""
+"""Texts from users, files and exceptions in Markdown and HTML: nothing in them becomes markup, a mention or a link."""
 
 from __future__ import annotations
 
+import base64
+import hashlib
 import re
 from types import MappingProxyType
 
-from pytest_pafot.support.text import visible
+from pytest_pafot.support.text import quiet_json, visible
 
 MAX_TEXT = 300
 """The largest number of characters of a user's text. A longer text is cut."""
@@ -36,3 +38,13 @@ def code(text: str) -> str:
 def _one_line(text: str) -> str:
     line = " ".join(visible(text).split())
     return line if len(line) <= MAX_TEXT else f"{line[:MAX_TEXT]}..."
+
+
+def json_in_script(plain: str) -> str:
+    """Return equal JSON that is safe inside a ``<script>`` element: nothing in it ends the element."""
+    return quiet_json(plain).replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
+
+
+def content_hash(content: str) -> str:
+    """Return the hash with which a page's policy allows a style or a script."""
+    return f"'sha256-{base64.b64encode(hashlib.sha256(content.encode()).digest()).decode()}'"

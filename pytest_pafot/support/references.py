@@ -16,6 +16,9 @@ from pytest_pafot.support.text import one_line
 MOST_NAMES = 8
 """The largest number of a module's names that an error lists."""
 
+REVISION = "rev:"
+"""The prefix of a reference that is a revision of the repository."""
+
 
 def factory_named(reference: str, what: str = "a factory") -> Callable[..., Any]:
     """Import the factory that a text such as ``module:factory`` or ``module:factory:argument`` refers to.

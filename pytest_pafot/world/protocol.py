@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import inspect
 from bisect import bisect_left
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from types import FunctionType
-from typing import Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import numpy as np
 
@@ -22,7 +22,7 @@ from pytest_pafot.model.crossings import Crossings
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.scenario import PositionInstruction, Scenario, ScenarioError
 from pytest_pafot.model.trace import Trace
-from pytest_pafot.oracle.run import ReferenceWorld
+from pytest_pafot.oracle.run import ReferenceWorld, Run
 from pytest_pafot.support.errors import driven_by, plain_number
 from pytest_pafot.world.driving.ads import AdsFactory, is_vehicle_class
 from pytest_pafot.world.kernel.action import Drive
@@ -30,6 +30,9 @@ from pytest_pafot.world.kernel.observation import Observation
 from pytest_pafot.world.limits import HANG_LIMIT
 from pytest_pafot.world.roads.network import Meeting
 from pytest_pafot.world.roads.straight import StraightRoad
+
+if TYPE_CHECKING:
+    from pytest_pafot.searching.space import SearchSpace
 
 
 @dataclass(frozen=True, slots=True)
@@ -203,6 +206,13 @@ def road_start(world: Any) -> RoadStart | None:
     return None if start is None else RoadStart(*start, physics_hz=world.physics_hz)
 
 
+def space_of(world: Any, given: Mapping[str, Any]) -> SearchSpace:
+    """Return the space of scenarios with the given fields that fits a world, see ``space_on``."""
+    from pytest_pafot.searching.space import space_on  # noqa: PLC0415  (slow to import, and many worlds need none)
+
+    return space_on(world, given, road_start(world))
+
+
 def unused_roads(world: Any) -> frozenset[Meeting]:
     """Return how roads without NPCs meet the ego's way (crossing, joining, oncoming), if the world's class states it.
 
@@ -372,6 +382,12 @@ def taking_over(world: Any, trace: Trace) -> TakingOver | None:
     by_decisions = STEADY_BRAKING not in declared and resumable(world) is not None and looks_si(trace.actions)
     drivers = (*declared, STEADY_BRAKING) if by_decisions else declared
     return TakingOver(world, drivers, by_decisions) if drivers else None
+
+
+def run_of(world: Any, trace: Trace, decision_limit: float | None = None) -> Run:
+    """Return a trace that was made in a world as a test function sees it."""
+    take_over = taking_over(world, trace)
+    return Run(trace, decision_limit=decision_limit, world=reference_world(world), take_over=take_over)
 
 
 def looks_si(actions: Sequence[Any]) -> bool:

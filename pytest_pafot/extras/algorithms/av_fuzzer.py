@@ -9,12 +9,12 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import ClassVar
+from typing import ClassVar, Literal
 
 import numpy as np
 from numpy.random import Generator
 
-from pytest_pafot import LaneInstruction, Scenario
+from pytest_pafot import Chromosome, LaneInstruction, Scenario
 from pytest_pafot.extending import (
     AlgorithmEvent,
     Evaluation,
@@ -27,12 +27,11 @@ from pytest_pafot.extending import (
     check_ask,
     check_evaluations,
     check_parameters,
+    end_of_local_search,
+    sample_manoeuvres,
 )
-from pytest_pafot.model.scenario import SHIFTS, SPEED_STEPS_PER_MPS
-from pytest_pafot.searching.ask_tell import end_of_local_search
-from pytest_pafot.searching.operators import with_chain
-from pytest_pafot.searching.space import sample_manoeuvres
 
+ACTIONS: tuple[Literal["keep", "left", "right"], ...] = ("keep", "left", "right")  # the lanes of a Lane-Instruction
 LANE_CHANGE = 34.0  # weight of a lane change in the distance of two scenarios, in which speeds count in m/s
 RESTART_CANDIDATES = 1000
 LEAST_WEIGHT = 0.001  # replaces a fitness of 0, which the roulette would never select
@@ -217,14 +216,13 @@ class AvFuzzerSearch:
 def swapped(a: Scenario, b: Scenario, rng: Generator) -> tuple[Scenario, Scenario]:
     """Swap the NPCs of two scenarios that have the same random index."""
     npc = int(rng.integers(len(a.npcs)))
-    first, second = with_chain(a.npcs, npc, b.npcs[npc]), with_chain(b.npcs, npc, a.npcs[npc])
-    return replace(a, npcs=first), replace(b, npcs=second)
+    return _with(a, npc, b.npcs[npc]), _with(b, npc, a.npcs[npc])
 
 
 def mutated(scenario: Scenario, space: SearchSpace, rng: Generator) -> Scenario:
     """Give a random manoeuvre of a random NPC a new speed, a new action or no change, with equal probability.
 
-    Speeds are sampled as in :func:`~pytest_pafot.searching.space.sample_manoeuvres`.
+    Speeds are sampled as in ``sample_manoeuvres``.
     """
     npc = int(rng.integers(len(scenario.npcs)))
     chain = scenario.npcs[npc]
@@ -233,10 +231,14 @@ def mutated(scenario: Scenario, space: SearchSpace, rng: Generator) -> Scenario:
     assert isinstance(gene, LaneInstruction), "AV-Fuzzer's scenarios have Lane-Instructions"  # noqa: S101
     kind = int(rng.integers(3))
     if kind == 0:
-        gene = replace(gene, speed=int(rng.integers(space.low_step, space.top_step + 1)) / SPEED_STEPS_PER_MPS)
+        gene = replace(gene, speed=int(rng.integers(space.low_step, space.top_step + 1)) / 10)
     elif kind == 1:
-        gene = replace(gene, lane=SHIFTS[int(rng.integers(len(SHIFTS)))])
-    return replace(scenario, npcs=with_chain(scenario.npcs, npc, (*chain[:index], gene, *chain[index + 1 :])))
+        gene = replace(gene, lane=ACTIONS[int(rng.integers(len(ACTIONS)))])
+    return _with(scenario, npc, (*chain[:index], gene, *chain[index + 1 :]))
+
+
+def _with(scenario: Scenario, npc: int, chain: Chromosome) -> Scenario:
+    return replace(scenario, npcs=(*scenario.npcs[:npc], chain, *scenario.npcs[npc + 1 :]))
 
 
 def roulette(population: Sequence[Evaluation], rng: Generator) -> tuple[Evaluation, ...]:

@@ -18,8 +18,7 @@ import numpy as np
 from numpy.random import Generator
 
 from pytest_pafot import Scenario
-from pytest_pafot.extending import Evaluation, GenerationalSearch, GenerationState, repaired
-from pytest_pafot.searching.space import chains_of, fresh_seed
+from pytest_pafot.extending import Evaluation, GenerationalSearch, GenerationState, scenario_of
 
 if TYPE_CHECKING:
     from cmaes import CatCMAwM
@@ -62,7 +61,7 @@ class CmaEsSearch(GenerationalSearch[CmaEsState]):
             z_space=[list(range(space.low_step, space.top_step + 1))] * (space.npcs * space.genes),
             c_space=[8, *[3] * (space.genes - 1)] * space.npcs,
             population_size=self.population,
-            seed=fresh_seed(rng),
+            seed=int(rng.integers(2**31)),
         )
         return CmaEsState(optimiser=optimiser)
 
@@ -76,7 +75,7 @@ class CmaEsSearch(GenerationalSearch[CmaEsState]):
             speeds = np.asarray(solution.z).round().astype(int).reshape(shape)
             # The first choice is a cell; each of the others is a step on the ring: -1, 0 or 1.
             cells = np.cumsum(np.hstack([choices[:, :1], choices[:, 1:] - 1]), axis=1) % 8 + 1
-            proposed.append(repaired(chains_of(cells.tolist(), speeds.tolist()), fresh_seed(rng), space))
+            proposed.append(scenario_of(cells.tolist(), speeds.tolist(), space, rng))
         return replace(state, optimiser=optimiser, solutions=solutions), proposed
 
     def learn(self, state: CmaEsState, evaluations: Sequence[Evaluation], rng: Generator) -> CmaEsState:

@@ -16,10 +16,16 @@ import numpy as np
 from numpy.random import Generator
 
 from pytest_pafot import Scenario
-from pytest_pafot.extending import Evaluation, GenerationState, mutate
-from pytest_pafot.model.crossings import SLOTS, Crossings
-from pytest_pafot.searching.algorithms.distinct import NicheSearch, meeting_place
-from pytest_pafot.searching.operators import first_crossed
+from pytest_pafot.extending import (
+    Evaluation,
+    GenerationState,
+    NicheSearch,
+    SearchSpace,
+    first_crossed,
+    meeting_place,
+    mutate,
+)
+from pytest_pafot.model.crossings import SLOTS
 
 if TYPE_CHECKING:
     from ribs.archives import GridArchive
@@ -75,12 +81,12 @@ class MapElitesSearch(NicheSearch[MapElitesState]):
         archive.add(
             solution=np.arange(first, first + len(eligible), dtype=np.float64)[:, None],
             objective=np.array([each.fitness for each in eligible]),
-            measures=np.array([niche(each, self.space.crossings) for each in eligible]),
+            measures=np.array([niche(each, self.space) for each in eligible]),
         )
         return replace(state, archive=archive, evaluations=(*state.evaluations, *eligible))
 
 
-def niche(evaluation: Evaluation, crossings: Crossings | None = None) -> tuple[float, float]:
+def niche(evaluation: Evaluation, space: SearchSpace) -> tuple[float, float]:
     """Return the place of a run in the archive: the cell of the impact, 0 without one, and the closing speed [m/s].
 
     Instead of a cell, numbers from 9 stand for the zones and slots of NPCs that cross.
@@ -88,5 +94,5 @@ def niche(evaluation: Evaluation, crossings: Crossings | None = None) -> tuple[f
     hit = evaluation.collision
     if hit is None:
         return NO_IMPACT, 0.0
-    place = meeting_place(evaluation, crossings) if hit.npc == evaluation.crossing else None
+    place = meeting_place(evaluation, space.crossings) if hit.npc == evaluation.crossing else None
     return float(hit.cell or NO_IMPACT) if place is None else 9.0 + place, hit.closing_speed

@@ -7,18 +7,25 @@ Source: Deb et al., "A fast and elitist multiobjective genetic algorithm: NSGA-I
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import ClassVar
 
 import numpy as np
 from numpy.random import Generator
 
-from pytest_pafot import CrossingInstruction, PositionInstruction, Scenario
-from pytest_pafot.extending import Evaluation, FloatArray, GenerationalSearch, GenerationState, check_parameters, sample
+from pytest_pafot import Chromosome, CrossingInstruction, PositionInstruction, Scenario
+from pytest_pafot.extending import (
+    Evaluation,
+    FloatArray,
+    GenerationalSearch,
+    GenerationState,
+    check_parameters,
+    sample,
+    varied,
+)
 from pytest_pafot.model.crossings import slot_name
-from pytest_pafot.model.scenario import Gene, retimed
-from pytest_pafot.searching.operators import varied
+from pytest_pafot.model.scenario import retimed
 
 WORST = 1e9  # the objectives of an ineligible run; finite, because crowding is a difference
 
@@ -125,12 +132,14 @@ def cells_of(evaluations: Sequence[Evaluation]) -> FloatArray:
     places: dict[tuple[str, str] | str, int] = {}
     for index, npcs in enumerate(chains):
         for npc, chain in enumerate(npcs):
-            cells[index, npc, : len(chain)] = [_number(gene, places) for gene in chain]
+            cells[index, npc, : len(chain)] = [*_numbers(chain, places)]
     return cells.reshape(len(chains), -1)
 
 
-def _number(gene: Gene, places: dict[tuple[str, str] | str, int]) -> int:
-    if isinstance(gene, PositionInstruction):
-        return gene.cell
-    place = (gene.zone, slot_name(gene.slot)) if isinstance(gene, CrossingInstruction) else str(gene.target)
-    return 9 + places.setdefault(place, len(places))
+def _numbers(chain: Chromosome, places: dict[tuple[str, str] | str, int]) -> Iterator[int]:
+    for gene in chain:
+        if isinstance(gene, PositionInstruction):
+            yield gene.cell
+        else:
+            place = (gene.zone, slot_name(gene.slot)) if isinstance(gene, CrossingInstruction) else str(gene.target)
+            yield 9 + places.setdefault(place, len(places))

@@ -12,16 +12,13 @@ from pathlib import Path
 from typing import Any, TextIO
 
 from pytest_pafot import Run, WorldLike
-from pytest_pafot.attribution.responsibility import position_rule
 from pytest_pafot.campaign import run_table
 from pytest_pafot.campaign.run_table import Row, RunTable
 from pytest_pafot.extending import (
     Evaluated,
     Failure,
-    SearchEvent,
     SetupFaultError,
     ads_factory,
-    ads_failure,
     caution,
     of_failure,
     prepared,
@@ -32,7 +29,7 @@ from pytest_pafot.extending import (
 )
 from pytest_pafot.extras.comparison.plan import DIFFERENT, Plan
 from pytest_pafot.extras.resumable import ResumableJob, Task, Tick, claim, run_job
-from pytest_pafot.findings.finding import event_of
+from pytest_pafot.findings.finding import ads_failure, event_of
 from pytest_pafot.support.errors import RequestError
 from pytest_pafot.support.text import csv_text
 
@@ -120,7 +117,7 @@ def run_rows(plan: Plan, algorithm: str, run: int, tick: Tick = lambda share: No
     request = replace(request, settings=replace(request.settings, max_saved=0))
     table, seconds = RunTable(seed=seed, more=_of_run), 0.0
 
-    def listen(event: SearchEvent) -> None:
+    def listen(event: Any) -> None:
         nonlocal seconds
         table.see(event)
         if isinstance(event, Evaluated):
@@ -168,7 +165,7 @@ def _of_run(run: Run) -> Row:
     return {
         "cell": None if hit is None or hit.cell is None else int(hit.cell),
         "zone": None if hit is None else event_of(run, failure).zone,
-        "position_responsibility": None if hit is None else position_rule(run.trace),
+        "position_responsibility": None if hit is None else run.second_opinion or "none",
         "signature": signature,
     }
 

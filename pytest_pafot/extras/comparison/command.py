@@ -13,7 +13,7 @@ from typing import Any
 
 from pytest_pafot import Highway, World
 from pytest_pafot.campaign.request import BLAMES, SPACE_ARGUMENTS
-from pytest_pafot.extending import ALGORITHMS, drawn_space, road_start, space_on
+from pytest_pafot.extending import ALGORITHMS, drawn_space, space_of
 from pytest_pafot.extras.comparison.algorithm_run import run_all
 from pytest_pafot.extras.comparison.plan import Plan, checked
 from pytest_pafot.extras.resumable import AGAIN, worker_count, written_into
@@ -148,7 +148,7 @@ def plan_of(arguments: argparse.Namespace) -> Plan:
         world.check()
     given = {name: value for name in SPACE_ARGUMENTS if (value := getattr(arguments, name, None)) is not None}
     try:
-        space = space_on(world, given, road_start(world))
+        space = space_of(world, given)
     except ValueError as error:
         raise RequestError(str(error)) from None
     generations = None if arguments.seconds is not None else arguments.generations

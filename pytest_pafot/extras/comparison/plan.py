@@ -16,7 +16,7 @@ from pytest_pafot.extending import (
     AlgorithmClass,
     SearchSpace,
     ads_factory,
-    crossings,
+    code_of,
     identity,
     resolve_algorithm,
 )
@@ -27,7 +27,6 @@ from pytest_pafot.support.references import referred_to
 from pytest_pafot.support.source_files import source_digests
 from pytest_pafot.support.text import plural
 from pytest_pafot.support.versions import installed_versions
-from pytest_pafot.world import codec
 
 DIFFERENT = (
     "the algorithms have different scenarios, so differences between these groups may be due to the scenarios; "
@@ -108,7 +107,7 @@ class Plan:
         return {
             "plan": asdict(replace(self, algorithms=(), runs=1)),
             "policy": identity(self.ads),
-            "code": source_digests(own_fitness, *codec.code_of(world_of(self)), here=Path.cwd()),
+            "code": source_digests(own_fitness, *code_of(world_of(self)), here=Path.cwd()),
             "versions": installed_versions(),
         }
 
@@ -145,7 +144,7 @@ class Plan:
         than the genes of the plan. Sampled durations of genes stay sampled.
         """
         entrant, seconds, own = self.entrant(name), self.entrant(name).seconds, world_of(self)
-        drawn = {} if entrant.has_papers_scenarios else {**self.drawn, "crossings": crossings(own)}
+        drawn = {} if entrant.has_papers_scenarios else {**self.drawn, "crossings": getattr(own, "crossings", None)}
         space = SearchSpace(**{**self.space, **drawn})
         if seconds is None:
             return own, space

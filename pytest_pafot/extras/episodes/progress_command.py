@@ -25,10 +25,8 @@ import numpy as np
 
 from pytest_pafot import Highway, Outcome, Run, World, WorldError, explore
 from pytest_pafot.campaign.harness import same_policy
-from pytest_pafot.campaign.options import REVISION
 from pytest_pafot.campaign.setup_fault import FirstGeneration
 from pytest_pafot.campaign.verdict import worst_margins
-from pytest_pafot.commands.policy_reference import BAD_USE
 from pytest_pafot.corpus.layout import CORPUS
 from pytest_pafot.execution.runner import runner_here
 from pytest_pafot.execution.scenario_pool import METHOD
@@ -50,10 +48,8 @@ from pytest_pafot.extending import (
     replays_of,
     request_of,
     require,
-    road_start,
     sample,
-    source_file,
-    space_on,
+    space_of,
 )
 from pytest_pafot.extras.episodes.rate import CHUNK, PLANNER, EpisodeRow, driven, p_text
 from pytest_pafot.extras.resumable import ResumableJob, Task, Tick, run_job, worker_count
@@ -61,13 +57,12 @@ from pytest_pafot.extras.revisions.revision import PROCESS, revision_at
 from pytest_pafot.extras.revisions.revision_policy import RevisionPolicy
 from pytest_pafot.extras.revisions.revision_process import Served
 from pytest_pafot.findings.severity import WORSE_BY, worsening
-from pytest_pafot.support.errors import RequestError, RevisionError, command
+from pytest_pafot.support.errors import AdsFactoryError, RequestError, RevisionError, command
 from pytest_pafot.support.files import way_out, write_whole
 from pytest_pafot.support.proportions import LEVEL, difference, holm, mcnemar
-from pytest_pafot.support.references import described
+from pytest_pafot.support.references import REVISION, described
 from pytest_pafot.support.text import ascii_text, csv_text, markdown_table, one_line, plural, visible
 from pytest_pafot.support.versions import installed_versions
-from pytest_pafot.world import AdsFactoryError
 from pytest_pafot.world.protocol import first_decision
 
 # Comparison of two versions of a policy in the same situations, as values and in words.
@@ -309,13 +304,13 @@ class ProgressPlan:
     def judged(self, side: str, numbers: range) -> Iterator[tuple[Run, Verdict]]:
         """Run random scenarios with a policy; each scenario depends only on the seed and its number."""
         world = self.world
-        space = space_on(world, drawn_space(world, {}), road_start(world))
+        space = space_of(world, drawn_space(world, {}))
         scenarios = [sample(space, np.random.default_rng((self.seed, number))) for number in numbers]
         with runner_here(world, self.factory(side)) as runner:
             runner.announce(scenarios)
             for scenario in scenarios:
                 run = Run(runner.run(scenario), world=reference_world(world))
-                yield run, judge(run, self.holds, blame="ego", test_file=source_file(self.holds))
+                yield run, judge(run, self.holds, blame="ego")
 
     @property
     def job(self) -> ResumableJob:
@@ -600,7 +595,7 @@ def run(given: argparse.Namespace, command: Sequence[str]) -> int:
         if isinstance(error, ChildProcessError):
             raise
         sys.stderr.write(f"progress: {error}; {way_out(error, 'or give another file')}\n")
-        return BAD_USE
+        return 2
     is_failed = {"worse": "worse" in verdict, "not-better": verdict != "better" and not same_as}
     return int(is_failed.get(given.fail_on, False))
 

@@ -11,14 +11,13 @@ from pathlib import Path
 from typing import Any
 
 from pytest_pafot import Outcome, World
-from pytest_pafot.extending import AdsError, AdsFactory, ads_factory, caution, identity
+from pytest_pafot.extending import AdsError, AdsFactory, ads_factory, caution, code_of, identity
 from pytest_pafot.extras.resumable import ResumableJob, Task, Tick
 from pytest_pafot.support.errors import RequestError
 from pytest_pafot.support.proportions import CONFIDENCE, interval, interval_text, mcnemar
 from pytest_pafot.support.source_files import source_digests
 from pytest_pafot.support.text import csv_text, plural
 from pytest_pafot.support.versions import installed_versions
-from pytest_pafot.world import codec
 
 # Results of episodes: crashes per episode and per hour, and a comparison of two policies on the same seeds.
 
@@ -254,7 +253,7 @@ class RatePlan:
         told = {
             "plan": question,
             "policies": {name: identity(name) for name in names},
-            "code": source_digests(*codec.code_of(self.world), here=Path.cwd()),
+            "code": source_digests(*code_of(self.world), here=Path.cwd()),
             "versions": installed_versions(),
         }
         return ResumableJob(

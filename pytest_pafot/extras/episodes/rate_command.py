@@ -33,7 +33,6 @@ from pytest_pafot.extras.episodes.rate import (
 from pytest_pafot.extras.resumable import AGAIN, printing_elsewhere, run_job, worker_count, written_into
 from pytest_pafot.report.animation import AnimationError, animate
 from pytest_pafot.report.page_data import EventView, FindingView, LaneView, RoadView, VehicleView
-from pytest_pafot.report.views import FRAMES_PER_SECOND
 from pytest_pafot.support.errors import RequestError, command
 from pytest_pafot.support.files import write_whole
 from pytest_pafot.support.proportions import CONFIDENCE, interval, percent
@@ -48,6 +47,8 @@ if TYPE_CHECKING:
 
 # The end of an episode as an animated picture, in the style of the pictures of findings.
 
+FRAMES_PER_SECOND = 7
+"""Approximate number of frames of a picture per second of the episode."""
 NEAREST = 7
 """The number of other vehicles in a picture, which are the nearest to the ego at the end of the episode."""
 

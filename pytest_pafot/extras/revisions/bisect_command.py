@@ -16,8 +16,8 @@ from typing import Any
 
 from pytest_pafot import load
 from pytest_pafot.campaign.options import BY_NAME
-from pytest_pafot.commands.history import History, copied, halved, inside
 from pytest_pafot.extending import named_file
+from pytest_pafot.extras.revisions.commits import History, copied, halved, inside
 from pytest_pafot.extras.revisions.revision_policy import mapped
 from pytest_pafot.support.errors import RequestError, command, flag
 from pytest_pafot.support.interrupts import undisturbed

@@ -14,7 +14,6 @@ from typing import Any
 import pytest
 
 from pytest_pafot import Run, Trace
-from pytest_pafot.campaign.replays import FLAKY
 from pytest_pafot.extending import ACCELERATION, SPEED, STEERING, Finding, Verdict, ending, headline
 from pytest_pafot.extras.revisions.bisect_command import ALIVE, TOLD
 from pytest_pafot.findings.finding import is_same_failure, replay_label, unhandled
@@ -48,7 +47,7 @@ def pytest_runtest_teardown(item: pytest.Item) -> None:
     passes, why = judged(mark.args[0].finding, label, run, verdict)
     # The sentence is cut to a line, and names a failure already.
     why = "; ".join(filter(None, [why, note.partition(":")[0] if passes is False else note]))
-    is_other = passes is None and verdict is not None and verdict.passes and label != FLAKY
+    is_other = passes is None and verdict is not None and verdict.passes and label != "flaky"
     elsewhere = _imported_from_elsewhere()
     if elsewhere:
         passes, is_other, why = None, False, f"the policy was imported from {elsewhere}, which is not the commit's"
@@ -72,8 +71,8 @@ def judged(finding: Finding, label: str, run: Run | None, verdict: Verdict | Non
     """
     if run is None or verdict is None:
         return (False if label == "still failing" else None), "the process died or hung"
-    if label == FLAKY or not (verdict.failed or verdict.passes):
-        return None, label if label == FLAKY else f"the test function did not judge the run: {verdict.kind}"
+    if label == "flaky" or not (verdict.failed or verdict.passes):
+        return None, label if label == "flaky" else f"the test function did not judge the run: {verdict.kind}"
     failure = verdict.failure if verdict.failed else None
     found = replace(finding, found=replace(finding.found, versions={}))
     now = replay_label(found, run, failure, {})

@@ -10,12 +10,12 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
-from pytest_pafot.campaign.options import REVISION
-from pytest_pafot.commands.history import History, copied, is_pointer
 from pytest_pafot.extending import SUFFIX
+from pytest_pafot.extras.revisions.commits import History, copied, is_pointer
 from pytest_pafot.extras.revisions.revision_policy import PACKAGE, RevisionPolicy
 from pytest_pafot.extras.revisions.revision_process import digest_of, imported_elsewhere
 from pytest_pafot.support.errors import RequestError, RevisionError
+from pytest_pafot.support.references import REVISION
 from pytest_pafot.support.source_files import SHOWN, files_line
 from pytest_pafot.support.text import visible
 

@@ -25,7 +25,7 @@ from typing import Any, TypeVar
 
 from pytest_pafot import Scenario, ScenarioError, Trace, WorldError
 from pytest_pafot.execution.elsewhere import DrivesElsewhere
-from pytest_pafot.execution.pool import FAREWELL, LARGEST, POLL, ending
+from pytest_pafot.execution.pool import LARGEST
 from pytest_pafot.extending import ProcessLostError, check_time, rollout_of
 from pytest_pafot.support.errors import AdsFactoryError, RevisionError
 from pytest_pafot.support.text import one_line, visible
@@ -35,6 +35,10 @@ T = TypeVar("T")
 
 LONGEST_BUILD = 300.0
 """The longest time for the imports and the fixtures of a revision [s]."""
+POLL = 0.5
+"""The longest time to wait for an answer before the process is checked [s]."""
+FAREWELL = 2.0
+"""The time for the end of a process that does not answer [s]."""
 LONGEST_END = 10.0
 """The longest time for the end of a process, which tears down the fixtures of its test [s]."""
 STUCK = 86
@@ -235,7 +239,7 @@ class _Process:
             self.close(FAREWELL if is_lost else 0.0)
             if popen is None or not is_lost:
                 raise
-            is_hang, how = popen.returncode == STUCK, ending(popen.returncode)
+            is_hang, how = popen.returncode == STUCK, popen.returncode
             if isinstance(error, TimeoutError):
                 how = f"no answer within {limit:g} s"
             elif is_hang:

@@ -9,7 +9,6 @@ from typing import Any
 
 import pytest
 
-from pytest_pafot.campaign.options import OPTIONS
 from pytest_pafot.extending import checked_factory
 from pytest_pafot.extras.revisions.revision_process import NO_TEST, Served, begun, failed, serve
 from pytest_pafot.plugin.collection import is_search
@@ -19,7 +18,7 @@ from pytest_pafot.support.errors import RevisionError
 from pytest_pafot.world.driving.ads import preload
 
 WITHOUT: Mapping[str, object] = {
-    **dict.fromkeys([*(option.key for option in OPTIONS), "xmlpath", "htmlpath", "basetemp", "report_log"]),
+    **dict.fromkeys(("xmlpath", "htmlpath", "basetemp", "report_log")),
     **dict.fromkeys(("maxfail", "usepdb", "collectonly", "timeout", "reruns"), 0),
     "pafot_runs": 1,
 }
@@ -37,7 +36,8 @@ class Serving:
     @pytest.hookimpl(tryfirst=True)
     def pytest_configure(self, config: pytest.Config) -> None:
         """Replace the options of the user's session that are not meant for this one."""
-        for name, value in WITHOUT.items():
+        own = [name for name in vars(config.option) if name.startswith("pafot_")]
+        for name, value in {**dict.fromkeys(own), **WITHOUT}.items():
             if hasattr(config.option, name):
                 setattr(config.option, name, value)
 

@@ -7,19 +7,15 @@ import re
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
-import numpy as np
 import pytest
 
-from pytest_pafot.campaign.harness import Harness
-from pytest_pafot.campaign.options import OF_COMMAND
-from pytest_pafot.campaign.request import AgainstError, Request, build_space
-from pytest_pafot.extending import ProcessLostError, refusals, sample
+from pytest_pafot import Scenario
+from pytest_pafot.extending import ProcessLostError, refusals
 from pytest_pafot.extras.revisions.revision import PROCESS, Revision, revision_at
 from pytest_pafot.extras.revisions.revision_policy import RevisionPolicy, rolled
 from pytest_pafot.extras.revisions.revision_process import NO_TEST, Served
-from pytest_pafot.plugin import messages
-from pytest_pafot.plugin.node_ids import base_id, qualified_name
 from pytest_pafot.support.errors import OutOfTime, RequestError, RevisionError, flag
 
 REVISIONS: pytest.StashKey[Revisions] = pytest.StashKey()
@@ -44,7 +40,7 @@ class Revisions:
     copies: dict[tuple[Path, str, str], Revision] = field(default_factory=dict)
     known: dict[tuple[str, str], OfTest | RevisionError] = field(default_factory=dict)
 
-    def built(self, item: pytest.Item, against: str, paths: str) -> OfTest:
+    def built(self, item: pytest.Item, against: str, paths: str, name: str, named: str) -> OfTest:
         """Start the process of the policy of an item's test in a revision, which gets the present files of ``paths``.
 
         Raises:
@@ -52,7 +48,6 @@ class Revisions:
         """
         # One copy of the revision is for all tests of a repository, since it may be large.
         here, file = (Path(os.path.realpath(path)) for path in (item.config.invocation_params.dir, item.path))
-        named = os.environ.get(OF_COMMAND, "")
         folder = here if named else file.parent
         key = (next((each for each in (folder, *folder.parents) if (each / ".git").exists()), folder), against, paths)
         if key not in self.copies:
@@ -66,8 +61,8 @@ class Revisions:
             test = file.relative_to(revision.history.root)
             has_file = (revision.tree / test).exists()
             put = test.with_stem(f"{test.stem}_of_now") if has_file else test
-            tried = {"": _of_test(item, revision, test)} if has_file else {}
-            tried[put.as_posix()] = _of_test(item, revision, put)
+            tried = {"": _of_test(item, revision, test, name)} if has_file else {}
+            tried[put.as_posix()] = _of_test(item, revision, put, name)
         for put_at, policy in tried.items():
             if put_at:
                 (revision.tree / put_at).parent.mkdir(parents=True, exist_ok=True)
@@ -90,7 +85,7 @@ class Revisions:
         return OfTest(revision, policy, "" if named else test.as_posix(), put_at)
 
 
-def _of_test(item: pytest.Item, revision: Revision, test: Path) -> RevisionPolicy:
+def _of_test(item: pytest.Item, revision: Revision, test: Path, name: str) -> RevisionPolicy:
     """Return the policy of an item's test in a revision, with the session of this test file there."""
     config, own = item.config, re.compile(rf"{re.escape(str(revision.history.root))}(?=/|$)")
     given = [str(arg) for arg in getattr(config, "workerinput", {}).get("mainargv", ("",))[1:]]
@@ -98,62 +93,63 @@ def _of_test(item: pytest.Item, revision: Revision, test: Path) -> RevisionPolic
     others = {*map(str, config.getoption("file_or_dir", None) or ())}
     arguments = [own.sub(lambda _: str(revision.tree), arg) for arg in given if arg not in others]
     arguments += [str(revision.tree / test), *(["-n0"] if config.pluginmanager.has_plugin("xdist") else [])]
-    return revision.policy("pytest_pafot.extras.revisions.revision_session", qualified_name(item), tuple(arguments))
+    return revision.policy("pytest_pafot.extras.revisions.revision_session", name, tuple(arguments))
 
 
-def revision_of(item: pytest.Item, request: Request) -> OfTest:
-    """Return the policy of an item's test in the revision that its request names.
+def revision_of(item: pytest.Item, against: str, copy: str, test: str, name: str, named: str) -> OfTest:
+    """Return the policy of an item's test in a revision.
+
+    Args:
+        item: the item.
+        against: the revision, with its prefix.
+        copy: the present files that the revision gets.
+        test: the node id of the test, without the plugin's own part.
+        name: the name of the test in its file.
+        named: the policy that a command names, in place of that of a test; or empty.
 
     Raises:
-        AgainstError: if there is no such revision, or its policy cannot be built.
+        RevisionError: if there is no such revision, or its policy cannot be built.
     """
-    against, stash = str(request.settings.against), item.config.stash
+    stash = item.config.stash
     if REVISIONS not in stash:
         stash[REVISIONS] = Revisions(ExitStack())
         item.config.add_cleanup(stash[REVISIONS].stack.close)
-    revisions, key = stash[REVISIONS], (against, base_id(item))
+    revisions, key = stash[REVISIONS], (against, test)
     if key not in revisions.known:
         for other in revisions.known.values():  # Only one process at a time, since models may be large.
             if isinstance(other, OfTest) and other.policy is not None:
                 other.policy.close()
         try:
-            revisions.known[key] = revisions.built(item, against, request.settings.copy or "")
+            revisions.known[key] = revisions.built(item, against, copy, name, named)
         except RevisionError as error:
             revisions.known[key] = error
     known = revisions.known[key]
     if isinstance(known, RevisionError):
-        raise AgainstError(f"against: {known}")
+        raise RevisionError(f"against: {known}")
     return known
 
 
-def compare(item: pytest.Item, harness: Harness) -> None:
-    """Send lines on both sides of a comparison. Skip the item if both policies are the same.
+def compared(found: OfTest, world: Any, scenario: Scenario) -> tuple[list[str], str]:
+    """Return lines on both sides of a comparison with a revision; and a sentence if both policies are the same.
 
-    The policy of a revision drives a run first, so that files that it opens late count as well.
+    The policy of the revision drives a scenario first, so that files that it opens late count as well.
 
     Raises:
-        AgainstError: if the policy of the revision cannot be driven, or git fails.
+        RevisionError: if the policy of the revision cannot be driven, or git fails.
     """
-    found = revision_of(item, harness.request)
-    revision, policy, same = found.revision, found.policy, ""
+    revision, policy = found.revision, found.policy
     if policy is None:
-        lines = [f"the policy is new since {revision.label}: every failure counts"]
-    else:
-        scenario = sample(build_space(harness.request, harness.world), np.random.default_rng(0))
-        try:
-            with refusals():
-                policy.call(rolled, "rollout", harness.world, scenario)
-                seen = policy.call(Served.hashes)
-                seen.pop(found.put, None)
-                lines, same = revision.compared(seen, found.test, is_whole=policy.call(Served.is_whole))
-        except OutOfTime:
-            return  # The search has no time for a run either, and reports it.
-        except ProcessLostError:
-            return  # Each of its runs fails, which the search reports.
-        except RequestError as error:
-            text = str(error).removeprefix(f"{policy.label}: ").removeprefix("ads: ")
-            raise AgainstError(f"against ({policy.label}): {text}") from None
-    for line in (*lines, same) if same else lines:
-        messages.send(item, "compared", {"text": line})
-    if same:
-        pytest.skip(same)
+        return [f"the policy is new since {revision.label}: every failure counts"], ""
+    try:
+        with refusals():
+            policy.call(rolled, "rollout", world, scenario)
+            seen = policy.call(Served.hashes)
+            seen.pop(found.put, None)
+            return revision.compared(seen, found.test, is_whole=policy.call(Served.is_whole))
+    except OutOfTime:
+        return [], ""  # The search has no time for a run either, and reports it.
+    except ProcessLostError:
+        return [], ""  # Each of its runs fails, which the search reports.
+    except RequestError as error:
+        text = str(error).removeprefix(f"{policy.label}: ").removeprefix("ads: ")
+        raise RevisionError(f"against ({policy.label}): {text}") from None

@@ -13,8 +13,8 @@ import numpy as np
 from pytest_pafot import Trace
 from pytest_pafot.extending import HEADING, SPEED, X, Y
 from pytest_pafot.extras.sweeps.maps import KINDS, MARKS, MEANINGS, Kind, Sweep, short
-from pytest_pafot.report.page import content_hash, json_in_script
 from pytest_pafot.support.errors import RequestError, install
+from pytest_pafot.support.markup import content_hash, json_in_script
 from pytest_pafot.support.text import wrapped_to
 
 COLOURS: dict[Kind, str] = {

@@ -28,12 +28,8 @@ from pytest_pafot import (
     Step,
     Traffic,
 )
-from pytest_pafot.extending import crossings
-from pytest_pafot.model.crossings import Crossings
-from pytest_pafot.model.scenario import EGO_LANE
 from pytest_pafot.support.errors import RequestError, plain_number
 from pytest_pafot.support.text import meant
-from pytest_pafot.world.kernel.bodies import NPC_LENGTH
 from pytest_pafot.world.protocol import check_fits, has_manoeuvres, lasting
 
 KMH = 1 / 3.6
@@ -44,6 +40,10 @@ LEAD, LATER = 1.0, 4.0
 """The time before a gap is reached, in which a policy can begin to drive; for a second vehicle, longer [s]."""
 LANE = 4.0
 """The width of the lane that a vehicle crosses when it changes lanes [m]."""
+EGO_LANE = 1
+"""The lane in which the ego starts in a world that does not say."""
+NPC_LENGTH = 5.0
+"""The length of the vehicles of highway-env [m]."""
 NEAR = 0.05
 """The difference up to which a value is that of a range, since scenarios have numbers in steps of 0.1."""
 ALKS = "UN R157, after ASAM OSC-ALKS"
@@ -266,7 +266,7 @@ def _tail(v: Mapping[str, float], world: Any) -> Scenario:
 
 def _at_zone(kind: str) -> Make:
     def make(v: Mapping[str, float], world: Any) -> Scenario:
-        known: Crossings | None = crossings(world)
+        known = getattr(world, "crossings", None)
         zones = () if known is None else tuple(zone for zone in known.zones if zone.kind == kind)
         if known is None or not zones:
             fix = 'drive it in a world that has one, such as pafot.World("intersection-v0", planner_hz=5)'

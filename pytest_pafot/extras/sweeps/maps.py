@@ -12,28 +12,22 @@ from itertools import product
 from pathlib import Path
 from typing import Any, Literal, get_args
 
-from pytest_pafot import Highway, Outcome, Run, SavedScenario, Scenario, ScenarioError, Trace
-from pytest_pafot.campaign.verdict import assertions, reference_outcomes
-from pytest_pafot.corpus.reader import load
-from pytest_pafot.criticality.asked import asked
+from pytest_pafot import Highway, Outcome, Run, SavedScenario, Scenario, ScenarioError, Trace, load
 from pytest_pafot.extending import (
     SUFFIX,
     AdsFactory,
     Finding,
     ProcessLostError,
-    Test,
     Verdict,
-    driven_first,
-    ended,
+    driving,
     from_dict,
     headline,
     judge,
     named_file,
+    reference_outcomes,
     reference_world,
     refusals,
     require,
-    rollout_of,
-    source_file,
 )
 from pytest_pafot.extras.sweeps.entries import Entry, entry_of, fits
 from pytest_pafot.extras.sweeps.numbers import Axis, unit_of, values_of, with_number
@@ -41,7 +35,6 @@ from pytest_pafot.support.errors import RequestError, check_asserts
 from pytest_pafot.support.files import open_regular, write_whole
 from pytest_pafot.support.references import described, factory_named
 from pytest_pafot.support.text import ascii_text, csv_text, plural, spreadsheet_cell, visible, wrapped_to
-from pytest_pafot.world.protocol import taking_over
 
 Kind = Literal["avoided", "preventable", "unavoidable", "ADS error", "not as asked"]
 """What became of a point: ``avoided``; ``preventable``, it failed though a reference driver avoids it; ``unavoidable``,
@@ -98,7 +91,7 @@ class Point:
     @property
     def ego_off(self) -> float:
         """By how much the ego was faster than asked as the first manoeuvre by distance began [m/s]; 0 if none did."""
-        met = () if self.trace is None else asked(self.trace)
+        met = () if self.trace is None else Run(self.trace).asked
         return next((each.was - each.asked for each in met if each.what == "ego speed"), 0.0)
 
     @property
@@ -359,7 +352,7 @@ def sweep(
     *,
     over: Mapping[str, object],
     world: Any = None,
-    holds: Test | None = None,
+    holds: Callable[[Run], Any] | None = None,
     against: str | Path | Sweep | None = None,
     on_point: Callable[[int], None] | None = None,
     on_stop: Callable[[str], str] | None = None,
@@ -408,8 +401,8 @@ def sweep(
             "sweep: expected a world with reference drivers, which tell what can be avoided, received one without"
         )
     remarks = make.check(axes)
-    with driven_first(make.world, factory) as drive:
-        driver = _Driver(make, axes, factory, holds or stays_safe, on_point, drive)
+    with driving(make.world, factory) as drive:
+        driver = _Driver(make, axes, holds or stays_safe, on_point, drive)
         try:
             for at in product(*(axis.values for axis in axes)):
                 driver.drive(at)
@@ -533,10 +526,9 @@ class _Driver:
 
     make: _Made
     axes: tuple[Axis, ...]
-    ads: Callable[..., Any]
-    holds: Test
+    holds: Callable[[Run], Any]
     on_point: Callable[[int], None] | None
-    drive_first: Callable[[Scenario], None]
+    run_of: Callable[[Scenario], Run]
     points: list[Point] = field(default_factory=list)
 
     def drive(self, at: tuple[float, ...]) -> None:
@@ -555,16 +547,15 @@ class _Driver:
             return Point(at=at, kind="not as asked", words=f"{UNDRIVABLE}{why}")
         try:
             with refusals():
-                self.drive_first(scenario)
-                run = driven(self.make.world, scenario, self.ads)
+                run = self.run_of(scenario)
         except RequestError:
             raise
         except ProcessLostError as lost:  # no error of a point, which a test that counts failures may not count
-            raise RequestError(f"ads: {ended(lost)}. It was at {self._named(at)}") from None
+            raise RequestError(f"ads: {lost.advice}. It was at {self._named(at)}") from None
         except Exception as error:  # what a policy raises as it drives is part of its run
             received = f"one that raises {described(error)}"
             raise RequestError(f"ads: expected a factory of a policy, received {received}; correct it") from error
-        found = judged(run, self.holds, source_file(self.holds))
+        found = judged(run, self.holds)
         raised = found.error
         if raised is not None:
             raise RequestError(
@@ -575,12 +566,6 @@ class _Driver:
 
     def _named(self, at: tuple[float, ...]) -> str:
         return ", ".join(f"{axis.name}={short(value)}" for axis, value in zip(self.axes, at, strict=True))
-
-
-def driven(world: Any, scenario: Scenario, ads: Callable[..., Any]) -> Run:
-    """Return the run of a policy in a scenario."""
-    trace = rollout_of(world)(scenario, ads)
-    return Run(trace, world=reference_world(world), take_over=taking_over(world, trace))
 
 
 @dataclass(frozen=True, slots=True)
@@ -595,11 +580,11 @@ class Judged:
     @property
     def error(self) -> BaseException | None:
         """The exception of the property itself, if it is none with which properties state that they do not hold."""
-        is_told = self.verdict.is_ads or isinstance(self.verdict.exception, assertions())
+        is_told = self.verdict.is_ads or self.verdict.asserts
         return self.verdict.exception if self.verdict.failed and not is_told else None
 
 
-def judged(run: Run, holds: Test, test_file: str) -> Judged:
+def judged(run: Run, holds: Callable[[Run], Any], test_file: str | None = None) -> Judged:
     """Judge a run that was asked for. A failure counts whoever is at fault, if a reference driver avoids it.
 
     An error of the policy itself counts in any case.

@@ -11,8 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from pytest_pafot import Manoeuvre, Scenario
-from pytest_pafot.model.scenario import ALONE
+from pytest_pafot import CrossingInstruction, Manoeuvre, Scenario
 from pytest_pafot.support.errors import RequestError, plain_number
 from pytest_pafot.support.text import meant
 
@@ -96,7 +95,7 @@ def names_in(scenario: Scenario) -> list[str]:
     names = ["ego.speed", *(["gene_seconds"] if math.isfinite(scenario.seconds) else [])]
     for npc, chain in enumerate(scenario.npcs):
         for number, gene in enumerate(chain):
-            place = f"npcs.{npc}" if isinstance(gene, ALONE) else f"npcs.{npc}.{number}"
+            place = f"npcs.{npc}" if isinstance(gene, CrossingInstruction | Manoeuvre) else f"npcs.{npc}.{number}"
             names += [f"{place}.{name}" for name in ("speed", "slot", "ahead") if hasattr(gene, name)]
             if isinstance(gene, Manoeuvre):
                 for index, step in enumerate(gene.steps):
@@ -126,7 +125,7 @@ def with_number(scenario: Scenario, name: str, value: float) -> Scenario:
         return replace(scenario, ego_speed=value) if name == "ego.speed" else replace(scenario, gene_seconds=value)
     _, npc, *path = name.split(".")
     chain = scenario.npcs[int(npc)]
-    if isinstance(chain[0], ALONE):
+    if isinstance(chain[0], CrossingInstruction | Manoeuvre):
         path = ["0", *path]
     npcs = [*scenario.npcs]
     npcs[int(npc)] = _replaced(chain, path, value)

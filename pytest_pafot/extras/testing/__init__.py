@@ -16,7 +16,7 @@ import numpy as np
 
 from pytest_pafot import Cell, LaneInstruction, Outcome, PositionInstruction, Run, Scenario, Trace
 from pytest_pafot.attribution.takeovers import STEADY_BRAKING, brakes_untouched
-from pytest_pafot.extending import SPEED, X, Y, from_dict, is_vehicle_class, rollout_of, sample, space_on, wants_env
+from pytest_pafot.extending import SPEED, X, Y, from_dict, is_vehicle_class, rollout_of, sample, space_of, wants_env
 from pytest_pafot.extras.testing import traces as rules
 from pytest_pafot.extras.testing.traces import DEEP, ROUNDING, Promises
 from pytest_pafot.model.scenario import Gene
@@ -149,7 +149,7 @@ def check_world(
     able: dict[str, Any] = {} if (found := protocol.crossings(world)) is None else {"crossings": found}
     if protocol.has_lane_instructions(world):
         able["instructions"] = "both"
-    random, within = np.random.default_rng(seed), space_on(world, {**able, **space}, protocol.road_start(world))
+    random, within = np.random.default_rng(seed), space_of(world, {**able, **space})
     calls = _Calls(ads)
     done = [_run(world, sample(within, random), calls) for _ in range(runs)]
     for each in done:

@@ -392,6 +392,15 @@ def _unrewarded(env: Any) -> Iterator[None]:
         del env._reward, env._info  # it is used again
 
 
+def stepped(environment: Any, seen: Any, guard: HangGuard) -> Any:
+    """Return what drives an environment by ``step`` from its reset on: compiled code, or else the environment itself.
+
+    ``seen`` is the observation of the reset, and ``guard`` limits the time of a decision.
+    """
+    start = Start(outer=environment, seen=seen, ads=None, kind="policy", guard=guard)
+    return environment if why_not(start) else CompiledSteps(start)
+
+
 def drive(
     environment: GymEnvironment,
     factory: AdsFactory,

@@ -15,8 +15,8 @@ import pytest_pafot as pafot
 from pytest_pafot.extras.sweeps import drawing
 from pytest_pafot.extras.sweeps.drawing import COLOURS, page, png
 from pytest_pafot.extras.sweeps.maps import MEANINGS
-from pytest_pafot.report.page import content_hash
 from pytest_pafot.support.errors import RequestError
+from pytest_pafot.support.markup import content_hash
 from pytest_pafot.support.text import visible
 from tests.extras.sweeps.planted import keeps_speed, mapped
 from tests.helpers.hostile import WORST

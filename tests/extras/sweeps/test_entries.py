@@ -7,10 +7,10 @@ import pytest
 
 import pytest_pafot as pafot
 from pytest_pafot.extras.sweeps.entries import ENTRIES, NAMES, NoPlaceError, chosen, entry_of, fits
-from pytest_pafot.extras.sweeps.maps import driven
 from pytest_pafot.model.scenario import ScenarioError
 from pytest_pafot.model.trace import SPEED
 from pytest_pafot.support.errors import RequestError
+from pytest_pafot.world import protocol
 from tests.extras.sweeps.planted import keeps_speed
 from tests.helpers.tables import table
 
@@ -20,6 +20,10 @@ CUT_IN = entry_of("r157/cut-in")
 
 
 @cache
+def driven(world, scenario, ads):
+    return protocol.run_of(world, world.rollout(scenario, ads))
+
+
 def intersection():
     return pafot.World("intersection-v0", planner_hz=5)
 

@@ -8,7 +8,7 @@ import sys
 
 import pytest
 
-from pytest_pafot.commands.history import History, halved
+from pytest_pafot.extras.revisions.commits import History, halved
 from pytest_pafot.support.errors import RequestError
 
 LOCAL = ("-c", "protocol.file.allow=always")
@@ -188,7 +188,7 @@ def test_worktree_of_a_killed_process_is_removed_by_the_next(repository):
         with history.revision("main", []) as other:
             assert tree.exists()  # its process lives
             assert other.exists()
-        code = "import os\nfrom pathlib import Path\nfrom pytest_pafot.commands.history import History\n"
+        code = "import os\nfrom pathlib import Path\nfrom pytest_pafot.extras.revisions.commits import History\n"
         code += f"with History.of([], Path({str(repository)!r})).revision('main', []) as tree:\n    os._exit(9)\n"
         assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 9
         assert git(repository, "worktree", "list").count("\n") == 3
@@ -213,7 +213,7 @@ def test_folder_that_git_does_not_list_is_removed_when_old(repository, tmp_path,
 
 def test_worktree_whose_folder_is_gone_is_forgotten(repository):
     history = History.of([], repository)
-    code = "import os, shutil\nfrom pathlib import Path\nfrom pytest_pafot.commands.history import History\n"
+    code = "import os, shutil\nfrom pathlib import Path\nfrom pytest_pafot.extras.revisions.commits import History\n"
     code += f"with History.of([], Path({str(repository)!r})).revision('main', []) as tree:\n"
     code += "    shutil.rmtree(tree.parent)\n    os._exit(9)\n"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 9
