@@ -17,6 +17,7 @@ from tests.world.test_gym_environment import (
     Hurried,
     Repeating,
     Roadworks,
+    register,  # noqa: F401  (a fixture)
 )
 
 

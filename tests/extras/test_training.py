@@ -19,7 +19,8 @@ from pytest_pafot.world import WorldError
 from tests.findings.builders import plain_finding
 from tests.helpers.stages import oracle
 from tests.helpers.tables import table
-from tests.world.test_gym_environment import Unhurried
+from tests.world.engines.test_ordinary_traffic import world_of  # noqa: F401  (a fixture)
+from tests.world.test_gym_environment import Unhurried, register  # noqa: F401  (register is a fixture)
 
 FAST = pafot.World("highway-fast-v0", {"vehicles_count": 12, "duration": 10}, duration=15)
 BRAKING = Scenario(npcs=[[PositionInstruction(2, 5.0)]])

@@ -14,6 +14,7 @@ from pytest_pafot.report.page import render_page
 from pytest_pafot.report.page_data import Report
 from pytest_pafot.report.views import drive_view, finding_view
 from tests.report.builders import cut_in_trace, finding_of
+from tests.report.test_page_in_browser import browser, pytestmark  # noqa: F401  (a fixture, and marks)
 
 FILES = Path(__file__).parents[2] / "corpus" / "saved"
 

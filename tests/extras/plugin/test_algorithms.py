@@ -6,7 +6,7 @@ import pytest
 
 from pytest_pafot.door import ALGORITHMS
 from tests.plugin.test_algorithms import TEST, check_kinds
-from tests.plugin.test_begin_with import searched
+from tests.plugin.test_begin_with import searched, theirs  # noqa: F401  (theirs is a fixture)
 
 
 @pytest.fixture(scope="module")

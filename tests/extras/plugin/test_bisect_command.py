@@ -19,6 +19,7 @@ from pytest_pafot.extras.revisions.bisect_session import TOLD
 from tests.helpers.processes import begun
 from tests.helpers.sessions import INTERRUPTIBLE
 from tests.plugin.test_driving_on import replay as replayed
+from tests.plugin.test_driving_on import saved  # noqa: F401  (a fixture)
 
 GUIDE = Path(__file__).parents[3] / "docs" / "guide" / "what-broke.md"
 FILE = "pafot_corpus/test_safety/test_never_at_fault/leader-unanswered-b5ed63.pafot.yaml"
