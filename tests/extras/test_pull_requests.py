@@ -14,7 +14,7 @@ pytestmark = pytest.mark.processes
 class TestAPullRequest:
     """A pull request runs through the workflow, with a shorter search."""
 
-    def run(self, folder, summary, **changes):  # noqa: F811
+    def run(self, folder, summary, **changes):
         values = {"github.event.pull_request.base.sha": git(folder, "rev-parse", "main")}
         inputs = inputs_of("pull-request", "pull-request", values) | {"runs": "150", "seed": "5", "requirements": ""}
         summary.write_text("")
@@ -25,7 +25,7 @@ class TestAPullRequest:
         assert git(folder, "worktree", "list").count("\n") == 0
         return code, printed
 
-    def test_pull_request_fails_until_its_regression_is_fixed(self, repository, summary):  # noqa: F811
+    def test_pull_request_fails_until_its_regression_is_fixed(self, repository, summary):
         commit(repository, {"planner.py": PLANNER, "test_safety.py": TEST}, "A planner")
         git(repository, "switch", "-q", "-c", "closer")
         commit(repository, {"planner.py": PLANNER.replace("2.0  #", "0.6  #")}, "Keep less distance")
@@ -66,7 +66,7 @@ class TestAPullRequest:
         assert "### pafot: nothing new, 1 fixed before\n" in summary.read_text()
         assert [(each.file, each.result) for each in record_of(repository).findings] == [(file, "passed")]
 
-    def test_change_in_an_imported_module_is_a_regression(self, repository, summary):  # noqa: F811
+    def test_change_in_an_imported_module_is_a_regression(self, repository, summary):
         own, imported = PLANNER.replace("2.0  #", "HEADWAY  #"), "HEADWAY = 2.0\n"
         files = {"planner.py": f"from core import HEADWAY\n{own}", "core.py": imported, "test_safety.py": TEST}
         commit(repository, files, "A planner")
@@ -75,14 +75,14 @@ class TestAPullRequest:
         code, printed = self.run(repository, summary)
         assert (code, "introduces 1 failure, fixes 0, 0 as before" in " ".join(printed.split())) == (1, True), printed
 
-    def test_change_of_no_part_of_the_policy_is_not_searched(self, repository, summary):  # noqa: F811
+    def test_change_of_no_part_of_the_policy_is_not_searched(self, repository, summary):
         commit(repository, {"planner.py": PLANNER, "test_safety.py": TEST}, "A planner")
         git(repository, "switch", "-q", "-c", "words")
         commit(repository, {"README.md": "It keeps its distance."}, "Say what it does")
         code, printed = self.run(repository, summary)
         assert (code, "nothing to compare" in " ".join(printed.split())) == (0, True), printed
 
-    def test_every_failure_of_a_new_policy_counts(self, repository, summary):  # noqa: F811
+    def test_every_failure_of_a_new_policy_counts(self, repository, summary):
         git(repository, "switch", "-q", "-c", "begins")
         commit(repository, {"planner.py": PLANNER.replace("2.0  #", "0.6  #"), "test_safety.py": TEST}, "A planner")
         code, printed = self.run(repository, summary, runs="20")
@@ -90,19 +90,19 @@ class TestAPullRequest:
         assert "against rev" not in printed
         assert code == record_of(repository).exit
 
-    def test_another_reference_can_be_named(self, repository, summary):  # noqa: F811
+    def test_another_reference_can_be_named(self, repository, summary):
         slower = PLANNER.replace("22.0 -", "21.0 -")
         commit(repository, {"planner.py": PLANNER, "before.py": slower, "test_safety.py": TEST}, "A planner")
         code, printed = self.run(repository, summary, against="before:Planner", runs="4")
         assert (code, "against before:Planner: introduces 0 failures" in printed) == (0, True)
 
-    def test_copy_of_a_policy_is_no_reference_of_its_own(self, repository, summary):  # noqa: F811
+    def test_copy_of_a_policy_is_no_reference_of_its_own(self, repository, summary):
         commit(repository, {"planner.py": PLANNER, "before.py": PLANNER, "test_safety.py": TEST}, "A planner")
         code, printed = self.run(repository, summary, against="before:Planner", runs="4")
         assert (code, record_of(repository).exit) == (2, 4)
         assert "it would be compared with itself" in " ".join(printed.split())
 
-    def test_ignored_weights_are_copied(self, repository, summary):  # noqa: F811
+    def test_ignored_weights_are_copied(self, repository, summary):
         reads = PLANNER.replace("2.0  #", "float(open('net.npz').read())  #")
         commit(
             repository, {"planner.py": reads, "test_safety.py": TEST, ".gitignore": "*.npz\npafot.json\n"}, "A planner"
