@@ -30,6 +30,7 @@ def test_warning_of_a_plugin_does_not_end_session(pytester, monkeypatch):
     monkeypatch.setenv("PYTEST_DISABLE_PLUGIN_AUTOLOAD", "1")
     for name in ("conftest.py", "pyproject.toml"):
         shutil.copy(ROOT / name, pytester.path)
+    pytester.mkdir("tests").joinpath("long.txt").write_text("")
     pytester.makepyfile(
         noisy="import warnings\n\ndef pytest_configure():\n    warnings.warn('configured')\n",
         test_it="import warnings\n\ndef test_quiet(): pass\n\ndef test_noisy(): warnings.warn('ran')\n",

@@ -286,7 +286,7 @@ def run_search(item: pytest.Function, request: Request) -> None:
     limit = time_limit(settings, now=now, began=shared.began, left=searches_left(item))
     with runs_end_in(max(limit.until - now, LEAST_TO_BUILD)):  # for the policy of a revision, in its own process
         harness = harness_of(item, request)
-        if harness.against is not None:
+        if harness.against is not None or is_revision(settings.against):  # which may not have the policy yet
             _compare(item, harness)
     replays = Replays(harness=harness, in_own_session=partial(replay_in_own_session, item), today=today)
     # If this policy has killed a process before, it runs in processes that may die of it.

@@ -73,7 +73,7 @@ import os, signal, sys
 
 class Interrupted:
     def find_spec(self, name, *_):
-        if name == "pytest_pafot.export.export_command":
+        if name == "pytest_pafot.commands.corpus_command":
             os.kill(os.getpid(), signal.SIGTERM)
 
 sys.meta_path.insert(0, Interrupted())
@@ -83,9 +83,9 @@ sys.meta_path.insert(0, Interrupted())
 def test_signal_while_a_command_is_imported_is_told(tmp_path):
     (tmp_path / "sitecustomize.py").write_text(IMPORTING)
     environ = {**os.environ, "PYTHONPATH": os.pathsep.join([str(tmp_path), *sys.path])}
-    command = [sys.executable, "-m", "pytest_pafot", "export", "x", "--to", "csv"]
+    command = [sys.executable, "-m", "pytest_pafot", "corpus", "list"]
     ended = subprocess.run(command, env=environ, capture_output=True, text=True, timeout=60, check=False)
-    assert (ended.returncode, ended.stderr.strip()) == (128 + signal.SIGTERM, "export: interrupted")
+    assert (ended.returncode, ended.stderr.strip()) == (128 + signal.SIGTERM, "corpus: interrupted")
 
 
 @pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])

@@ -97,7 +97,7 @@ def test_a_fixture_that_gives_something_else_is_refused(project):
 def cluster():
     """Return a scheduler with two workers, each in its own process."""
     distributed = pytest.importorskip("distributed")
-    with distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as started:
+    with distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=":0") as started:
         yield started
 
 
@@ -138,7 +138,7 @@ def test_a_scheduler_that_does_not_answer_is_named():
 def test_a_session_says_that_it_waits_for_the_first_worker(monkeypatch):
     distributed = pytest.importorskip("distributed")
     monkeypatch.setattr("pytest_pafot.extras.executors.SOON", 0.1)
-    with distributed.LocalCluster(n_workers=0, threads_per_worker=1, dashboard_address=None) as empty:
+    with distributed.LocalCluster(n_workers=0, threads_per_worker=1, dashboard_address=":0") as empty:
         told = []
 
         def tell(text):
