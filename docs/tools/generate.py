@@ -158,8 +158,8 @@ FILE_TEXTS: Mapping[str, str] = {
     "shrunk.speeds": "For each instruction, by `npc` and by the `gene` with which it begins, the speeds from `low` to "
     "`high` [m/s] at which the scenario still fails. Not all speeds between them were tried.",
     "neighbours": "How many of the [neighbours](../explanation/findings.md#how-broad-it-is) with full steps failed in "
-    "the same way when the scenario was found: `failing`, `of`. Like `expect.closing_speed`, it is for lists of files. "
-    "A replay ignores it.",
+    "the same way when the scenario was found: `failing`, `of`. A replay that passes runs the more of them, the fewer "
+    "failed.",
     "rate": "How often [a policy that draws random numbers](../guide/random-policies.md) fails in the scenario: "
     "`failing` of `runs`, each with another seed, or of a flaky one with the same.",
     "flaky": "What differed when the scenario was run again. Remove the line when the ADS drives a scenario in the "
