@@ -14,7 +14,6 @@ import subprocess
 import sys
 import tempfile
 from contextlib import suppress
-from functools import cache
 from importlib import metadata
 from pathlib import Path
 from types import MappingProxyType
@@ -111,7 +110,6 @@ def main_in_child(arguments: list[str]) -> int:
     return ended_with(left) or 2
 
 
-@cache
 def known_commands() -> dict[str, Command]:
     """Return the commands of the core, of the extras and of other packages, by name; none of those replaces ours."""
     others = {
@@ -181,25 +179,26 @@ def _run(given: list[str]) -> int:
         prog="python -m pytest_pafot", description="Commands of pytest-pafot in addition to pytest."
     )
     commands = parser.add_subparsers(required=True, metavar="COMMAND", dest="command")
+    ours = {**OWN_COMMANDS, **COMMANDS}
+    asked = next((each for each in given if not each.startswith("-")), "")
+    known = ours if asked in ours else known_commands()  # looking through other packages takes a while
     parsers = {
-        name: commands.add_parser(name, help=command.help, description=command.about)
-        for name, command in known_commands().items()
+        name: commands.add_parser(name, help=command.help, description=command.about) for name, command in known.items()
     }
-    asked = next((each for each in given if each in parsers), "")  # others are listed, but not imported
-    if asked:
+    if asked in known:  # the others are listed, but not imported
         try:
-            module = opened(known_commands()[asked].module)
+            module = opened(known[asked].module)
             module.add_arguments(parsers[asked])
             parsers[asked].set_defaults(run=module.run)
+        except RequestError as error:
+            parser.exit(2, f"{asked}: {error}\n")
         except Exception as error:
-            if isinstance(error, RequestError):
-                parser.exit(2, f"{asked}: {error}\n")
-            if asked in {*OWN_COMMANDS, *COMMANDS}:
+            if asked in ours:
                 raise
             received = f"{type(error).__name__}: {error}"
             sys.stderr.write(
-                f"{asked}: expected {known_commands()[asked].help} with add_arguments and run, received {received}; "
-                "correct or uninstall that package\n"
+                f"{asked}: expected {known[asked].help} with add_arguments and run, received {received}; correct or "
+                "uninstall that package\n"
             )
             return BAD_USE
     # Split at "--" here: argparse would add the arguments after it to the positional arguments before it.

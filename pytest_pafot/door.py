@@ -105,7 +105,7 @@ DASK_EXECUTOR = f"{EXTRAS}.executors:dask_executor"
 EXECUTOR_POOL = f"{EXTRAS}.executors:ExecutorPool"
 """The pool of scenarios that runs them by the user's executor."""
 REFERENCES = f"{EXTRAS}.revisions.session_references"
-"""What a search needs to know of its reference: ``revision_of``, ``compared`` with it, and ``files_of`` a factory."""
+"""What a search needs to know of its reference: ``revision_of``, and ``compared`` with it."""
 
 
 def opened(place: str) -> Any:

@@ -228,12 +228,8 @@ def run(arguments, line):
 
 def test_package_adds_a_command_by_an_entry_point(told, register):
     register(GROUP, tally=__name__, map=__name__)
-    known_commands.cache_clear()
-    try:
-        assert told("tally 7") == (3, "counted to 7 by tally\n")
-        assert known_commands()["map"] is door.COMMANDS["map"]
-    finally:
-        known_commands.cache_clear()
+    assert told("tally 7") == (3, "counted to 7 by tally\n")
+    assert known_commands()["map"] is door.COMMANDS["map"]
 
 
 LISTENER = """
@@ -267,6 +263,15 @@ def test_exception_of_a_listener_is_seen(project):  # noqa: F811
     result = project.run()
     assert result.ret == 1
     assert "KeyError: 'mine'" in result.stdout.str()
+
+
+@pytest.mark.parametrize("line", ["told.append(kind)", 'print("TOLD", *sorted'])
+def test_session_whose_tests_pass_does_not_pass_if_a_listener_refuses_it(project, line):  # noqa: F811
+    conftest = project.path / "conftest.py"
+    conftest.write_text(conftest.read_text() + LISTENER.replace(line, f"raise KeyError('mine') #{line}"))
+    project.write(FAILS.replace("not run", "run"))
+    result = project.run()
+    assert (result.ret, "problem: a hook pytest_pafot_" in result.stdout.str()) == (1, True)
 
 
 @pytest.mark.processes

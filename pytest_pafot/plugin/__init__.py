@@ -114,7 +114,7 @@ def pytest_collection_finish(session: pytest.Session) -> None:
     """Register the plugins that run the marked items and report on them, if there are any."""
     config = session.config
     marked = [item for item in session.items if item.get_closest_marker(ANY_MARK) is not None]
-    if any(item.get_closest_marker(CATALOGUE_MARK) for item in marked):
+    if any(item.get_closest_marker(CATALOGUE_MARK) for item in session.items):
         _drive_catalogue(config)  # hooks may add the mark after the collection
     if marked:
         from pytest_pafot.plugin.tracing import set_properties_of  # noqa: PLC0415

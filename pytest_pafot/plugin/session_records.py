@@ -57,6 +57,7 @@ class Records:
     def __init__(self, config: pytest.Config, clock: Callable[[], float] = time.monotonic) -> None:
         self._config = config
         self._clock = clock
+        self._is_refused = False  # whether a hook of another plugin has raised
         self._next = -math.inf  # when the JSON file may be written again [s]
         self._file: str | None = config.getoption(JSON.key)
         self._lines = config.stash[SUMMARY_LINES]
@@ -82,10 +83,7 @@ class Records:
             data = message.data
             if message.kind in ("finding", "search"):  # without what is meant for the page and the terminal
                 data = {"record": data["record"], "is_new": bool(data.get("is_new"))} if "record" in data else {}
-            with self._lines.faults("a hook pytest_pafot_event"):
-                self._config.hook.pytest_pafot_event(
-                    config=self._config, node_id=report.nodeid, kind=message.kind, data=data
-                )
+            self._tell("pytest_pafot_event", node_id=report.nodeid, kind=message.kind, data=data)
         if message is None:
             self._take_phase(report)
         elif message.kind in ("finding", "start", "search", *self._texts):
@@ -94,14 +92,14 @@ class Records:
     @pytest.hookimpl(trylast=True)  # after the pages are written and the new findings are reported
     def pytest_sessionfinish(self, session: pytest.Session) -> None:
         """Write the JSON file and the summary, even if the session was interrupted."""
-        code = exit_code(session)
-        self._write_json(code)
         if _is_implemented(self._config.hook.pytest_pafot_record):
             from pytest_pafot.report.session_record import to_text  # noqa: PLC0415
 
-            with self._lines.faults("a hook pytest_pafot_record"):
-                record = json.loads(to_text(self._record(code)))
-                self._config.hook.pytest_pafot_record(config=self._config, record=record)
+            self._tell("pytest_pafot_record", record=json.loads(to_text(self._record(exit_code(session)))))
+        if self._is_refused and session.exitstatus == pytest.ExitCode.OK:  # a hook may be somebody's gate
+            session.exitstatus = pytest.ExitCode.TESTS_FAILED
+        code = exit_code(session)
+        self._write_json(code)
         path = os.environ.get(SUMMARY)
         orphans = self._config.stash[UNRUN].orphans
         if not path or not any((self._searches, self._findings, *self._texts.values(), orphans, self._lines.problems)):
@@ -115,6 +113,13 @@ class Records:
             problem = not_written(self._config, path, file.parent, lambda: append(file, text))
             if problem:
                 self._lines.problems.append(f"{SUMMARY}={path}: not written: {problem}")
+
+    def _tell(self, hook: str, **given: Any) -> None:
+        """Call a hook of other plugins; what it raises costs nothing else, but the session does not pass."""
+        problems = len(self._lines.problems)
+        with self._lines.faults(f"a hook {hook}"):
+            getattr(self._config.hook, hook)(config=self._config, **given)
+        self._is_refused |= len(self._lines.problems) > problems
 
     def _take(self, node_id: str, message: messages.Message) -> None:
         from pytest_pafot.campaign.events import Find, SearchSummary  # noqa: PLC0415

@@ -290,3 +290,16 @@ def test_session_without_the_mark_imports_no_catalogue(project):
     project.run(fresh=True).assert_outcomes(passed=1)
     names = json.loads((project.path / "modules.json").read_text())
     assert not [name for name in names if name.startswith(("pytest_pafot.extras", "pytest_pafot.world", "numpy"))]
+
+
+def test_mark_that_a_hook_adds_after_the_collection_drives(project):
+    conftest = project.path / "conftest.py"
+    hook = (
+        "\n\ndef pytest_collection_modifyitems(items):\n    for item in items:\n"
+        "        item.add_marker(pytest.mark.pafot_catalogue('r157/cut-in'))\n"
+    )
+    conftest.write_text(conftest.read_text() + hook)
+    project.write(
+        "@pytest.mark.parametrize('run', ['r157/cut-in'])\ndef test_it(run, ads, pafot_world):\n    assert run.duration > 0\n"
+    )
+    project.run().assert_outcomes(passed=1)  # a text has no duration
