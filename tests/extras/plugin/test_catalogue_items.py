@@ -300,6 +300,7 @@ def test_mark_that_a_hook_adds_after_the_collection_drives(project):
     )
     conftest.write_text(conftest.read_text() + hook)
     project.write(
-        "@pytest.mark.parametrize('run', ['r157/cut-in'])\ndef test_it(run, ads, pafot_world):\n    assert run.duration > 0\n"
+        "@pytest.mark.parametrize('run', ['r157/cut-in'])\n"
+        "def test_it(run, ads, pafot_world):\n    assert run.duration > 0\n"
     )
     project.run().assert_outcomes(passed=1)  # a text has no duration
