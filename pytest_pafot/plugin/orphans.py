@@ -46,6 +46,9 @@ _TEST_LINE = re.compile(rb"^test:[ \t]*([^\n:]*\.py::[^\n]+?)\s*$", re.MULTILINE
 
 PACKED = (".gz", ".bz2", ".xz", ".zst", ".dvc")
 """Suffixes of a saved scenario that has to be unpacked or fetched, and whose content says nothing until then."""
+_ARCHIVE = re.compile(r"(.+?)\.(?:dvc|zip|7z|tar|tar\.\w+|tgz|tbz2?|txz|tzst)")
+"""The name of an archive of a folder, or of DVC's pointer to one."""
+_SUBMODULE = re.compile(rb"^[ \t]*path[ \t]*=[ \t]*\"?([^\n\"]+?)\"?[ \t]*\r?$", re.MULTILINE)  # in .gitmodules
 MAX_NAME = 120  # length of the test's name in an error; the name is from a file, which may contain anything
 ERROR_ID = "pafot::saved_scenarios_without_a_test"
 """The node id of the error with which a session fails if the test of saved scenarios no longer exists."""
@@ -106,12 +109,34 @@ def find_strays(collected: Collected, orphans: Collection[Path]) -> dict[str, tu
                 name = relative(file, top)
                 strays[name] = why, is_asked_for or strays.get(name, ("", False))[1]
     found = (
+        _not_fetched(collected),
         _passed_by(collected),
         _in_other_corpora(collected),
         _not_collected(collected),
         strays.items(),
     )
     return dict(chain.from_iterable(found))
+
+
+def _not_fetched(collected: Collected) -> Iterator[tuple[str, tuple[str, bool]]]:
+    """Yield the folders of saved scenarios whose files are still in an archive or a submodule, each with the reason."""
+    top = collected.rootpath
+    corpora = [root for root, directory in collected.roots.items() if _is_asked_for(directory, collected)]
+    folders = [folder for folder in collected.folders if folder.parents[1] in collected.roots]  # behind no refused link
+    bottom = {*folders, *(folder.parent for folder in folders), *corpora, *collected.shared}
+    places = {place for folder in bottom for place in _up(folder, top) if place != top}
+    for parent in sorted({place.parent for place in places}):
+        for file in entries_of(parent):
+            named = _ARCHIVE.fullmatch(file.name)
+            if named and (place := parent / named[1]) in places and not files_below(place):
+                why = f"expected the folder of saved scenarios, received only {file.name}; unpack or fetch it"
+                yield relative(place, top), (why, True)
+    listing = next((each / ".gitmodules" for each in (top, *top.parents) if (each / ".gitmodules").is_file()), None)
+    for path in _SUBMODULE.findall(listing.read_bytes()) if listing is not None else ():
+        place = listing.parent / os.fsdecode(path)
+        if place in places and not entries_of(place):
+            why = "expected the files of a git submodule, received none; run git submodule update --init"
+            yield relative(place, top), (why, True)
 
 
 def _not_collected(collected: Collected) -> Iterator[tuple[str, tuple[str, bool]]]:

@@ -632,6 +632,36 @@ def test_packed_saved_scenario_fails_a_ci_session(saved, ci, suffix):
     assert is_red(replay(saved))
 
 
+@pytest.mark.parametrize("archive", ["pafot_corpus.dvc", "pafot_corpus/test_it.zip", f"{FOLDER}.tar.gz"])
+def test_saved_scenarios_that_are_still_in_an_archive_fail_a_ci_session(saved, ci, archive):
+    place = archive.partition(".")[0]
+    saved.path.joinpath(archive).write_text("")
+    assert not is_red(replay(saved))  # The files are there, too.
+    shutil.rmtree(saved.path / place)
+    for args in ([], ["test_it.py"]):
+        result = replay(saved, *args)
+        assert is_red(result)
+        result.stdout.fnmatch_lines([f"not run: {place}: * received only {Path(archive).name}; unpack*"])
+    (saved.path / place).mkdir(parents=True)
+    assert is_red(replay(saved))
+    assert replay(saved, "--pafot-allow-orphans").ret == 0
+
+
+@pytest.mark.parametrize("given", ["pafot_corpus", "data"])
+def test_submodule_with_saved_scenarios_that_is_not_cloned_fails_a_ci_session(saved, ci, given):
+    shutil.rmtree(saved.path / "pafot_corpus")
+    (saved.path / given).mkdir()
+    args = [f"--pafot-corpus={saved.path / 'data' / 'corpus'}"] if given == "data" else []
+    saved.path.joinpath(".gitmodules").write_text('[submodule "docs"]\n\tpath = docs\n')
+    assert replay(saved, *args).ret == 0
+    saved.path.joinpath(".gitmodules").write_text(f'[submodule "x"]\r\n\tpath = "{given}"\r\n\turl = ../x\r\n')
+    result = replay(saved, *args)
+    assert is_red(result)
+    result.stdout.fnmatch_lines([f"not run: {given}: expected the files of a git submodule, received none; run*"])
+    (saved.path / given / "README").write_text("")
+    assert replay(saved, *args).ret == 0
+
+
 @pytest.mark.parametrize("place", ["pafot_corpus", "pafot_corpus/test_it", "pafot_corpus/test_it/test_fails"])
 def test_file_in_place_of_a_folder_of_saved_scenarios_fails_a_ci_session(saved, ci, place):
     shutil.rmtree(saved.path / place)
