@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Collection, Generator, Iterable, Iterator, Sequence
+from contextlib import suppress
 from functools import partial
 from itertools import chain
 from pathlib import Path
@@ -38,6 +39,7 @@ from pytest_pafot.plugin.option_sources import option_value
 from pytest_pafot.plugin.session import SUMMARY_LINES
 from pytest_pafot.plugin.unrun import DRIVEN, UNRUN, Collected, Orphan
 from pytest_pafot.support.errors import command
+from pytest_pafot.support.files import open_regular
 from pytest_pafot.support.text import plural, visible
 
 # Only a node id matches: the name is also printed for broken files, and a broken file may contain anything.
@@ -49,6 +51,7 @@ PACKED = (".gz", ".bz2", ".xz", ".zst", ".dvc")
 _ARCHIVE = re.compile(r"(.+?)\.(?:dvc|zip|7z|tar|tar\.\w+|tgz|tbz2?|txz|tzst)")
 """The name of an archive of a folder, or of DVC's pointer to one."""
 _SUBMODULE = re.compile(rb"^[ \t]*path[ \t]*=[ \t]*\"?([^\n\"]+?)\"?[ \t]*\r?$", re.MULTILINE)  # in .gitmodules
+MAX_SUBMODULES = 2**20  # the size up to which such a file is read [bytes]
 MAX_NAME = 120  # length of the test's name in an error; the name is from a file, which may contain anything
 ERROR_ID = "pafot::saved_scenarios_without_a_test"
 """The node id of the error with which a session fails if the test of saved scenarios no longer exists."""
@@ -131,12 +134,13 @@ def _not_fetched(collected: Collected) -> Iterator[tuple[str, tuple[str, bool]]]
             if named and (place := parent / named[1]) in places and not files_below(place):
                 why = f"expected the folder of saved scenarios, received only {file.name}; unpack or fetch it"
                 yield relative(place, top), (why, True)
-    listing = next((each / ".gitmodules" for each in (top, *top.parents) if (each / ".gitmodules").is_file()), None)
-    for path in _SUBMODULE.findall(listing.read_bytes()) if listing is not None else ():
-        place = listing.parent / os.fsdecode(path)
-        if place in places and not entries_of(place):
-            why = "expected the files of a git submodule, received none; run git submodule update --init"
-            yield relative(place, top), (why, True)
+    for repository in (top, *top.parents):
+        with suppress(OSError), open_regular(repository / ".gitmodules") as listing:
+            for path in _SUBMODULE.findall(listing.read(MAX_SUBMODULES)):
+                place = repository / os.fsdecode(path)
+                if place in places and not entries_of(place):
+                    why = "expected the files of a git submodule, received none; run git submodule update --init"
+                    yield relative(place, top), (why, True)
 
 
 def _not_collected(collected: Collected) -> Iterator[tuple[str, tuple[str, bool]]]:
