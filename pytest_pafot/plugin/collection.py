@@ -157,13 +157,16 @@ class Collection:
             found |= {saved.id: saved for saved in self._saved[folder].values()}
         return found.values()
 
-    @pytest.hookimpl(wrapper=True)
+    @pytest.hookimpl(wrapper=True, trylast=True)  # inside of that of --lf, which leaves out tests that have passed
     def pytest_make_collect_report(
         self, collector: pytest.Collector
     ) -> Generator[None, pytest.CollectReport, pytest.CollectReport]:
         """Note what became of every module, also of one in which no test is left, and marks that nothing collects."""
         report = yield
         if type(collector).__module__ == "_pytest.doctest":  # a module with examples, which may also be a test file
+            return report
+        if not report.result and self._config.pluginmanager.has_plugin("lfplugin-collskip"):
+            self._collected.failed.add(collector.path)  # --lf has passed by the file, without an import
             return report
         if isinstance(collector, pytest.Module):
             collected = self._collected

@@ -38,8 +38,9 @@ from pytest_pafot.corpus.saved import Saved, saved_in
 from pytest_pafot.plugin.option_sources import option_value
 from pytest_pafot.plugin.session import SUMMARY_LINES
 from pytest_pafot.plugin.unrun import DRIVEN, UNRUN, Collected, Orphan
-from pytest_pafot.support.errors import command
+from pytest_pafot.support.errors import RequestError, command
 from pytest_pafot.support.files import open_regular
+from pytest_pafot.support.git import git
 from pytest_pafot.support.text import plural, visible
 
 # Only a node id matches: the name is also printed for broken files, and a broken file may contain anything.
@@ -134,6 +135,11 @@ def _not_fetched(collected: Collected) -> Iterator[tuple[str, tuple[str, bool]]]
             if named and (place := parent / named[1]) in places and not files_below(place):
                 why = f"expected the folder of saved scenarios, received only {file.name}; unpack or fetch it"
                 yield relative(place, top), (why, True)
+    empty = [str(root) for root in corpora if root.is_relative_to(top) and not files_below(root)]
+    with suppress(RequestError):  # no git, or no repository
+        tracked = [path for path in git(top, "ls-files", "-z", "--", *empty).split("\0") if path.endswith(SUFFIX)]
+        for path in tracked if empty else ():
+            yield path, ("git tracks it, but it is not in this checkout; restore it, or commit that it is gone", True)
     for repository in (top, *top.parents):
         with suppress(OSError), open_regular(repository / ".gitmodules") as listing:
             for path in _SUBMODULE.findall(listing.read(MAX_SUBMODULES)):

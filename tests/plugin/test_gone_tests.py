@@ -2,6 +2,7 @@
 
 import json
 import shutil
+import subprocess
 from pathlib import Path
 
 import pytest
@@ -237,6 +238,18 @@ def test_rerunning_failures_still_reports_the_missing_test(saved, ci):
     result = replay(saved, "--lf")
     assert is_red(result)
     result.stdout.no_fnmatch_line("*known failure*")
+
+
+def test_rerunning_failures_passes_by_tests_that_are_there(saved, ci):
+    saved.write("def test_red():\n    assert 0\n", name="test_a")
+    saved.write(f"{FAILING}\n\ndef test_red():\n    assert 0\n", name="test_b")
+    shutil.rmtree(saved.path / ".pytest_cache")
+    replay(saved, "-k", "red")
+    for each in ("test_a", "test_b"):
+        saved.path.joinpath(f"{each}.py").write_text(saved.path.joinpath(f"{each}.py").read_text().replace("0", "1"))
+    result = replay(saved, "--lf")
+    result.assert_outcomes(passed=2)
+    assert result.ret == 0
 
 
 @pytest.mark.processes
@@ -660,6 +673,22 @@ def test_submodule_with_saved_scenarios_that_is_not_cloned_fails_a_ci_session(sa
     result.stdout.fnmatch_lines([f"not run: {given}: expected the files of a git submodule, received none; run*"])
     (saved.path / given / "README").write_text("")
     assert replay(saved, *args).ret == 0
+
+
+def test_saved_scenarios_that_a_checkout_leaves_out_fail_a_ci_session(saved, ci):
+    def git(*arguments):
+        subprocess.run(["git", *arguments], cwd=saved.path, check=True, capture_output=True)
+
+    git("init", "-q")
+    git("add", "-A")
+    git("-c", "user.name=a", "-c", "user.email=a@b", "commit", "-qm", "x")
+    file = saved.only_file.relative_to(saved.path).as_posix()
+    git("sparse-checkout", "set", "--no-cone", "/*", "!pafot_corpus")
+    result = replay(saved)
+    assert is_red(result)
+    result.stdout.fnmatch_lines([f"not run: {file}: git tracks it, but it is not in this checkout; restore it*"])
+    git("rm", "-q", "--cached", "--sparse", file)
+    assert replay(saved).ret == 0
 
 
 @pytest.mark.parametrize("place", ["pafot_corpus", "pafot_corpus/test_it", "pafot_corpus/test_it/test_fails"])
