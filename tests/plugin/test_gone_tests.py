@@ -127,6 +127,15 @@ def test_deselected_tests_do_not_count_as_gone(saved, ci):
     assert replay(saved, "other").ret == 0
 
 
+def test_search_that_a_hook_leaves_out_is_named_unless_pytest_counts_it(saved, ci):
+    conftest = saved.path / "conftest.py"
+    hook = "def pytest_collection_modifyitems(config, items):\n    {}items.clear()\n"
+    conftest.write_text(hook.format("config.hook.pytest_deselected(items=list(items)); "))
+    replay(saved).stdout.no_fnmatch_line("not run: *")
+    conftest.write_text(hook.format(""))
+    replay(saved).stdout.fnmatch_lines(["not run: test_it.py::test_fails: a hook pytest_collection_modifyitems *"])
+
+
 def test_missing_module_fails_the_session_without_any_test(saved, ci):
     (saved.path / "test_it.py").unlink()
     result = replay(saved)
