@@ -123,10 +123,11 @@ def find_strays(collected: Collected, orphans: Collection[Path]) -> dict[str, tu
 
 
 def _not_fetched(collected: Collected) -> Iterator[tuple[str, tuple[str, bool]]]:
-    """Yield the folders of saved scenarios whose files are still in an archive or a submodule, each with the reason."""
+    """Yield the folders of saved scenarios whose files are still in an archive, a submodule or git, with the reason."""
     top = collected.rootpath
-    corpora = [root for root, directory in collected.roots.items() if _is_asked_for(directory, collected)]
     folders = [folder for folder in collected.folders if folder.parents[1] in collected.roots]  # behind no refused link
+    corpora = {root for root, directory in collected.roots.items() if _is_asked_for(directory, collected)}
+    corpora |= {folder.parents[1] for folder in folders}
     bottom = {*folders, *(folder.parent for folder in folders), *corpora, *collected.shared}
     places = {place for folder in bottom for place in _up(folder, top) if place != top}
     for parent in sorted({place.parent for place in places}):
@@ -135,11 +136,12 @@ def _not_fetched(collected: Collected) -> Iterator[tuple[str, tuple[str, bool]]]
             if named and (place := parent / named[1]) in places and not files_below(place):
                 why = f"expected the folder of saved scenarios, received only {file.name}; unpack or fetch it"
                 yield relative(place, top), (why, True)
-    empty = [str(root) for root in corpora if root.is_relative_to(top) and not files_below(root)]
+    empty = [str(root) for root in sorted(corpora) if root.is_relative_to(top) and not files_below(root)]
+    why = "git tracks it, but it is not in this checkout; restore it, or commit that it is gone"
     with suppress(RequestError):  # no git, or no repository
-        tracked = [path for path in git(top, "ls-files", "-z", "--", *empty).split("\0") if path.endswith(SUFFIX)]
-        for path in tracked if empty else ():
-            yield path, ("git tracks it, but it is not in this checkout; restore it, or commit that it is gone", True)
+        for path in git(top, "ls-files", "-z", "--", *empty).split("\0") if empty else ():
+            if path.endswith(SUFFIX):
+                yield path, (why, True)
     for repository in (top, *top.parents):
         with suppress(OSError), open_regular(repository / ".gitmodules") as listing:
             for path in _SUBMODULE.findall(listing.read(MAX_SUBMODULES)):
