@@ -6,10 +6,15 @@ code 0, which must not be the verdict. So the child leaves a receipt, and only i
 
 from __future__ import annotations
 
+import signal
+
+if __name__ == "__main__" and hasattr(signal, "pthread_sigmask"):
+    # Ctrl-C waits for main_in_child. Python would print a traceback while it imports the modules below.
+    signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT,))
+
 import argparse
 import io
 import os
-import signal
 import subprocess
 import sys
 import tempfile
@@ -74,6 +79,7 @@ def main_in_child(arguments: list[str]) -> int:
         return code
     if arguments[:1] == [] or arguments[0] not in GATES:
         try:
+            _hold_back(False)
             return main(arguments)
         except KeyboardInterrupt:
             return _interrupted(arguments)

@@ -133,6 +133,7 @@ class Settings:
     generations: int | None = option(
         "integer",
         "Number of generations after which each search ends; 0 only replays saved scenarios.",
+        "The argument of a search is at least 1.",
     )
     population: int | None = option(
         "integer",

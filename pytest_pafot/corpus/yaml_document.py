@@ -20,6 +20,7 @@ import yaml
 from pytest_pafot.corpus.layout import SUFFIX
 from pytest_pafot.findings.finding import MAX_DEPTH, MAX_NUMBER
 from pytest_pafot.support.errors import RESTORE, CorpusError, plain_number, plain_whole
+from pytest_pafot.support.git import LFS_POINTER
 from pytest_pafot.support.text import day_of
 
 VERSION = 2
@@ -193,6 +194,8 @@ def parse(path: Path, content: bytes, base: type[Any] | None = None) -> Field:
         raise CorpusError(path, f"at most {MAX_BYTES // 1024} KiB", "a larger file", "delete or shorten it")
     if not content.removeprefix(b"\xef\xbb\xbf").strip():
         raise CorpusError(path, "a saved scenario", "an empty file", "restore it from version control, or delete it")
+    if content.startswith(LFS_POINTER):
+        raise CorpusError(path, "a saved scenario", "a pointer of Git LFS", "fetch the file with git lfs pull")
     try:
         value, lines = _parsed(path, content, base)
     except CorpusError as error:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from datetime import date
 from fnmatch import fnmatch
 from functools import cached_property
@@ -15,7 +15,7 @@ import pytest
 from pytest_pafot.campaign.options import OF_COMMAND
 from pytest_pafot.corpus import layout
 from pytest_pafot.corpus.saved import Saved, refusal, refused_in, saved_in
-from pytest_pafot.plugin.marks import DEFAULT_ARG, SAVED_MARK, SEARCH_MARK, arguments_of
+from pytest_pafot.plugin.marks import DEFAULT_ARG, SAVED_MARK, SEARCH_MARK, arguments_of, is_driven
 from pytest_pafot.plugin.node_ids import base_id, qualified_name, saved_part
 from pytest_pafot.plugin.option_sources import corpus_name, resolve
 from pytest_pafot.plugin.session import SHARED, SUMMARY_LINES, base_line
@@ -65,6 +65,7 @@ class Collection:
         self._saved = config.stash.setdefault(COLLECTED, {})
         self._listed: dict[Path, layout.TestFolders] = {}
         self._left_out: list[Left] = []  # what is marked and pytest has not collected
+        self._deselected: set[pytest.Item] = set()
         config.stash[UNRUN] = Unrun({}, {}, {})
 
     def pytest_ignore_collect(self, collection_path: Path) -> bool | None:
@@ -157,13 +158,16 @@ class Collection:
             found |= {saved.id: saved for saved in self._saved[folder].values()}
         return found.values()
 
-    @pytest.hookimpl(wrapper=True)
+    @pytest.hookimpl(wrapper=True, trylast=True)  # inside of that of --lf, which leaves out tests that have passed
     def pytest_make_collect_report(
         self, collector: pytest.Collector
     ) -> Generator[None, pytest.CollectReport, pytest.CollectReport]:
         """Note what became of every module, also of one in which no test is left, and marks that nothing collects."""
         report = yield
         if type(collector).__module__ == "_pytest.doctest":  # a module with examples, which may also be a test file
+            return report
+        if not report.result and self._config.pluginmanager.has_plugin("lfplugin-collskip"):
+            self._collected.failed.add(collector.path)  # --lf has passed by the file, without an import
             return report
         if isinstance(collector, pytest.Module):
             collected = self._collected
@@ -224,12 +228,20 @@ class Collection:
         self._config.stash[UNRUN].unnamed.update(unnamed)
         self._find_unrun(items)
         self._deselect(items, self._is_beside_given)
+        driven = [item for item in items if is_driven(item)]
         yield
+        dropped = set(driven) - {*items, *self._deselected}
+        why = "a hook pytest_collection_modifyitems leaves it out and does not call pytest_deselected"
+        self._config.stash[UNRUN].strays.update((base_id(item), (why, False)) for item in driven if item in dropped)
         # Under --lf, a search need not run again if its findings have become items since.
         if self._config.getoption("lf", False) and getattr(self._config, "cache", None) is not None:
             failed = self._config.cache.get("cache/lastfailed", {})
             known = {base_id(item) for item in items if saved_of(item) is not None and item.nodeid in failed}
             self._deselect(items, lambda item: is_search(item) and item.nodeid in failed and base_id(item) in known)
+
+    def pytest_deselected(self, items: Sequence[pytest.Item]) -> None:
+        """Note the items that pytest counts as deselected; it says nothing of those that are left out otherwise."""
+        self._deselected.update(items)
 
     def _find_unrun(self, items: list[pytest.Item]) -> None:
         corpus = corpus_name(self._config, {})

@@ -77,8 +77,10 @@ class Checks:
         is_idle = is_search(item) and not request.settings.is_search
         if is_idle and not left_by(base_id(item), records_folder(item, request.settings)):
             option = BY_NAME["generations"]
-            if os.environ.get(option.variable) and item.config.getoption(option.key) is None:  # easily forgotten
-                messages.send(item, "note", {"text": f"no search ran: {option.variable}=0 is in the environment"})
+            if item.config.getoption(option.key) is None:  # easily forgotten
+                in_environment = f"{option.variable}=0 is in the environment"
+                place = in_environment if os.environ.get(option.variable) else f"{option.key} is 0 in the settings"
+                messages.send(item, "note", {"text": f"no search ran: {place}"})
             pytest.skip(f"{IDLE}: {flag('generations', 0)}")
 
     @pytest.hookimpl(wrapper=True)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Collection, Generator, Iterable, Iterator, Sequence
+from contextlib import suppress
 from functools import partial
 from itertools import chain
 from pathlib import Path
@@ -37,7 +38,9 @@ from pytest_pafot.corpus.saved import Saved, saved_in
 from pytest_pafot.plugin.option_sources import option_value
 from pytest_pafot.plugin.session import SUMMARY_LINES
 from pytest_pafot.plugin.unrun import DRIVEN, UNRUN, Collected, Orphan
-from pytest_pafot.support.errors import command
+from pytest_pafot.support.errors import RequestError, command
+from pytest_pafot.support.files import open_regular
+from pytest_pafot.support.git import git
 from pytest_pafot.support.text import plural, visible
 
 # Only a node id matches: the name is also printed for broken files, and a broken file may contain anything.
@@ -46,6 +49,10 @@ _TEST_LINE = re.compile(rb"^test:[ \t]*([^\n:]*\.py::[^\n]+?)\s*$", re.MULTILINE
 
 PACKED = (".gz", ".bz2", ".xz", ".zst", ".dvc")
 """Suffixes of a saved scenario that has to be unpacked or fetched, and whose content says nothing until then."""
+_ARCHIVE = re.compile(r"(.+?)\.(?:dvc|zip|7z|tar|tar\.\w+|tgz|tbz2?|txz|tzst)")
+"""The name of an archive of a folder, or of DVC's pointer to one."""
+_SUBMODULE = re.compile(rb"^[ \t]*path[ \t]*=[ \t]*\"?([^\n\"]+?)\"?[ \t]*\r?$", re.MULTILINE)  # in .gitmodules
+MAX_SUBMODULES = 2**20  # the size up to which such a file is read [bytes]
 MAX_NAME = 120  # length of the test's name in an error; the name is from a file, which may contain anything
 ERROR_ID = "pafot::saved_scenarios_without_a_test"
 """The node id of the error with which a session fails if the test of saved scenarios no longer exists."""
@@ -106,12 +113,42 @@ def find_strays(collected: Collected, orphans: Collection[Path]) -> dict[str, tu
                 name = relative(file, top)
                 strays[name] = why, is_asked_for or strays.get(name, ("", False))[1]
     found = (
+        _not_fetched(collected),
         _passed_by(collected),
         _in_other_corpora(collected),
         _not_collected(collected),
         strays.items(),
     )
     return dict(chain.from_iterable(found))
+
+
+def _not_fetched(collected: Collected) -> Iterator[tuple[str, tuple[str, bool]]]:
+    """Yield the folders of saved scenarios whose files are still in an archive, a submodule or git, with the reason."""
+    top = collected.rootpath
+    folders = [folder for folder in collected.folders if folder.parents[1] in collected.roots]  # behind no refused link
+    corpora = {root for root, directory in collected.roots.items() if _is_asked_for(directory, collected)}
+    corpora |= {folder.parents[1] for folder in folders}
+    bottom = {*folders, *(folder.parent for folder in folders), *corpora, *collected.shared}
+    places = {place for folder in bottom for place in _up(folder, top) if place != top}
+    for parent in sorted({place.parent for place in places}):
+        for file in entries_of(parent):
+            named = _ARCHIVE.fullmatch(file.name)
+            if named and (place := parent / named[1]) in places and not files_below(place):
+                why = f"expected the folder of saved scenarios, received only {file.name}; unpack or fetch it"
+                yield relative(place, top), (why, True)
+    empty = [str(root) for root in sorted(corpora) if root.is_relative_to(top) and not files_below(root)]
+    why = "git tracks it, but it is not in this checkout; restore it, or commit that it is gone"
+    with suppress(RequestError):  # no git, or no repository
+        for path in git(top, "ls-files", "-z", "--", *empty).split("\0") if empty else ():
+            if path.endswith(SUFFIX):
+                yield path, (why, True)
+    for repository in (top, *top.parents):
+        with suppress(OSError), open_regular(repository / ".gitmodules") as listing:
+            for path in _SUBMODULE.findall(listing.read(MAX_SUBMODULES)):
+                place = repository / os.fsdecode(path)
+                if place in places and not entries_of(place):
+                    why = "expected the files of a git submodule, received none; run git submodule update --init"
+                    yield relative(place, top), (why, True)
 
 
 def _not_collected(collected: Collected) -> Iterator[tuple[str, tuple[str, bool]]]:

@@ -50,7 +50,7 @@ class Collected:
         self.opened: set[str] = set()  # node ids of the classes whose members were collected
         self.files: set[Path] = set()  # test files that were collected, also those without a test
         self.skipped: set[Path] = set()  # test files that were skipped at import
-        self.failed: set[Path] = set()  # test files that could not be imported
+        self.failed: set[Path] = set()  # test files that were not imported: by an error, or by --lf
         self.corpus = CORPUS  # the option of this name
         self.others: set[Path] = set()  # corpora of the default name, if the option gives another
         self.passed_by: set[Path] = set()  # saved scenarios that pytest met outside of corpora

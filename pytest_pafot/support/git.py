@@ -17,6 +17,9 @@ OF_A_CALLER = ("GIT_DIR", "GIT_WORK_TREE", "GIT_INDEX_FILE", "GIT_COMMON_DIR", "
 OFFLINE = {"GIT_ALLOW_PROTOCOL": "", "GIT_LFS_SKIP_SMUDGE": "1", "GIT_TERMINAL_PROMPT": "0"}
 """Variables with which git fetches nothing: no objects that a partial clone lacks, and no files of Git LFS."""
 
+LFS_POINTER = b"version https://git-lfs.github.com/spec/"
+"""The beginning of a file in place of one that Git LFS stores."""
+
 
 def git(folder: Path, *arguments: str, environ: Mapping[str, str] = MappingProxyType({})) -> str:
     """Run git in a folder and return its output. It fetches nothing, and runs no hook.

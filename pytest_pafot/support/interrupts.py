@@ -40,10 +40,7 @@ def interrupted_by_signals(note: Callable[[KeyboardInterrupt], None] = lambda in
 
     def received(number: int, _: object) -> None:
         nonlocal ended
-        if os.getpid() != owner:  # a fork, which ends as a process does without a handler
-            signal.signal(number, signal.SIG_DFL)
-            os.kill(os.getpid(), number)
-        elif not ended:
+        if not ended:
             ended = True
             note(error := Ended(number))
             raise error
@@ -108,6 +105,33 @@ def postponed() -> Iterator[None]:
             signal.signal(number, before[number])
         for number, _ in came[:1]:
             signal.raise_signal(number)
+
+
+def _let_forks_end() -> None:
+    """Let a process that Python forks end by :data:`ENDS` as it would without a handler of this module.
+
+    Python drops a signal that has a handler and comes before the fork is complete. ``multiprocessing.Pool``, which ends
+    its processes by SIGTERM, would now and then wait for one forever. So the signal is blocked until then.
+    """
+    masks: dict[int, set[int]] = {}  # by thread
+
+    def before() -> None:
+        masks[threading.get_ident()] = signal.pthread_sigmask(signal.SIG_BLOCK, ENDS)
+
+    def after() -> None:
+        signal.pthread_sigmask(signal.SIG_SETMASK, masks.pop(threading.get_ident()))
+
+    def in_child() -> None:
+        for number in ENDS:
+            if getattr(signal.getsignal(number), "__module__", "") == __name__:
+                signal.signal(number, signal.SIG_DFL)
+        after()
+
+    os.register_at_fork(before=before, after_in_parent=after, after_in_child=in_child)
+
+
+if hasattr(os, "register_at_fork"):
+    _let_forks_end()
 
 
 @contextmanager

@@ -73,19 +73,28 @@ import os, signal, sys
 
 class Interrupted:
     def find_spec(self, name, *_):
-        if name == "pytest_pafot.commands.corpus_command":
-            os.kill(os.getpid(), signal.SIGTERM)
+        if name == {module!r}:
+            os.kill(os.getpid(), signal.{name})
 
+signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored in a shell's background job
 sys.meta_path.insert(0, Interrupted())
 """
 
 
-def test_signal_while_a_command_is_imported_is_told(tmp_path):
-    (tmp_path / "sitecustomize.py").write_text(IMPORTING)
+@pytest.mark.parametrize(
+    ("module", "name", "command"),
+    [
+        ("pytest_pafot.commands.corpus_command", "SIGTERM", ["corpus", "list"]),
+        ("pytest_pafot.door", "SIGINT", ["corpus", "list"]),
+        ("pytest_pafot.door", "SIGINT", ["search", "slow:make"]),
+    ],
+)
+def test_signal_while_a_command_is_imported_is_told(tmp_path, module, name, command):
+    (tmp_path / "sitecustomize.py").write_text(IMPORTING.format(module=module, name=name))
     environ = {**os.environ, "PYTHONPATH": os.pathsep.join([str(tmp_path), *sys.path])}
-    command = [sys.executable, "-m", "pytest_pafot", "corpus", "list"]
-    ended = subprocess.run(command, env=environ, capture_output=True, text=True, timeout=60, check=False)
-    assert (ended.returncode, ended.stderr.strip()) == (128 + signal.SIGTERM, "corpus: interrupted")
+    start = [sys.executable, "-m", "pytest_pafot"]
+    ended = subprocess.run([*start, *command], env=environ, capture_output=True, text=True, timeout=60, check=False)
+    assert (ended.returncode, ended.stderr.strip()) == (128 + getattr(signal, name), f"{command[0]}: interrupted")
 
 
 @pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])

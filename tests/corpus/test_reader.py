@@ -507,6 +507,11 @@ SECRETS = {
 }
 
 
+def test_pointer_of_git_lfs_is_named(path):
+    error = fault(path, f"version https://git-lfs.github.com/spec/v1\noid sha256:{'0' * 64}\nsize 7\n")
+    assert "received a pointer of Git LFS; fetch the file with git lfs pull" in str(error)
+
+
 @table("secret", SECRETS.values())
 def test_error_shows_no_content_of_a_foreign_file(path, secret):
     error = fault(path, secret)

@@ -2,6 +2,7 @@
 
 import json
 import shutil
+import subprocess
 from pathlib import Path
 
 import pytest
@@ -126,6 +127,15 @@ def test_deselected_tests_do_not_count_as_gone(saved, ci):
     assert replay(saved, "other").ret == 0
 
 
+def test_search_that_a_hook_leaves_out_is_named_unless_pytest_counts_it(saved, ci):
+    conftest = saved.path / "conftest.py"
+    hook = "def pytest_collection_modifyitems(config, items):\n    {}items.clear()\n"
+    conftest.write_text(hook.format("config.hook.pytest_deselected(items=list(items)); "))
+    replay(saved).stdout.no_fnmatch_line("not run: *")
+    conftest.write_text(hook.format(""))
+    replay(saved).stdout.fnmatch_lines(["not run: test_it.py::test_fails: a hook pytest_collection_modifyitems *"])
+
+
 def test_missing_module_fails_the_session_without_any_test(saved, ci):
     (saved.path / "test_it.py").unlink()
     result = replay(saved)
@@ -237,6 +247,18 @@ def test_rerunning_failures_still_reports_the_missing_test(saved, ci):
     result = replay(saved, "--lf")
     assert is_red(result)
     result.stdout.no_fnmatch_line("*known failure*")
+
+
+def test_rerunning_failures_passes_by_tests_that_are_there(saved, ci):
+    saved.write("def test_red():\n    assert 0\n", name="test_a")
+    saved.write(f"{FAILING}\n\ndef test_red():\n    assert 0\n", name="test_b")
+    shutil.rmtree(saved.path / ".pytest_cache")
+    replay(saved, "-k", "red")
+    for each in ("test_a", "test_b"):
+        saved.path.joinpath(f"{each}.py").write_text(saved.path.joinpath(f"{each}.py").read_text().replace("0", "1"))
+    result = replay(saved, "--lf")
+    result.assert_outcomes(passed=2)
+    assert result.ret == 0
 
 
 @pytest.mark.processes
@@ -630,6 +652,52 @@ def test_packed_saved_scenario_fails_a_ci_session(saved, ci, suffix):
     file.with_name(file.name + suffix).write_bytes(b"\x1f\x8b")
     file.unlink()
     assert is_red(replay(saved))
+
+
+@pytest.mark.parametrize("archive", ["pafot_corpus.dvc", "pafot_corpus/test_it.zip", f"{FOLDER}.tar.gz"])
+def test_saved_scenarios_that_are_still_in_an_archive_fail_a_ci_session(saved, ci, archive):
+    place = archive.partition(".")[0]
+    saved.path.joinpath(archive).write_text("")
+    assert not is_red(replay(saved))  # The files are there, too.
+    shutil.rmtree(saved.path / place)
+    for args in ([], ["test_it.py"]):
+        result = replay(saved, *args)
+        assert is_red(result)
+        result.stdout.fnmatch_lines([f"not run: {place}: * received only {Path(archive).name}; unpack*"])
+    (saved.path / place).mkdir(parents=True)
+    assert is_red(replay(saved))
+    assert replay(saved, "--pafot-allow-orphans").ret == 0
+
+
+@pytest.mark.parametrize("given", ["pafot_corpus", "data"])
+def test_submodule_with_saved_scenarios_that_is_not_cloned_fails_a_ci_session(saved, ci, given):
+    shutil.rmtree(saved.path / "pafot_corpus")
+    (saved.path / given).mkdir()
+    args = [f"--pafot-corpus={saved.path / 'data' / 'corpus'}"] if given == "data" else []
+    saved.path.joinpath(".gitmodules").write_text('[submodule "docs"]\n\tpath = docs\n')
+    assert replay(saved, *args).ret == 0
+    saved.path.joinpath(".gitmodules").write_text(f'[submodule "x"]\r\n\tpath = "{given}"\r\n\turl = ../x\r\n')
+    result = replay(saved, *args)
+    assert is_red(result)
+    result.stdout.fnmatch_lines([f"not run: {given}: expected the files of a git submodule, received none; run*"])
+    (saved.path / given / "README").write_text("")
+    assert replay(saved, *args).ret == 0
+
+
+def test_saved_scenarios_that_a_checkout_leaves_out_fail_a_ci_session(saved, ci):
+    def git(*arguments):
+        subprocess.run(["git", *arguments], cwd=saved.path, check=True, capture_output=True)
+
+    git("init", "-q")
+    git("add", "-A")
+    git("-c", "user.name=a", "-c", "user.email=a@b", "commit", "-qm", "x")
+    file = saved.only_file.relative_to(saved.path).as_posix()
+    git("sparse-checkout", "set", "--no-cone", "/*", "!pafot_corpus")
+    result = replay(saved, "test_it.py")
+    assert is_red(result)
+    result.stdout.fnmatch_lines([f"not run: {file}: git tracks it, but it is not in this checkout; restore it*"])
+    git("rm", "-q", "--cached", "--sparse", file)
+    assert replay(saved).ret == 0
 
 
 @pytest.mark.parametrize("place", ["pafot_corpus", "pafot_corpus/test_it", "pafot_corpus/test_it/test_fails"])

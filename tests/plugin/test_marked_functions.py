@@ -204,6 +204,7 @@ WRONG = [
     ("world=pafot.Highway", "*(world=...): expected pafot.Highway(...) or pafot.World(...), received <class*"),
     ("world='highway-v0'", "*(world=...): expected pafot.Highway(...) or pafot.World(...), received 'highway-v0'*"),
     ("world=pafot.Highway(), lanes=3", "*(world=..., lanes=...): expected either*pass lanes to the world*"),
+    ("generations=0", "*(generations=0): expected at least 1, since 0 searches nothing*"),
     ("population=1", "*(population=...): expected a whole number, at least 2, received 1*"),
     ("algorithm='magic'", "*(algorithm=...): expected distinct, pafot, * or cma-es, received 'magic'*"),
 ]

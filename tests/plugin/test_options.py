@@ -231,8 +231,11 @@ def test_ci_is_told_of_a_policy_that_did_not_drive(project, monkeypatch, is_ci):
     assert (told in result.outlines) == is_ci
 
 
-def test_no_search_because_of_a_variable_is_told(project, monkeypatch):
+def test_no_search_because_of_a_variable_or_a_setting_is_told(project, monkeypatch):
     project.write("@pafot.search(SHORT)\ndef test_it(run):\n    pass\n")
+    project.pytester.makeini("[pytest]\npafot_generations = 0\n")
+    told = "  note: no search ran: pafot_generations is 0 in the settings"
+    assert told in project.run(generations=None).outlines
     monkeypatch.setenv("PAFOT_GENERATIONS", "0")
     told = "  note: no search ran: PAFOT_GENERATIONS=0 is in the environment"
     assert told in project.run(generations=None).outlines

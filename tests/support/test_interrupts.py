@@ -133,3 +133,15 @@ def test_a_signal_that_is_ignored_is_not_postponed():
             assert signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
     finally:
         signal.signal(signal.SIGHUP, before)
+
+
+def test_a_signal_ends_a_process_however_soon_it_comes_after_the_fork():
+    with interrupted_by_signals():
+        for _ in range(30):
+            child = os.fork()
+            if child == 0:
+                time.sleep(5)
+                os._exit(0)
+            os.kill(child, signal.SIGTERM)
+            assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == -signal.SIGTERM
+        assert signal.pthread_sigmask(signal.SIG_BLOCK, ()).isdisjoint(ENDS)

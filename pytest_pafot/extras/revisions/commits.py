@@ -21,12 +21,10 @@ from pathlib import Path
 
 from pytest_pafot.support.errors import RequestError
 from pytest_pafot.support.files import hold, is_held, open_regular, pid_of
-from pytest_pafot.support.git import git, repository_of
+from pytest_pafot.support.git import LFS_POINTER, git, repository_of
 from pytest_pafot.support.interrupts import undisturbed
 from pytest_pafot.support.text import visible, visible_lines
 
-POINTER = b"version https://git-lfs.github.com/spec/"
-"""The beginning of a file in place of one that Git LFS stores."""
 LARGEST_POINTER = 1024
 """The size below which a file is read to learn whether it is a pointer, by the specification of Git LFS [bytes]."""
 
@@ -148,7 +146,7 @@ class History:
         listed = self._git("ls-tree", "--long", "-z", commit, "--", name)
         _, kind, hash_, size = [*listed.partition("\t")[0].split(), "", "", "", ""][:4]
         if kind == "blob" and int(size) < LARGEST_POINTER:
-            return not self._git("cat-file", "blob", hash_).startswith(POINTER.decode())
+            return not self._git("cat-file", "blob", hash_).startswith(LFS_POINTER.decode())
         return bool(listed)
 
     def with_whole_submodules(self, *commits: str) -> History:
@@ -340,7 +338,7 @@ def is_pointer(path: Path) -> bool:
     """Return whether a file is a pointer of Git LFS, which stores the content elsewhere."""
     try:
         with open_regular(path) as file:
-            return file.read(len(POINTER)) == POINTER
+            return file.read(len(LFS_POINTER)) == LFS_POINTER
     except OSError:
         return False
 
