@@ -13,12 +13,11 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from pytest_pafot.campaign.events import Judged as Judged
+    from pytest_pafot.campaign.explore import AlgorithmRun as AlgorithmRun
     from pytest_pafot.campaign.explore import replays_of as replays_of
     from pytest_pafot.campaign.explore import request_of as request_of
-    from pytest_pafot.campaign.harness import checked_factory as checked_factory
     from pytest_pafot.campaign.harness import refusals as refusals
     from pytest_pafot.campaign.request import drawn_space as drawn_space
-    from pytest_pafot.campaign.search import prepared as prepared
     from pytest_pafot.campaign.setup_fault import SetupFaultError as SetupFaultError
     from pytest_pafot.campaign.verdict import Verdict as Verdict
     from pytest_pafot.campaign.verdict import headline as headline
@@ -35,14 +34,14 @@ if TYPE_CHECKING:
     from pytest_pafot.corpus.saved import Saved as Saved
     from pytest_pafot.corpus.saved import named_file as named_file
     from pytest_pafot.corpus.saved import read_saved_file as read_saved_file
+    from pytest_pafot.execution.elsewhere import DrivesElsewhere as DrivesElsewhere
     from pytest_pafot.execution.pool import ProcessLostError as ProcessLostError
+    from pytest_pafot.execution.pool import Requests as Requests
     from pytest_pafot.execution.pool import WorkerPool as WorkerPool
     from pytest_pafot.execution.runner import driving as driving
     from pytest_pafot.execution.scenario_pool import ExecutionError as ExecutionError
     from pytest_pafot.findings.finding import Finding as Finding
     from pytest_pafot.findings.finding import ending as ending
-    from pytest_pafot.findings.finding import of_failure as of_failure
-    from pytest_pafot.findings.signature import Failure as Failure
     from pytest_pafot.model.trace import ACCELERATION as ACCELERATION
     from pytest_pafot.model.trace import HEADING as HEADING
     from pytest_pafot.model.trace import LANE as LANE
@@ -54,22 +53,22 @@ if TYPE_CHECKING:
     from pytest_pafot.model.trace import X as X
     from pytest_pafot.model.trace import Y as Y
     from pytest_pafot.oracle.checks import require as require
+    from pytest_pafot.plugin.collection import policy_of as policy_of
+    from pytest_pafot.plugin.collection import searched_test as searched_test
+    from pytest_pafot.plugin.failure_reports import replay_of as replay_of
     from pytest_pafot.searching.algorithms.catalogue import ALGORITHMS as ALGORITHMS
     from pytest_pafot.searching.algorithms.catalogue import AlgorithmClass as AlgorithmClass
     from pytest_pafot.searching.algorithms.catalogue import resolve_algorithm as resolve_algorithm
     from pytest_pafot.searching.algorithms.distinct import NicheSearch as NicheSearch
     from pytest_pafot.searching.algorithms.distinct import meeting_place as meeting_place
-    from pytest_pafot.searching.ask_tell import Algorithm as Algorithm
     from pytest_pafot.searching.ask_tell import GenerationalSearch as GenerationalSearch
     from pytest_pafot.searching.ask_tell import GenerationState as GenerationState
     from pytest_pafot.searching.ask_tell import check_ask as check_ask
     from pytest_pafot.searching.ask_tell import check_evaluations as check_evaluations
     from pytest_pafot.searching.ask_tell import check_parameters as check_parameters
     from pytest_pafot.searching.ask_tell import end_of_local_search as end_of_local_search
-    from pytest_pafot.searching.ask_tell_loop import run_campaign as run_campaign
     from pytest_pafot.searching.evaluation import Evaluation as Evaluation
     from pytest_pafot.searching.events import AlgorithmEvent as AlgorithmEvent
-    from pytest_pafot.searching.events import Evaluated as Evaluated
     from pytest_pafot.searching.events import GenerationFinished as GenerationFinished
     from pytest_pafot.searching.events import LocalSearchStarted as LocalSearchStarted
     from pytest_pafot.searching.events import NewBest as NewBest
@@ -86,6 +85,7 @@ if TYPE_CHECKING:
     from pytest_pafot.world.codec import from_dict as from_dict
     from pytest_pafot.world.driving.ads import AdsFactory as AdsFactory
     from pytest_pafot.world.driving.ads import is_vehicle_class as is_vehicle_class
+    from pytest_pafot.world.driving.ads import preload as preload
     from pytest_pafot.world.driving.ads import wants_env as wants_env
     from pytest_pafot.world.driving.policy import checked_action as checked_action
     from pytest_pafot.world.guard.hang_guard import check_time as check_time
@@ -99,13 +99,12 @@ _HOMES = {
     "ALGORITHMS": "searching.algorithms.catalogue",
     "AdsError": "model.trace",
     "AdsFactory": "world.driving.ads",
-    "Algorithm": "searching.ask_tell",
     "AlgorithmClass": "searching.algorithms.catalogue",
     "AlgorithmEvent": "searching.events",
-    "Evaluated": "searching.events",
+    "AlgorithmRun": "campaign.explore",
+    "DrivesElsewhere": "execution.elsewhere",
     "Evaluation": "searching.evaluation",
     "ExecutionError": "execution.scenario_pool",
-    "Failure": "findings.signature",
     "Finding": "findings.finding",
     "FloatArray": "model.trace",
     "GenerationFinished": "searching.events",
@@ -120,6 +119,7 @@ _HOMES = {
     "NicheSearch": "searching.algorithms.distinct",
     "ProcessLostError": "execution.pool",
     "RequestError": "support.errors",
+    "Requests": "execution.pool",
     "Restarted": "searching.events",
     "SPEED": "model.trace",
     "STEERING": "model.trace",
@@ -139,7 +139,6 @@ _HOMES = {
     "check_parameters": "searching.ask_tell",
     "check_time": "world.guard.hang_guard",
     "checked_action": "world.driving.policy",
-    "checked_factory": "campaign.harness",
     "code_of": "world.codec",
     "config_of": "commands.policy_reference",
     "drawn_space": "campaign.request",
@@ -156,21 +155,22 @@ _HOMES = {
     "meeting_place": "searching.algorithms.distinct",
     "mutate": "searching.operators",
     "named_file": "corpus.saved",
-    "of_failure": "findings.finding",
-    "prepared": "campaign.search",
+    "policy_of": "plugin.collection",
+    "preload": "world.driving.ads",
     "read_saved_file": "corpus.saved",
     "reference_outcomes": "campaign.verdict",
     "reference_world": "world.protocol",
     "refusals": "campaign.harness",
+    "replay_of": "plugin.failure_reports",
     "replays_of": "campaign.explore",
     "request_of": "campaign.explore",
     "require": "oracle.checks",
     "resolve_algorithm": "searching.algorithms.catalogue",
     "rollout_of": "world.guard.own_worlds",
-    "run_campaign": "searching.ask_tell_loop",
     "sample": "searching.space",
     "sample_manoeuvres": "searching.space",
     "scenario_of": "searching.space",
+    "searched_test": "plugin.collection",
     "space_of": "world.protocol",
     "varied": "searching.operators",
     "wants_env": "world.driving.ads",

@@ -13,6 +13,7 @@ from typing import Any
 import pytest
 
 from pytest_pafot.campaign.options import OF_COMMAND
+from pytest_pafot.campaign.request import Request
 from pytest_pafot.corpus import layout
 from pytest_pafot.corpus.saved import Saved, refusal, refused_in, saved_in
 from pytest_pafot.plugin.marks import DEFAULT_ARG, SAVED_MARK, SEARCH_MARK, arguments_of
@@ -29,6 +30,9 @@ COLLECTED: pytest.StashKey[dict[Path, dict[str, Saved]]] = pytest.StashKey()
 NAMES_ONLY: pytest.StashKey[bool] = pytest.StashKey()
 """True for a session that only lists its items: it reads no saved scenario, so that none counts as accepted."""
 
+
+REQUEST: pytest.StashKey[Request] = pytest.StashKey()
+"""What the mark and the options of an item ask for, once they are checked."""
 
 SEARCH = "search"  # a placeholder for the argument of an item, which a simulated run replaces
 
@@ -317,6 +321,23 @@ def saved_of(item: pytest.Item) -> Saved | None:
     """Return the saved scenario that an item replays; None if the item is no replay."""
     mark = item.get_closest_marker(SAVED_MARK)
     return mark.args[0] if mark is not None and mark.args and isinstance(mark.args[0], Saved) else None
+
+
+def searched_test(item: pytest.Item) -> str:
+    """Return the name of the test that an item searches, with its classes and parameters; empty if it is no search."""
+    return qualified_name(item) if is_search(item) else ""
+
+
+def policy_of(item: pytest.Item) -> Callable[..., Any]:
+    """Return the ADS factory of a search or a replay, once pytest has set up its fixtures.
+
+    Raises:
+        RequestError: if the fixture of the policy returns no factory.
+    """
+    from pytest_pafot.campaign.harness import checked_factory  # noqa: PLC0415
+
+    ads = item.stash[REQUEST].ads
+    return checked_factory(item.funcargs[ads], ads) if isinstance(ads, str) else ads  # type: ignore[attr-defined]
 
 
 def is_parametrised(metafunc: pytest.Metafunc, arg: str) -> bool:

@@ -11,7 +11,7 @@ import pytest
 
 from pytest_pafot.campaign.events import Find
 from pytest_pafot.campaign.options import BY_NAME
-from pytest_pafot.campaign.replays import BESIDE, FLAKY, Around, Replayed, Replays, happened, was_lost
+from pytest_pafot.campaign.replays import BESIDE, FLAKY, Around, Replayed, ReplayResult, Replays, happened, was_lost
 from pytest_pafot.campaign.request import Request
 from pytest_pafot.campaign.search_loop import cause
 from pytest_pafot.campaign.setup_fault import Cause, SetupFaultError, cause_of
@@ -80,7 +80,7 @@ def run_replay(item: pytest.Function, request: Request, saved: Saved) -> None:
     told = [note, nearby_only, _against(replays), f"worse: {worse}" if worse else ""]
     told += replays.setting_changes(finding)
     detail = "; ".join(filter(None, told))
-    item.stash[REPLAYED] = label, run, verdict, note
+    item.stash[REPLAYED] = ReplayResult(finding, label, run, verdict, note)
     if label in ("drifted", JUDGED_OTHERWISE, FLAKY):
         missed = unhandled(finding, run) if label == "drifted" and not verdict.failed else ""
         told = [missed, replays.changes(finding, happened(finding, run, verdict.failure)), note]
@@ -161,7 +161,7 @@ def _conclude_lost(
     if beyond:
         item.stash[NOT_ACCEPTED] = beyond
     note = "; ".join(getattr(lost, "__notes__", ()))
-    item.stash[REPLAYED] = label, None, None, note
+    item.stash[REPLAYED] = ReplayResult(finding, label, None, None, note)
     label = beside or label
     told = [_against(replays), *replays.setting_changes(finding)]
     if label == "drifted":
