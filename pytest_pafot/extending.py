@@ -12,28 +12,27 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from pytest_pafot.campaign.events import Judged as Judged
     from pytest_pafot.campaign.explore import AlgorithmRun as AlgorithmRun
-    from pytest_pafot.campaign.explore import replays_of as replays_of
-    from pytest_pafot.campaign.explore import request_of as request_of
+    from pytest_pafot.campaign.explore import judged_runs as judged_runs
+    from pytest_pafot.campaign.explore import replay_saved as replay_saved
     from pytest_pafot.campaign.harness import refusals as refusals
+    from pytest_pafot.campaign.harness import same_policy as same_policy
     from pytest_pafot.campaign.request import drawn_space as drawn_space
     from pytest_pafot.campaign.setup_fault import SetupFaultError as SetupFaultError
+    from pytest_pafot.campaign.setup_fault import check_drives as check_drives
     from pytest_pafot.campaign.verdict import Verdict as Verdict
-    from pytest_pafot.campaign.verdict import headline as headline
-    from pytest_pafot.campaign.verdict import judge as judge
-    from pytest_pafot.campaign.verdict import reference_outcomes as reference_outcomes
+    from pytest_pafot.campaign.verdict import judged_with_drivers as judged_with_drivers
+    from pytest_pafot.commands.inventory import Inventory as Inventory
     from pytest_pafot.commands.policy_reference import ABOUT_POLICIES as ABOUT_POLICIES
     from pytest_pafot.commands.policy_reference import ads_factory as ads_factory
     from pytest_pafot.commands.policy_reference import caution as caution
     from pytest_pafot.commands.policy_reference import check_function as check_function
     from pytest_pafot.commands.policy_reference import config_of as config_of
     from pytest_pafot.commands.policy_reference import identity as identity
+    from pytest_pafot.commands.results import Session as Session
     from pytest_pafot.corpus.layout import SUFFIX as SUFFIX
     from pytest_pafot.corpus.layout import files_below as files_below
     from pytest_pafot.corpus.saved import Saved as Saved
-    from pytest_pafot.corpus.saved import named_file as named_file
-    from pytest_pafot.corpus.saved import read_saved_file as read_saved_file
     from pytest_pafot.execution.elsewhere import DrivesElsewhere as DrivesElsewhere
     from pytest_pafot.execution.pool import ProcessLostError as ProcessLostError
     from pytest_pafot.execution.pool import Requests as Requests
@@ -41,13 +40,12 @@ if TYPE_CHECKING:
     from pytest_pafot.execution.runner import driving as driving
     from pytest_pafot.execution.scenario_pool import ExecutionError as ExecutionError
     from pytest_pafot.findings.finding import Finding as Finding
-    from pytest_pafot.findings.finding import ending as ending
+    from pytest_pafot.findings.severity import Severity as Severity
     from pytest_pafot.model.trace import ACCELERATION as ACCELERATION
     from pytest_pafot.model.trace import HEADING as HEADING
     from pytest_pafot.model.trace import LANE as LANE
     from pytest_pafot.model.trace import SPEED as SPEED
     from pytest_pafot.model.trace import STEERING as STEERING
-    from pytest_pafot.model.trace import AdsError as AdsError
     from pytest_pafot.model.trace import FloatArray as FloatArray
     from pytest_pafot.model.trace import Lane as Lane
     from pytest_pafot.model.trace import X as X
@@ -56,11 +54,11 @@ if TYPE_CHECKING:
     from pytest_pafot.plugin.collection import policy_of as policy_of
     from pytest_pafot.plugin.collection import searched_test as searched_test
     from pytest_pafot.plugin.failure_reports import replay_of as replay_of
+    from pytest_pafot.report.animation import drawn_episode as drawn_episode
     from pytest_pafot.searching.algorithms.catalogue import ALGORITHMS as ALGORITHMS
     from pytest_pafot.searching.algorithms.catalogue import AlgorithmClass as AlgorithmClass
     from pytest_pafot.searching.algorithms.catalogue import resolve_algorithm as resolve_algorithm
     from pytest_pafot.searching.algorithms.distinct import NicheSearch as NicheSearch
-    from pytest_pafot.searching.algorithms.distinct import meeting_place as meeting_place
     from pytest_pafot.searching.ask_tell import GenerationalSearch as GenerationalSearch
     from pytest_pafot.searching.ask_tell import GenerationState as GenerationState
     from pytest_pafot.searching.ask_tell import check_ask as check_ask
@@ -79,25 +77,25 @@ if TYPE_CHECKING:
     from pytest_pafot.searching.space import SearchSpace as SearchSpace
     from pytest_pafot.searching.space import sample as sample
     from pytest_pafot.searching.space import sample_manoeuvres as sample_manoeuvres
-    from pytest_pafot.searching.space import scenario_of as scenario_of
     from pytest_pafot.support.errors import RequestError as RequestError
     from pytest_pafot.world.codec import code_of as code_of
     from pytest_pafot.world.codec import from_dict as from_dict
     from pytest_pafot.world.driving.ads import AdsFactory as AdsFactory
     from pytest_pafot.world.driving.ads import is_vehicle_class as is_vehicle_class
+    from pytest_pafot.world.driving.ads import loading_hint as loading_hint
     from pytest_pafot.world.driving.ads import preload as preload
     from pytest_pafot.world.driving.ads import wants_env as wants_env
     from pytest_pafot.world.driving.policy import checked_action as checked_action
+    from pytest_pafot.world.engines.ordinary_traffic import drive_episode as drive_episode
     from pytest_pafot.world.guard.hang_guard import check_time as check_time
     from pytest_pafot.world.guard.own_worlds import rollout_of as rollout_of
-    from pytest_pafot.world.protocol import reference_world as reference_world
-    from pytest_pafot.world.protocol import space_of as space_of
+    from pytest_pafot.world.protocol import Abilities as Abilities
 
 _HOMES = {
     "ABOUT_POLICIES": "commands.policy_reference",
     "ACCELERATION": "model.trace",
     "ALGORITHMS": "searching.algorithms.catalogue",
-    "AdsError": "model.trace",
+    "Abilities": "world.protocol",
     "AdsFactory": "world.driving.ads",
     "AlgorithmClass": "searching.algorithms.catalogue",
     "AlgorithmEvent": "searching.events",
@@ -111,7 +109,7 @@ _HOMES = {
     "GenerationState": "searching.ask_tell",
     "GenerationalSearch": "searching.ask_tell",
     "HEADING": "model.trace",
-    "Judged": "campaign.events",
+    "Inventory": "commands.inventory",
     "LANE": "model.trace",
     "Lane": "model.trace",
     "LocalSearchStarted": "searching.events",
@@ -126,7 +124,9 @@ _HOMES = {
     "SUFFIX": "corpus.layout",
     "Saved": "corpus.saved",
     "SearchSpace": "searching.space",
+    "Session": "commands.results",
     "SetupFaultError": "campaign.setup_fault",
+    "Severity": "findings.severity",
     "Verdict": "campaign.verdict",
     "WorkerPool": "execution.pool",
     "X": "model.trace",
@@ -134,6 +134,7 @@ _HOMES = {
     "ads_factory": "commands.policy_reference",
     "caution": "commands.policy_reference",
     "check_ask": "searching.ask_tell",
+    "check_drives": "campaign.setup_fault",
     "check_evaluations": "searching.ask_tell",
     "check_function": "commands.policy_reference",
     "check_parameters": "searching.ask_tell",
@@ -141,37 +142,32 @@ _HOMES = {
     "checked_action": "world.driving.policy",
     "code_of": "world.codec",
     "config_of": "commands.policy_reference",
+    "drawn_episode": "report.animation",
     "drawn_space": "campaign.request",
+    "drive_episode": "world.engines.ordinary_traffic",
     "driving": "execution.runner",
     "end_of_local_search": "searching.ask_tell",
-    "ending": "findings.finding",
     "files_below": "corpus.layout",
     "first_crossed": "searching.operators",
     "from_dict": "world.codec",
-    "headline": "campaign.verdict",
     "identity": "commands.policy_reference",
     "is_vehicle_class": "world.driving.ads",
-    "judge": "campaign.verdict",
-    "meeting_place": "searching.algorithms.distinct",
+    "judged_runs": "campaign.explore",
+    "judged_with_drivers": "campaign.verdict",
+    "loading_hint": "world.driving.ads",
     "mutate": "searching.operators",
-    "named_file": "corpus.saved",
     "policy_of": "plugin.collection",
     "preload": "world.driving.ads",
-    "read_saved_file": "corpus.saved",
-    "reference_outcomes": "campaign.verdict",
-    "reference_world": "world.protocol",
     "refusals": "campaign.harness",
     "replay_of": "plugin.failure_reports",
-    "replays_of": "campaign.explore",
-    "request_of": "campaign.explore",
+    "replay_saved": "campaign.explore",
     "require": "oracle.checks",
     "resolve_algorithm": "searching.algorithms.catalogue",
     "rollout_of": "world.guard.own_worlds",
+    "same_policy": "campaign.harness",
     "sample": "searching.space",
     "sample_manoeuvres": "searching.space",
-    "scenario_of": "searching.space",
     "searched_test": "plugin.collection",
-    "space_of": "world.protocol",
     "varied": "searching.operators",
     "wants_env": "world.driving.ads",
 }

@@ -6,7 +6,7 @@ import hashlib
 import math
 import tempfile
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -17,16 +17,18 @@ from pytest_pafot.campaign import run_table
 from pytest_pafot.campaign.events import FindTold, Judged, Listener, SearchEvent, SearchSummary
 from pytest_pafot.campaign.harness import Harness, reference_of
 from pytest_pafot.campaign.options import BY_NAME, LOCAL, OPTIONS, PROFILES, Settings
-from pytest_pafot.campaign.replays import Replays
+from pytest_pafot.campaign.replays import Replayed, Replays
 from pytest_pafot.campaign.request import Request, SearchArguments, build_world, check_names, checked_request
 from pytest_pafot.campaign.resuming import check_states
 from pytest_pafot.campaign.run_table import RunTable
 from pytest_pafot.campaign.search import Search, prepared, time_limit
-from pytest_pafot.campaign.verdict import source_file
+from pytest_pafot.campaign.verdict import Verdict, judge, source_file
 from pytest_pafot.corpus.layout import folder_of_test, link_below
-from pytest_pafot.corpus.saved import refusal
+from pytest_pafot.corpus.saved import Saved, refusal
+from pytest_pafot.execution.runner import runner_here
 from pytest_pafot.findings.finding import Finding, ads_failure, event_of, of_failure
 from pytest_pafot.findings.signature import Failure
+from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.searching.algorithms.catalogue import AlgorithmClass
 from pytest_pafot.searching.ask_tell import Algorithm
@@ -39,6 +41,7 @@ from pytest_pafot.support.shown import Shown
 from pytest_pafot.support.versions import installed_versions
 from pytest_pafot.world import Highway
 from pytest_pafot.world.driving.ads import AdsFactory
+from pytest_pafot.world.protocol import reference_world
 
 PLACE = "pafot.explore"
 OF_TESTS = ("arg", "debug", "profile", "report", "save", "strict_drift", "strict_health")
@@ -259,6 +262,28 @@ def _of_collision(run: Run) -> run_table.Row:
         "position_responsibility": None if hit is None else run.second_opinion or "none",
         "signature": signature,
     }
+
+
+def judged_runs(
+    scenarios: Sequence[Scenario], world: Any, ads: AdsFactory, holds: Callable[[Run], None], *, blame: str
+) -> Iterator[tuple[Run, Verdict]]:
+    """Drive scenarios with a policy in this process, and yield each run with its verdict."""
+    with runner_here(world, ads) as runner:
+        runner.announce(scenarios)
+        for scenario in scenarios:
+            run = Run(runner.run(scenario), world=reference_world(world))
+            yield run, judge(run, holds, blame=blame)
+
+
+def replay_saved(saved: Saved, holds: Callable[[Run], None], node_id: str, **given: Any) -> Replayed:
+    """Replay a saved scenario as the test ``node_id`` does; ``given`` are arguments of :func:`explore`.
+
+    Raises:
+        RequestError: if the scenario cannot be replayed with these arguments.
+        ProcessLostError: if the process of the policy dies or hangs.
+    """
+    with tempfile.TemporaryDirectory(prefix="pafot-") as scratch:
+        return replays_of(request_of(given), holds, node_id, Path(scratch)).labelled(saved, saved.id)
 
 
 def request_of(given: dict[str, Any]) -> Request:

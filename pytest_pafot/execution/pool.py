@@ -35,6 +35,12 @@ from pytest_pafot.world.guard.hang_guard import LastResort, check_time, last_res
 TaskT = TypeVar("TaskT", bound=Hashable)
 ResultT = TypeVar("ResultT")
 
+START_METHOD = "fork" if sys.platform == "linux" else "spawn"
+"""The start method of processes. Forked processes have the factory and the fixtures that it uses.
+
+On other platforms than Linux, system libraries do not survive a fork, so the factory must be picklable there.
+"""
+
 GRACE = 5.0
 """The additional time after which a decision that exceeds its limit, or a process that does not answer, is ended
 [s]."""
@@ -126,7 +132,7 @@ class WorkerPool(Generic[TaskT, ResultT]):
     work: Work[ResultT]
     size: int
     _: KW_ONLY
-    method: str
+    method: str = START_METHOD
     patience: float
     grace: float = IGNORED
     memory: int | None = None

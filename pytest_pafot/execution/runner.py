@@ -683,7 +683,7 @@ def answers_apart(
     world = job.world
 
     def judged(scenario: Scenario, ads: Callable[..., Any]) -> Trace:
-        trace = rollout_of(world)(scenario, ads)
+        trace: Trace = rollout_of(world)(scenario, ads)
         with capture_output(), suppress(BaseException):
             judge(trace)
         return trace

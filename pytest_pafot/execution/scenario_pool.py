@@ -21,7 +21,7 @@ from queue import SimpleQueue
 from typing import Any, Protocol, TypeAlias
 
 from pytest_pafot.execution.crash_records import CrashRecord, left_by
-from pytest_pafot.execution.pool import GRACE, IGNORED, ProcessLostError, WorkerPool
+from pytest_pafot.execution.pool import GRACE, IGNORED, START_METHOD, ProcessLostError, WorkerPool
 from pytest_pafot.findings.finding import Expect
 from pytest_pafot.findings.signature import PROCESS_CRASH
 from pytest_pafot.model.scenario import Scenario
@@ -116,11 +116,8 @@ class _Stream(io.TextIOWrapper):
 
 # The processes.
 
-METHOD = "fork" if sys.platform == "linux" else "spawn"
-"""The start method of processes. Forked processes have the factory and the fixtures that it uses.
-
-On other platforms than Linux, system libraries do not survive a fork, so the factory must be picklable there.
-"""
+METHOD = START_METHOD
+"""The start method of the processes that run scenarios."""
 
 NOT_REPEATED = (
     "This was raised in the process in which the ADS has to run, and is not tried again in the session. If it works in "

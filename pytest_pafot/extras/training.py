@@ -19,11 +19,11 @@ from numpy.random import Generator
 from pytest_pafot import Run, Scenario, Trace, World, WorldError, load
 from pytest_pafot.extending import (
     SUFFIX,
+    Abilities,
     checked_action,
     drawn_space,
     files_below,
     sample,
-    space_of,
 )
 from pytest_pafot.support.errors import checked_number
 from pytest_pafot.world.driving.observations import observe_fast
@@ -192,7 +192,7 @@ def training_env(world: World, scenarios: Scenarios = None, share: float = 0.5) 
 
 def random_scenarios(world: Any) -> Sampler:
     """Return a sampler of random scenarios, like the first scenarios of a search with default settings in a world."""
-    return partial(sample, space_of(world, drawn_space(world, {})))
+    return partial(sample, Abilities(world).space(drawn_space(world, {})))
 
 
 def _sampler(world: World, scenarios: Scenarios) -> Sampler:

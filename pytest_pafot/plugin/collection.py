@@ -8,12 +8,11 @@ from datetime import date
 from fnmatch import fnmatch
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
 from pytest_pafot.campaign.options import OF_COMMAND
-from pytest_pafot.campaign.request import Request
 from pytest_pafot.corpus import layout
 from pytest_pafot.corpus.saved import Saved, refusal, refused_in, saved_in
 from pytest_pafot.plugin.marks import DEFAULT_ARG, SAVED_MARK, SEARCH_MARK, arguments_of
@@ -23,6 +22,9 @@ from pytest_pafot.plugin.session import SHARED, SUMMARY_LINES, base_line
 from pytest_pafot.plugin.uncollected import Left, beside_test_files, is_base, left_out, replaced_in
 from pytest_pafot.plugin.unrun import UNRUN, Collected, Unrun
 from pytest_pafot.support.text import visible
+
+if TYPE_CHECKING:
+    from pytest_pafot.campaign.request import Request
 
 COLLECTED: pytest.StashKey[dict[Path, dict[str, Saved]]] = pytest.StashKey()
 """The saved scenarios that existed when the session collected its items, by folder and file name."""

@@ -22,7 +22,6 @@ from pytest_pafot.corpus.writer import scenario_lines
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.execution.scenario_pool import LostRun
 from pytest_pafot.findings.finding import JUDGED_OTHERWISE, NEARBY, Finding, of_failure, unhandled
-from pytest_pafot.findings.severity import worsening
 from pytest_pafot.oracle.checks import CheckFailed
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.plugin import messages, node_ids
@@ -71,7 +70,7 @@ def run_replay(item: pytest.Function, request: Request, saved: Saved) -> None:
     label, run, verdict, note, nearby = now.label, now.run, now.verdict, now.note, now.around.failing
     if nearby is None:
         _check_set_up(item, replays, saved, run, verdict)
-    worse = _worsening(verdict) if label == BESIDE[False] else ""
+    worse = verdict.worsening if label == BESIDE[False] else ""
     # The marker xfail of the item accepts every exception, so the report needs to know which one it must not accept.
     beyond = "" if verdict.failure is None else replays.beyond_acceptance(finding, run, verdict.failure)
     if beyond:
@@ -180,11 +179,6 @@ def _conclude_lost(
 def _against(replays: Replays) -> str:
     name = replays.harness.against_name
     return f"against {name}" if name else ""
-
-
-def _worsening(verdict: Verdict) -> str:
-    """Describe how much worse a failure is than the reference's in the same scenario; empty if it is not worse."""
-    return "" if verdict.reference is None else worsening(verdict.severity, verdict.reference.severity)
 
 
 def _tell(

@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import Any
 
 from pytest_pafot import load
-from pytest_pafot.extending import named_file
 from pytest_pafot.extras.revisions.commits import History, copied, halved, inside
 from pytest_pafot.extras.revisions.revision_policy import mapped
 from pytest_pafot.support.errors import RequestError, command, flag
@@ -62,8 +61,8 @@ def _seconds(text: str) -> float:
 def run(arguments: argparse.Namespace, _: Sequence[str]) -> int:
     """Search for the commit that made a scenario fail; return the exit code: 0 if one commit is left, 1 if several."""
     here = Path(os.path.realpath(Path.cwd()))
-    found = named_file(arguments.file)
-    test = load(found).finding.test.partition("::")[0]
+    saved = load(arguments.file)
+    found, test = saved.path, saved.finding.test.partition("::")[0]
     history = History.of(arguments.policy, here)
     file = inside(history.root, here, str(found), "FILE")
     extra = copied(history.root, here, arguments.copy, "--copy")

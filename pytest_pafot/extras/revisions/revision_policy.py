@@ -105,7 +105,7 @@ def rolled(built: Any, method: str, world: Any, scenario: Scenario) -> Trace:
     Raises:
         RevisionError: if the policy did not find a file or a module, which says nothing about how it drives.
     """
-    trace = rollout_of(world, method)(scenario, built.factory)
+    trace: Trace = rollout_of(world, method)(scenario, built.factory)
     if trace.error is not None and trace.error.kind in MISSING:
         policy: RevisionPolicy = built.policy
         text = f"{trace.error.kind}: {trace.error.message}".replace(f"{policy.tree}{os.sep}", "")

@@ -35,6 +35,7 @@ from pytest_pafot.world.engines.episode import Episode, EpisodeRecording, Kind, 
 from pytest_pafot.world.guard.failure import UNFIT, closing, error_of
 from pytest_pafot.world.guard.hang_guard import HangGuard
 from pytest_pafot.world.gym_environment import NEUTRAL, GymEnvironment, has_known_step, vehicle_classes_kept
+from pytest_pafot.world.gym_world import World
 from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.kernel.loop import PlannerDriver
 from pytest_pafot.world.kernel.observation import COLUMNS
@@ -399,6 +400,16 @@ def stepped(environment: Any, seen: Any, guard: HangGuard) -> Any:
     """
     start = Start(outer=environment, seen=seen, ads=None, kind="policy", guard=guard)
     return environment if why_not(start) else CompiledSteps(start)
+
+
+def drive_episode(
+    world: World, factory: AdsFactory, seed: int, *, is_planner: bool = False, is_recorded: bool = False
+) -> Episode:
+    """Drive an episode of a world's own traffic with a new ADS; arguments as of :func:`drive`."""
+    hang_limit = world.hang_limit
+    return drive(
+        world.environment, factory, seed, hang_limit=hang_limit, is_planner=is_planner, is_recorded=is_recorded
+    )
 
 
 def drive(
