@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     from pytest_pafot.execution.pool import WorkerPool as WorkerPool
     from pytest_pafot.execution.runner import driving as driving
     from pytest_pafot.execution.scenario_pool import ExecutionError as ExecutionError
+    from pytest_pafot.execution.scenario_pool import Job as Job
     from pytest_pafot.findings.finding import Finding as Finding
     from pytest_pafot.findings.severity import Severity as Severity
     from pytest_pafot.model.trace import ACCELERATION as ACCELERATION
@@ -86,6 +87,7 @@ if TYPE_CHECKING:
     from pytest_pafot.world.driving.ads import preload as preload
     from pytest_pafot.world.driving.ads import wants_env as wants_env
     from pytest_pafot.world.driving.policy import checked_action as checked_action
+    from pytest_pafot.world.engines.ordinary_traffic import SteppedWorld as SteppedWorld
     from pytest_pafot.world.engines.ordinary_traffic import drive_episode as drive_episode
     from pytest_pafot.world.guard.hang_guard import check_time as check_time
     from pytest_pafot.world.guard.own_worlds import rollout_of as rollout_of
@@ -110,6 +112,7 @@ _HOMES = {
     "GenerationalSearch": "searching.ask_tell",
     "HEADING": "model.trace",
     "Inventory": "commands.inventory",
+    "Job": "execution.scenario_pool",
     "LANE": "model.trace",
     "Lane": "model.trace",
     "LocalSearchStarted": "searching.events",
@@ -127,6 +130,7 @@ _HOMES = {
     "Session": "commands.results",
     "SetupFaultError": "campaign.setup_fault",
     "Severity": "findings.severity",
+    "SteppedWorld": "world.engines.ordinary_traffic",
     "Verdict": "campaign.verdict",
     "WorkerPool": "execution.pool",
     "X": "model.trace",

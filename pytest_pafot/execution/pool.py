@@ -102,6 +102,14 @@ class ProcessLostError(Exception, Generic[TaskT]):
             f"{page('guide/planners.md')}"
         )
 
+    @property
+    def recovery(self) -> str:
+        """The note on a process that died in a task that succeeded when it was tried again."""
+        return (
+            f"a {self.who} {self.how} while it ran {self.task}, which ran to its end when it was tried "
+            "alone: there may be too little memory for so many workers, or the process was killed from outside"
+        )
+
     def __reduce__(self) -> tuple[Any, ...]:
         return partial(ProcessLostError, self.task, pid=self.pid, how=self.how, is_hang=self.is_hang), ()
 
