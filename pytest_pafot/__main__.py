@@ -171,7 +171,6 @@ def _note(interrupt: KeyboardInterrupt) -> None:
 
 def _run(given: list[str]) -> int:
     from pytest_pafot.commands.policy_reference import BAD_USE  # noqa: PLC0415
-    from pytest_pafot.report.animation import AnimationError  # noqa: PLC0415
     from pytest_pafot.support.errors import (  # noqa: PLC0415
         AdsFactoryError,
         FieldError,
@@ -180,7 +179,7 @@ def _run(given: list[str]) -> int:
     )
 
     # The errors that the user can correct. A worker that dies raises a ChildProcessError.
-    errors = (RequestError, FieldError, AdsFactoryError, RevisionError, AnimationError, ChildProcessError)
+    errors = (RequestError, FieldError, AdsFactoryError, RevisionError, ChildProcessError)
     parser = argparse.ArgumentParser(
         prog="python -m pytest_pafot", description="Commands of pytest-pafot in addition to pytest."
     )

@@ -12,64 +12,62 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from pytest_pafot.campaign.events import Judged as Judged
-    from pytest_pafot.campaign.explore import replays_of as replays_of
-    from pytest_pafot.campaign.explore import request_of as request_of
-    from pytest_pafot.campaign.harness import checked_factory as checked_factory
+    from pytest_pafot.campaign.explore import AlgorithmRun as AlgorithmRun
+    from pytest_pafot.campaign.explore import judged_runs as judged_runs
+    from pytest_pafot.campaign.explore import replay_saved as replay_saved
     from pytest_pafot.campaign.harness import refusals as refusals
+    from pytest_pafot.campaign.harness import same_policy as same_policy
     from pytest_pafot.campaign.request import drawn_space as drawn_space
-    from pytest_pafot.campaign.search import prepared as prepared
     from pytest_pafot.campaign.setup_fault import SetupFaultError as SetupFaultError
+    from pytest_pafot.campaign.setup_fault import check_drives as check_drives
     from pytest_pafot.campaign.verdict import Verdict as Verdict
-    from pytest_pafot.campaign.verdict import headline as headline
-    from pytest_pafot.campaign.verdict import judge as judge
-    from pytest_pafot.campaign.verdict import reference_outcomes as reference_outcomes
+    from pytest_pafot.campaign.verdict import judged_with_drivers as judged_with_drivers
+    from pytest_pafot.commands.inventory import Inventory as Inventory
     from pytest_pafot.commands.policy_reference import ABOUT_POLICIES as ABOUT_POLICIES
     from pytest_pafot.commands.policy_reference import ads_factory as ads_factory
     from pytest_pafot.commands.policy_reference import caution as caution
     from pytest_pafot.commands.policy_reference import check_function as check_function
     from pytest_pafot.commands.policy_reference import config_of as config_of
     from pytest_pafot.commands.policy_reference import identity as identity
+    from pytest_pafot.commands.results import Session as Session
     from pytest_pafot.corpus.layout import SUFFIX as SUFFIX
     from pytest_pafot.corpus.layout import files_below as files_below
     from pytest_pafot.corpus.saved import Saved as Saved
-    from pytest_pafot.corpus.saved import named_file as named_file
-    from pytest_pafot.corpus.saved import read_saved_file as read_saved_file
+    from pytest_pafot.execution.elsewhere import DrivesElsewhere as DrivesElsewhere
     from pytest_pafot.execution.pool import ProcessLostError as ProcessLostError
+    from pytest_pafot.execution.pool import Requests as Requests
     from pytest_pafot.execution.pool import WorkerPool as WorkerPool
     from pytest_pafot.execution.runner import driving as driving
     from pytest_pafot.execution.scenario_pool import ExecutionError as ExecutionError
+    from pytest_pafot.execution.scenario_pool import Job as Job
     from pytest_pafot.findings.finding import Finding as Finding
-    from pytest_pafot.findings.finding import ending as ending
-    from pytest_pafot.findings.finding import of_failure as of_failure
-    from pytest_pafot.findings.signature import Failure as Failure
+    from pytest_pafot.findings.severity import Severity as Severity
     from pytest_pafot.model.trace import ACCELERATION as ACCELERATION
     from pytest_pafot.model.trace import HEADING as HEADING
     from pytest_pafot.model.trace import LANE as LANE
     from pytest_pafot.model.trace import SPEED as SPEED
     from pytest_pafot.model.trace import STEERING as STEERING
-    from pytest_pafot.model.trace import AdsError as AdsError
     from pytest_pafot.model.trace import FloatArray as FloatArray
     from pytest_pafot.model.trace import Lane as Lane
     from pytest_pafot.model.trace import X as X
     from pytest_pafot.model.trace import Y as Y
     from pytest_pafot.oracle.checks import require as require
+    from pytest_pafot.plugin.collection import policy_of as policy_of
+    from pytest_pafot.plugin.collection import searched_test as searched_test
+    from pytest_pafot.plugin.failure_reports import replay_of as replay_of
+    from pytest_pafot.report.animation import drawn_episode as drawn_episode
     from pytest_pafot.searching.algorithms.catalogue import ALGORITHMS as ALGORITHMS
     from pytest_pafot.searching.algorithms.catalogue import AlgorithmClass as AlgorithmClass
     from pytest_pafot.searching.algorithms.catalogue import resolve_algorithm as resolve_algorithm
     from pytest_pafot.searching.algorithms.distinct import NicheSearch as NicheSearch
-    from pytest_pafot.searching.algorithms.distinct import meeting_place as meeting_place
-    from pytest_pafot.searching.ask_tell import Algorithm as Algorithm
     from pytest_pafot.searching.ask_tell import GenerationalSearch as GenerationalSearch
     from pytest_pafot.searching.ask_tell import GenerationState as GenerationState
     from pytest_pafot.searching.ask_tell import check_ask as check_ask
     from pytest_pafot.searching.ask_tell import check_evaluations as check_evaluations
     from pytest_pafot.searching.ask_tell import check_parameters as check_parameters
     from pytest_pafot.searching.ask_tell import end_of_local_search as end_of_local_search
-    from pytest_pafot.searching.ask_tell_loop import run_campaign as run_campaign
     from pytest_pafot.searching.evaluation import Evaluation as Evaluation
     from pytest_pafot.searching.events import AlgorithmEvent as AlgorithmEvent
-    from pytest_pafot.searching.events import Evaluated as Evaluated
     from pytest_pafot.searching.events import GenerationFinished as GenerationFinished
     from pytest_pafot.searching.events import LocalSearchStarted as LocalSearchStarted
     from pytest_pafot.searching.events import NewBest as NewBest
@@ -80,39 +78,41 @@ if TYPE_CHECKING:
     from pytest_pafot.searching.space import SearchSpace as SearchSpace
     from pytest_pafot.searching.space import sample as sample
     from pytest_pafot.searching.space import sample_manoeuvres as sample_manoeuvres
-    from pytest_pafot.searching.space import scenario_of as scenario_of
     from pytest_pafot.support.errors import RequestError as RequestError
     from pytest_pafot.world.codec import code_of as code_of
     from pytest_pafot.world.codec import from_dict as from_dict
     from pytest_pafot.world.driving.ads import AdsFactory as AdsFactory
     from pytest_pafot.world.driving.ads import is_vehicle_class as is_vehicle_class
+    from pytest_pafot.world.driving.ads import loading_hint as loading_hint
+    from pytest_pafot.world.driving.ads import preload as preload
     from pytest_pafot.world.driving.ads import wants_env as wants_env
     from pytest_pafot.world.driving.policy import checked_action as checked_action
+    from pytest_pafot.world.engines.ordinary_traffic import SteppedWorld as SteppedWorld
+    from pytest_pafot.world.engines.ordinary_traffic import drive_episode as drive_episode
     from pytest_pafot.world.guard.hang_guard import check_time as check_time
     from pytest_pafot.world.guard.own_worlds import rollout_of as rollout_of
-    from pytest_pafot.world.protocol import reference_world as reference_world
-    from pytest_pafot.world.protocol import space_of as space_of
+    from pytest_pafot.world.protocol import Abilities as Abilities
 
 _HOMES = {
     "ABOUT_POLICIES": "commands.policy_reference",
     "ACCELERATION": "model.trace",
     "ALGORITHMS": "searching.algorithms.catalogue",
-    "AdsError": "model.trace",
+    "Abilities": "world.protocol",
     "AdsFactory": "world.driving.ads",
-    "Algorithm": "searching.ask_tell",
     "AlgorithmClass": "searching.algorithms.catalogue",
     "AlgorithmEvent": "searching.events",
-    "Evaluated": "searching.events",
+    "AlgorithmRun": "campaign.explore",
+    "DrivesElsewhere": "execution.elsewhere",
     "Evaluation": "searching.evaluation",
     "ExecutionError": "execution.scenario_pool",
-    "Failure": "findings.signature",
     "Finding": "findings.finding",
     "FloatArray": "model.trace",
     "GenerationFinished": "searching.events",
     "GenerationState": "searching.ask_tell",
     "GenerationalSearch": "searching.ask_tell",
     "HEADING": "model.trace",
-    "Judged": "campaign.events",
+    "Inventory": "commands.inventory",
+    "Job": "execution.scenario_pool",
     "LANE": "model.trace",
     "Lane": "model.trace",
     "LocalSearchStarted": "searching.events",
@@ -120,13 +120,17 @@ _HOMES = {
     "NicheSearch": "searching.algorithms.distinct",
     "ProcessLostError": "execution.pool",
     "RequestError": "support.errors",
+    "Requests": "execution.pool",
     "Restarted": "searching.events",
     "SPEED": "model.trace",
     "STEERING": "model.trace",
     "SUFFIX": "corpus.layout",
     "Saved": "corpus.saved",
     "SearchSpace": "searching.space",
+    "Session": "commands.results",
     "SetupFaultError": "campaign.setup_fault",
+    "Severity": "findings.severity",
+    "SteppedWorld": "world.engines.ordinary_traffic",
     "Verdict": "campaign.verdict",
     "WorkerPool": "execution.pool",
     "X": "model.trace",
@@ -134,44 +138,40 @@ _HOMES = {
     "ads_factory": "commands.policy_reference",
     "caution": "commands.policy_reference",
     "check_ask": "searching.ask_tell",
+    "check_drives": "campaign.setup_fault",
     "check_evaluations": "searching.ask_tell",
     "check_function": "commands.policy_reference",
     "check_parameters": "searching.ask_tell",
     "check_time": "world.guard.hang_guard",
     "checked_action": "world.driving.policy",
-    "checked_factory": "campaign.harness",
     "code_of": "world.codec",
     "config_of": "commands.policy_reference",
+    "drawn_episode": "report.animation",
     "drawn_space": "campaign.request",
+    "drive_episode": "world.engines.ordinary_traffic",
     "driving": "execution.runner",
     "end_of_local_search": "searching.ask_tell",
-    "ending": "findings.finding",
     "files_below": "corpus.layout",
     "first_crossed": "searching.operators",
     "from_dict": "world.codec",
-    "headline": "campaign.verdict",
     "identity": "commands.policy_reference",
     "is_vehicle_class": "world.driving.ads",
-    "judge": "campaign.verdict",
-    "meeting_place": "searching.algorithms.distinct",
+    "judged_runs": "campaign.explore",
+    "judged_with_drivers": "campaign.verdict",
+    "loading_hint": "world.driving.ads",
     "mutate": "searching.operators",
-    "named_file": "corpus.saved",
-    "of_failure": "findings.finding",
-    "prepared": "campaign.search",
-    "read_saved_file": "corpus.saved",
-    "reference_outcomes": "campaign.verdict",
-    "reference_world": "world.protocol",
+    "policy_of": "plugin.collection",
+    "preload": "world.driving.ads",
     "refusals": "campaign.harness",
-    "replays_of": "campaign.explore",
-    "request_of": "campaign.explore",
+    "replay_of": "plugin.failure_reports",
+    "replay_saved": "campaign.explore",
     "require": "oracle.checks",
     "resolve_algorithm": "searching.algorithms.catalogue",
     "rollout_of": "world.guard.own_worlds",
-    "run_campaign": "searching.ask_tell_loop",
+    "same_policy": "campaign.harness",
     "sample": "searching.space",
     "sample_manoeuvres": "searching.space",
-    "scenario_of": "searching.space",
-    "space_of": "world.protocol",
+    "searched_test": "plugin.collection",
     "varied": "searching.operators",
     "wants_env": "world.driving.ads",
 }

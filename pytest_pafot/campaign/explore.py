@@ -2,32 +2,46 @@
 
 from __future__ import annotations
 
+import hashlib
+import math
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, NoReturn
+from types import MappingProxyType
+from typing import Any, ClassVar, NoReturn
 
+from pytest_pafot.campaign import run_table
 from pytest_pafot.campaign.events import FindTold, Judged, Listener, SearchEvent, SearchSummary
 from pytest_pafot.campaign.harness import Harness, reference_of
 from pytest_pafot.campaign.options import BY_NAME, LOCAL, OPTIONS, PROFILES, Settings
-from pytest_pafot.campaign.replays import Replays
+from pytest_pafot.campaign.replays import Replayed, Replays
 from pytest_pafot.campaign.request import Request, SearchArguments, build_world, check_names, checked_request
 from pytest_pafot.campaign.resuming import check_states
 from pytest_pafot.campaign.run_table import RunTable
 from pytest_pafot.campaign.search import Search, prepared, time_limit
-from pytest_pafot.campaign.verdict import source_file
+from pytest_pafot.campaign.verdict import Verdict, judge, source_file
 from pytest_pafot.corpus.layout import folder_of_test, link_below
-from pytest_pafot.corpus.saved import refusal
-from pytest_pafot.findings.finding import Finding
+from pytest_pafot.corpus.saved import Saved, refusal
+from pytest_pafot.execution.runner import runner_here
+from pytest_pafot.findings.finding import Finding, ads_failure, event_of, of_failure
+from pytest_pafot.findings.signature import Failure
+from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.oracle.run import Run
+from pytest_pafot.searching.algorithms.catalogue import AlgorithmClass
+from pytest_pafot.searching.ask_tell import Algorithm
+from pytest_pafot.searching.ask_tell_loop import run_campaign
+from pytest_pafot.searching.events import Evaluated
+from pytest_pafot.searching.fitness import resolve
+from pytest_pafot.searching.space import SearchSpace
 from pytest_pafot.support.errors import RequestError, check_asserts, command
 from pytest_pafot.support.shown import Shown
 from pytest_pafot.support.versions import installed_versions
 from pytest_pafot.world import Highway
 from pytest_pafot.world.driving.ads import AdsFactory
+from pytest_pafot.world.protocol import reference_world
 
 PLACE = "pafot.explore"
 OF_TESTS = ("arg", "debug", "profile", "report", "save", "strict_drift", "strict_health")
@@ -124,6 +138,152 @@ def explore(
     findings = tuple(replace(kept.finding, trace=None if kept.run is None else kept.run.trace) for kept in result.kept)
     rows = tuple(table.taken())
     return Exploration(findings=findings, summary=result.summary, events=tuple(events), runs=rows)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AlgorithmRun:
+    """One run of a search algorithm, which only lists the scenarios that it tries, for comparisons of algorithms.
+
+    It evaluates scenarios as :func:`explore` does, but it can end after a simulated time, and it neither runs findings
+    again nor simplifies them.
+
+    Attributes:
+        algorithm, parameters: the algorithm, and values of its class attributes in place of its own.
+        ads: the factory of the policy.
+        holds: the property, as for :func:`explore`.
+        world, space: the world, and the scenarios that the algorithm draws from.
+        blame, fitness: as for :func:`explore`; without a fitness it is the algorithm's own.
+        seed: the seed of the algorithm, from which no other seed is derived.
+        generations: the number of generations after which the run ends.
+        seconds: the simulated time after which no scenario begins [s].
+
+    Raises:
+        ValueError: if the algorithm does not take the space or the parameters, or if there is no such fitness.
+        RequestError: if anything else is wrong.
+    """
+
+    COLUMNS: ClassVar[Mapping[str, str]] = MappingProxyType({
+        **{name: meaning for name, meaning in run_table.COLUMNS.items() if name not in ("test", "run")},
+        "index": "index in the generation, from 0",
+        "clock": "simulated time of the search until the end of the run [s]; reused results take no time",
+        "cell": "cell of the NPC that was hit; empty if it crossed the ego's way",
+        "zone": "zone in which that NPC crossed, such as `crossing from the left`; otherwise empty",
+        "position_responsibility": "who is responsible by the rule of the authors' code",
+        "signature": "identity of a collision, even of one that is no failure, or of an ADS error; otherwise empty",
+        "genes_started": "started genes of all NPCs",
+        "genes_reached": "number of started genes whose cell, lane or zone was reached",
+        "executed": "the scenario as driven, in canonical text",
+    })  # fmt: skip
+    """The columns of the rows, with their meaning."""
+
+    algorithm: AlgorithmClass
+    ads: Callable[..., Any]
+    holds: Callable[[Run], None]
+    world: Any
+    space: SearchSpace
+    seed: int
+    parameters: Mapping[str, Any] = field(default_factory=dict)
+    blame: str = "any"
+    fitness: str | None = None
+    generations: int = 10**9
+    seconds: float = math.inf
+
+    def __post_init__(self) -> None:
+        self._made()
+        if self.fitness is not None:
+            resolve(self.fitness)
+
+    def _made(self) -> Algorithm[Any]:
+        return self.algorithm.make(self.space, **self.parameters)
+
+    def rows(self, tick: Callable[[float], object]) -> list[run_table.Row]:
+        """Make the run, and return a row for each scenario that the algorithm has asked for.
+
+        ``tick`` receives the finished share of the run.
+
+        Raises:
+            SetupFaultError: if the ADS fails for the same reason at its first decision in the whole first generation.
+        """
+        given = {"ads": self.ads, "world": self.world, "algorithm": self.algorithm.made_by}
+        request = request_of({**given, "fitness": self.fitness, "blame": self.blame})
+        # A finding above the largest number of saved ones is only counted.
+        request = replace(request, settings=replace(request.settings, max_saved=0))
+        table, seconds = RunTable(seed=self.seed, more=_of_collision), 0.0
+
+        def listen(event: Any) -> None:
+            nonlocal seconds
+            table.see(event)
+            if isinstance(event, Evaluated):
+                evaluation = event.evaluation
+                seconds += 0.0 if event.reused else evaluation.duration
+                tick(max(event.generation / self.generations, seconds / self.seconds))
+                table.rows[-1] |= {
+                    "index": event.index,
+                    "clock": seconds,
+                    "genes_started": evaluation.genes_started,
+                    "genes_reached": evaluation.genes_reached,
+                    "executed": evaluation.executed.canonical(),
+                }
+
+        with tempfile.TemporaryDirectory(prefix="pafot-") as scratch:
+            harness = replays_of(request, self.holds, "compare", Path(scratch)).harness
+            # Blame affects all fitnesses except AV-Fuzzer's, which its authors used without it.
+            is_steered = request.fitness != "av-fuzzer"
+            with prepared(harness, listen, space=self.space, is_steered=is_steered) as sessions:
+                sessions.loop.follow(
+                    run_campaign(
+                        self._made(),
+                        sessions.loop.evaluate,
+                        generations=self.generations,
+                        seed=self.seed,
+                        stop=lambda: seconds >= self.seconds,
+                        foresee=sessions.loop.simulation.runner.announce,
+                    )
+                )
+        tick(1.0)
+        return table.taken()
+
+
+COLLISION = Failure(kind="AssertionError", assertion="not run.collision")
+"""The failure that tells the collisions of an :class:`AlgorithmRun` apart, also those that its property accepts."""
+
+
+def _of_collision(run: Run) -> run_table.Row:
+    """Return the values of a run for the columns of an :class:`AlgorithmRun` that the table of runs lacks."""
+    hit, signature = run.collision, None
+    failure = ads_failure(run) or (None if hit is None else COLLISION)
+    if failure is not None:
+        found = of_failure(run, failure)
+        # It begins with readable words, and two texts are equal only if the signatures are equal.
+        signature = f"{found.mistake or found.slug}-{hashlib.sha256(repr(found).encode()).hexdigest()[:6]}"
+    return {
+        "cell": None if hit is None or hit.cell is None else int(hit.cell),
+        "zone": None if hit is None else event_of(run, failure).zone,
+        "position_responsibility": None if hit is None else run.second_opinion or "none",
+        "signature": signature,
+    }
+
+
+def judged_runs(
+    scenarios: Sequence[Scenario], world: Any, ads: AdsFactory, holds: Callable[[Run], None], *, blame: str
+) -> Iterator[tuple[Run, Verdict]]:
+    """Drive scenarios with a policy in this process, and yield each run with its verdict."""
+    with runner_here(world, ads) as runner:
+        runner.announce(scenarios)
+        for scenario in scenarios:
+            run = Run(runner.run(scenario), world=reference_world(world))
+            yield run, judge(run, holds, blame=blame)
+
+
+def replay_saved(saved: Saved, holds: Callable[[Run], None], node_id: str, **given: Any) -> Replayed:
+    """Replay a saved scenario as the test ``node_id`` does; ``given`` are arguments of :func:`explore`.
+
+    Raises:
+        RequestError: if the scenario cannot be replayed with these arguments.
+        ProcessLostError: if the process of the policy dies or hangs.
+    """
+    with tempfile.TemporaryDirectory(prefix="pafot-") as scratch:
+        return replays_of(request_of(given), holds, node_id, Path(scratch)).labelled(saved, saved.id)
 
 
 def request_of(given: dict[str, Any]) -> Request:

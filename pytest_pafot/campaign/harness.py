@@ -27,7 +27,7 @@ from pytest_pafot.model.scenario import Scenario, ScenarioError
 from pytest_pafot.model.trace import Outcome, Trace
 from pytest_pafot.oracle.run import ReferenceOutcome, Run
 from pytest_pafot.support.errors import DriverError, OutOfTime, RequestError, RevisionError
-from pytest_pafot.support.references import REVISION, factory_named, referred_to
+from pytest_pafot.support.references import REVISION, factory_named, name_of
 from pytest_pafot.support.source_files import source_files
 from pytest_pafot.world import AdsFactoryError, WorldError, codec, protocol
 from pytest_pafot.world.driving.ads import hint_at_object, is_vehicle_class, preload, weights_digest
@@ -133,15 +133,6 @@ def _contents(files: Mapping[Path, tuple[str, str]], others: Mapping[Path, tuple
         data = (path for folder in folders for path in folder.rglob("*") if path.suffix not in (".py", ".pyc"))
         hashes.update(hashlib.sha256(path.read_bytes()).hexdigest() for path in data if path.is_file())
     return hashes
-
-
-def name_of(factory: Callable[..., Any]) -> str:
-    """Return ``module:name`` of a function or a class that a text can refer to; empty for any other factory."""
-    name = f"{getattr(factory, '__module__', '')}:{getattr(factory, '__qualname__', '')}"
-    try:
-        return name if referred_to(name) is factory else ""
-    except ValueError:
-        return ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 from pytest_pafot.corpus.layout import CORPUS
 from pytest_pafot.support.errors import RequestError, flag, page
 from pytest_pafot.support.text import meant
+from pytest_pafot.support.versions import cores
 
 if TYPE_CHECKING:
     from pytest_pafot.searching.ask_tell import Algorithm
@@ -403,13 +404,6 @@ def _read_workers(option: Option, value: object) -> int:
         return _read_integer(option, value)
     except RequestError as error:
         raise RequestError(str(error).replace("expected a", f"expected {AUTO} or a", 1)) from None
-
-
-def cores() -> int:
-    """Return the number of cores that this process may use, at least one."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
 
 
 def _read_seconds(option: Option, value: object) -> float:

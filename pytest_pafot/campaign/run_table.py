@@ -11,7 +11,7 @@ from typing import Any
 
 from pytest_pafot.attribution.responsibility import rss_rule
 from pytest_pafot.campaign.events import Judged, SearchEvent, SearchStarted
-from pytest_pafot.campaign.verdict import Verdict, worst_margins
+from pytest_pafot.campaign.verdict import Verdict
 from pytest_pafot.findings.signature import Signature
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.searching.evaluation import EVALUATIONS, Evaluation
@@ -147,7 +147,7 @@ def columns_of(run: Run, verdict: Verdict) -> Row:
         "least_gap": _finite(run.min_distance),
         "least_time_to_contact": _finite(run.min_ttc),
         "hardest_braking": run.hardest_brake,
-        "margins": json.dumps({name: _finite(margin) for name, margin in worst_margins(verdict)}),
+        "margins": json.dumps({name: _finite(margin) for name, margin in verdict.margins}),
     }
 
 

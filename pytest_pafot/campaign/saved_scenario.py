@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from pytest_pafot.corpus import reader
+from pytest_pafot.corpus.saved import named_file
 from pytest_pafot.findings.finding import Expect, Finding, is_same_event
 from pytest_pafot.model.scenario import Scenario, ScenarioError
 from pytest_pafot.oracle.run import Run
@@ -22,10 +23,13 @@ from pytest_pafot.world.guard.own_worlds import rollout_of
 def load(path: str | os.PathLike[str]) -> SavedScenario:
     """Load a saved scenario from its file. Nothing in the file is run as code.
 
+    A text may also be the id of a saved scenario below the current folder, or the name of its item as pytest prints it.
+
     Raises:
         CorpusError: for any error in the file, with the line, the field and the way out.
     """
-    return SavedScenario(path=Path(path), finding=reader.load(path))
+    found = named_file(path) if isinstance(path, str) else Path(path)
+    return SavedScenario(path=found, finding=reader.load(found))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -18,7 +18,7 @@ from pytest_pafot.campaign.events import NO_WORSE, NOT_REPEATED, Find, FindTold,
 from pytest_pafot.campaign.harness import Harness, Simulation, is_same_run
 from pytest_pafot.campaign.run_table import columns_of, row_of
 from pytest_pafot.campaign.setup_fault import FirstGeneration, unit_doubt
-from pytest_pafot.campaign.verdict import PlainFailure, Verdict, headline, worst_margins
+from pytest_pafot.campaign.verdict import PlainFailure, Verdict, headline
 from pytest_pafot.corpus.layout import SUFFIX, files_in, relative
 from pytest_pafot.corpus.writer import CorpusWriteError, free_path, rewrite, text_of, write
 from pytest_pafot.execution.crash_records import Leftover
@@ -283,7 +283,7 @@ def _evaluated(
         discarded=verdict.discarded,
         kind=signature,
         mistake=(None if signature is None else signature.mistake) if check is None else check.name,
-        margins=worst_margins(verdict) if is_steered_by_checks else (),
+        margins=verdict.margins if is_steered_by_checks else (),
     )
 
 

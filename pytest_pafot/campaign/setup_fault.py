@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -109,7 +109,7 @@ class FirstGeneration:
         self.unjudged += unjudged
         self.is_alike &= verdicts.total() == unjudged
 
-    def end(self) -> None:
+    def end(self, where: str = " of the first generation") -> None:
         """End the first generation.
 
         Raises:
@@ -117,8 +117,22 @@ class FirstGeneration:
         """
         if self.is_alike and self.last is not None:
             judged = " that were judged" if self.unjudged else ""
-            raise SetupFaultError(*self.last, f"all {self.runs} runs of the first generation{judged}")
+            raise SetupFaultError(*self.last, f"all {self.runs} runs{where}{judged}")
         self.is_alike = False
+
+
+def check_drives(runs: Iterable[tuple[Run, Verdict]]) -> None:
+    """Check that judged runs do not all end in the same exception. No more of them are taken once that is known.
+
+    Raises:
+        SetupFaultError: if they do.
+    """
+    first = FirstGeneration()
+    for run, verdict in runs:
+        first.see(run, verdict)
+        if not first.is_alike:
+            return
+    first.end("")
 
 
 def cause_of(run: Run, verdict: Verdict) -> Cause | None:

@@ -31,8 +31,7 @@ from pytest_pafot.searching.health import Health
 from pytest_pafot.searching.plain import from_plain, plain
 from pytest_pafot.support.errors import FieldError, RequestError, flag
 from pytest_pafot.support.files import hold, open_regular, way_out, write_whole
-from pytest_pafot.support.text import visible
-from pytest_pafot.world import codec
+from pytest_pafot.support.text import differences, visible
 
 VERSION = 6
 """The version of the state's format. With a state of any other version a search begins anew."""
@@ -215,7 +214,7 @@ class StateFile:
             self._refuse(f"the keys {', '.join(PARTS)}", "others")
         if not isinstance(data["settings"], dict):
             self._refuse("settings: a mapping", f"{data['settings']!r:.60}")
-        differ = codec.differences("", data["settings"], self.settings)
+        differ = differences("", data["settings"], self.settings)
         if differ:
             self._refuse("the state of this search", f"one that differs: {'; '.join(differ)}")
         checkpoint = Checkpoint(

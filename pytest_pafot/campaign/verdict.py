@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal, Self
 
 from pytest_pafot.findings.finding import ads_failure, raised_failure
-from pytest_pafot.findings.severity import Severity, severity_of
+from pytest_pafot.findings.severity import Severity, severity_of, worsening
 from pytest_pafot.findings.signature import Failure
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.trace import Outcome
@@ -65,6 +65,19 @@ class Verdict:
     def asserts(self) -> bool:
         """True if the test function states by its exception that a property does not hold, and did not fail itself."""
         return isinstance(self.exception, assertions())
+
+    @property
+    def margins(self) -> tuple[tuple[str, float], ...]:
+        """The worst margin of each check that the test function made, sorted by the check's name."""
+        worst: dict[str, float] = {}
+        for each in self.checks:
+            worst[each.name] = min(each.margin, worst.get(each.name, math.inf))
+        return tuple(sorted(worst.items()))
+
+    @property
+    def worsening(self) -> str:
+        """How much worse the failure is than the reference's in the same scenario; empty if it is not worse."""
+        return "" if self.reference is None else worsening(self.severity, self.reference.severity)
 
     def beside(self, reference: Verdict) -> Self:
         """Return the verdict together with the verdict on the reference in the same scenario.
@@ -140,12 +153,19 @@ def reference_outcomes(
             yield name, reference_outcome(other, fails=verdict.kind != "passed")
 
 
-def worst_margins(verdict: Verdict) -> tuple[tuple[str, float], ...]:
-    """Return the worst margin of each check that the test function made, sorted by the check's name."""
-    worst: dict[str, float] = {}
-    for each in verdict.checks:
-        worst[each.name] = min(each.margin, worst.get(each.name, math.inf))
-    return tuple(sorted(worst.items()))
+def judged_with_drivers(run: Run, test: Test, test_file: str | None = None) -> tuple[Verdict, str, str]:
+    """Judge a run whoever is at fault; return the verdict, its headline, and a reference driver that avoids a failure.
+
+    Headline and driver are empty if the run does not fail, and the driver if none avoids the failure.
+
+    Raises:
+        DriverError: if the world cannot simulate a driver.
+    """
+    verdict = judge(run, test, blame="any", test_file=test_file)
+    if not verdict.failed:
+        return verdict, "", ""
+    outcomes = reference_outcomes(run, test, blame="any", test_file=test_file)
+    return verdict, headline(run, verdict), next((name for name, outcome in outcomes if outcome == "avoids"), "")
 
 
 def _asked(run: Run, test: Test, test_file: str) -> Verdict:

@@ -32,18 +32,18 @@ from pytest_pafot.commands.corpus_table import (
     text_of_table,
 )
 from pytest_pafot.commands.history import added_in, place_of
-from pytest_pafot.commands.inventory import Inventory, collected
-from pytest_pafot.commands.results import day_argument, read_results
+from pytest_pafot.commands.inventory import Inventory
+from pytest_pafot.commands.results import Session
 from pytest_pafot.corpus.layout import files_below, files_in, folders_below, link_below, unlisted_below
 from pytest_pafot.corpus.reader import content_of, load, located, parsed
-from pytest_pafot.corpus.saved import named_file, of_one_kind, read_saved_file, refusal, saved_in
+from pytest_pafot.corpus.saved import Saved, named_file, of_one_kind, refusal, saved_in
 from pytest_pafot.corpus.writer import CorpusWriteError, free_path, text_of
 from pytest_pafot.corpus.writer import write as write_finding
 from pytest_pafot.findings.finding import Finding
 from pytest_pafot.findings.shrink import sort_key
 from pytest_pafot.findings.signature import SLOW_DECISION
 from pytest_pafot.model.scenario import ScenarioError
-from pytest_pafot.support.errors import CorpusError, RequestError, WorldError, command, flag
+from pytest_pafot.support.errors import CorpusError, RequestError, WorldError, command, day_argument, flag
 from pytest_pafot.support.files import way_out, write_whole
 from pytest_pafot.support.text import ascii_text, plural, quiet_json, visible
 
@@ -190,7 +190,7 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
         return max(_accept(name, arguments) for name in arguments.ids)
     if arguments.what == "list":
         return max(_list(files, arguments), int(bool(unlisted)))
-    rows = [data_of(read_saved_file(file)) for file in files]
+    rows = [data_of(Saved.read(file)) for file in files]
     counts = _counts(rows)
     sys.stdout.write("".join(f"{line}\n" for line in _lines(counts)))
     return int(any("error" in row for row in rows) or bool(unlisted))
@@ -200,8 +200,8 @@ def _list(files: Sequence[Path], arguments: argparse.Namespace) -> int:
     """Print the table of saved scenarios; return the exit code, 1 if a file cannot be read."""
     labels = labels_in(arguments.results)
     with ThreadPoolExecutor(max_workers=1) as pool:  # pytest collects while the files are read here.
-        collecting = None if arguments.no_tests or not files else pool.submit(collected)
-        saved = [read_saved_file(file) for file in files]
+        collecting = None if arguments.no_tests or not files else pool.submit(Inventory.collected)
+        saved = [Saved.read(file) for file in files]
         added = added_in({file.parent for file in files}, arguments.folders)
         inventory = Inventory(root=Path()) if collecting is None else _inventory(collecting)
     rows = rows_of(saved, inventory=inventory, added=added, labels=labels, today=arguments.today or date.today())
@@ -335,7 +335,7 @@ def _lost(sources: Sequence[Path], folder: Path) -> Iterator[tuple[str, str]]:
     known = {file.parts[-3:] for root in (*sources, folder) for file in files_below(root)}
     for results in sorted(file for source in sources for file in source.rglob("pafot.json")):
         try:
-            findings = read_results(results).findings
+            findings = Session.read(results).findings
         except RequestError:  # something else of this name
             continue
         for file in [each["file"] for each in findings if each.get("status") == "new" and each.get("file")]:
@@ -363,7 +363,7 @@ def _join(folder: Path, failing: set[Path] | None, *, write: bool) -> tuple[list
         The lines to print, and True if the user must correct something in the folder by hand.
     """
     paths = [path for path in files_in(folder) if failing is None or place_of(path) in failing]
-    files = [read_saved_file(path) for path in paths if not path.is_symlink()]
+    files = [Saved.read(path) for path in paths if not path.is_symlink()]
     lines = [f"left as it is: {saved.error}" for saved in files if saved.finding is None]
     failed = bool(lines)
     for group in of_one_kind(files):

@@ -15,9 +15,9 @@ from typing import Any
 
 from pytest_pafot.commands.history import Since, place_of
 from pytest_pafot.commands.inventory import Inventory
-from pytest_pafot.commands.results import grouped, read_results
+from pytest_pafot.commands.results import Session
 from pytest_pafot.corpus.saved import Saved
-from pytest_pafot.findings.severity import Severity, severity_in, worst_first
+from pytest_pafot.findings.severity import Severity
 from pytest_pafot.findings.shrink import size_of
 from pytest_pafot.support.errors import RequestError
 from pytest_pafot.support.text import ascii_text, wrapped_to
@@ -72,8 +72,8 @@ class Row:
         """The key that sorts rows: the worst first, and files that cannot be read last."""
         finding, names = self.saved.finding, (self.saved.id, self.saved.path.as_posix())
         if finding is None:
-            return True, *worst_first("none", None, None), *names
-        return False, *worst_first(finding.expect.responsibility, self.severity, finding.neighbours), *names
+            return True, *Severity.worst_first("none", None, None), *names
+        return False, *Severity.worst_first(finding.expect.responsibility, self.severity, finding.neighbours), *names
 
     @property
     def data(self) -> dict[str, Any]:
@@ -142,7 +142,7 @@ def rows_of(
         rows.append(
             Row(
                 saved=saved,
-                severity=None if finding is None else severity_in(finding.expect),
+                severity=None if finding is None else Severity.in_file(finding.expect),
                 traced=tests.get(place) or Traced(),
                 state=state,
                 since=added.get(place),
@@ -178,7 +178,7 @@ def labels_in(results: Iterable[Path]) -> dict[str, list[tuple[str, str]]]:
         RequestError: if a file cannot be read, or has no results.
     """
     found: dict[str, list[tuple[str, str]]] = {}
-    for session in grouped(map(read_results, results)):
+    for session in Session.grouped(map(Session.read, results)):
         for entry in session.findings:
             file = entry.get("file")
             label = entry.get("status", "")

@@ -9,6 +9,7 @@ import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Self
 
 from pytest_pafot.support.errors import RequestError
 from pytest_pafot.support.text import visible, visible_lines
@@ -35,37 +36,39 @@ class Inventory:
     orphans: Mapping[str, str] = field(default_factory=dict)
     problem: str = ""
 
+    @classmethod
+    def collected(cls, arguments: Sequence[str] = ()) -> Self:
+        """Let pytest collect the tests in a process of its own, and return what it found.
 
-def collected(arguments: Sequence[str] = ()) -> Inventory:
-    """Let pytest collect the tests in a process of its own, and return what it found.
+        ``arguments`` are arguments of pytest, such as folders of tests.
 
-    ``arguments`` are arguments of pytest, such as folders of tests.
-
-    Raises:
-        RequestError: if pytest did not come to an end.
-    """
-    with tempfile.TemporaryDirectory() as folder:
-        told = Path(folder) / "inventory.json"
-        plugins = ["-p", "pafot", "-p", "pytest_pafot.plugin.inventory_session", f"--inventory-to={told}"]
-        command = [sys.executable, "-m", "pytest", *plugins, "--collect-only", "-qq", "--color=no", *arguments]
-        ended = subprocess.run(command, check=False, stdout=subprocess.PIPE, stderr=subprocess.STDOUT)  # noqa: S603
-        output = "\n".join(ended.stdout.decode(errors="replace").splitlines()[-SHOWN:])
-        if not told.is_file():
-            raise RequestError(
-                f"expected pytest to collect the tests here, received exit code {ended.returncode} and"
-                + (f":\n{visible_lines(output)}" if output else " no output; a conftest.py or a test file may end it")
-            )
-        data = json.loads(told.read_text(encoding="ascii"))
-    # In the order of their names, since a plugin may shuffle the tests of each session anew.
-    marked = dict(sorted(data["tests"].items()))
-    wrong = [f"{test}: {visible(error)}" for test, error in sorted(data["wrong"].items())]
-    return Inventory(
-        root=Path(data["root"]),
-        tests={
-            test: Traced(requirements=tuple(each["requirements"]), title=each["title"], owner=each["owner"])
-            for test, each in marked.items()
-        },
-        files=data["files"],
-        orphans=data["orphans"],
-        problem="\n".join([*wrong, *([visible_lines(output)] if data["failed"] else [])]),
-    )
+        Raises:
+            RequestError: if pytest did not come to an end.
+        """
+        with tempfile.TemporaryDirectory() as folder:
+            told = Path(folder) / "inventory.json"
+            plugins = ["-p", "pafot", "-p", "pytest_pafot.plugin.inventory_session", f"--inventory-to={told}"]
+            command = [sys.executable, "-m", "pytest", *plugins, "--collect-only", "-qq", "--color=no", *arguments]
+            ended = subprocess.run(command, check=False, stdout=subprocess.PIPE, stderr=subprocess.STDOUT)  # noqa: S603
+            output = "\n".join(ended.stdout.decode(errors="replace").splitlines()[-SHOWN:])
+            if not told.is_file():
+                said = (
+                    f":\n{visible_lines(output)}" if output else " no output; a conftest.py or a test file may end it"
+                )
+                raise RequestError(
+                    f"expected pytest to collect the tests here, received exit code {ended.returncode} and{said}"
+                )
+            data = json.loads(told.read_text(encoding="ascii"))
+        # In the order of their names, since a plugin may shuffle the tests of each session anew.
+        marked = dict(sorted(data["tests"].items()))
+        wrong = [f"{test}: {visible(error)}" for test, error in sorted(data["wrong"].items())]
+        return cls(
+            root=Path(data["root"]),
+            tests={
+                test: Traced(requirements=tuple(each["requirements"]), title=each["title"], owner=each["owner"])
+                for test, each in marked.items()
+            },
+            files=data["files"],
+            orphans=data["orphans"],
+            problem="\n".join([*wrong, *([visible_lines(output)] if data["failed"] else [])]),
+        )

@@ -5,10 +5,10 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from datetime import date
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
+from pytest_pafot.corpus.layout import SEARCH_PART, name_without
 from pytest_pafot.support.errors import RequestError, flag
 from pytest_pafot.support.text import day_of, visible
 
@@ -45,34 +45,64 @@ class Session:
         """Day and commit in short."""
         return " ".join(filter(None, [self.day, self.commit[:10]]))
 
+    @property
+    def searched(self) -> list[tuple[str, Mapping[str, Any]]]:
+        """The searches, each with the node id of its test."""
+        return [(name_without(SEARCH_PART, entry["node_id"]), entry) for entry in self.searches]
 
-def read_results(path: Path) -> Session:
-    """Read the results of a session.
+    @classmethod
+    def read(cls, path: Path) -> Self:
+        """Read the results of a session.
 
-    Raises:
-        RequestError: if the file cannot be read or has no results.
-    """
-    expected = f"{visible(str(path))}: expected the results of a session, from {flag('json')}"
-    try:
-        if path.exists() and not path.is_file():  # a pipe or a device could go on for ever
-            raise RequestError(f"{expected}, received no regular file")
-        with path.open("rb") as file:
-            content = file.read(MOST_BYTES + 1)
-        if len(content) > MOST_BYTES:
-            raise RequestError(f"{expected}, received more than {MOST_BYTES // 2**20} MiB")
-        data = json.loads(content)
-    except (OSError, ValueError, RecursionError) as error:
-        why = getattr(error, "strerror", None) or f"{type(error).__name__}"
-        raise RequestError(f"{expected}, received {why}") from None
-    lists = ("searches", "findings", "tests")
-    is_right = isinstance(data, dict) and data.get("pafot_json") == VERSION
-    if not is_right or not all(_are_entries(data.get(name, [])) for name in lists):
-        raise RequestError(f"{expected}, received other JSON; give a file that this version has written")
-    day, commit = (data.get(name) or "" for name in ("day", "commit"))
-    if not isinstance(commit, str) or (day and day_of(str(day)) is None):
-        raise RequestError(f"{expected}, received day {day!r:.50} and commit {commit!r:.50}")
-    broke_off = data.get("exit") not in (0, 1)
-    return Session(day=day, commit=commit, broke_off=broke_off, **{name: tuple(data.get(name, ())) for name in lists})
+        Raises:
+            RequestError: if the file cannot be read or has no results.
+        """
+        expected = f"{visible(str(path))}: expected the results of a session, from {flag('json')}"
+        try:
+            if path.exists() and not path.is_file():  # a pipe or a device could go on for ever
+                raise RequestError(f"{expected}, received no regular file")
+            with path.open("rb") as file:
+                content = file.read(MOST_BYTES + 1)
+            if len(content) > MOST_BYTES:
+                raise RequestError(f"{expected}, received more than {MOST_BYTES // 2**20} MiB")
+            data = json.loads(content)
+        except (OSError, ValueError, RecursionError) as error:
+            why = getattr(error, "strerror", None) or f"{type(error).__name__}"
+            raise RequestError(f"{expected}, received {why}") from None
+        lists = ("searches", "findings", "tests")
+        is_right = isinstance(data, dict) and data.get("pafot_json") == VERSION
+        if not is_right or not all(_are_entries(data.get(name, [])) for name in lists):
+            raise RequestError(f"{expected}, received other JSON; give a file that this version has written")
+        day, commit = (data.get(name) or "" for name in ("day", "commit"))
+        if not isinstance(commit, str) or (day and day_of(str(day)) is None):
+            raise RequestError(f"{expected}, received day {day!r:.50} and commit {commit!r:.50}")
+        broke_off = data.get("exit") not in (0, 1)
+        return cls(day=day, commit=commit, broke_off=broke_off, **{name: tuple(data.get(name, ())) for name in lists})
+
+    @classmethod
+    def grouped(cls, sessions: Iterable[Self]) -> list[Self]:
+        """Sort sessions by day, and join those of the same day and commit, which are shards of one.
+
+        Sessions without a day come first and are not joined. Those of one day keep the order of their commits in what
+        is given. A session that is given twice counts once.
+        """
+        parts: dict[tuple[str, str, int], list[Self]] = {}
+        for number, session in enumerate(sessions):
+            same = parts.setdefault((session.day, session.commit, 0 if session.day else number), [])
+            if session not in same:
+                same.append(session)
+        joined = [
+            cls(
+                day=day,
+                commit=commit,
+                searches=tuple(each for session in same for each in session.searches),
+                findings=tuple(each for session in same for each in session.findings),
+                tests=tuple(each for session in same for each in session.tests),
+                broke_off=any(session.broke_off for session in same),
+            )
+            for (day, commit, _), same in parts.items()
+        ]
+        return sorted(joined, key=lambda each: each.day)
 
 
 def _are_entries(entries: object) -> bool:
@@ -95,40 +125,3 @@ def _are_entries(entries: object) -> bool:
         and entry.get("random_failing", 0) <= entry.get("random_runs", 0)
         for entry in entries
     )
-
-
-def grouped(sessions: Iterable[Session]) -> list[Session]:
-    """Sort sessions by day, and join those of the same day and commit, which are shards of one.
-
-    Sessions without a day come first and are not joined. Those of one day keep the order of their commits in what is
-    given. A session that is given twice counts once.
-    """
-    parts: dict[tuple[str, str, int], list[Session]] = {}
-    for number, session in enumerate(sessions):
-        same = parts.setdefault((session.day, session.commit, 0 if session.day else number), [])
-        if session not in same:
-            same.append(session)
-    joined = [
-        Session(
-            day=day,
-            commit=commit,
-            searches=tuple(each for session in same for each in session.searches),
-            findings=tuple(each for session in same for each in session.findings),
-            tests=tuple(each for session in same for each in session.tests),
-            broke_off=any(session.broke_off for session in same),
-        )
-        for (day, commit, _), same in parts.items()
-    ]
-    return sorted(joined, key=lambda each: each.day)
-
-
-def day_argument(text: str) -> date:
-    """Return the day that an argument names.
-
-    Raises:
-        RequestError: if it names none.
-    """
-    day = day_of(text)
-    if day is None:
-        raise RequestError(f"expected a day such as 2027-01-31, received {text!r:.50}")
-    return day

@@ -73,8 +73,11 @@ def is_folder(path: Path) -> bool:
     return os.path.isdir(path)  # noqa: PTH112
 
 
-def files_below(root: Path) -> list[Path]:
-    """Return all corpus files in and below a folder, sorted. Links to folders are not followed: they may be cyclic."""
+def files_below(root: Path = Path(CORPUS)) -> list[Path]:
+    """Return all corpus files in and below a folder, by default the corpus here, sorted.
+
+    Links to folders are not followed: they may be cyclic.
+    """
     return sorted(Path(folder, name) for folder, _, names in os.walk(root) for name in names if name.endswith(SUFFIX))
 
 

@@ -23,6 +23,16 @@ class Saved(NamedTuple):
     finding: Finding | None = None
     error: str = ""
 
+    @classmethod
+    def read(cls, path: Path) -> Saved:
+        """Read a corpus file. If that fails, the error is stored, and the file's item reports it when it runs."""
+        from pytest_pafot.corpus.reader import load  # noqa: PLC0415  (yaml, which few sessions need)
+
+        try:
+            return cls(path=path, finding=load(path))
+        except (CorpusError, OSError) as error:
+            return cls(path=path, error=str(error))
+
     @property
     def id(self) -> str:
         """The id of the finding, which is the file's name without its suffix."""
@@ -50,16 +60,6 @@ class Saved(NamedTuple):
 
     def __repr__(self) -> str:
         return visible(f"<saved {self.id}>")
-
-
-def read_saved_file(path: Path) -> Saved:
-    """Read a corpus file. If that fails, the error is stored, and the file's item reports it when it runs."""
-    from pytest_pafot.corpus.reader import load  # noqa: PLC0415  (yaml, which few sessions need)
-
-    try:
-        return Saved(path=path, finding=load(path))
-    except (CorpusError, OSError) as error:
-        return Saved(path=path, error=str(error))
 
 
 def named_file(given: str) -> Path:
@@ -93,7 +93,7 @@ def named_file(given: str) -> Path:
 
 def saved_in(folder: Path) -> list[Saved]:
     """Read all corpus files in a folder; return them, sorted by id."""
-    return [read_saved_file(path) for path in files_in(folder)]
+    return [Saved.read(path) for path in files_in(folder)]
 
 
 def of_one_kind(files: Iterable[Saved]) -> list[list[Saved]]:

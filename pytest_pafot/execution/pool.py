@@ -14,6 +14,7 @@ import multiprocessing
 import os
 import pickle
 import signal
+import subprocess
 import sys
 import time
 import traceback
@@ -26,13 +27,19 @@ from functools import partial
 from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
 from pathlib import Path
-from typing import Any, Generic, Self, TypeAlias, TypeVar
+from typing import Any, ClassVar, Generic, Self, TypeAlias, TypeVar
 
 from pytest_pafot.support.errors import OutOfTime, flag, page
 from pytest_pafot.world.guard.hang_guard import LastResort, check_time, last_resort
 
 TaskT = TypeVar("TaskT", bound=Hashable)
 ResultT = TypeVar("ResultT")
+
+START_METHOD = "fork" if sys.platform == "linux" else "spawn"
+"""The start method of processes. Forked processes have the factory and the fixtures that it uses.
+
+On other platforms than Linux, system libraries do not survive a fork, so the factory must be picklable there.
+"""
 
 GRACE = 5.0
 """The additional time after which a decision that exceeds its limit, or a process that does not answer, is ended
@@ -95,6 +102,14 @@ class ProcessLostError(Exception, Generic[TaskT]):
             f"{page('guide/planners.md')}"
         )
 
+    @property
+    def recovery(self) -> str:
+        """The note on a process that died in a task that succeeded when it was tried again."""
+        return (
+            f"a {self.who} {self.how} while it ran {self.task}, which ran to its end when it was tried "
+            "alone: there may be too little memory for so many workers, or the process was killed from outside"
+        )
+
     def __reduce__(self) -> tuple[Any, ...]:
         return partial(ProcessLostError, self.task, pid=self.pid, how=self.how, is_hang=self.is_hang), ()
 
@@ -125,7 +140,7 @@ class WorkerPool(Generic[TaskT, ResultT]):
     work: Work[ResultT]
     size: int
     _: KW_ONLY
-    method: str
+    method: str = START_METHOD
     patience: float
     grace: float = IGNORED
     memory: int | None = None
@@ -477,13 +492,58 @@ def _serve(
             for content in unheard:
                 heard(pickle.loads(content))  # noqa: S301  (from the session)
             try:
-                said = sendable((True, work(task, tell)))
+                said = _sendable((True, work(task, tell)))
             except MemoryError:  # Not sent as an answer: the session would run the task itself and use up its memory.
                 end(EXHAUSTED)
                 return
             except BaseException as error:  # noqa: BLE001  (it is raised again in the session)
-                said = pickle.dumps((True, portable(error)))
+                said = pickle.dumps((True, _portable(error)))
             connection.send_bytes(said)
+
+
+@dataclass(frozen=True, slots=True)
+class Requests:
+    """The requests to a process that drives a policy, at either end of a pipe: ``ask`` here, ``serve`` in the process.
+
+    Use it for a process that :class:`WorkerPool` cannot start, such as one with other imports than this one.
+    """
+
+    STUCK: ClassVar[int] = 86
+    """The exit code of the process if a decision in it ignores its interrupt."""
+
+    connection: Connection
+
+    def ask(self, request: bytes, process: subprocess.Popen[bytes], seconds: float = math.inf) -> Any:
+        """Send a pickled request, and return the answer.
+
+        Raises:
+            OutOfTime: if the time of the search is over.
+            TimeoutError: if there is no answer after some seconds.
+            EOFError: if the process has ended.
+            OSError: if the pipe is broken, or has no answer in it.
+        """
+        until = time.monotonic() + seconds
+        self.connection.send_bytes(request)
+        while not self.connection.poll(POLL):
+            check_time()
+            if time.monotonic() > until:
+                raise TimeoutError
+            if process.poll() is not None and not self.connection.poll():
+                raise EOFError
+        return pickle.loads(self.connection.recv_bytes(LARGEST))  # noqa: S301  (from a child process)
+
+    def serve(self, work: Callable[[Any], object]) -> None:
+        """Answer requests by what ``work`` returns or raises, until there are no more or the session has ended."""
+        # A decision that ignores its interrupt ends this process, not the session.
+        resort = LastResort(end=lambda: os._exit(self.STUCK), grace=IGNORED, file=os.dup(2))
+        with last_resort(resort), suppress(EOFError, OSError):
+            while True:
+                request = self.connection.recv_bytes()
+                try:
+                    answer = _sendable(work(pickle.loads(request)))  # noqa: S301  (from the session)
+                except BaseException as error:  # noqa: BLE001  (it is raised again in the session)
+                    answer = pickle.dumps(_portable(error))
+                self.connection.send_bytes(answer)
 
 
 def _ignore_interrupts() -> None:
@@ -509,7 +569,7 @@ def _no_interrupts(method: str) -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def sendable(result: object) -> bytes:
+def _sendable(result: object) -> bytes:
     """Return a result for the session as bytes; an error that says what to do if it cannot be pickled.
 
     Raises:
@@ -542,7 +602,7 @@ def _limit_memory(more: int) -> None:
     resource.setrlimit(resource.RLIMIT_DATA, (most, hard))
 
 
-def portable(error: BaseException) -> Exception:
+def _portable(error: BaseException) -> Exception:
     """Return the error with its traceback as a note; if it cannot be pickled, a RuntimeError with the same text."""
     worded = RuntimeError("".join(traceback.format_exception_only(error)).strip())
     told = error if isinstance(error, Exception) else worded

@@ -40,7 +40,6 @@ from pytest_pafot.execution.scenario_pool import (
     capture_output,
     pool_for,
     read_nothing,
-    recovery_note,
     trace_apart,
     trace_from,
 )
@@ -511,7 +510,7 @@ class Processes:
     @property
     def _retried(self) -> list[str]:
         """Notes on processes that died in runs that later succeeded."""
-        return list(map(recovery_note, self._recovered if self._pool is None else self._pool.recovered))
+        return [lost.recovery for lost in (self._recovered if self._pool is None else self._pool.recovered)]
 
     def counted(self, generation: int, index: int) -> GroupPart | None:
         """See :meth:`Runner.counted`."""
@@ -683,7 +682,7 @@ def answers_apart(
     world = job.world
 
     def judged(scenario: Scenario, ads: Callable[..., Any]) -> Trace:
-        trace = rollout_of(world)(scenario, ads)
+        trace: Trace = rollout_of(world)(scenario, ads)
         with capture_output(), suppress(BaseException):
             judge(trace)
         return trace

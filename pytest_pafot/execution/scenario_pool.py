@@ -21,7 +21,7 @@ from queue import SimpleQueue
 from typing import Any, Protocol, TypeAlias
 
 from pytest_pafot.execution.crash_records import CrashRecord, left_by
-from pytest_pafot.execution.pool import GRACE, IGNORED, ProcessLostError, WorkerPool
+from pytest_pafot.execution.pool import GRACE, IGNORED, START_METHOD, ProcessLostError, WorkerPool
 from pytest_pafot.findings.finding import Expect
 from pytest_pafot.findings.signature import PROCESS_CRASH
 from pytest_pafot.model.scenario import Scenario
@@ -116,11 +116,8 @@ class _Stream(io.TextIOWrapper):
 
 # The processes.
 
-METHOD = "fork" if sys.platform == "linux" else "spawn"
-"""The start method of processes. Forked processes have the factory and the fixtures that it uses.
-
-On other platforms than Linux, system libraries do not survive a fork, so the factory must be picklable there.
-"""
+METHOD = START_METHOD
+"""The start method of the processes that run scenarios."""
 
 NOT_REPEATED = (
     "This was raised in the process in which the ADS has to run, and is not tried again in the session. If it works in "
@@ -258,6 +255,24 @@ class Job:
     reference: str = ""
     """The name of the ADS if it is the reference of a search; empty for the tested one."""
 
+    @property
+    def patience(self) -> float:
+        """The longest time for which a process may not answer while it makes a run [s]."""
+        return protocol.hang_limit(self.world) + GRACE
+
+    @staticmethod
+    def run(made: Callable[[], Job], scenario: Scenario) -> tuple[Trace, CapturedOutput, float]:
+        """Run a scenario of the job that a function returns.
+
+        Return the trace, the output of that function and of the run, and the duration of the run [s].
+        """
+        with capture_output() as output:
+            job = made()
+            started = time.perf_counter()
+            trace = rollout_of(job.world)(scenario, job.ads)
+            seconds = time.perf_counter() - started
+        return trace, output, seconds
+
     def crash_record(self, *, is_watched: bool = False) -> CrashRecord:
         """Return a crash record for the process that writes it; its file is created only for the first scenario."""
         return CrashRecord(self.records, self.owner, world=self.world_data, is_watched=is_watched)
@@ -282,12 +297,12 @@ def pool_for(job: Job, size: int) -> ScenarioPool:
                 "expected an ADS factory that can be pickled, such as a class in a module that can be imported, since "
                 f"processes cannot be forked here, received one that raises {type(error).__name__}: {error}"
             ) from None
-    patience, grace = protocol.hang_limit(job.world) + GRACE, min(IGNORED, GRACE)
+    grace = min(IGNORED, GRACE)
     return WorkerPool(
         work,
         size,
         method=METHOD,
-        patience=patience,
+        patience=job.patience,
         grace=grace,
         memory=_memory(job, size),
         ended=partial(_forget, job),
@@ -324,8 +339,7 @@ def _run_task(job: Job, record: CrashRecord, task: Scenario | Places, tell: obje
 def _run_recorded(job: Job, record: CrashRecord, scenario: Scenario, read: Callable[[Trace], Digest | None]) -> Timed:
     digest = None
     record.write(scenario, reference=job.reference)
-    with capture_output() as output:
-        trace, seconds = timed(job.world, scenario, job.ads)
+    trace, output, seconds = Job.run(lambda: job, scenario)
     with capture_output() as said, suppress(Exception):  # it is raised again in the session, which reads the trace
         digest = read(trace)
     return (trace, output, seconds) if digest is None else (digest, output.followed_by(said), seconds)
@@ -361,13 +375,6 @@ def _run_group(job: Job, record: CrashRecord, places: Places) -> Parts:
             parts.append(GroupPart(index, index + 1, run=run))
     count(places.stop)
     return parts, output, seconds
-
-
-def timed(world: Any, scenario: Scenario, ads: Callable[..., Any]) -> tuple[Trace, float]:
-    """Run a scenario; return the trace and the duration of the run in wall-clock time [s]."""
-    started = time.perf_counter()
-    trace = rollout_of(world)(scenario, ads)
-    return trace, time.perf_counter() - started
 
 
 def _forget(job: Job, pid: int) -> None:
@@ -417,11 +424,3 @@ def expectation(lost: LostRun) -> Expect:
     outcome = Outcome.HANG if lost.is_hang else Outcome.ADS_ERROR
     message = f"the process that ran this scenario {lost.how}"
     return Expect(failure=PROCESS_CRASH, outcome=outcome, time=0.0, message=message)
-
-
-def recovery_note(lost: LostRun) -> str:
-    """Return a note for the user on a process that died in a run that succeeded when it was tried again."""
-    return (
-        f"a {lost.who} {lost.how} while it ran {lost.task}, which ran to its end when it was tried "
-        "alone: there may be too little memory for so many workers, or the process was killed from outside"
-    )

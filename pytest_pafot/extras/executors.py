@@ -27,12 +27,9 @@ from types import ModuleType
 from typing import Any
 
 from pytest_pafot import Scenario
-from pytest_pafot.execution.pool import GRACE
-from pytest_pafot.execution.scenario_pool import Answer, Job, LostRun, Timed, capture_output, recovery_note, timed
-from pytest_pafot.extending import ExecutionError, ProcessLostError, WorkerPool, check_time
+from pytest_pafot.extending import ExecutionError, Job, ProcessLostError, WorkerPool, check_time
 from pytest_pafot.support.errors import flag, install
 from pytest_pafot.support.versions import installed_versions
-from pytest_pafot.world import protocol
 
 POLL = 0.5
 """The longest time to wait for an answer before the time of the search is checked [s]."""
@@ -49,6 +46,12 @@ SOON = 5.0
 
 IDLE = 60.0
 """The time without a task after which the child process of a worker ends [s]."""
+
+
+LostRun = ProcessLostError[Scenario]
+Timed = tuple[Any, Any, float]
+"""What :meth:`Job.run` returns: a run, its output, and its duration [s]."""
+Answer = Timed | Exception
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,7 +105,7 @@ class ExecutorPool:
             notes = [f"pafot_executor: {len(self.unable)} runs were made in this process; a worker answered: {first}"]
         if self.failure:
             notes = [f"pafot_executor: this process ran the scenarios; the executor failed: {self.failure}"]
-        return notes + list(map(recovery_note, self.recovered))
+        return notes + [lost.recovery for lost in self.recovered]
 
     def expect(self, scenarios: Iterable[Scenario]) -> None:
         """Start to run some scenarios; earlier scenarios that were not fetched are dropped."""
@@ -288,14 +291,14 @@ def packed(job: Job) -> Parcel:
             cloudpickle.register_pickle_by_value(module)
             stack.callback(cloudpickle.unregister_pickle_by_value, module)
         try:
-            content = cloudpickle.dumps((job.world, job.ads, job.read))
+            content = cloudpickle.dumps(Job(world=job.world, ads=job.ads, read=job.read, records=Path(), owner=""))
         except Exception as error:  # noqa: BLE001  (pickling the user's objects may raise anything)
             raise ExecutionError(
                 "pafot_executor: expected a world and an ADS factory that can be sent to other machines, received one "
                 f"that raises {type(error).__name__}: {error}; open what the ADS needs in the factory, not before"
             ) from None
     digest = hashlib.sha256(content).hexdigest()[:16]
-    return Parcel(digest, content, protocol.hang_limit(job.world) + GRACE, versions_here())
+    return Parcel(digest, content, job.patience, versions_here())
 
 
 class _Call:
@@ -356,20 +359,19 @@ def _bench(parcel: Parcel) -> _Bench:
 
 def _run(parcel: Parcel, scenario: Scenario, tell: object) -> Timed:
     """Run a scenario in the child process of a worker."""
-    with capture_output() as output:
-        world, ads, read = _unpacked(parcel)
-        trace, seconds = timed(world, scenario, ads)
+    done = Job.run(partial(_unpacked, parcel), scenario)
     with suppress(Exception):  # it is raised again in the session, when the value is read there
-        read(trace)
-    return trace, output, seconds
+        _unpacked(parcel).read(done[0])
+    return done
 
 
 @lru_cache(maxsize=1)
-def _unpacked(parcel: Parcel) -> Any:
+def _unpacked(parcel: Parcel) -> Job:
     try:
-        return pickle.loads(parcel.content or b"")  # noqa: S301  (packed by the session)
+        job: Job = pickle.loads(parcel.content or b"")  # noqa: S301  (packed by the session)
     except Exception as error:  # noqa: BLE001  (importing a user's module may raise anything)
         raise ExecutionError(f"expected the packages that it needs, received {type(error).__name__}: {error}") from None
+    return job
 
 
 def _difference(session: dict[str, str]) -> str:

@@ -17,12 +17,8 @@ from datetime import date
 from pathlib import Path
 from typing import Any
 
-from pytest_pafot.commands.inventory import Inventory, collected
-from pytest_pafot.commands.results import Session, day_argument, grouped, read_results
-from pytest_pafot.corpus.layout import SEARCH_PART, name_without
-from pytest_pafot.extending import Saved, read_saved_file
-from pytest_pafot.findings.severity import Severity, severity_in, worst_first
-from pytest_pafot.support.errors import RequestError, flag
+from pytest_pafot.extending import Inventory, Saved, Session, Severity
+from pytest_pafot.support.errors import RequestError, day_argument, flag
 from pytest_pafot.support.markup import code, plain
 from pytest_pafot.support.proportions import interval_text
 from pytest_pafot.support.text import (
@@ -106,16 +102,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace, _: Sequence[str]) -> int:
     """Print what is known of each requirement; return the exit code, 1 if one is open and ``--fail-on`` asks for it."""
-    read = {path: read_results(path) for path in arguments.results}
+    read = {path: Session.read(path) for path in arguments.results}
     undated = [visible(str(path)) for path, session in read.items() if not session.day]
     if 0 < len(undated) < len(read):
         sys.stderr.write(
             f"requirements: without a day, and so counted as older than all others: {', '.join(undated)}; run their "
             f"session with {flag('today')}\n"
         )
-    sessions = grouped(read.values())
+    sessions = Session.grouped(read.values())
     listed = {} if arguments.list is None else listed_in(arguments.list)
-    inventory = collected(arguments.pytest)
+    inventory = Inventory.collected(arguments.pytest)
     if inventory.problem:
         sys.stderr.write(f"requirements: some tests could not be collected, and are missing:\n{inventory.problem}\n")
     table = Table.of(inventory, sessions, listed, today=arguments.today or date.today())
@@ -176,7 +172,7 @@ class Failure:
     @property
     def rank(self) -> tuple[Any, ...]:
         """The key that sorts failures, the worst first."""
-        return STATES.index(self.state), *worst_first(self.responsible, self.severity, None), self.id
+        return STATES.index(self.state), *Severity.worst_first(self.responsible, self.severity, None), self.id
 
     def __str__(self) -> str:
         measured = "" if self.severity is None else f" {self.severity}"
@@ -276,7 +272,7 @@ class Table:
         saved = {
             (test, each.id): each
             for file, test in inventory.files.items()
-            for each in [read_saved_file(inventory.root / file)]
+            for each in [Saved.read(inventory.root / file)]
         }
         known: dict[str, list[Failure]] = {}
         for key in {**saved, **course.events}:
@@ -356,18 +352,13 @@ class Course:
         course = cls(sessions)
         for number, session in enumerate(sessions):
             # A shard that only replayed does not know what the search of the same test found in another shard.
-            found = {
-                (name_without(SEARCH_PART, each["node_id"]), signature)
-                for each in session.searches
-                for signature in each.get("failures", ())
-            }
+            found = {(test, signature) for test, each in session.searched for signature in each.get("failures", ())}
             for entry in session.findings:
                 test = course._names(entry["test"] if entry.get("test") else entry["node_id"], entry)
                 state = _state_in(entry)
                 is_elsewhere = state == FIXED and (test, entry.get("signature")) in found
                 course._see((test, entry.get("id", "")), number, Event(OPEN if is_elsewhere else state, entry))
-            others = [(name_without(SEARCH_PART, entry["node_id"]), entry) for entry in session.searches]
-            for test, entry in (*others, *((entry["node_id"], entry) for entry in session.tests)):
+            for test, entry in (*session.searched, *((entry["node_id"], entry) for entry in session.tests)):
                 course._names(test, entry)
                 result, has_findings = entry.get("result", ""), entry.get("finds") or entry.get("unsaved")
                 # A search without a run was refused: its stored state is of other versions, or its world cannot be
@@ -461,7 +452,8 @@ class Course:
             id=id_ or test,
             state=state,
             detail=detail,
-            severity=_severity(measured.get("severity")) or (None if finding is None else severity_in(finding.expect)),
+            severity=_severity(measured.get("severity"))
+            or (None if finding is None else Severity.in_file(finding.expect)),
             responsible=measured.get("responsible", "none") if finding is None else finding.expect.responsibility,
             since="" if state in (FIXED, DRIFTED) else self._since(key),
         )
@@ -484,7 +476,7 @@ class Course:
         for number, session in enumerate(self.sessions):
             ran = {test for test in tests if number in self.searched.get(test, ())}
             seen = {key: events[number].state for key, events in own.items() if number in events}
-            searches = [each for each in session.searches if name_without(SEARCH_PART, each["node_id"]) in tests]
+            searches = [each for test, each in session.searched if test in tests]
             if not ran and not seen and not any(each.get("runs") for each in searches):
                 continue  # nothing but skipped tests
             before = failing

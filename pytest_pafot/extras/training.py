@@ -19,61 +19,14 @@ from numpy.random import Generator
 from pytest_pafot import Run, Scenario, Trace, World, WorldError, load
 from pytest_pafot.extending import (
     SUFFIX,
+    Abilities,
+    SteppedWorld,
     checked_action,
     drawn_space,
     files_below,
     sample,
-    space_of,
 )
 from pytest_pafot.support.errors import checked_number
-from pytest_pafot.world.driving.observations import observe_fast
-from pytest_pafot.world.engines.ordinary_traffic import stepped
-from pytest_pafot.world.engines.policies import begin
-from pytest_pafot.world.guard.hang_guard import HangGuard
-
-# A scenario as an episode: it receives actions, runs as in ``World.rollout``, and has the environment's reward.
-
-
-class ScenarioSteps:
-    """A run of one scenario that advances by calls of ``step``.
-
-    The world's environment must have one of highway-env's own ``step``, and the scenario must fit the world.
-    """
-
-    def __init__(self, world: World, scenario: Scenario) -> None:
-        self._run = begin(world.environment, world.rules, scenario, HangGuard(world.rules.hang_limit), None)
-        self._env = self._run.driver.env
-        self._env.action_space.seed(scenario.seed)
-
-    @property
-    def trace(self) -> Trace | None:
-        """The trace of the run; None until the run or the episode is over."""
-        return self._run.trace
-
-    def reset(self) -> tuple[Any, dict[str, Any]]:
-        """Return the first observation and info, as the environment's ``reset`` does."""
-        seen = self._run.observe()
-        return seen, self._env._info(seen, self._env.action_space.sample())
-
-    def step(self, action: Any) -> Step:
-        """Drive with an action of the action space; return the same values as the environment's ``step``.
-
-        The run ends at the tick of first contact. The ego is then marked as crashed for the reward, because highway-env
-        does not check for contact in a scenario. A run that ends for a different reason is truncated, unless the
-        environment reports that it is terminated.
-        """
-        run, env = self._run, self._env
-        run.take(action, 0.0)
-        trace = run.trace
-        if trace is not None and trace.error is not None:
-            raise RuntimeError(f"{trace.error.kind}: {trace.error.message}\n{trace.error.traceback}")
-        seen = run.observe()
-        env.vehicle.crashed = trace is not None and trace.collision is not None
-        reward, is_terminated = float(env._reward(action)), bool(env._is_terminated())
-        if is_terminated and trace is None:  # it ends the episode before the run is over, such as behind a merge
-            run.trace = trace = run.vehicles.trace(run.driver)
-        return seen, reward, is_terminated, trace is not None and not is_terminated, env._info(seen, action)
-
 
 Step = tuple[Any, float, bool, bool, dict[str, Any]]
 """What ``step`` of an environment returns."""
@@ -111,9 +64,7 @@ class TrainingEnv(gymnasium.Env[Any, Any]):
         self.observation_space = copy.deepcopy(world.observation_space)
         self.action_space = copy.deepcopy(world.action_space)
         self._world, self._share, self._drawn = world, share, _sampler(world, scenarios)
-        self._ordinary = world.environment.make(has_traffic=True)
-        observe_fast(self._ordinary.unwrapped)
-        self._guard = HangGuard(world.hang_limit)
+        self._stepped = SteppedWorld(world)
         self._scenario: Scenario | None = None
         self._steps: Any = None
 
@@ -129,11 +80,10 @@ class TrainingEnv(gymnasium.Env[Any, Any]):
         self._scenario = self._drawn(rng) if is_scenario else None
         if self._scenario is not None:
             self._world.check_fits(self._scenario)
-            self._steps = ScenarioSteps(self._world, self._scenario)
+            self._steps = self._stepped.scenario(self._scenario)
             seen, info = self._steps.reset()
         else:
-            seen, info = self._ordinary.reset(seed=int(rng.integers(2**31)))
-            self._steps = stepped(self._ordinary, seen, self._guard)
+            self._steps, seen, info = self._stepped.traffic(int(rng.integers(2**31)))
         return seen, self._told(info)
 
     def step(self, action: Any) -> Step:
@@ -192,7 +142,7 @@ def training_env(world: World, scenarios: Scenarios = None, share: float = 0.5) 
 
 def random_scenarios(world: Any) -> Sampler:
     """Return a sampler of random scenarios, like the first scenarios of a search with default settings in a world."""
-    return partial(sample, space_of(world, drawn_space(world, {})))
+    return partial(sample, Abilities(world).space(drawn_space(world, {})))
 
 
 def _sampler(world: World, scenarios: Scenarios) -> Sampler:

@@ -6,16 +6,14 @@ import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from functools import total_ordering
-from typing import Any, Literal, Self
+from types import MappingProxyType
+from typing import Any, ClassVar, Literal, Self
 
 from pytest_pafot.findings.finding import Expect
 from pytest_pafot.findings.neighbours import Breadth
 from pytest_pafot.findings.signature import SLOW_DECISION, Failure, Signature, normalised
 from pytest_pafot.oracle.checks import Check
 from pytest_pafot.oracle.run import Run
-
-WORSE_BY = {"collision": 0.1, "check": 0.01}
-"""The smallest difference at which a failure counts as worse: in closing speed [m/s], or in a check's margin."""
 
 
 @total_ordering
@@ -34,6 +32,9 @@ class Severity:
         margin: negative margin of a check in units of its scale; None for a collision, or if ``value`` is None.
         name: name of the check; empty for a collision.
     """
+
+    WORSE_BY: ClassVar[Mapping[str, float]] = MappingProxyType({"collision": 0.1, "check": 0.01})
+    """The smallest difference at which a failure counts as worse: in closing speed [m/s], or in a check's margin."""
 
     kind: Literal["collision", "check"]
     value: float | None
@@ -86,6 +87,35 @@ class Severity:
             return 2, value, 0.0
         return 1, math.inf if self.margin is None else -self.margin, value
 
+    @staticmethod
+    def in_file(expect: Expect) -> Severity | None:
+        """Return how bad the failure in a file is; None if it has no measure, or if an older file does not store it.
+
+        A file does not store the scale of a check, so the margin is the one with the default scale.
+        """
+        if expect.check is None:
+            return _of_collision(expect.signature, expect.closing_speed)
+        value = math.nan if expect.check.value is None else expect.check.value
+        most, least, unit = expect.check.at_most, expect.check.at_least, expect.check.unit
+        signed = [(bound, sign) for bound, sign in ((most, -1), (least, 1)) if bound is not None]
+        margin = min((sign * (value - bound) / (abs(bound) or 1.0) for bound, sign in signed), default=-math.inf)
+        return _of_check(
+            Check(name=expect.assertion, value=value, margin=margin, at_most=most, at_least=least, unit=unit)
+        )
+
+    @staticmethod
+    def worst_first(responsible: str, severity: Severity | None, breadth: Breadth | None) -> tuple[float, ...]:
+        """Return a sort key for findings: collisions that the ego is responsible for first, then other failures.
+
+        Each group is sorted from the worst, failures without a measure are last, and of equally bad ones the broadest
+        is first. Callers put more important criteria before this key, and tie-breakers after it. ``responsible`` is
+        ``ego``, ``npc``, ``both`` or ``none``.
+        """
+        broad = 0.0 if breadth is None else -breadth.rank
+        if severity is None:
+            return 1, 0, 0.0, 0.0, broad
+        return not severity.is_fault(responsible), *(-each for each in severity.figures), broad
+
     def __lt__(self, other: Severity) -> bool:
         return (self.figures, self.name, self.unit) < (other.figures, other.name, other.unit)
 
@@ -101,20 +131,6 @@ def severity_of(run: Run, failure: Failure) -> Severity | None:
     text = normalised(failure.assertion, failure.message)
     signature = Signature(failure=failure.kind, assertion=text, outcome=run.outcome, responsibility="none")
     return _of_collision(signature, None if run.collision is None else round(run.collision.closing_speed, 6))
-
-
-def severity_in(expect: Expect) -> Severity | None:
-    """Return how bad the failure in a file is; None if it has no measure, or if an older file does not store it.
-
-    A file does not store the scale of a check, so the margin is the one with the default scale.
-    """
-    if expect.check is None:
-        return _of_collision(expect.signature, expect.closing_speed)
-    value = math.nan if expect.check.value is None else expect.check.value
-    most, least, unit = expect.check.at_most, expect.check.at_least, expect.check.unit
-    signed = [(bound, sign) for bound, sign in ((most, -1), (least, 1)) if bound is not None]
-    margin = min((sign * (value - bound) / (abs(bound) or 1.0) for bound, sign in signed), default=-math.inf)
-    return _of_check(Check(name=expect.assertion, value=value, margin=margin, at_most=most, at_least=least, unit=unit))
 
 
 def _of_collision(signature: Signature, closing_speed: float | None) -> Severity | None:
@@ -133,19 +149,6 @@ def _of_check(check: Check) -> Severity:
     return Severity(kind="check", value=value, unit=check.unit, margin=margin, name=check.name)
 
 
-def worst_first(responsible: str, severity: Severity | None, breadth: Breadth | None) -> tuple[float, ...]:
-    """Return a sort key for findings: collisions that the ego is responsible for first, then other failures.
-
-    Each group is sorted from the worst, failures without a measure are last, and of equally bad ones the broadest is
-    first. Callers put more important criteria before this key, and tie-breakers after it. ``responsible`` is ``ego``,
-    ``npc``, ``both`` or ``none``.
-    """
-    broad = 0.0 if breadth is None else -breadth.rank
-    if severity is None:
-        return 1, 0, 0.0, 0.0, broad
-    return not severity.is_fault(responsible), *(-each for each in severity.figures), broad
-
-
 def worsening(now: Severity | None, before: Severity | None) -> str:
     """Say how much worse a failure became, as in ``hits at 12.1 m/s, 8.0 before``; empty if it did not become worse.
 
@@ -157,6 +160,6 @@ def worsening(now: Severity | None, before: Severity | None) -> str:
     if before is None or now.kind != before.kind:
         return f"{now}, no collision before" if now.kind == "collision" else ""
     is_same = (now.name, now.unit) == (before.name, before.unit)
-    if not is_same or now.figures[1] - before.figures[1] < WORSE_BY[now.kind] or now.figure == before.figure:
+    if not is_same or now.figures[1] - before.figures[1] < Severity.WORSE_BY[now.kind] or now.figure == before.figure:
         return ""
     return f"{now}, {before.figure} before"

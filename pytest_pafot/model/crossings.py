@@ -18,7 +18,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from pytest_pafot.model.scenario import CrossingInstruction, Scenario
+from pytest_pafot.model.scenario import SLOTS, CrossingInstruction, Scenario
 
 FloatArray = npt.NDArray[np.float64]
 Stretch = tuple[float, float]
@@ -52,18 +52,6 @@ EARLIER = 1.0
 """The time for which an NPC that starts late stands at the line before it sets off [s]."""
 SETTING_OFF = 2.0
 """The acceleration with which a waiting vehicle is expected to set off [m/s^2]."""
-SLOTS = {"well before": -1.0, "just before": 0.0, "together": 0.0, "just after": 1.0, "well after": math.inf}
-"""The five named intervals of slots, each with its end [s]. They divide the time at a zone as the nine cells divide the
-grid."""
-
-
-def slot_name(slot: float) -> str:
-    """Return the name of the interval that a slot [s] belongs to, such as ``just after``."""
-    if slot == 0:
-        return "together"
-    if slot < 0:
-        return "well before" if slot <= SLOTS["well before"] else "just before"
-    return "just after" if slot < SLOTS["just after"] else "well after"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -199,6 +187,16 @@ class Crossings:
     def zones(self) -> tuple[Zone, ...]:
         """The zones in the order in which the ego reaches them."""
         return tuple(sorted((way.zone for way in self.ways.values()), key=lambda zone: (zone.ego, zone.way)))
+
+    @property
+    def meeting_places(self) -> int:
+        """The number of pairs of a zone and an interval of slots."""
+        return len(SLOTS) * len(self.zones)
+
+    def meeting_place(self, instruction: CrossingInstruction) -> int:
+        """Return the number of an instruction's zone and interval of slots, from 0."""
+        zone = [each.way for each in self.zones].index(instruction.zone)
+        return len(SLOTS) * zone + list(SLOTS).index(instruction.interval)
 
     def entry(self, instruction: CrossingInstruction, ego: Stretch) -> float:
         """Return the time [s] at which an NPC should enter its zone, given the ego's times (enters, leaves) [s]."""

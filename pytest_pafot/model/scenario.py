@@ -24,6 +24,9 @@ from pytest_pafot.model.grid import Cell, are_valid, is_adjacent, repair_chains
 from pytest_pafot.support.errors import FieldError, checked_whole, plain_whole
 from pytest_pafot.support.shown import Pasteable
 
+SLOTS = {"well before": -1.0, "just before": 0.0, "together": 0.0, "just after": 1.0, "well after": math.inf}
+"""The five named intervals of slots, each with its end [s]. They divide the time at a zone as the nine cells divide the
+grid."""
 SPEED_STEPS_PER_MPS = 10
 """Target speeds are multiples of 0.1 m/s, so that a scenario reads the same in a file and in memory."""
 
@@ -202,6 +205,15 @@ class CrossingInstruction(Pasteable):
     def target(self) -> str:
         """The zone's name, as files and canonical texts contain it."""
         return self.zone
+
+    @property
+    def interval(self) -> str:
+        """The name of the interval that the slot belongs to, such as ``just after``."""
+        if self.slot == 0:
+            return "together"
+        if self.slot < 0:
+            return "well before" if self.slot <= SLOTS["well before"] else "just before"
+        return "just after" if self.slot < SLOTS["just after"] else "well after"
 
     @property
     def code(self) -> CrossingInstruction:

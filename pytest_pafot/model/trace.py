@@ -123,6 +123,11 @@ class AdsError:
     tick: int
     interrupted: bool = False
 
+    @property
+    def text(self) -> str:
+        """The kind and the message in one line."""
+        return self.message if self.message.startswith(self.kind) else f"{self.kind}: {self.message}"
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Trace(Shown):

@@ -8,7 +8,7 @@ from datetime import date
 from fnmatch import fnmatch
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
@@ -23,12 +23,18 @@ from pytest_pafot.plugin.uncollected import Left, beside_test_files, is_base, le
 from pytest_pafot.plugin.unrun import UNRUN, Collected, Unrun
 from pytest_pafot.support.text import visible
 
+if TYPE_CHECKING:
+    from pytest_pafot.campaign.request import Request
+
 COLLECTED: pytest.StashKey[dict[Path, dict[str, Saved]]] = pytest.StashKey()
 """The saved scenarios that existed when the session collected its items, by folder and file name."""
 
 NAMES_ONLY: pytest.StashKey[bool] = pytest.StashKey()
 """True for a session that only lists its items: it reads no saved scenario, so that none counts as accepted."""
 
+
+REQUEST: pytest.StashKey[Request] = pytest.StashKey()
+"""What the mark and the options of an item ask for, once they are checked."""
 
 SEARCH = "search"  # a placeholder for the argument of an item, which a simulated run replaces
 
@@ -329,6 +335,23 @@ def saved_of(item: pytest.Item) -> Saved | None:
     """Return the saved scenario that an item replays; None if the item is no replay."""
     mark = item.get_closest_marker(SAVED_MARK)
     return mark.args[0] if mark is not None and mark.args and isinstance(mark.args[0], Saved) else None
+
+
+def searched_test(item: pytest.Item) -> str:
+    """Return the name of the test that an item searches, with its classes and parameters; empty if it is no search."""
+    return qualified_name(item) if is_search(item) else ""
+
+
+def policy_of(item: pytest.Item) -> Callable[..., Any]:
+    """Return the ADS factory of a search or a replay, once pytest has set up its fixtures.
+
+    Raises:
+        RequestError: if the fixture of the policy returns no factory.
+    """
+    from pytest_pafot.campaign.harness import checked_factory  # noqa: PLC0415
+
+    ads = item.stash[REQUEST].ads
+    return checked_factory(item.funcargs[ads], ads) if isinstance(ads, str) else ads  # type: ignore[attr-defined]
 
 
 def is_parametrised(metafunc: pytest.Metafunc, arg: str) -> bool:

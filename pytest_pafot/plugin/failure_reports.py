@@ -30,15 +30,12 @@ from pytest_pafot.support.text import MARKER, fitted_lines, visible, visible_lin
 from pytest_pafot.support.traced import Traced
 
 if TYPE_CHECKING:
-    from pytest_pafot.campaign.verdict import Verdict
+    from pytest_pafot.campaign.replays import ReplayResult
 
 SUMMARY = pytest.StashKey[str]()  # the summary line of a failing item
 
-REPLAYED = pytest.StashKey[tuple[str, Run | None, "Verdict | None", str]]()
-"""The label, run and verdict of a replay, and a text on the time after its file's end, for other plugins.
-
-Run and verdict are None if its process died or hung.
-"""
+REPLAYED = pytest.StashKey["ReplayResult"]()
+"""The result of a replay."""
 
 NOT_ACCEPTED = pytest.StashKey[str]()
 """How the failure of a replay goes beyond the one that its file accepts."""
@@ -61,6 +58,11 @@ _COLOUR = re.compile("\x1b\\[[0-9;]*m")
 
 pytest itself uses them to colour the difference of two values.
 """
+
+
+def replay_of(item: pytest.Item) -> ReplayResult | None:
+    """Return the result of an item that has replayed a saved scenario; None if it has not."""
+    return item.stash.get(REPLAYED, None)
 
 
 class KeptOutput:

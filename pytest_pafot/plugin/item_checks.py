@@ -14,7 +14,7 @@ from pytest_pafot.campaign.request import Request
 from pytest_pafot.corpus.layout import SEARCH_PART
 from pytest_pafot.execution.crash_records import left_by
 from pytest_pafot.plugin import messages
-from pytest_pafot.plugin.collection import is_search, saved_of
+from pytest_pafot.plugin.collection import REQUEST, is_search, saved_of
 from pytest_pafot.plugin.marks import (
     ANY_MARK,
     CATALOGUE_MARK,
@@ -35,8 +35,6 @@ from pytest_pafot.support.text import meant, visible, wrapped_to
 
 IDLE = "replay only"
 """The reason for which a search is skipped that is to run no generations."""
-
-REQUEST: pytest.StashKey[Request] = pytest.StashKey()
 
 
 class Checks:

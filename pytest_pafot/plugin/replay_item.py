@@ -11,7 +11,7 @@ import pytest
 
 from pytest_pafot.campaign.events import Find
 from pytest_pafot.campaign.options import BY_NAME
-from pytest_pafot.campaign.replays import BESIDE, FLAKY, Around, Replayed, Replays, happened, was_lost
+from pytest_pafot.campaign.replays import BESIDE, FLAKY, Around, Replayed, ReplayResult, Replays, happened, was_lost
 from pytest_pafot.campaign.request import Request
 from pytest_pafot.campaign.search_loop import cause
 from pytest_pafot.campaign.setup_fault import Cause, SetupFaultError, cause_of
@@ -22,7 +22,6 @@ from pytest_pafot.corpus.writer import scenario_lines
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.execution.scenario_pool import LostRun
 from pytest_pafot.findings.finding import JUDGED_OTHERWISE, NEARBY, Finding, of_failure, unhandled
-from pytest_pafot.findings.severity import worsening
 from pytest_pafot.oracle.checks import CheckFailed
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.plugin import messages, node_ids
@@ -71,7 +70,7 @@ def run_replay(item: pytest.Function, request: Request, saved: Saved) -> None:
     label, run, verdict, note, nearby = now.label, now.run, now.verdict, now.note, now.around.failing
     if nearby is None:
         _check_set_up(item, replays, saved, run, verdict)
-    worse = _worsening(verdict) if label == BESIDE[False] else ""
+    worse = verdict.worsening if label == BESIDE[False] else ""
     # The marker xfail of the item accepts every exception, so the report needs to know which one it must not accept.
     beyond = "" if verdict.failure is None else replays.beyond_acceptance(finding, run, verdict.failure)
     if beyond:
@@ -80,7 +79,7 @@ def run_replay(item: pytest.Function, request: Request, saved: Saved) -> None:
     told = [note, nearby_only, _against(replays), f"worse: {worse}" if worse else ""]
     told += replays.setting_changes(finding)
     detail = "; ".join(filter(None, told))
-    item.stash[REPLAYED] = label, run, verdict, note
+    item.stash[REPLAYED] = ReplayResult(finding, label, run, verdict, note)
     if label in ("drifted", JUDGED_OTHERWISE, FLAKY):
         missed = unhandled(finding, run) if label == "drifted" and not verdict.failed else ""
         told = [missed, replays.changes(finding, happened(finding, run, verdict.failure)), note]
@@ -161,7 +160,7 @@ def _conclude_lost(
     if beyond:
         item.stash[NOT_ACCEPTED] = beyond
     note = "; ".join(getattr(lost, "__notes__", ()))
-    item.stash[REPLAYED] = label, None, None, note
+    item.stash[REPLAYED] = ReplayResult(finding, label, None, None, note)
     label = beside or label
     told = [_against(replays), *replays.setting_changes(finding)]
     if label == "drifted":
@@ -180,11 +179,6 @@ def _conclude_lost(
 def _against(replays: Replays) -> str:
     name = replays.harness.against_name
     return f"against {name}" if name else ""
-
-
-def _worsening(verdict: Verdict) -> str:
-    """Describe how much worse a failure is than the reference's in the same scenario; empty if it is not worse."""
-    return "" if verdict.reference is None else worsening(verdict.severity, verdict.reference.severity)
 
 
 def _tell(

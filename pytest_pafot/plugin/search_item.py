@@ -49,7 +49,7 @@ from pytest_pafot.execution import scenario_pool
 from pytest_pafot.findings.finding import message_of
 from pytest_pafot.oracle.checks import CheckFailed
 from pytest_pafot.plugin import messages, node_ids
-from pytest_pafot.plugin.collection import COLLECTED, is_search
+from pytest_pafot.plugin.collection import COLLECTED, is_search, policy_of
 from pytest_pafot.plugin.failure_reports import OUTPUT, SUMMARY, explained, is_compact, summarise
 from pytest_pafot.plugin.finding_message import is_on_page, label_of, tell_finding
 from pytest_pafot.plugin.item_followers import tell_followers, without_listener
@@ -117,7 +117,7 @@ def harness_of(item: pytest.Function, request: Request, *, writes: bool = True) 
     world = build_world(request, item.funcargs[WORLD_FIXTURE])
     name, root = node_ids.qualified_name(item), item.config.rootpath
     folder = folder_of_test(item.path, name, request.settings.corpus, root)
-    ads, against, resume = request.ads, request.settings.against, request.settings.resume
+    against, resume = request.settings.against, request.settings.resume
     revision = _revision_of(item, request)
     here = item.config.invocation_params.dir
     link = link_below(chosen_folder(item.path, request.settings.corpus), folder)
@@ -132,7 +132,7 @@ def harness_of(item: pytest.Function, request: Request, *, writes: bool = True) 
     if request.settings.workers > 1 and is_worker(item.config):
         messages.send(item, "note", {"text": IN_WORKER})
         request = replace(request, settings=replace(request.settings, workers=1))
-    factory = checked_factory(item.funcargs[ads], ads) if isinstance(ads, str) else ads
+    factory = policy_of(item)
     given = against if revision is None else revision.policy
     harness = Harness(
         request=request,

@@ -265,11 +265,11 @@ class Reporter:
         self._running[report.nodeid] = None
 
     def _take_find(self, report: pytest.TestReport, find: Find, data: dict[str, Any]) -> None:
-        from pytest_pafot.findings.severity import worst_first  # noqa: PLC0415
+        from pytest_pafot.findings.severity import Severity  # noqa: PLC0415
         from pytest_pafot.report import terminal  # noqa: PLC0415
 
         if find.node_id not in self._expanded:
-            rank = worst_first(find.responsible, find.severity, find.breadth)
+            rank = Severity.worst_first(find.responsible, find.severity, find.breadth)
             told = data["report"], getattr(report, "node", None), rank
             self._pending.setdefault(report.nodeid, {})[find.node_id] = told
         self._live.erase_progress()

@@ -11,11 +11,15 @@ import math
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
-from pytest_pafot.report.page_data import FindingView, LaneView
-from pytest_pafot.support.errors import flag, install
+import numpy as np
+
+from pytest_pafot.report.page_data import EventView, FindingView, LaneView, RoadView, VehicleView
+from pytest_pafot.support.errors import RequestError, flag, install
 
 if TYPE_CHECKING:
     from PIL.Image import Image
+
+    from pytest_pafot.world.engines.episode import Episode, EpisodeRecording
 
 MAX_SECONDS = 8.0
 """The length of the longest animation [s]. A longer run is cut at its start."""
@@ -39,7 +43,7 @@ BLENDS = ("#505358", "#898b8e", "#c2c3c4")
 NPC_INKS = ("#b4480a", "#00695c", "#6a3fa0", "#8a6100", "#0b5cad", "#a3195b", "#3d6b1f", "#5b4a42")
 
 
-class AnimationError(RuntimeError):
+class AnimationError(RequestError):
     """An animation that cannot be made; the message says why and what to do."""
 
 
@@ -150,3 +154,67 @@ def frame(finding: FindingView, index: int) -> Image:
     pen.text((10, BAR / 2), words, INK, font, "lm")
     pen.text((WIDTH - 10, BAR / 2), legend, INK, fonts[2], "rm")
     return image
+
+
+# The end of an episode of ordinary traffic, in the style of the pictures of findings.
+
+FRAMES_PER_SECOND = 7
+"""Approximate number of frames of a picture per second of the episode."""
+NEAREST = 7
+"""The number of other vehicles in a picture, which are the nearest to the ego at the end of the episode."""
+
+
+def drawn_episode(episode: Episode, headline: str) -> bytes:
+    """Return an APNG of the last seconds of a recorded episode.
+
+    Raises:
+        RequestError: if Pillow is not installed.
+    """
+    if episode.recording is None:
+        raise ValueError("episode: expected an episode with a recording; drive it with is_recorded=True")
+    recording = episode.recording
+    states, hz, lanes = recording.states, recording.physics_hz, recording.lanes
+    is_bent = bool(lanes[0].points)
+    last = len(states) - 1
+    ticks = sorted({*range(0, last + 1, max(1, round(hz / FRAMES_PER_SECOND))), last})
+    distance = np.hypot(*(states[-1, 1:, :2] - states[-1, 0, :2]).T)
+    shown = [0, *(np.argsort(distance, kind="stable")[:NEAREST] + 1)]  # NaN, a vehicle that has left, is sorted last
+    view = FindingView(
+        id=f"seed-{episode.seed}",
+        node_id="",
+        test="",
+        headline=headline,
+        explanation="",
+        responsibility="none",
+        road=RoadView(
+            lanes=() if is_bent else tuple(lane.y for lane in lanes),
+            lane_width=lanes[0].width,
+            speed_limit=max(lane.speed_limit for lane in lanes),
+            clearance=0.0,
+            shapes=tuple(LaneView(points=lane.points, width=lane.width) for lane in lanes) if is_bent else (),
+        ),
+        vehicles=tuple(_vehicle(recording, int(index), ticks) for index in shown),
+        times=tuple(round(tick / hz, 3) for tick in ticks),
+        instructions=(),
+        event=EventView(kind=str(episode.outcome), time=episode.seconds, npc=0 if len(shown) > 1 else None),
+        yaml="",
+        command="",
+    )
+    return animate(view)
+
+
+def _vehicle(recording: EpisodeRecording, index: int, ticks: list[int]) -> VehicleView:
+    length, width = recording.sizes[index]
+    along, across, heading, speed = (
+        tuple(round(float(value), 3) if np.isfinite(value) else None for value in column)
+        for column in recording.states[ticks, index, :4].T
+    )
+    return VehicleView(
+        name=f"NPC {index - 1}" if index else "ego",
+        length=float(length),
+        width=float(width),
+        along=along,
+        across=across,
+        heading=heading,
+        speed=speed,
+    )

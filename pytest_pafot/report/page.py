@@ -28,9 +28,9 @@ from pytest_pafot.campaign.events import NEW, NO_WORSE, Find, SearchSummary, con
 from pytest_pafot.campaign.options import is_page_file
 from pytest_pafot.corpus.layout import SUFFIX
 from pytest_pafot.findings.finding import JUDGED_OTHERWISE
-from pytest_pafot.findings.severity import worst_first
-from pytest_pafot.model.crossings import SLOTS
+from pytest_pafot.findings.severity import Severity
 from pytest_pafot.model.grid import Cell
+from pytest_pafot.model.scenario import SLOTS
 from pytest_pafot.report.animation import AnimationError, animate
 from pytest_pafot.report.page_data import (
     CampaignView,
@@ -706,7 +706,7 @@ def _as_row(finding: FindingView) -> FindingView:
 
 def _rank(finding: FindingView) -> tuple[Any, ...]:
     """Return the key that sorts findings: new before known, then by responsibility, severity and number of runs."""
-    worst = worst_first(finding.responsibility, finding.severity, finding.breadth)
+    worst = Severity.worst_first(finding.responsibility, finding.severity, finding.breadth)
     return not finding.label.startswith(NEW), *worst, -finding.runs, finding.node_id
 
 

@@ -18,7 +18,7 @@ from typing import Any, Self
 from pytest_pafot.campaign.events import ELSEWHERE, NEW, NO_WORSE, PASSES, Find, SearchSummary
 from pytest_pafot.findings.finding import JUDGED_OTHERWISE, NEARBY, Finding, portable
 from pytest_pafot.findings.neighbours import Breadth
-from pytest_pafot.findings.severity import Severity, worsening, worst_first
+from pytest_pafot.findings.severity import Severity, worsening
 from pytest_pafot.findings.shrink import size_of
 from pytest_pafot.support.markup import code, plain
 from pytest_pafot.support.text import plural, quiet_json
@@ -400,7 +400,7 @@ def _rank(finding: FindingRecord) -> tuple[Any, ...]:
     """Return the key that sorts findings of one group: the worst first, then those with the most runs."""
     severity = None if finding.severity is None else Severity.of_data(finding.severity)
     breadth = None if finding.breadth is None else Breadth(**finding.breadth)
-    return *worst_first(finding.responsible, severity, breadth), -finding.runs, finding.node_id
+    return *Severity.worst_first(finding.responsible, severity, breadth), -finding.runs, finding.node_id
 
 
 def _finding_lines(finding: FindingRecord) -> Iterator[str]:

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 
 from pytest_pafot.campaign.events import NEW, Find, Progress, SearchSummary
 from pytest_pafot.findings.finding import Expect, Finding
-from pytest_pafot.findings.severity import worsening, worst_first
+from pytest_pafot.findings.severity import Severity, worsening
 from pytest_pafot.findings.shrink import size_of
 from pytest_pafot.model.scenario import CrossingInstruction, LaneInstruction, Manoeuvre, PositionInstruction
 from pytest_pafot.oracle.run import ReferenceOutcome
@@ -236,7 +236,11 @@ def _worst_first(finds: Iterable[Find]) -> list[Find]:
     """Sort the new findings of one search, the worst first, as in all lists."""
     return sorted(
         finds,
-        key=lambda each: (*worst_first(each.responsible, each.severity, each.breadth), -each.repeats, each.node_id),
+        key=lambda each: (
+            *Severity.worst_first(each.responsible, each.severity, each.breadth),
+            -each.repeats,
+            each.node_id,
+        ),
     )
 
 
@@ -402,7 +406,7 @@ def worst_lines(session: SessionSummary, width: int = WIDTH) -> list[str]:
     listed = sorted(
         (
             each.label not in (NEW, "introduced"),
-            *worst_first(each.responsible, each.severity, each.breadth),
+            *Severity.worst_first(each.responsible, each.severity, each.breadth),
             -each.repeats,
             each.node_id,
             _measured(each, session.traced.get(each.node_id)),

@@ -25,11 +25,11 @@ from pytest_pafot.criticality.asked import Asked, asked
 from pytest_pafot.criticality.signals import jerk
 from pytest_pafot.findings.finding import Expect, Finding
 from pytest_pafot.findings.shrink import blocks, instructions
-from pytest_pafot.model.crossings import SLOTS
 from pytest_pafot.model.driving_style import AMPLE, Traffic
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.scenario import (
     PAPER_SPEED_LIMIT,
+    SLOTS,
     Chromosome,
     CrossingInstruction,
     LaneInstruction,

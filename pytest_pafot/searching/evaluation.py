@@ -13,12 +13,14 @@ import numpy as np
 
 from pytest_pafot.criticality import Encounters, passages, time_advantage
 from pytest_pafot.criticality.boxes import overlaps, relate
+from pytest_pafot.model.crossings import Crossings
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.scenario import (
     Chromosome,
     CrossingInstruction,
     Manoeuvre,
     Scenario,
+    retimed,
     with_targets,
 )
 from pytest_pafot.model.trace import LANE, SPEED, Collision, Outcome, Trace
@@ -166,6 +168,20 @@ class Evaluation:
     def chains(self) -> tuple[Chromosome, ...]:
         """The chain that each NPC drove; see :attr:`Trace.chains`."""
         return with_targets(self.executed.npcs, self.driven)
+
+    def meeting_place(self, crossings: Crossings | None) -> int | None:
+        """Return a number for the zone and slot of the nearest NPC that crosses; None if no NPC crosses.
+
+        Zones are counted in the order in which the ego reaches them.
+        """
+        instruction = None if self.crossing is None else self.scenario.npcs[self.crossing][0]
+        if crossings is None or not isinstance(instruction, CrossingInstruction):
+            return None
+        return crossings.meeting_place(instruction)
+
+    def chains_in(self, seconds: float) -> list[Chromosome]:
+        """Return :attr:`chains` in genes that last some seconds, with nearly the same targets in time."""
+        return [retimed(chain, self.executed.gene_seconds, seconds) for chain in self.chains]
 
     @property
     def depth(self) -> int:

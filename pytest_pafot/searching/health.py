@@ -9,9 +9,8 @@ from dataclasses import dataclass, field, fields
 from functools import lru_cache
 from itertools import chain, compress
 
-from pytest_pafot.model.crossings import SLOTS, slot_name
 from pytest_pafot.model.grid import Cell
-from pytest_pafot.model.scenario import SHIFTS, Chromosome, CrossingInstruction, Manoeuvre
+from pytest_pafot.model.scenario import SHIFTS, SLOTS, Chromosome, CrossingInstruction, Manoeuvre
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.searching.evaluation import BARELY_MOVING, Evaluation
 from pytest_pafot.searching.events import Evaluated, Event
@@ -107,7 +106,7 @@ def _keys(genes: Chromosome) -> list[tuple[Key, ...]]:
     """Return the keys of each gene of a chain; a step belongs to the gene that it leads to."""
     first = genes[0]
     if isinstance(first, CrossingInstruction):
-        return [(("bin", int(first.speed // SPEED_BIN)), ("zone", first.zone, slot_name(first.slot)))]
+        return [(("bin", int(first.speed // SPEED_BIN)), ("zone", first.zone, first.interval))]
     if isinstance(first, Manoeuvre):
         return [(("bin", int(first.speed // SPEED_BIN)),)]
     targets = [gene.target for gene in genes]

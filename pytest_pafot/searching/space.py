@@ -323,13 +323,6 @@ def chains_of(cells: Sequence[Sequence[int]], speeds: Sequence[Sequence[int]]) -
     ]
 
 
-def scenario_of(
-    cells: Sequence[Sequence[int]], speeds: Sequence[Sequence[int]], space: SearchSpace, rng: Generator
-) -> Scenario:
-    """Make a valid scenario of Position-Instructions from each NPC's cells, and its speeds in steps of 0.1 m/s."""
-    return repaired(chains_of(cells, speeds), fresh_seed(rng), space)
-
-
 def sample_manoeuvres(space: SearchSpace, rng: Generator) -> Scenario:
     """Sample a scenario in which all NPCs have Lane-Instructions; it needs no repair, so its seed is 0."""
     return repaired(random_manoeuvres(space, space.npcs, rng), 0, space)

@@ -8,11 +8,12 @@ import shlex
 from argparse import ArgumentTypeError
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from datetime import date
 from numbers import Integral, Real
 from pathlib import Path
 from typing import Any
 
-from pytest_pafot.support.text import one_line, visible
+from pytest_pafot.support.text import day_of, one_line, visible
 
 RESTORE = "restore the file from version control, or delete it"
 
@@ -227,3 +228,15 @@ def check_asserts(holds: Callable[..., Any]) -> None:
             f"{name}: expected a Python that runs assertions, received one with -O or PYTHONOPTIMIZE, in which every "
             "run passes; leave them out"
         )
+
+
+def day_argument(text: str) -> date:
+    """Return the day that an argument names.
+
+    Raises:
+        RequestError: if it names none.
+    """
+    day = day_of(text)
+    if day is None:
+        raise RequestError(f"expected a day such as 2027-01-31, received {text!r:.50}")
+    return day

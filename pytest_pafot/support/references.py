@@ -69,6 +69,15 @@ def referred_to(reference: str, what: str = "a name") -> Any:
     return getattr(module, name)
 
 
+def name_of(factory: Callable[..., Any]) -> str:
+    """Return ``module:name`` of a function or a class that a text can refer to; empty for any other factory."""
+    name = f"{getattr(factory, '__module__', '')}:{getattr(factory, '__qualname__', '')}"
+    try:
+        return name if referred_to(name) is factory else ""
+    except ValueError:
+        return ""
+
+
 def described(error: BaseException, folder: Path | None = None) -> str:
     """Describe an exception of the user's code in one line: its class, its message and its place.
 

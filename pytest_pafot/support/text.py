@@ -7,7 +7,7 @@ import difflib
 import io
 import re
 import textwrap
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from datetime import date
 from typing import Any
 
@@ -135,3 +135,28 @@ def wrapped_to(line: str, width: int, prefix: str = "") -> list[str]:
     if len(line) <= width:
         return [line]
     return [part.replace(_GLUE, " ") for part in wrapper.wrap(_GLUED.sub(_GLUE, text.strip()))]
+
+
+MAX_TOLD = 3
+"""The number of differences that are described."""
+
+
+def differences(place: str, file: Mapping[str, Any], session: Mapping[str, Any]) -> list[str]:
+    """Describe the first differences between data of a file and of this session, and count the others."""
+    then, now = dict(_leaves(place, file)), dict(_leaves(place, session))
+    differ = [key for key in {**then, **now} if key not in then or key not in now or then[key] != now[key]]
+    told = [f"{key} {_shown(then, key)} in the file, {_shown(now, key)} now" for key in differ[:MAX_TOLD]]
+    return told + ([f"{len(differ) - MAX_TOLD} more"] if len(differ) > MAX_TOLD else [])
+
+
+def _leaves(place: str, data: Any) -> Iterator[tuple[str, Any]]:
+    """Yield every value of nested mappings with its dotted path."""
+    if not isinstance(data, Mapping) or not data:
+        yield place, data
+        return
+    for key, inner in data.items():
+        yield from _leaves(f"{place}.{key}".lstrip("."), inner)
+
+
+def _shown(leaves: Mapping[str, Any], key: str) -> str:
+    return f"{leaves[key]!r:.60}" if key in leaves else "missing"

@@ -1,7 +1,8 @@
-"""Versions of the packages on which the result of a run depends."""
+"""The machine and the packages here: versions on which the result of a run depends, and cores."""
 
 from __future__ import annotations
 
+import os
 from functools import cache
 from importlib import metadata
 
@@ -23,3 +24,10 @@ def _version_of(package: str) -> str:
         return metadata.version(package)
     except metadata.PackageNotFoundError:
         return "unknown"
+
+
+def cores() -> int:
+    """Return the number of cores that this process may use, at least one."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1

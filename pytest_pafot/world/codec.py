@@ -10,7 +10,7 @@ test names, if the name of its class or environment is the name in the file.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import fields
 from importlib import metadata
 from types import MappingProxyType
@@ -19,6 +19,7 @@ from typing import Any
 from pytest_pafot.findings.finding import check_plain
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.support.errors import WorldError
+from pytest_pafot.support.text import differences
 from pytest_pafot.world import protocol
 from pytest_pafot.world.gym_world import LONGEST_RUN, World
 from pytest_pafot.world.highway import Highway
@@ -45,8 +46,6 @@ NAMED_BY = ("kind", "class", "env_id")
 
 LONGEST_DECISION = 600.0
 """The largest ``hang_limit`` that a file can set if no test names a world [s]."""
-
-MAX_TOLD = 3
 
 
 def from_dict(data: Mapping[str, Any]) -> WorldLike:
@@ -292,14 +291,6 @@ def elsewhere(data: Mapping[str, Any], scenario: Scenario, own: Any) -> list[str
     return differences("world", described(of_file(data, scenario, own)), described(own))
 
 
-def differences(place: str, file: Mapping[str, Any], session: Mapping[str, Any]) -> list[str]:
-    """Describe the first differences between data of a file and of this session, and count the others."""
-    then, now = dict(_leaves(place, file)), dict(_leaves(place, session))
-    differ = [key for key in {**then, **now} if key not in then or key not in now or then[key] != now[key]]
-    told = [f"{key} {_shown(then, key)} in the file, {_shown(now, key)} now" for key in differ[:MAX_TOLD]]
-    return told + ([f"{len(differ) - MAX_TOLD} more"] if len(differ) > MAX_TOLD else [])
-
-
 def _title(data: Mapping[str, Any]) -> str:
     kind = data.get("kind")
     if kind == OWN:
@@ -308,16 +299,3 @@ def _title(data: Mapping[str, Any]) -> str:
         wrappers = f" with {', '.join(data['wrappers']) or 'its registered wrappers'}" if "wrappers" in data else ""
         return f"pafot.World({data['env_id']!r}){wrappers}"
     return "a pafot.Highway" if kind == "highway" else f"a world of the kind {kind}"
-
-
-def _leaves(place: str, data: Any) -> Iterator[tuple[str, Any]]:
-    """Yield every value of nested mappings with its dotted path."""
-    if not isinstance(data, Mapping) or not data:
-        yield place, data
-        return
-    for key, inner in data.items():
-        yield from _leaves(f"{place}.{key}".lstrip("."), inner)
-
-
-def _shown(leaves: Mapping[str, Any], key: str) -> str:
-    return f"{leaves[key]!r:.60}" if key in leaves else "missing"

@@ -179,6 +179,77 @@ def _takes_decisions(rollout: Callable[..., Any]) -> bool:
     return "decisions" in parameters or any(each.kind is each.VAR_KEYWORD for each in parameters.values())
 
 
+@dataclass(frozen=True, slots=True)
+class Abilities:
+    """What a world can do in addition to ``rollout``, as far as a search uses it: the functions of this module."""
+
+    world: Any
+
+    @property
+    def missing(self) -> list[str]:
+        """The names that a search needs and the world lacks."""
+        return missing(self.world)
+
+    @property
+    def crossings(self) -> Crossings | None:
+        """The ways on which other traffic meets the ego's way; None if the world states none."""
+        return crossings(self.world)
+
+    @property
+    def has_lane_instructions(self) -> bool:
+        """True if NPCs can have Lane-Instructions."""
+        return has_lane_instructions(self.world)
+
+    @property
+    def has_manoeuvres(self) -> bool:
+        """True if NPCs can have manoeuvres."""
+        return has_manoeuvres(self.world)
+
+    @property
+    def reference_drivers(self) -> tuple[str, ...]:
+        """The names of the reference drivers, for ``rollout_reference``."""
+        known = reference_world(self.world)
+        return () if known is None else tuple(known.reference_drivers)
+
+    @property
+    def takes_over(self) -> tuple[str, ...]:
+        """The names of the drivers that can take over in a run, for ``take_over``."""
+        return takes_over(self.world)
+
+    @property
+    def steps_together(self) -> bool:
+        """True if ``rollout_batch`` makes runs like those of ``rollout``."""
+        return lock_stepping(self.world) is not None
+
+    @property
+    def is_resumable(self) -> bool:
+        """True if ``rollout`` accepts the first decisions of a run, as ``decisions=``."""
+        return resumable(self.world) is not None
+
+    @property
+    def lasting(self) -> Callable[[float], WorldLike] | None:
+        """The method that gives the world with longer runs; None if it has none."""
+        return lasting(self.world)
+
+    @property
+    def hang_limit(self) -> float:
+        """The wall-clock time after which a decision of the ADS is interrupted [s]."""
+        return hang_limit(self.world)
+
+    def space(self, given: Mapping[str, Any]) -> SearchSpace:
+        """Return the space of scenarios with the given fields that fits the world."""
+        return space_of(self.world, given)
+
+    def check_fits(self, scenario: Scenario) -> None:
+        """Refuse a scenario that does not fit the world; the error names the field."""
+        check_fits(self.world, scenario)
+
+    @staticmethod
+    def looks_si(actions: Sequence[Any]) -> bool:
+        """Return whether all actions are a ``Drive`` or a pair of numbers; False if there are no actions."""
+        return looks_si(actions)
+
+
 def lasting(world: Any) -> Callable[[float], WorldLike] | None:
     """Return a world's ``lasting``, which gives the same world with longer runs; None if its class has none.
 

@@ -60,6 +60,12 @@ def test_saved_scenario_has_scenario_world_and_expectation(save):
     assert repr(saved) == f"<SavedScenario {finding.id}: AssertionError, collision at {finding.expect.time:.1f} s>"
 
 
+def test_a_saved_scenario_below_the_current_folder_is_loaded_by_its_id(save, tmp_path, monkeypatch):
+    saved = save()
+    monkeypatch.chdir(saved.path.parent)
+    assert pafot.load(saved.id).scenario == pafot.load(f"test_x[saved-{saved.id}]").scenario == saved.scenario
+
+
 def test_replay_matches_until_the_policy_is_fixed(save):
     saved = save(finding_in(WORLD))
     assert saved.matches(saved.replay(keeps_its_speed))

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from pytest_pafot.corpus.saved import Saved, read_saved_file, saved_in
+from pytest_pafot.corpus.saved import Saved, saved_in
 from pytest_pafot.corpus.writer import write
 from pytest_pafot.findings.signature import PROCESS_CRASH
 from pytest_pafot.model.trace import Outcome
@@ -15,14 +15,14 @@ NAME = "front-2-1f3a9c.pafot.yaml"
 
 def test_a_file_comes_with_its_finding(tmp_path):
     write(tmp_path / NAME, plain_finding(xfail="planner issue 12"))
-    saved = read_saved_file(tmp_path / NAME)
+    saved = Saved.read(tmp_path / NAME)
     assert (saved.id, saved.finding, saved.error) == ("front-2-1f3a9c", plain_finding(xfail="planner issue 12"), "")
     assert saved.xfail == "planner issue 12"
 
 
 def test_unreadable_file_is_returned_with_the_reason(tmp_path):
     (tmp_path / NAME).write_text("pafot: 3")
-    saved = read_saved_file(tmp_path / NAME)
+    saved = Saved.read(tmp_path / NAME)
     assert saved.finding is None
     assert saved.error.startswith(f"{tmp_path / NAME}:1: pafot: expected the format version")
     assert (saved.xfail, saved.is_crash, saved.needs_own_process) == (None, False, False)

@@ -14,7 +14,7 @@ import pytest
 
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.execution.runner import Isolated
-from pytest_pafot.execution.scenario_pool import ExecutionError, Job, recovery_note
+from pytest_pafot.execution.scenario_pool import CapturedOutput, ExecutionError, Job
 from pytest_pafot.extras import executors
 from pytest_pafot.extras.executors import ExecutorPool, packed, versions_here
 from pytest_pafot.model.scenario import PositionInstruction, Scenario
@@ -100,7 +100,7 @@ def test_executor_runs_equal_local_runs_in_their_order(pool_of):
 @pytest.fixture
 def cheap(monkeypatch):
     """Let runs take a millisecond."""
-    monkeypatch.setattr(executors, "timed", lambda world, scenario, ads: (trace_of(scenario), 0.001))
+    monkeypatch.setattr(Job, "run", lambda made, scenario: (trace_of(scenario), CapturedOutput(), 0.001))
 
 
 def test_cheap_runs_are_sent_in_two_tasks_a_worker(pool_of, cheap):
@@ -111,7 +111,7 @@ def test_cheap_runs_are_sent_in_two_tasks_a_worker(pool_of, cheap):
 
 
 def test_runs_of_half_a_second_are_sent_four_to_a_task(pool_of, monkeypatch):
-    monkeypatch.setattr(executors, "timed", lambda world, scenario, ads: (trace_of(scenario), 0.5))
+    monkeypatch.setattr(Job, "run", lambda made, scenario: (trace_of(scenario), CapturedOutput(), 0.5))
     pool = pool_of(Inline())
     fetched(pool, SCENARIOS[:1])
     fetched(pool, SCENARIOS[:10])
@@ -163,7 +163,7 @@ def test_lost_task_is_retried_scenario_by_scenario(pool_of):
     assert numbers(fetched(pool, SCENARIOS[:6])) == [0, 1, 2, 3, 4, 5]
     assert ran == [1, 1, 3, 1, 1, 1]
     assert [lost.task.seed for lost in pool.recovered] == [0, 1, 2]
-    assert recovery_note(pool.recovered[0]).startswith("a worker was lost (KilledWorker) while it ran <Scenario ")
+    assert pool.recovered[0].recovery.startswith("a worker was lost (KilledWorker) while it ran <Scenario ")
 
 
 def test_an_executor_may_fail_once_without_a_known_reason(pool_of):
@@ -253,8 +253,7 @@ def test_modules_of_the_project_travel_by_value(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "my_planner", module)
     parcel = packed(job_of(tmp_path, module.Planner))
     monkeypatch.delitem(sys.modules, "my_planner")
-    _, ads, _ = pickle.loads(parcel.content)
-    assert ads()(1) == 7
+    assert pickle.loads(parcel.content).ads()(1) == 7
 
 
 class Unable(InThisProcess):

@@ -3,10 +3,7 @@
 import pytest_pafot
 from tests.test_layers import EXTRAS, MODULES, imported_names, room_of
 
-BEYOND_THE_DOOR = {
-    "algorithms": 3, "comparison": 11, "episodes": 20, "executors": 9, "requirements": 11, "resumable": 3,
-    "revisions": 21, "sweeps": 3, "testing": 16, "training": 4,
-}  # fmt: skip
+BEYOND_THE_DOOR = {"testing": 11}
 """The names that an extra imports from the inside of the core, neither public nor on the page for those who
 extend it. Lower a number when it falls; never raise it."""
 

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pytest_pafot.commands.inventory import Inventory
-from pytest_pafot.commands.results import Session, grouped, read_results
+from pytest_pafot.commands.results import Session
 from pytest_pafot.corpus.layout import SEARCH_PART, name_without
 from pytest_pafot.extras import requirements
 from pytest_pafot.extras.requirements import (
@@ -62,7 +62,7 @@ def night(day, *findings, searches=None, tests=()):
 
 
 def table_of(*sessions, tests=None, listed=None):
-    return Table.of(inventory(**(tests or {"test_x": ("R1",)})), grouped(sessions), listed or {}, today=TODAY)
+    return Table.of(inventory(**(tests or {"test_x": ("R1",)})), Session.grouped(sessions), listed or {}, today=TODAY)
 
 
 def states(table):
@@ -111,14 +111,17 @@ def test_shards_of_a_day_count_together():
     shards = [night(20, finding(), searches=[search(runs=10)]), night(20, searches=[search(runs=5, test="t.py::y")])]
     (requirement,) = table_of(*shards, tests={"test_x": ("R1",)}).requirements
     assert [(day.runs, day.open) for day in requirement.days] == [(10, 1)]
-    assert len(grouped(shards)) == 1
-    assert len(grouped([Session(), Session()])) == 2
+    assert len(Session.grouped(shards)) == 1
+    assert len(Session.grouped([Session(), Session()])) == 2
 
 
 def test_shards_are_joined_also_if_another_commit_lies_between_them():
     one, other = night(20, finding()), replace(night(20), commit="def")
     two = night(20, searches=[search(runs=5)])
-    assert [(each.commit, len(each.searches)) for each in grouped([one, other, two, two])] == [("abc", 2), ("def", 1)]
+    assert [(each.commit, len(each.searches)) for each in Session.grouped([one, other, two, two])] == [
+        ("abc", 2),
+        ("def", 1),
+    ]
 
 
 @pytest.mark.parametrize("order", [(0, 1), (1, 0)])
@@ -205,8 +208,8 @@ def test_an_error_of_one_night_is_closed_by_the_next_good_one():
 def fails_on_open(monkeypatch, *sessions):
     """Return the exit code of ``requirements --fail-on open`` for some sessions."""
     given = {Path(f"{number}.json"): session for number, session in enumerate(sessions)}
-    monkeypatch.setattr(requirements, "collected", lambda _: inventory(test_x=("R1",), test_y=("R1",)))
-    monkeypatch.setattr(requirements, "read_results", given.__getitem__)
+    monkeypatch.setattr(requirements.Inventory, "collected", lambda _: inventory(test_x=("R1",), test_y=("R1",)))
+    monkeypatch.setattr(requirements.Session, "read", given.__getitem__)
     arguments = Namespace(
         results=list(given), list=None, pytest=[], today=TODAY, format="text", course=False, fail_on="open"
     )
@@ -252,7 +255,7 @@ def test_a_search_that_was_refused_is_no_failure_and_is_not_fixed_later(monkeypa
 def test_the_exit_code_says_whether_a_session_came_to_its_end(tmp_path, code, broke_off):
     path = tmp_path / "n.json"
     path.write_text(json.dumps({"pafot_json": 1, "exit": code}))
-    assert read_results(path).broke_off is broke_off
+    assert Session.read(path).broke_off is broke_off
 
 
 SEARCHES = st.sampled_from(
@@ -314,7 +317,7 @@ def test_file_without_results_is_refused(tmp_path, content, why):
     if content is not None:
         file.write_bytes(content.encode("utf-8", "surrogateescape"))
     with pytest.raises(RequestError, match=rf"a\.json: expected the results of a session, .* received .*({why})"):
-        read_results(file)
+        Session.read(file)
 
 
 def test_severities_that_are_no_numbers_are_left_out():
@@ -340,7 +343,7 @@ def test_texts_of_strangers_are_data_in_every_format():
 
 
 def test_open_failures_end_with_exit_code_1_only_if_asked(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(requirements, "collected", lambda arguments: inventory(test_x=("R1",)))
+    monkeypatch.setattr(requirements.Inventory, "collected", lambda arguments: inventory(test_x=("R1",)))
     file = tmp_path / "a.json"
     file.write_text(json.dumps({"pafot_json": 1, "searches": [search()], "findings": [finding()]}))
     given = {"results": [file], "list": None, "today": TODAY, "format": "csv", "course": False, "pytest": []}
@@ -352,7 +355,7 @@ def test_open_failures_end_with_exit_code_1_only_if_asked(tmp_path, monkeypatch,
 
 
 def test_results_without_a_day_among_dated_ones_are_named(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(requirements, "collected", lambda arguments: inventory(test_x=("R1",)))
+    monkeypatch.setattr(requirements.Inventory, "collected", lambda arguments: inventory(test_x=("R1",)))
     files = [tmp_path / f"{name}.json" for name in "abc"]
     for file, day in zip(files, ("2026-11-20", "", ""), strict=True):
         file.write_text(json.dumps({"pafot_json": 1, "day": day, "searches": [search()], "findings": []}))
@@ -376,4 +379,4 @@ def test_pipe_is_no_file_of_results(tmp_path):
     if hasattr(os, "mkfifo"):
         os.mkfifo(tmp_path / "pipe")
         with pytest.raises(RequestError, match="received no regular file"):
-            read_results(tmp_path / "pipe")
+            Session.read(tmp_path / "pipe")

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from pytest_pafot.findings.finding import Expect
 from pytest_pafot.findings.neighbours import Breadth
-from pytest_pafot.findings.severity import Severity, severity_in, severity_of, worsening, worst_first
+from pytest_pafot.findings.severity import Severity, severity_of, worsening
 from pytest_pafot.findings.signature import CHECK_FAILED, SLOW_DECISION, Failure
 from pytest_pafot.model.scenario import PositionInstruction, Scenario
 from pytest_pafot.model.trace import Outcome, Y
@@ -69,11 +69,11 @@ def test_collision_is_measured_one_tick_after_contact(steering):
 )
 def test_a_file_is_as_bad_as_the_run_that_it_was_saved_for(failure):
     run = crash(closing=9.875)
-    assert severity_in(Expect.of(run, failure)) == severity_of(run, failure)
+    assert Severity.in_file(Expect.of(run, failure)) == severity_of(run, failure)
 
 
 def test_an_older_file_of_a_collision_has_no_measure():
-    assert severity_in(replace(Expect.of(crash(), CRASHED), closing_speed=None)) is None
+    assert Severity.in_file(replace(Expect.of(crash(), CRASHED), closing_speed=None)) is None
 
 
 @given(st.floats(0, 60), st.floats(0, 60), st.floats(-math.pi, math.pi))
@@ -151,7 +151,7 @@ def test_findings_are_ranked_by_responsibility_then_severity_then_breadth(order)
         ("none", replace(JERK, margin=-0.8), None), ("ego", JERK, None), ("none", small, None),
         ("none", None, Breadth(failing=1, of=40, full=40)), ("none", None, None),
     ]  # fmt: skip
-    assert sorted((ranked[index] for index in order), key=lambda each: worst_first(*each)) == ranked
+    assert sorted((ranked[index] for index in order), key=lambda each: Severity.worst_first(*each)) == ranked
 
 
 @table(

@@ -13,9 +13,10 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from pytest_pafot.model.crossings import APART, LENGTH, SLOTS, STEP, slot_name
+from pytest_pafot.model.crossings import APART, LENGTH, STEP
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.scenario import (
+    SLOTS,
     CrossingInstruction,
     LaneInstruction,
     PositionInstruction,
@@ -108,7 +109,7 @@ class TestInstructions:
          (0.1, "just after"), (0.9, "just after"), (1.0, "well after"), (5, "well after")],
     )  # fmt: skip
     def test_each_slot_is_one_of_five(self, slot, name):
-        assert slot_name(slot) == name
+        assert crosses(slot=slot).interval == name
         assert name in SLOTS
 
 

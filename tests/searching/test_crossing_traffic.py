@@ -10,7 +10,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pytest_pafot.model.crossings import slot_name
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.scenario import CrossingInstruction, PositionInstruction, Scenario
 from pytest_pafot.model.trace import Collision, Outcome
@@ -91,7 +90,7 @@ def test_all_zones_acts_and_slots_are_drawn():
     assert len(instructions) / sum(len(each.npcs) for each in scenarios) == pytest.approx(0.75, abs=0.06)
     assert {each.zone for each in instructions} == set(JUNCTION.ways)
     assert Counter(each.act for each in instructions).keys() == {"pass", "hold", "stop"}
-    assert len({slot_name(each.slot) for each in instructions}) == 5
+    assert len({each.interval for each in instructions}) == 5
     assert any(len(told(each)) in range(1, len(each.npcs)) for each in scenarios)
 
 

@@ -17,8 +17,8 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 from numpy.random import Generator
 
-from pytest_pafot import Scenario
-from pytest_pafot.extending import Evaluation, GenerationalSearch, GenerationState, scenario_of
+from pytest_pafot import Cell, PositionInstruction, Scenario
+from pytest_pafot.extending import Evaluation, GenerationalSearch, GenerationState, SearchSpace
 
 if TYPE_CHECKING:
     from cmaes import CatCMAwM
@@ -75,7 +75,7 @@ class CmaEsSearch(GenerationalSearch[CmaEsState]):
             speeds = np.asarray(solution.z).round().astype(int).reshape(shape)
             # The first choice is a cell; each of the others is a step on the ring: -1, 0 or 1.
             cells = np.cumsum(np.hstack([choices[:, :1], choices[:, 1:] - 1]), axis=1) % 8 + 1
-            proposed.append(scenario_of(cells.tolist(), speeds.tolist(), space, rng))
+            proposed.append(scenario_of(cells.tolist(), speeds.tolist(), space, seed=int(rng.integers(2**31))))
         return replace(state, optimiser=optimiser, solutions=solutions), proposed
 
     def learn(self, state: CmaEsState, evaluations: Sequence[Evaluation], rng: Generator) -> CmaEsState:
@@ -83,6 +83,23 @@ class CmaEsSearch(GenerationalSearch[CmaEsState]):
         optimiser = copy.deepcopy(state.optimiser)
         optimiser.tell(list(zip(state.solutions, losses(evaluations), strict=True)))
         return replace(state, optimiser=optimiser, solutions=())
+
+
+def scenario_of(
+    cells: Sequence[Sequence[int]], speeds: Sequence[Sequence[int]], space: SearchSpace, *, seed: int
+) -> Scenario:
+    """Make a valid scenario of Position-Instructions from each NPC's cells, and its speeds in steps of 0.1 m/s."""
+    return Scenario.repaired(
+        [
+            [PositionInstruction(Cell(cell), step / 10) for cell, step in zip(*chain, strict=True)]
+            for chain in zip(cells, speeds, strict=True)
+        ],
+        seed=seed,
+        ego_lane=space.ego_lane,
+        ego_speed=space.ego_speed,
+        gene_seconds=space.gene_seconds,
+        traffic=space.traffic,
+    )
 
 
 def losses(evaluations: Sequence[Evaluation]) -> list[float]:

@@ -22,10 +22,8 @@ from pytest_pafot.extending import (
     NicheSearch,
     SearchSpace,
     first_crossed,
-    meeting_place,
     mutate,
 )
-from pytest_pafot.model.crossings import SLOTS
 
 if TYPE_CHECKING:
     from ribs.archives import GridArchive
@@ -55,7 +53,7 @@ class MapElitesSearch(NicheSearch[MapElitesState]):
         """Return the state before the first generation: an empty archive."""
         from ribs.archives import GridArchive  # noqa: PLC0415  (slow to import)
 
-        places = 9 if self.space.crossings is None else 9 + len(SLOTS) * len(self.space.crossings.zones)
+        places = 9 if self.space.crossings is None else 9 + self.space.crossings.meeting_places
         ranges = ((-0.5, places - 0.5), (0.0, TOP_CLOSING_SPEED))
         return MapElitesState(archive=GridArchive(solution_dim=1, dims=(places, CLOSING_SPEED_NICHES), ranges=ranges))
 
@@ -94,5 +92,5 @@ def niche(evaluation: Evaluation, space: SearchSpace) -> tuple[float, float]:
     hit = evaluation.collision
     if hit is None:
         return NO_IMPACT, 0.0
-    place = meeting_place(evaluation, space.crossings) if hit.npc == evaluation.crossing else None
+    place = evaluation.meeting_place(space.crossings) if hit.npc == evaluation.crossing else None
     return float(hit.cell or NO_IMPACT) if place is None else 9.0 + place, hit.closing_speed

@@ -24,8 +24,6 @@ from pytest_pafot.extending import (
     sample,
     varied,
 )
-from pytest_pafot.model.crossings import slot_name
-from pytest_pafot.model.scenario import retimed
 
 WORST = 1e9  # the objectives of an ineligible run; finite, because crowding is a difference
 
@@ -126,7 +124,7 @@ def cells_of(evaluations: Sequence[Evaluation]) -> FloatArray:
     Numbers from 9 on stand for the lanes of Lane-Instructions, and for the zone and slot of an NPC that crosses.
     """
     shortest = min(each.executed.gene_seconds for each in evaluations)
-    chains = [[retimed(chain, each.executed.gene_seconds, shortest) for chain in each.chains] for each in evaluations]
+    chains = [each.chains_in(shortest) for each in evaluations]
     genes = max(len(chain) for npcs in chains for chain in npcs)
     cells = np.zeros((len(chains), max(map(len, chains)), genes))
     places: dict[tuple[str, str] | str, int] = {}
@@ -141,5 +139,5 @@ def _numbers(chain: Chromosome, places: dict[tuple[str, str] | str, int]) -> Ite
         if isinstance(gene, PositionInstruction):
             yield gene.cell
         else:
-            place = (gene.zone, slot_name(gene.slot)) if isinstance(gene, CrossingInstruction) else str(gene.target)
+            place = (gene.zone, gene.interval) if isinstance(gene, CrossingInstruction) else str(gene.target)
             yield 9 + places.setdefault(place, len(places))

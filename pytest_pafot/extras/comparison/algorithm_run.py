@@ -2,66 +2,26 @@
 
 from __future__ import annotations
 
-import hashlib
-import math
-import tempfile
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any, TextIO
 
-from pytest_pafot import Run, WorldLike
-from pytest_pafot.campaign import run_table
-from pytest_pafot.campaign.run_table import Row, RunTable
-from pytest_pafot.extending import (
-    Evaluated,
-    Failure,
-    SetupFaultError,
-    ads_factory,
-    caution,
-    of_failure,
-    prepared,
-    replays_of,
-    request_of,
-    require,
-    run_campaign,
-)
+from pytest_pafot import WorldLike
+from pytest_pafot.extending import AlgorithmRun, SetupFaultError, caution
 from pytest_pafot.extras.comparison.plan import DIFFERENT, Plan
 from pytest_pafot.extras.resumable import ResumableJob, Task, Tick, claim, run_job
-from pytest_pafot.findings.finding import ads_failure, event_of
 from pytest_pafot.support.errors import RequestError
 from pytest_pafot.support.text import csv_text
 
 COLUMNS: Mapping[str, str] = {
     "algorithm": "name of the algorithm",
     "run": "number of the algorithm's run, from 0",
-    **{name: meaning for name, meaning in run_table.COLUMNS.items() if name not in ("test", "run")},
-    "index": "index in the generation, from 0",
-    "clock": "simulated time of the search until the end of the run [s]; reused results take no time",
-    "cell": "cell of the NPC that was hit; empty if it crossed the ego's way",
-    "zone": "zone in which that NPC crossed, such as `crossing from the left`; otherwise empty",
-    "position_responsibility": "who is responsible by the rule of the authors' code",
-    "signature": "identity of a collision, even of one that is no failure, or of an ADS error; otherwise empty",
-    "genes_started": "started genes of all NPCs",
-    "genes_reached": "number of started genes whose cell, lane or zone was reached",
-    "executed": "the scenario as driven, in canonical text",
+    **AlgorithmRun.COLUMNS,
 }
-"""The columns of the results: those of the table of runs, and those that only a comparison has."""
+"""The columns of the results: those of a run of an algorithm, and what is compared."""
 
-UNBOUNDED = 10**9  # generations of a run with a time budget
-
-COLLISION = Failure(kind="AssertionError", assertion="not run.collision")
-"""The failure of :func:`never_collides`; its signature tells different collisions apart."""
-
-
-def never_collides(blame: str, run: Run) -> None:
-    """Assert that there is no collision; the test function of a comparison.
-
-    Unless the blame is ``any``, a collision for which neither vehicle is responsible is no failure.
-    """
-    if blame == "any" or run.responsibility is not None:
-        require(not run.collision, "not run.collision", lambda: "assert not run.collision")
+Row = Mapping[str, Any]
 
 
 def text_of(rows: Iterable[Row]) -> str:
@@ -102,72 +62,14 @@ def _text(plan: Plan, task: Task, tick: Tick) -> str:
 def run_rows(plan: Plan, algorithm: str, run: int, tick: Tick = lambda share: None) -> list[Row]:
     """Run one search of an algorithm, and return a row for each scenario that it requested.
 
-    It evaluates scenarios as :func:`~pytest_pafot.campaign.explore.explore` does, but it ends after a simulated time if
-    the plan has one, and it neither runs findings again nor simplifies them.
-
     Raises:
         RequestError: if the ADS fails for the same reason at its first decision in the whole first generation.
     """
-    (world, space), chosen = plan.setting(algorithm), plan.entrant(algorithm).algorithm
-    seed = plan.run_seed(algorithm, run)
-    generations, budget = plan.generations or UNBOUNDED, math.inf if plan.seconds is None else plan.seconds
-    given = {"ads": ads_factory(plan.ads), "world": world, "algorithm": chosen.made_by}
-    request = request_of({**given, "fitness": plan.fitness, "blame": plan.blame})
-    # A finding above the largest number of saved ones is only counted.
-    request = replace(request, settings=replace(request.settings, max_saved=0))
-    table, seconds = RunTable(seed=seed, more=_of_run), 0.0
-
-    def listen(event: Any) -> None:
-        nonlocal seconds
-        table.see(event)
-        if isinstance(event, Evaluated):
-            evaluation = event.evaluation
-            seconds += 0.0 if event.reused else evaluation.duration
-            tick(max(event.generation / generations, seconds / budget))
-            table.rows[-1] |= {
-                "algorithm": algorithm,
-                "run": run,
-                "index": event.index,
-                "clock": seconds,
-                "genes_started": evaluation.genes_started,
-                "genes_reached": evaluation.genes_reached,
-                "executed": evaluation.executed.canonical(),
-            }
-
-    with tempfile.TemporaryDirectory(prefix="pafot-") as scratch:
-        harness = replays_of(request, partial(never_collides, plan.blame), "compare", Path(scratch)).harness
-        # Blame affects all fitnesses except AV-Fuzzer's, which its authors used without it.
-        with prepared(harness, listen, space=space, is_steered=request.fitness != "av-fuzzer") as sessions:
-            events = run_campaign(
-                plan.made(algorithm),
-                sessions.loop.evaluate,
-                generations=generations,
-                seed=seed,
-                stop=lambda: seconds >= budget,
-                foresee=sessions.loop.simulation.runner.announce,
-            )
-            try:
-                sessions.loop.follow(events)
-            except SetupFaultError as fault:
-                raise _set_up(fault, world, request.ads) from None
-    tick(1.0)
-    return table.taken()
-
-
-def _of_run(run: Run) -> Row:
-    """Return the values of a run for columns that the table of runs lacks."""
-    hit, signature = run.collision, None
-    failure = ads_failure(run) or (None if hit is None else COLLISION)
-    if failure is not None:
-        found = of_failure(run, failure)
-        # It begins with readable words, and two texts are equal only if the signatures are equal.
-        signature = f"{found.mistake or found.slug}-{hashlib.sha256(repr(found).encode()).hexdigest()[:6]}"
-    return {
-        "cell": None if hit is None or hit.cell is None else int(hit.cell),
-        "zone": None if hit is None else event_of(run, failure).zone,
-        "position_responsibility": None if hit is None else run.second_opinion or "none",
-        "signature": signature,
-    }
+    made = plan.run(algorithm, run)
+    try:
+        return [{**row, "algorithm": algorithm, "run": run} for row in made.rows(tick)]
+    except SetupFaultError as fault:
+        raise _set_up(fault, made.world, made.ads) from None
 
 
 def _set_up(fault: SetupFaultError, world: WorldLike, ads: Any) -> RequestError:

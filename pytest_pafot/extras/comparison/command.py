@@ -12,21 +12,21 @@ from pathlib import Path
 from typing import Any
 
 from pytest_pafot import Highway, World
-from pytest_pafot.campaign.request import BLAMES, SPACE_ARGUMENTS
-from pytest_pafot.extending import ALGORITHMS, drawn_space, space_of
+from pytest_pafot.extending import ALGORITHMS, Abilities, drawn_space
 from pytest_pafot.extras.comparison.algorithm_run import run_all
 from pytest_pafot.extras.comparison.plan import Plan, checked
 from pytest_pafot.extras.resumable import AGAIN, worker_count, written_into
-from pytest_pafot.model.driving_style import STYLES
-from pytest_pafot.model.scenario import PAPER_SPEED_LIMIT
 from pytest_pafot.support.errors import RequestError, install
 from pytest_pafot.support.files import write_whole
-from pytest_pafot.world.highway import LANE_COUNTS
 
 LIBRARIES = ("matplotlib", "pandas", "scipy")
 SAMPLED_NPCS = "sampled, or 2 in the paper's scenarios and on a bent road where none crosses the ego's way"
 SAMPLED_GENES = "sampled, or 10 in the paper's scenarios; on a bent road 3, and at most 10 in the paper's scenarios"
 START = " in the paper's scenarios and with --env, otherwise sampled; on a bent road, the environment's"
+
+
+SPACE = ("npcs", "genes", "gene_seconds", "traffic", "ego_lane", "ego_speed")
+"""The options that are fields of a space of scenarios."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -56,7 +56,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--workers", type=int, metavar="N", help="number of processes (default: one per core)")
     parser.add_argument(
         "--blame",
-        choices=BLAMES,
+        choices=("any", "ego", "preventable", "avoidable"),
         default="any",
         help="ego: search for collisions that the ego is responsible for; preventable: only for those in which a "
         "reference driver is not at fault; avoidable: also for those that the rules excuse although braking late, but "
@@ -72,8 +72,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--env", metavar="ID", help="a highway-env environment such as highway-v0, for its policies")
     for name, number, metavar, meaning in (
-        ("--lanes", int, "N", "number of lanes, {} to {} (default: 4)".format(*LANE_COUNTS)),
-        ("--speed-limit", float, "V", f"speed limit [m/s] (default: {PAPER_SPEED_LIMIT})"),
+        ("--lanes", int, "N", f"number of lanes (default: {Highway().lanes})"),
+        ("--speed-limit", float, "V", f"speed limit [m/s] (default: {Highway().speed_limit})"),
         ("--duration", float, "S", "duration of a scenario [s] (default: 60, or the environment's)"),
         ("--clearance", float, "D", "clearance of the grid [m]; the paper has 0 (default: 3)"),
         ("--npcs", int, "N", f"number of NPCs, 1 to 8 (default: {SAMPLED_NPCS})"),
@@ -82,7 +82,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     ):
         parser.add_argument(name, type=number, metavar=metavar, help=meaning)
     parser.add_argument(
-        "--traffic", choices=STYLES, help="how the NPCs drive (default: as in a test with the algorithm)"
+        "--traffic", metavar="STYLE", help="how the NPCs drive (default: as in a test with the algorithm)"
     )
     parser.add_argument(
         "--ego-lane", type=int, metavar="N", help=f"first lane of the ego, from 0 at the left (default: 1{START})"
@@ -146,9 +146,9 @@ def plan_of(arguments: argparse.Namespace) -> Plan:
                 )
         world = replace(World(arguments.env), **road)
         world.check()
-    given = {name: value for name in SPACE_ARGUMENTS if (value := getattr(arguments, name, None)) is not None}
+    given = {name: value for name in SPACE if (value := getattr(arguments, name)) is not None}
     try:
-        space = space_of(world, given)
+        space = Abilities(world).space(given)
     except ValueError as error:
         raise RequestError(str(error)) from None
     generations = None if arguments.seconds is not None else arguments.generations

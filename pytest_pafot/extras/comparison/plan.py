@@ -6,22 +6,23 @@ import hashlib
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from pytest_pafot import Highway, WorldLike
+from pytest_pafot import Highway, Run, WorldLike
 from pytest_pafot.extending import (
     ALGORITHMS,
-    Algorithm,
     AlgorithmClass,
+    AlgorithmRun,
     SearchSpace,
     ads_factory,
     code_of,
     identity,
+    require,
     resolve_algorithm,
 )
 from pytest_pafot.extending import from_dict as world_from_dict
-from pytest_pafot.searching.fitness import resolve
 from pytest_pafot.support.errors import RequestError
 from pytest_pafot.support.references import referred_to
 from pytest_pafot.support.source_files import source_digests
@@ -35,6 +36,15 @@ DIFFERENT = (
 """The warning if :attr:`Plan.scenarios` has more than one entry."""
 PAPER, POPULATION = "paper", 4
 """The text after the ``@`` for the paper's scenarios, and the number of these scenarios in a generation."""
+
+
+def never_collides(blame: str, run: Run) -> None:
+    """Assert that there is no collision; the test function of a comparison.
+
+    Unless the blame is ``any``, a collision for which neither vehicle is responsible is no failure.
+    """
+    if blame == "any" or run.responsibility is not None:
+        require(not run.collision, "not run.collision", lambda: "assert not run.collision")
 
 
 class Entrant(NamedTuple):
@@ -167,11 +177,26 @@ class Plan:
             found.setdefault(f"{space.described}; {genes}{patterns}", []).append(name)
         return found
 
-    def made(self, name: str) -> Algorithm[Any]:
-        """Make the algorithm of one of :attr:`names`, for the space of its scenarios."""
-        entrant = self.entrant(name)
+    def run(self, name: str, number: int) -> AlgorithmRun:
+        """Return a run of one of :attr:`names`.
+
+        Raises:
+            ValueError: if the algorithm or the fitness cannot be used.
+        """
+        (world, space), entrant = self.setting(name), self.entrant(name)
         own = {"population": POPULATION} if entrant.is_papers else {}
-        return entrant.algorithm.make(self.setting(name)[1], **{**own, **self.parameters})
+        return AlgorithmRun(
+            algorithm=entrant.algorithm,
+            parameters={**own, **self.parameters},
+            ads=ads_factory(self.ads),
+            holds=partial(never_collides, self.blame),
+            world=world,
+            space=space,
+            seed=self.run_seed(name, number),
+            blame=self.blame,
+            fitness=self.fitness,
+            **{name: value for name in ("generations", "seconds") if (value := getattr(self, name)) is not None},
+        )
 
     def run_seed(self, algorithm: str, run: int) -> int:
         """Return the seed of one run; runs of different algorithms are independent samples."""
@@ -202,12 +227,9 @@ def checked(plan: Plan) -> Plan:
         if repeated:
             raise RequestError(f"--algorithms: expected each name once, received {', '.join(repeated)} again")
         for name in names:
-            plan.made(name)
-        if plan.fitness is not None:
-            resolve(plan.fitness)
+            plan.run(name, 0)
     except ValueError as error:
         raise RequestError(str(error)) from None
-    ads_factory(plan.ads)
     return plan
 
 

@@ -16,7 +16,6 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property, partial
-from itertools import count
 from pathlib import Path
 from statistics import median
 from typing import Any, Self
@@ -24,46 +23,39 @@ from typing import Any, Self
 import numpy as np
 
 from pytest_pafot import Highway, Outcome, Run, World, WorldError, explore
-from pytest_pafot.campaign.harness import same_policy
-from pytest_pafot.campaign.setup_fault import FirstGeneration
-from pytest_pafot.campaign.verdict import worst_margins
-from pytest_pafot.corpus.layout import CORPUS
-from pytest_pafot.execution.runner import runner_here
-from pytest_pafot.execution.scenario_pool import METHOD
 from pytest_pafot.extending import (
     ABOUT_POLICIES,
-    Judged,
+    Abilities,
+    GenerationFinished,
     ProcessLostError,
+    Saved,
     SetupFaultError,
+    Severity,
     Verdict,
     WorkerPool,
     ads_factory,
+    check_drives,
     check_function,
     config_of,
     drawn_space,
     files_below,
-    judge,
-    read_saved_file,
-    reference_world,
-    replays_of,
-    request_of,
+    judged_runs,
+    replay_saved,
     require,
+    same_policy,
     sample,
-    space_of,
 )
 from pytest_pafot.extras.episodes.rate import CHUNK, PLANNER, EpisodeRow, driven, p_text
 from pytest_pafot.extras.resumable import ResumableJob, Task, Tick, run_job, worker_count
 from pytest_pafot.extras.revisions.revision import PROCESS, revision_at
 from pytest_pafot.extras.revisions.revision_policy import RevisionPolicy
 from pytest_pafot.extras.revisions.revision_process import Served
-from pytest_pafot.findings.severity import WORSE_BY, worsening
 from pytest_pafot.support.errors import AdsFactoryError, RequestError, RevisionError, command
 from pytest_pafot.support.files import way_out, write_whole
 from pytest_pafot.support.proportions import LEVEL, difference, holm, mcnemar
 from pytest_pafot.support.references import REVISION, described
 from pytest_pafot.support.text import ascii_text, csv_text, markdown_table, one_line, plural, visible
 from pytest_pafot.support.versions import installed_versions
-from pytest_pafot.world.protocol import first_decision
 
 # Comparison of two versions of a policy in the same situations, as values and in words.
 
@@ -83,7 +75,7 @@ class Result:
         """Return the result of a policy from a run and its verdict."""
         bounded = {each.name for each in verdict.checks if set(each.bounds.values()) != {None}}
         is_whole = run.collision is None and run.ads_error is None and run.outcome != "off_road"  # nothing cut it short
-        margins = {name: worst for name, worst in worst_margins(verdict) if name in bounded and math.isfinite(worst)}
+        margins = {name: worst for name, worst in verdict.margins if name in bounded and math.isfinite(worst)}
         failed = None if verdict.discarded or verdict.kind == "invalid" else verdict.failed
         severity = verdict.severity
         impact = severity.value if severity is not None and severity.kind == "collision" else None
@@ -182,12 +174,12 @@ def lines_of(rows: Iterable[PairRow]) -> list[ComparedLine]:
     lines = [
         _line("failures of its own", ("fewer", "more"), failures),
         _line("crashes in ordinary traffic", ("fewer", "more"), crashes),
-        _line("impacts where both fail", ("milder", "harder"), impacts, WORSE_BY["collision"], " m/s"),
+        _line("impacts where both fail", ("milder", "harder"), impacts, Severity.WORSE_BY["collision"], " m/s"),
     ]
     for name in sorted({name for row in drawn for name in row.old.margins}):
         of_both = [(row.old.margins, row.new.margins) for row in drawn]
         margins = [(old[name], new[name]) for old, new in of_both if name in old and name in new]
-        lines.append(_line(f"margins of {name}", ("larger", "smaller"), margins, WORSE_BY["check"], ""))
+        lines.append(_line(f"margins of {name}", ("larger", "smaller"), margins, Severity.WORSE_BY["check"], ""))
     lines = [line for line in lines if line.pairs]
     adjusted = holm([line.p for line in lines])
     return [replace(line, p=p) for line, p in zip(lines, adjusted, strict=True)]
@@ -304,13 +296,9 @@ class ProgressPlan:
     def judged(self, side: str, numbers: range) -> Iterator[tuple[Run, Verdict]]:
         """Run random scenarios with a policy; each scenario depends only on the seed and its number."""
         world = self.world
-        space = space_of(world, drawn_space(world, {}))
+        space = Abilities(world).space(drawn_space(world, {}))
         scenarios = [sample(space, np.random.default_rng((self.seed, number))) for number in numbers]
-        with runner_here(world, self.factory(side)) as runner:
-            runner.announce(scenarios)
-            for scenario in scenarios:
-                run = Run(runner.run(scenario), world=reference_world(world))
-                yield run, judge(run, self.holds, blame="ego")
+        return judged_runs(scenarios, world, self.factory(side), self.holds, blame="ego")
 
     @property
     def job(self) -> ResumableJob:
@@ -396,9 +384,7 @@ def _of_revision(plan: ProgressPlan, copy: Sequence[str]) -> Iterator[tuple[Prog
 
 def _check_apart(plan: ProgressPlan, side: str) -> None:
     """Check the set-up in another process, because a policy that ended this one would end the command with its code."""
-    with WorkerPool[str, None](
-        partial(_check_in_worker, plan), 1, method=METHOD, patience=math.inf, grace=math.inf
-    ) as pool:
+    with WorkerPool[str, None](partial(_check_in_worker, plan), 1, patience=math.inf, grace=math.inf) as pool:
         pool.expect([side])
         answer = pool.fetch(side)
     if isinstance(answer, ProcessLostError):
@@ -416,21 +402,16 @@ def _check_in_worker(plan: ProgressPlan, side: str, tick: Tick) -> None:
 
 def _check_set_up(plan: ProgressPlan, side: str) -> None:
     """Raise for a policy that never drives, and for a check that fails in all of the first runs."""
-    first = FirstGeneration()
     try:
-        for each in plan.judged(side, range(min(FIRST, plan.scenarios))):
-            first.see(*each)
-            if not first.is_alike:
-                return
-        first.end()
+        check_drives(plan.judged(side, range(min(FIRST, plan.scenarios))))
     except SetupFaultError as fault:
-        received = f"received {fault.received} in all of {first.runs} runs"
-        asked = first_decision(plan.world, fault.run.scenario)
+        received = f"received {fault.received} in {fault.runs}"
+        asked = fault.asked(plan.world, plan.factory(side), of_si="", of_env="").strip()
         if not fault.verdict.is_ads:
             raise RequestError(f"--check: expected a function of a run that asserts, {received}; correct it") from None
         raise RequestError(
             f"{side.upper()}: expected a policy that drives, {received}, at its first decision. "
-            f"{'' if asked is None else asked.text} A policy of an environment needs --world, and the --config that it "
+            f"{asked} A policy of an environment needs --world, and the --config that it "
             f"was trained with; a planner in SI units needs no --world, or {PLANNER} after its name"
         ) from None
     except (RequestError, WorldError, AdsFactoryError):
@@ -470,11 +451,18 @@ def _rows(plan: ProgressPlan, part: str, numbers: range, tick: Tick) -> Iterator
     elif part == "saved":
         yield _replayed(plan, plan.saved[numbers[0]])
     else:  # the scenarios that a search has found in which only the policy of one side fails
-        (side, other), runs = ("old", "new") if part == "alone_old" else ("new", "old"), count(1)
+        (side, other), runs = ("old", "new") if part == "alone_old" else ("new", "old"), 0
+
+        def listen(event: object) -> None:
+            nonlocal runs
+            if isinstance(event, GenerationFinished):
+                runs += len(event.population) - event.elites
+                tick(min(1.0, runs / plan.scenarios))
+
         found = explore(
             plan.factory(side), against=plan.factory(other), holds=plan.holds, world=plan.world,
             blame="ego", runs=plan.scenarios, seed=plan.seed, node_id=plan.test, shrink_rollouts=0, pairs=1,
-            on_event=lambda event: tick(min(1.0, next(runs) / plan.scenarios)) if isinstance(event, Judged) else None,
+            on_event=listen,
         )  # fmt: skip
         old, new = Result(failed=side == "old"), Result(failed=side == "new")
         for each in found.told:
@@ -488,21 +476,18 @@ def _driven(built: Any, world: World, side: str, is_planner: bool, seed: int) ->
 
 def _replayed(plan: ProgressPlan, file: Path) -> PairRow:
     """Replay a saved scenario with both policies, and return the row with the label of the new one."""
-    saved, label, worse = read_saved_file(file), "unreadable", ""
+    saved, label, worse = Saved.read(file), "unreadable", ""
     finding = saved.finding
     if finding is not None:
         arguments = {"ads": plan.factory("new"), "against": plan.factory("old"), "world": plan.world, "blame": "ego"}
         try:
-            with tempfile.TemporaryDirectory(prefix="pafot-") as scratch:
-                replays = replays_of(request_of(arguments), plan.holds, plan.test, Path(scratch))
-                now = replays.labelled(saved, saved.id)
+            now = replay_saved(saved, plan.holds, plan.test, **arguments)
             label, verdict = now.label, now.verdict
             made = {each.name for each in verdict.checks}
             is_asked = plan.check and (finding.expect.check is None or finding.expect.assertion in made)
             if finding.signature.is_property and verdict.kind == "passed" and not is_asked:
                 label = "of another check"
-            if label == "common" and verdict.reference is not None:
-                worse = worsening(verdict.severity, verdict.reference.severity)
+            worse = verdict.worsening if label == "common" else ""
         except ProcessLostError:
             label = "crashing"
         except RequestError:
@@ -527,7 +512,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--scenarios", type=int, default=200, metavar="N", help=of_scenarios)
     of_episodes = f"episodes of ordinary traffic, with --world (default: {EPISODES})"
     parser.add_argument("--episodes", type=int, metavar="N", help=of_episodes)
-    of_corpus = f"the folder of saved scenarios to replay (default: {CORPUS}, if it exists here)"
+    of_corpus = "the folder of saved scenarios to replay (default: that in which searches save them, if it exists here)"
     parser.add_argument("--corpus", type=Path, metavar="FOLDER", help=of_corpus)
     of_check = "a function of a run, which asserts what must hold (default: that there is no collision)"
     parser.add_argument("--check", metavar="MODULE:FUNCTION", help=of_check)
@@ -554,10 +539,10 @@ def run(given: argparse.Namespace, command: Sequence[str]) -> int:
         if given.episodes is not None and not given.world:
             raise RequestError("--episodes: expected an environment, received none; give --world")
         episodes = EPISODES if given.episodes is None else given.episodes
-        saved, config = files_below((given.corpus or Path(CORPUS)).resolve()), config_of(given.config)
+        saved, config = files_below() if given.corpus is None else files_below(given.corpus), config_of(given.config)
         same = {name: getattr(given, name) for name in ("old", "new", "scenarios", "check", "seed")}
         same["episodes"] = episodes
-        plan = ProgressPlan(env_id=given.world, config=config, saved=tuple(saved), **same)
+        plan = ProgressPlan(env_id=given.world, config=config, saved=tuple(file.absolute() for file in saved), **same)
         workers, rows = worker_count(given.workers), []
         with _of_revision(plan, given.copy) as (plan, both, same_as):
             if not same_as:

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from pytest_pafot import Outcome, World
-from pytest_pafot.extending import AdsError, AdsFactory, ads_factory, caution, code_of, identity
+from pytest_pafot.extending import AdsFactory, ads_factory, caution, code_of, identity
 from pytest_pafot.extras.resumable import ResumableJob, Task, Tick
 from pytest_pafot.support.errors import RequestError
 from pytest_pafot.support.proportions import CONFIDENCE, interval, interval_text, mcnemar
@@ -300,23 +300,17 @@ def factory_of(name: str) -> tuple[AdsFactory, bool]:
 
 def driven(world: World, name: str, factory: AdsFactory, seed: int, *, is_planner: bool) -> EpisodeRow:
     """Drive one episode and return its row of the results."""
-    from pytest_pafot.world.engines.ordinary_traffic import drive  # noqa: PLC0415  (imports highway-env)
+    from pytest_pafot.extending import drive_episode  # noqa: PLC0415  (imports highway-env)
 
-    episode = drive(world.environment, factory, seed, hang_limit=world.hang_limit, is_planner=is_planner)
+    episode = drive_episode(world, factory, seed, is_planner=is_planner)
     return EpisodeRow(
         ads=name,
         seed=seed,
         outcome=str(episode.outcome),
         seconds=episode.seconds,
-        error="" if episode.error is None else told(episode.error),
+        error="" if episode.error is None else episode.error.text,
         steps=episode.steps,
     )
-
-
-def told(error: AdsError) -> str:
-    """Return the error of an ADS as one line."""
-    prefix = "" if error.message.startswith(error.kind) else f"{error.kind}: "
-    return f"{prefix}{error.message}"
 
 
 def _text(plan: RatePlan, task: Task, tick: Tick) -> str:

@@ -12,12 +12,10 @@ import time
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
-
-import numpy as np
+from typing import Any
 
 from pytest_pafot import Outcome
-from pytest_pafot.extending import config_of
+from pytest_pafot.extending import config_of, drawn_episode, loading_hint
 from pytest_pafot.extras.episodes.rate import (
     CHUNK,
     Pair,
@@ -28,86 +26,13 @@ from pytest_pafot.extras.episodes.rate import (
     number,
     rows_of,
     shown,
-    told,
 )
 from pytest_pafot.extras.resumable import AGAIN, printing_elsewhere, run_job, worker_count, written_into
-from pytest_pafot.report.animation import AnimationError, animate
-from pytest_pafot.report.page_data import EventView, FindingView, LaneView, RoadView, VehicleView
 from pytest_pafot.support.errors import RequestError, command
 from pytest_pafot.support.files import write_whole
 from pytest_pafot.support.proportions import CONFIDENCE, interval, percent
 from pytest_pafot.support.text import capitalised, markdown_table, plural, quiet_json
 from pytest_pafot.support.versions import installed_versions
-from pytest_pafot.world.driving.ads import loading_hint
-
-if TYPE_CHECKING:
-    from pytest_pafot.world.engines.episode import Episode, EpisodeRecording
-
-# The report of a rate: its page in Markdown, and pictures of crashes.
-
-# The end of an episode as an animated picture, in the style of the pictures of findings.
-
-FRAMES_PER_SECOND = 7
-"""Approximate number of frames of a picture per second of the episode."""
-NEAREST = 7
-"""The number of other vehicles in a picture, which are the nearest to the ego at the end of the episode."""
-
-
-def picture(episode: Episode, headline: str) -> bytes:
-    """Return an APNG of the last seconds of a recorded episode.
-
-    Raises:
-        AnimationError: if Pillow is not installed.
-    """
-    if episode.recording is None:
-        raise ValueError("episode: expected an episode with a recording; drive it with is_recorded=True")
-    recording = episode.recording
-    states, hz, lanes = recording.states, recording.physics_hz, recording.lanes
-    is_bent = bool(lanes[0].points)
-    last = len(states) - 1
-    ticks = sorted({*range(0, last + 1, max(1, round(hz / FRAMES_PER_SECOND))), last})
-    distance = np.hypot(*(states[-1, 1:, :2] - states[-1, 0, :2]).T)
-    shown = [0, *(np.argsort(distance, kind="stable")[:NEAREST] + 1)]  # NaN, a vehicle that has left, is sorted last
-    view = FindingView(
-        id=f"seed-{episode.seed}",
-        node_id="",
-        test="",
-        headline=headline,
-        explanation="",
-        responsibility="none",
-        road=RoadView(
-            lanes=() if is_bent else tuple(lane.y for lane in lanes),
-            lane_width=lanes[0].width,
-            speed_limit=max(lane.speed_limit for lane in lanes),
-            clearance=0.0,
-            shapes=tuple(LaneView(points=lane.points, width=lane.width) for lane in lanes) if is_bent else (),
-        ),
-        vehicles=tuple(_vehicle(recording, int(index), ticks) for index in shown),
-        times=tuple(round(tick / hz, 3) for tick in ticks),
-        instructions=(),
-        event=EventView(kind=str(episode.outcome), time=episode.seconds, npc=0 if len(shown) > 1 else None),
-        yaml="",
-        command="",
-    )
-    return animate(view)
-
-
-def _vehicle(recording: EpisodeRecording, index: int, ticks: list[int]) -> VehicleView:
-    length, width = recording.sizes[index]
-    along, across, heading, speed = (
-        tuple(round(float(value), 3) if np.isfinite(value) else None for value in column)
-        for column in recording.states[ticks, index, :4].T
-    )
-    return VehicleView(
-        name=f"NPC {index - 1}" if index else "ego",
-        length=float(length),
-        width=float(width),
-        along=along,
-        across=across,
-        heading=heading,
-        speed=speed,
-    )
-
 
 HOW_TO_READ = """
 ## How to read this
@@ -306,14 +231,16 @@ def _data(plan: RatePlan, rates: Sequence[Rate], limit: float | None, objection:
 def _pictures(plan: RatePlan, rates: Sequence[Rate], folder: Path) -> dict[str, str]:
     """Draw the first crash of each policy and return the file names by policy; warn if a needed package is missing."""
     try:
-        return {
-            rate.ads: _drawn(_episode(plan, rate.ads, rate.crashed[0]), rate.ads, folder, AGAIN)
+        drawn = {
+            rate.ads: drawn_episode(_episode(plan, rate.ads, rate.crashed[0]), _title(rate.ads, rate.crashed[0]))
             for rate in rates
             if rate.crashed
         }
-    except AnimationError as error:
+    except RequestError as error:
         sys.stderr.write(f"rate: the report has no picture: {error}\n")
         return {}
+    seeds = {rate.ads: rate.crashed[0] for rate in rates if rate.crashed}
+    return {name: _written(picture, name, seeds[name], folder, AGAIN) for name, picture in drawn.items()}
 
 
 def _text(plan: RatePlan, rates: Sequence[Rate], arguments: argparse.Namespace) -> str:
@@ -343,25 +270,28 @@ def _replay(plan: RatePlan, seed: int, folder: Path) -> int:
     for name in plan.policies.values():
         episode = _episode(plan, name, seed)
         how = {Outcome.COLLISION: "crashed", Outcome.SAFE: "ended without a crash"}.get(episode.outcome, "failed")
-        error = "" if episode.error is None else f": {told(episode.error)}"
+        error = "" if episode.error is None else f": {episode.error.text}"
         sys.stdout.write(f"{name} in {plan.env_id}, seed {seed}: {how} after {episode.seconds:.1f} s{error}\n")
         if episode.recording is not None:  # there is none if the ADS could not be made
-            sys.stdout.write(f"{folder / _drawn(episode, name, folder)}\n")
+            picture = drawn_episode(episode, _title(name, seed))
+            sys.stdout.write(f"{folder / _written(picture, name, seed, folder)}\n")
     return 0
 
 
-def _episode(plan: RatePlan, name: str, seed: int) -> Episode:
-    from pytest_pafot.world.engines.ordinary_traffic import drive  # noqa: PLC0415  (imports highway-env)
+def _episode(plan: RatePlan, name: str, seed: int) -> Any:
+    from pytest_pafot.extending import drive_episode  # noqa: PLC0415  (imports highway-env)
 
     factory, is_planner = factory_of(name)
-    world = plan.world
-    return drive(world.environment, factory, seed, hang_limit=world.hang_limit, is_planner=is_planner, is_recorded=True)
+    return drive_episode(plan.world, factory, seed, is_planner=is_planner, is_recorded=True)
 
 
-def _drawn(episode: Episode, name: str, folder: Path, elsewhere: str = "or give another folder") -> str:
-    """Draw an episode into the folder and return the name of the picture."""
-    path = folder / f"{''.join(each if each.isalnum() or each in '-_' else '-' for each in name)}-{episode.seed}.png"
-    drawn = picture(episode, f"{name}, seed {episode.seed}")
+def _title(name: str, seed: int) -> str:
+    return f"{name}, seed {seed}"
+
+
+def _written(picture: bytes, name: str, seed: int, folder: Path, elsewhere: str = "or give another folder") -> str:
+    """Write the picture of an episode into the folder and return its file name."""
+    path = folder / f"{''.join(each if each.isalnum() or each in '-_' else '-' for each in name)}-{seed}.png"
     with written_into(folder, elsewhere):
-        write_whole(path, drawn)
+        write_whole(path, picture)
     return path.name

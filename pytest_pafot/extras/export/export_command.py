@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from pytest_pafot import load
-from pytest_pafot.extending import ads_factory, ending, named_file
+from pytest_pafot.extending import ads_factory
 from pytest_pafot.extras.export.exporter import BUILT_IN, GROUP, ExportError, exporter
 from pytest_pafot.extras.resumable import written_into
 from pytest_pafot.support.files import write_whole
@@ -34,7 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
     """Drive the scenario of a finding, and write the run to files of the requested format; return the exit code."""
-    export, saved = exporter(arguments.to), load(named_file(arguments.finding))
+    export, saved = exporter(arguments.to), load(arguments.finding)
     if arguments.ads is None:
         expected = f"the policy that drives the ego in the test {saved.finding.test}, such as --ads module:factory"
         received = "none; a file contains the NPCs' instructions, not where the vehicles drove"
@@ -50,7 +50,7 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
     if saved.expect.check is None and not saved.matches(driven):
         event = f"{saved.expect.outcome} at {saved.expect.time:.1f} s"
         sys.stderr.write(
-            f"export: {saved.id} was saved with {event}, but this run ended with {ending(driven)}. "
-            "Is this the policy of its test?\n"
+            f"export: {saved.id} was saved with {event}, but this run ended with {driven.outcome} after "
+            f"{driven.duration:.1f} s. Is this the policy of its test?\n"
         )
     return 0

@@ -4,19 +4,18 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import os
 import signal
 import subprocess
 import sys
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from pytest_pafot import load
-from pytest_pafot.campaign.options import BY_NAME
-from pytest_pafot.extending import named_file
 from pytest_pafot.extras.revisions.commits import History, copied, halved, inside
 from pytest_pafot.extras.revisions.revision_policy import mapped
 from pytest_pafot.support.errors import RequestError, command, flag
@@ -53,17 +52,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _seconds(text: str) -> float:
-    seconds: float = BY_NAME["max_time"].read(text)
-    if not seconds:
-        raise argparse.ArgumentTypeError(f"expected seconds, more than 0, received {text!r}")
-    return seconds
+    with suppress(ValueError):
+        if 0 < (seconds := float(text)) < math.inf:
+            return seconds
+    raise argparse.ArgumentTypeError(f"expected seconds, more than 0, received {text!r}")
 
 
 def run(arguments: argparse.Namespace, _: Sequence[str]) -> int:
     """Search for the commit that made a scenario fail; return the exit code: 0 if one commit is left, 1 if several."""
     here = Path(os.path.realpath(Path.cwd()))
-    found = named_file(arguments.file)
-    test = load(found).finding.test.partition("::")[0]
+    saved = load(arguments.file)
+    found, test = saved.path, saved.finding.test.partition("::")[0]
     history = History.of(arguments.policy, here)
     file = inside(history.root, here, str(found), "FILE")
     extra = copied(history.root, here, arguments.copy, "--copy")

@@ -7,19 +7,14 @@ import os
 import signal
 import sys
 import threading
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from pytest_pafot import Run, Trace
-from pytest_pafot.extending import ACCELERATION, SPEED, STEERING, Finding, Verdict, ending, headline
+from pytest_pafot import Trace
+from pytest_pafot.extending import ACCELERATION, SPEED, STEERING, replay_of
 from pytest_pafot.extras.revisions.bisect_command import ALIVE, TOLD
-from pytest_pafot.findings.finding import is_same_failure, replay_label, unhandled
-from pytest_pafot.findings.situation import missed
-from pytest_pafot.plugin.failure_reports import REPLAYED, SUMMARY
-from pytest_pafot.plugin.marks import SAVED_MARK
 from pytest_pafot.support.text import one_line, visible
 
 
@@ -39,49 +34,29 @@ def _end_with_command(alive: int) -> None:
 
 def pytest_runtest_teardown(item: pytest.Item) -> None:
     """Write the result of the replay of a saved scenario to the file that the command reads."""
-    if REPLAYED not in item.stash:
+    replay = replay_of(item)
+    if replay is None:
         return
-    label, run, verdict, note = item.stash[REPLAYED]
-    mark = item.get_closest_marker(SAVED_MARK)
-    assert mark is not None  # noqa: S101  (for type checkers: only replays stash this)
-    passes, why = judged(mark.args[0].finding, label, run, verdict)
+    passes, why = replay.judged
     # The sentence is cut to a line, and names a failure already.
-    why = "; ".join(filter(None, [why, note.partition(":")[0] if passes is False else note]))
-    is_other = passes is None and verdict is not None and verdict.passes and label != "flaky"
+    why = "; ".join(filter(None, [why, replay.note.partition(":")[0] if passes is False else replay.note]))
+    is_other = passes is None and replay.passes_otherwise
     elsewhere = _imported_from_elsewhere()
     if elsewhere:
         passes, is_other, why = None, False, f"the policy was imported from {elsewhere}, which is not the commit's"
-    _tell(passes=passes, why=why, is_other=is_other, **({} if run is None else decided(run.trace)))
+    _tell(passes=passes, why=why, is_other=is_other, **({} if replay.run is None else decided(replay.run.trace)))
 
 
-def pytest_exception_interact(node: pytest.Item | pytest.Collector, call: pytest.CallInfo[Any]) -> None:
+def pytest_exception_interact(
+    node: pytest.Item | pytest.Collector, call: pytest.CallInfo[Any], report: pytest.TestReport | pytest.CollectReport
+) -> None:
     """Write the first error of the session, in case it prevents the replay."""
     if call.excinfo is not None and not Path(json.loads(os.environ[TOLD])["file"]).exists():
         error = call.excinfo.value.__cause__ or call.excinfo.value  # pytest wraps what an import raises
         text = "; ".join(line.strip() for line in str(error).splitlines() if line.strip())
-        _tell(passes=None, why=node.stash.get(SUMMARY, "") or f"{type(error).__name__}: {text}")
-
-
-def judged(finding: Finding, label: str, run: Run | None, verdict: Verdict | None) -> tuple[bool | None, str]:
-    """Return whether a replay passes, or None if that cannot be decided; and a sentence on how the replay ended.
-
-    A replay fails only by the failure that the file describes: the saved event, or a failure of the same signature. A
-    replay passes if the saved situation occurred and the test function accepted the run. Versions of packages are
-    ignored, because all commits run with the packages that are installed now.
-    """
-    if run is None or verdict is None:
-        return (False if label == "still failing" else None), "the process died or hung"
-    if label == "flaky" or not (verdict.failed or verdict.passes):
-        return None, label if label == "flaky" else f"the test function did not judge the run: {verdict.kind}"
-    failure = verdict.failure if verdict.failed else None
-    found = replace(finding, found=replace(finding.found, versions={}))
-    now = replay_label(found, run, failure, {})
-    if failure is not None:
-        is_same = now == "still failing" or is_same_failure(finding, run, failure)
-        return (False if is_same else None), f"{'' if is_same else 'another failure: '}{headline(run, verdict)}"
-    why = unhandled(finding, run)
-    is_tested = now == "fixed" or finding.expect.is_crash or (why and not missed(finding.expect.situation, run))
-    return (True if is_tested else None), why or ending(run)
+        # The report of an item has the line that the summary of its session has.
+        crash = getattr(report.longrepr, "reprcrash", None) if isinstance(node, pytest.Item) else None
+        _tell(passes=None, why=f"{type(error).__name__}: {text}" if crash is None else crash.message)
 
 
 def decided(trace: Trace) -> dict[str, Any]:

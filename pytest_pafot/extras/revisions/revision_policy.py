@@ -14,35 +14,27 @@ import socket
 import subprocess
 import sys
 import tempfile
-import time
 from collections.abc import Callable, Iterable
 from contextlib import suppress
 from dataclasses import dataclass, field
-from functools import cache, partial
+from functools import cache
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any, TypeVar
 
 from pytest_pafot import Scenario, ScenarioError, Trace, WorldError
-from pytest_pafot.execution.elsewhere import DrivesElsewhere
-from pytest_pafot.execution.pool import LARGEST
-from pytest_pafot.extending import ProcessLostError, check_time, rollout_of
+from pytest_pafot.extending import DrivesElsewhere, ProcessLostError, Requests, rollout_of
 from pytest_pafot.support.errors import AdsFactoryError, RevisionError
 from pytest_pafot.support.text import one_line, visible
-from pytest_pafot.world.guard.chance import GENERATORS
 
 T = TypeVar("T")
 
 LONGEST_BUILD = 300.0
 """The longest time for the imports and the fixtures of a revision [s]."""
-POLL = 0.5
-"""The longest time to wait for an answer before the process is checked [s]."""
 FAREWELL = 2.0
 """The time for the end of a process that does not answer [s]."""
 LONGEST_END = 10.0
 """The longest time for the end of a process, which tears down the fixtures of its test [s]."""
-STUCK = 86
-"""The exit code of a process whose policy ignores every interrupt."""
 MISSING = ("FileNotFoundError", "ImportError", "ModuleNotFoundError")
 """The exceptions of a policy that lacks a file, such as one that git ignores."""
 PACKAGE = Path(__file__).parents[1]
@@ -113,8 +105,7 @@ def rolled(built: Any, method: str, world: Any, scenario: Scenario) -> Trace:
     Raises:
         RevisionError: if the policy did not find a file or a module, which says nothing about how it drives.
     """
-    run = rollout_of(world) if method == "rollout" else partial(GENERATORS.run, getattr(world, method))
-    trace: Trace = run(scenario, built.factory)
+    trace: Trace = rollout_of(world, method)(scenario, built.factory)
     if trace.error is not None and trace.error.kind in MISSING:
         policy: RevisionPolicy = built.policy
         text = f"{trace.error.kind}: {trace.error.message}".replace(f"{policy.tree}{os.sep}", "")
@@ -157,9 +148,8 @@ class _Process:
     """A process with the policy of a revision, started by the first call, and again after it died."""
 
     policy: RevisionPolicy
-    clock: Callable[[], float] = time.monotonic
     _popen: subprocess.Popen[bytes] | None = field(default=None, init=False)
-    _connection: Connection = field(init=False)
+    _requests: Requests = field(init=False)
     _factory: str = field(default="", init=False)
     _log: Any = field(init=False)  # what the process prints, which must not reach the connection
     _last_words: str = field(default="", init=False)  # the last line that an ended process has printed
@@ -171,7 +161,7 @@ class _Process:
         if not hasattr(socket, "AF_UNIX"):
             raise RevisionError(f"{policy.label}: expected a system with Unix sockets, received {sys.platform}")
         own, other = socket.socketpair()
-        self._connection = Connection(own.detach())
+        self._requests = Requests(Connection(own.detach()))
         self._log = tempfile.TemporaryFile()  # noqa: SIM115  (closed with the process)
         (policy.tree / policy.folder).mkdir(parents=True, exist_ok=True)
         with other:
@@ -211,9 +201,7 @@ class _Process:
                 f"{label}: expected a world that can be sent to the process of this revision, received one that raises "
                 f"{type(error).__name__}: {error}; define its class in a module"
             ) from None
-        said, refused = self._ask(request, arguments[-1] if arguments else function)
-        if refused:
-            raise RevisionError(f"{label}: {refused}")
+        said = self._ask(request, arguments[-1] if arguments else function)
         if not isinstance(said, Exception):
             result: T = said
             return result
@@ -224,22 +212,16 @@ class _Process:
 
     def _ask(self, request: bytes, task: object, limit: float = math.inf) -> Any:
         """Return the answer to a request; without one, end the process, so that the next call starts another."""
-        popen, until = self._popen, self.clock() + limit
+        popen = self._popen
+        assert popen is not None  # noqa: S101  (for type checkers: it was started)
         try:
-            self._connection.send_bytes(request)
-            while not self._connection.poll(POLL):
-                check_time()
-                if self.clock() > until:
-                    raise TimeoutError
-                if popen is not None and popen.poll() is not None and not self._connection.poll():
-                    raise EOFError
-            return pickle.loads(self._connection.recv_bytes(LARGEST))  # noqa: S301  (from a child process)
+            return self._requests.ask(request, popen, limit)
         except BaseException as error:  # also an interrupt: its answer would be taken for that of the next call
-            is_lost = popen is not None and isinstance(error, EOFError | OSError)
+            is_lost = isinstance(error, EOFError | OSError)
             self.close(FAREWELL if is_lost else 0.0)
-            if popen is None or not is_lost:
+            if not is_lost:
                 raise
-            is_hang, how = popen.returncode == STUCK, popen.returncode
+            is_hang, how = popen.returncode == Requests.STUCK, popen.returncode
             if isinstance(error, TimeoutError):
                 how = f"no answer within {limit:g} s"
             elif is_hang:
@@ -254,7 +236,7 @@ class _Process:
         popen, self._popen = self._popen, None
         if popen is None:
             return
-        self._connection.close()  # The process ends at the end of its requests.
+        self._requests.connection.close()  # The process ends at the end of its requests.
         with suppress(subprocess.TimeoutExpired):
             popen.wait(patience)
         with suppress(ProcessLookupError, PermissionError):

@@ -5,9 +5,8 @@ from __future__ import annotations
 import functools
 import hashlib
 import os
-import pickle
 import sys
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from importlib.machinery import PathFinder
@@ -15,16 +14,12 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
-from pytest_pafot.campaign.harness import name_of
-from pytest_pafot.execution.pool import IGNORED, portable, sendable
-from pytest_pafot.extending import ads_factory
-from pytest_pafot.extras.revisions.revision_policy import PACKAGE, STUCK, RevisionPolicy, mapped
+from pytest_pafot.extending import Requests, ads_factory, preload
+from pytest_pafot.extras.revisions.revision_policy import PACKAGE, RevisionPolicy, mapped
 from pytest_pafot.support.errors import RequestError, RevisionError
-from pytest_pafot.support.references import described
+from pytest_pafot.support.references import described, name_of
 from pytest_pafot.support.source_files import is_users, source_files
 from pytest_pafot.support.text import one_line, visible
-from pytest_pafot.world.driving.ads import preload
-from pytest_pafot.world.guard.hang_guard import LastResort, last_resort
 
 NO_PART = {".git", ".pytest_cache", "__pycache__"}
 """Folders in which no file is of a policy."""
@@ -74,6 +69,20 @@ class Served:
                 f"{visible(str(files[0]))}, which is the same on both sides; run in the repository of the policy"
             )
         return ""
+
+    def answer(self, request: tuple[Callable[..., object], Sequence[Any]]) -> object:
+        """Return what a function returns for this and some arguments.
+
+        Raises:
+            RevisionError: if this is not the policy of the revision, whatever the function returns or raises.
+            Exception: any exception of the function.
+        """
+        function, arguments = request
+        try:
+            return function(self, *arguments)
+        finally:
+            if refused := self.refused():
+                raise RevisionError(f"{self.policy.label}: {refused}")
 
     def is_whole(self) -> bool:
         """Return whether all files of the user that this process has imported are of the revision."""
@@ -223,17 +232,7 @@ def serve(served: Served, factory: Callable[..., Any]) -> None:
         connection.send(RevisionError(f"{served.policy.label}: {refused}"))
         return
     connection.send(name_of(factory))
-    # A decision that ignores its interrupt ends this process, not the session.
-    resort = LastResort(end=lambda: os._exit(STUCK), grace=IGNORED, file=os.dup(2))
-    with last_resort(resort), suppress(EOFError, OSError):
-        while True:
-            request = connection.recv_bytes()
-            try:
-                function, arguments = pickle.loads(request)  # noqa: S301  (from the session)
-                answer = sendable((function(served, *arguments), served.refused()))
-            except BaseException as error:  # noqa: BLE001  (it is raised again in the session)
-                answer = pickle.dumps((portable(error), served.refused()))
-            connection.send_bytes(answer)
+    Requests(connection).serve(served.answer)
 
 
 def main(descriptor: int) -> None:

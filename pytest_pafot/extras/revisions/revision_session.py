@@ -9,13 +9,9 @@ from typing import Any
 
 import pytest
 
-from pytest_pafot.extending import checked_factory
+from pytest_pafot.extending import policy_of, preload, searched_test
 from pytest_pafot.extras.revisions.revision_process import NO_TEST, Served, begun, failed, serve
-from pytest_pafot.plugin.collection import is_search
-from pytest_pafot.plugin.item_checks import REQUEST
-from pytest_pafot.plugin.node_ids import qualified_name
 from pytest_pafot.support.errors import RevisionError
-from pytest_pafot.world.driving.ads import preload
 
 WITHOUT: Mapping[str, object] = {
     **dict.fromkeys(("xmlpath", "htmlpath", "basetemp", "report_log")),
@@ -44,7 +40,7 @@ class Serving:
     @pytest.hookimpl(wrapper=True, tryfirst=True)
     def pytest_collection_modifyitems(self, items: list[pytest.Item]) -> Generator[None, None, None]:
         """Select the search of the test, whatever the user's own options select."""
-        own = [each for each in items if is_search(each) and qualified_name(each) == self.policy.name]
+        own = [each for each in items if searched_test(each) == self.policy.name]
         yield
         items[:] = own[:1]
         for item in items:
@@ -67,10 +63,7 @@ class Serving:
     @pytest.hookimpl(tryfirst=True)
     def pytest_runtest_call(self, item: pytest.Item) -> None:
         """Drive the policy of the test until the user's session has no more requests."""
-        request = item.stash[REQUEST]
-        ads = request.ads
-        fixtures = getattr(item, "funcargs", {})
-        factory = checked_factory(fixtures[ads], ads) if isinstance(ads, str) else ads
+        factory = policy_of(item)
         preload(factory)
         self.is_served = True
         serve(self.served, factory)

@@ -28,9 +28,9 @@ from pytest_pafot import (
     Step,
     Traffic,
 )
+from pytest_pafot.extending import Abilities
 from pytest_pafot.support.errors import RequestError, plain_number
 from pytest_pafot.support.text import meant
-from pytest_pafot.world.protocol import check_fits, has_manoeuvres, lasting
 
 KMH = 1 / 3.6
 """One kilometre per hour [m/s]."""
@@ -144,7 +144,7 @@ class Entry:
         """Return a world, by default a highway, with runs that last as long as this scenario takes."""
         if world is None:
             return Highway(speed_limit=FASTEST, duration=self.seconds)
-        longer = lasting(world)
+        longer = Abilities(world).lasting
         seconds = min(self.seconds, float(world.longest_run))
         return world if longer is None else longer(seconds)
 
@@ -559,10 +559,10 @@ def chosen(names: tuple[str, ...]) -> tuple[Entry, ...]:
 
 def fits(scenario: Scenario, world: Any) -> str:
     """Return why a scenario cannot be driven in a world; empty if it can."""
-    if not has_manoeuvres(world) and any(isinstance(chain[0], Manoeuvre) for chain in scenario.npcs):
+    if not Abilities(world).has_manoeuvres and any(isinstance(chain[0], Manoeuvre) for chain in scenario.npcs):
         return f"expected a world whose NPCs can have manoeuvres, received {world!r:.80}"
     try:
-        check_fits(world, scenario)
+        Abilities(world).check_fits(scenario)
     except ScenarioError as error:
         return str(error)
     return ""

@@ -15,17 +15,14 @@ from typing import Any, Literal, get_args
 from pytest_pafot import Highway, Outcome, Run, SavedScenario, Scenario, ScenarioError, Trace, load
 from pytest_pafot.extending import (
     SUFFIX,
+    Abilities,
     AdsFactory,
     Finding,
     ProcessLostError,
     Verdict,
     driving,
     from_dict,
-    headline,
-    judge,
-    named_file,
-    reference_outcomes,
-    reference_world,
+    judged_with_drivers,
     refusals,
     require,
 )
@@ -396,7 +393,7 @@ def sweep(
     name += "" if holds is None else f", {getattr(holds, '__name__', type(holds).__name__)}"
     before = {} if against is None else _before(name, axes, against)  # before anything is driven
     factory = named_factory(ads)
-    if reference_world(make.world) is None:
+    if not Abilities(make.world).reference_drivers:
         raise RequestError(
             "sweep: expected a world with reference drivers, which tell what can be avoided, received one without"
         )
@@ -494,7 +491,7 @@ class _Made:
 def _source(what: Any, world: Any, values: Mapping[str, float]) -> tuple[str, _Made]:
     """Return the name of what is swept, and the maker of its scenarios."""
     if isinstance(what, Path) or (isinstance(what, str) and what.endswith(SUFFIX)):
-        what = load(named_file(str(what)))
+        what = load(what)
     if values and not isinstance(what, str):
         raise RequestError(f"sweep: expected no parameters for a scenario, received {', '.join(values)}")
     if isinstance(what, SavedScenario):
@@ -589,16 +586,12 @@ def judged(run: Run, holds: Callable[[Run], Any], test_file: str | None = None) 
 
     An error of the policy itself counts in any case.
     """
-    verdict = judge(run, holds, blame="any", test_file=test_file)
+    verdict, line, avoiding = judged_with_drivers(run, holds, test_file)
     if verdict.kind in ("invalid", "rejected", "skipped"):
         return Judged(verdict, "not as asked", f"{verdict.kind}: the run says nothing about the policy")
-    what, avoiding = run.explain().splitlines()[0], ""
-    if verdict.failed:
-        outcomes = reference_outcomes(run, holds, blame="any", test_file=test_file)
-        avoiding = next((name for name, outcome in outcomes if outcome == "avoids"), "")
-        what = f"{headline(run, verdict)}; {avoiding or 'no reference driver'} avoids it"
+    what = f"{line}; {avoiding or 'no reference driver'} avoids it" if line else run.explain().splitlines()[0]
     if verdict.is_ads:
-        return Judged(verdict, "ADS error", headline(run, verdict), avoiding)
+        return Judged(verdict, "ADS error", line, avoiding)
     missed = [each.words for each in run.asked if not each.is_met]
     if missed:
         return Judged(verdict, "not as asked", "; ".join([*missed, what]), avoiding)

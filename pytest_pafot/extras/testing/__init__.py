@@ -14,18 +14,13 @@ from typing import Any
 
 import numpy as np
 
-from pytest_pafot import Cell, LaneInstruction, Outcome, PositionInstruction, Run, Scenario, Trace
+from pytest_pafot import Cell, LaneInstruction, Outcome, Planned, PositionInstruction, Run, Scenario, Trace
 from pytest_pafot.attribution.takeovers import STEADY_BRAKING, brakes_untouched
-from pytest_pafot.extending import SPEED, X, Y, from_dict, is_vehicle_class, rollout_of, sample, space_of, wants_env
+from pytest_pafot.extending import SPEED, Abilities, X, Y, from_dict, is_vehicle_class, rollout_of, sample, wants_env
 from pytest_pafot.extras.testing import traces as rules
 from pytest_pafot.extras.testing.traces import DEEP, ROUNDING, Promises
-from pytest_pafot.model.scenario import Gene
 from pytest_pafot.support.errors import plain_number
-from pytest_pafot.world import protocol
 from pytest_pafot.world.codec import OWN, described, is_code
-from pytest_pafot.world.driving.seeing import SeeingAds
-from pytest_pafot.world.guard.own_worlds import simulate_batch
-from pytest_pafot.world.kernel.action import plain_action
 
 Ads = Callable[[], Callable[..., Any]]
 
@@ -72,7 +67,7 @@ class _Calls:
 
     def _make(self) -> Any:
         one, noted = self.ads(), _Noted()
-        if is_vehicle_class(one) or isinstance(one, SeeingAds):
+        if is_vehicle_class(one) or hasattr(one, "sight"):
             self.is_known = False
             return one
         self.noted.append(noted)
@@ -81,7 +76,7 @@ class _Calls:
             if seen and all(hasattr(seen[0], name) for name in OBSERVED):
                 noted.poses.append((seen[0].ego.x, seen[0].ego.y, seen[0].ego.speed))
             answer = one(*seen)
-            noted.actions.append(plain_action(answer))
+            noted.actions.append(answer.action if isinstance(answer, Planned) else answer)
             return answer
 
         return decide
@@ -142,14 +137,13 @@ def check_world(
         RuntimeWarning: if no run had a collision, so that nothing about collisions was checked; or if all had an event,
             so that nothing about ``lasting`` was checked.
     """
-    _promise(
-        not (lacking := protocol.missing(world)), "a world has all that a search needs", f"no {', '.join(lacking)}"
-    )
+    lacking = Abilities(world).missing
+    _promise(not lacking, "a world has all that a search needs", f"no {', '.join(lacking)}")
     _check_members(world)
-    able: dict[str, Any] = {} if (found := protocol.crossings(world)) is None else {"crossings": found}
-    if protocol.has_lane_instructions(world):
+    able: dict[str, Any] = {} if (found := Abilities(world).crossings) is None else {"crossings": found}
+    if Abilities(world).has_lane_instructions:
         able["instructions"] = "both"
-    random, within = np.random.default_rng(seed), space_of(world, {**able, **space})
+    random, within = np.random.default_rng(seed), Abilities(world).space({**able, **space})
     calls = _Calls(ads)
     done = [_run(world, sample(within, random), calls) for _ in range(runs)]
     for each in done:
@@ -227,7 +221,7 @@ def _further(world: Any, done: Sequence[_Done], scenarios: Iterator[Scenario]) -
 
     The egos have constant actions. If these are not in SI units, there are none, and the ADS of the check drives.
     """
-    is_si = all(each.calls.is_known and protocol.looks_si(each.noted.actions) for each in done)
+    is_si = all(each.calls.is_known and Abilities.looks_si(each.noted.actions) for each in done)
     egos = [_run(world, done[0].scenario, _Calls(_constant(action))) for action in EGOS] if is_si else []
     if any(each.trace.error for each in egos):
         egos = []
@@ -320,7 +314,7 @@ def _decided(world: Any, done: _Done) -> Promises:
         promise = "an ADS that receives a pafot.Observation, or an object with its fields, sees the ego as in states"
         received = "a difference of {:.2f} m in x, {:.2f} m in y, {:.2f} m/s at half of the decisions".format(*away)
         yield (away <= 2 * DEEP).all(), promise, received
-    if not trace.actions and protocol.resumable(world) is None:
+    if not trace.actions and not Abilities(world).is_resumable:
         return  # Only worlds with decisions= are asked to repeat actions.
     yield len(trace.actions) == made, "actions has one action for each decision", f"{len(trace.actions)} for {made}"
 
@@ -369,7 +363,7 @@ def _otherwise(scenario: Scenario, speed_limit: float) -> Scenario:
     An NPC may keep to its speed only in its cell, so both are different. An only instruction gets another speed.
     """
 
-    def other(first: Gene, gene: Gene) -> Gene:
+    def other(first: Any, gene: Any) -> Any:
         return replace(first if isinstance(first, PositionInstruction) else gene, speed=speed_limit - gene.speed)
 
     since = 1 if scenario.genes > 1 else 0
@@ -380,7 +374,7 @@ def _otherwise(scenario: Scenario, speed_limit: float) -> Scenario:
 def _check_lane_changes(world: Any, done: _Done) -> None:
     """Check that NPCs go to the left or to the right by their Lane-Instructions, in runs that last long enough."""
     scenario, lanes = done.scenario, done.trace.lanes
-    if not protocol.has_lane_instructions(world) or len(lanes) < 2 or not rules.is_straight(done.trace):
+    if not Abilities(world).has_lane_instructions or len(lanes) < 2 or not rules.is_straight(done.trace):
         return
     across: list[Any] = []
     for lane in ("left", "right"):
@@ -400,10 +394,10 @@ def _check_lane_changes(world: Any, done: _Done) -> None:
 
 def _check_decisions(world: Any, done: Sequence[_Done]) -> None:
     """Check that ``decisions=`` replaces the first decisions of an ADS, which then goes on from there."""
-    for each in done if protocol.resumable(world) is not None else ():
+    for each in done if Abilities(world).is_resumable else ():
         trace, actions, ticks = each.trace, each.trace.actions, (*each.trace.decision_ticks, each.trace.ticks)
         for given in (len(actions) // 2, len(actions)) if each.calls.is_known and len(actions) > 1 else ():
-            calls = _Calls(_constant((-6.0, 0.0)) if protocol.looks_si(actions) else each.calls.ads)
+            calls = _Calls(_constant((-6.0, 0.0)) if Abilities.looks_si(actions) else each.calls.ads)
             again = _rollout(world.rollout, each.scenario, calls.factory, decisions=actions[:given])
             promise = "decisions= replaces the first decisions, so a run with trace.actions repeats states"
             _promise(
@@ -425,8 +419,7 @@ def _check_drivers(world: Any, staged: Sequence[_Done], others: Sequence[_Done])
     tried = [*staged[:1], *others][:4]
     first = tried[0].trace
     hit = bool(staged) and first.collision is not None and first.collision.npc == 0
-    known = protocol.reference_world(world)
-    for name in () if known is None else known.reference_drivers:
+    for name in Abilities(world).reference_drivers:
         with _no_error(f"rollout_reference runs the declared driver {name!r}"):
             trace, again = (world.rollout_reference(first.scenario, name) for _ in range(2))
         _promise(isinstance(trace, Trace), "rollout_reference returns a pafot.Trace", f"{trace!r:.200}")
@@ -434,7 +427,7 @@ def _check_drivers(world: Any, staged: Sequence[_Done], others: Sequence[_Done])
         _check_same(trace, again, f"rollout_reference gives the same trace again for {name!r}")
         is_seen = not (hit and _repeats(first, trace, None, 1))
         _promise(is_seen, f"rollout_reference lets {name!r} drive", "the run without it, with its collision")
-    for name in protocol.takes_over(world):
+    for name in Abilities(world).takes_over:
         is_other = []
         for each in tried:
             trace, ticks = each.trace, each.trace.decision_ticks
@@ -455,11 +448,10 @@ def _check_drivers(world: Any, staged: Sequence[_Done], others: Sequence[_Done])
 
 def _check_batch(world: Any, done: Sequence[_Done], ads: Ads) -> None:
     """Check that runs in lock step give the traces of single runs, if the ADS of the check decides for many."""
-    together = protocol.lock_stepping(world)
-    if together is None or is_vehicle_class(ads) or wants_env(ads) or not hasattr(ads(), "batch"):
+    if not Abilities(world).steps_together or is_vehicle_class(ads) or wants_env(ads) or not hasattr(ads(), "batch"):
         return
     with _no_error("rollout_batch runs scenarios"):
-        traces = simulate_batch(together, [each.scenario for each in done], ads)
+        traces = rollout_of(world, "rollout_batch")([each.scenario for each in done], ads)
     _promise(len(traces) == len(done), "rollout_batch returns one trace for each scenario", f"{len(traces)}")
     for each, trace in zip(done, traces, strict=True):
         _check_same(each.trace, trace, "rollout_batch gives the traces of rollout")
@@ -467,7 +459,7 @@ def _check_batch(world: Any, done: Sequence[_Done], ads: Ads) -> None:
 
 def _check_lasting(world: Any, done: Sequence[_Done], ads: Ads) -> None:
     """Check that a run that lasts longer is as long as asked for, and begins as usual."""
-    if (make := protocol.lasting(world)) is None:
+    if (make := Abilities(world).lasting) is None:
         return
     whole = [each for each in done if each.trace.outcome is Outcome.SAFE][:LONGER]
     if not whole:
@@ -481,7 +473,7 @@ def _check_lasting(world: Any, done: Sequence[_Done], ads: Ads) -> None:
         trace, seconds = each.trace, each.trace.duration + 2.0 + number / 5  # other times for runs of one length
         with _no_error("lasting returns a world"):
             other = make(seconds)
-        _promise(not protocol.missing(other), "lasting returns a world", f"{other!r:.100}")
+        _promise(not Abilities(other).missing, "lasting returns a world", f"{other!r:.100}")
         longer = _rollout(rollout_of(other), each.scenario, ads)
         begins = _is_same(trace.states, longer.states[: len(trace.states)]) and len(trace.lanes) == len(longer.lanes)
         usual = "a run in the world of lasting begins as usual"
@@ -497,7 +489,7 @@ def _check_lasting(world: Any, done: Sequence[_Done], ads: Ads) -> None:
 
 def _check_faults(world: Any, done: _Done, ads: Ads) -> None:
     """Check that an ADS that fails after its first decisions ends its own run at that decision."""
-    limit, trace = protocol.hang_limit(world), done.trace
+    limit, trace = Abilities(world).hang_limit, done.trace
     faults: list[tuple[str, Callable[[], Any], Outcome]] = [
         ("raises", lambda: 1 / 0, Outcome.ADS_ERROR),
         ("returns None", lambda: None, Outcome.ADS_ERROR),

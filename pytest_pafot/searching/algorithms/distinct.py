@@ -18,9 +18,9 @@ from typing import Any, ClassVar
 
 from numpy.random import Generator
 
-from pytest_pafot.model.crossings import SLOTS, Crossings, slot_name
+from pytest_pafot.model.crossings import Crossings
 from pytest_pafot.model.grid import Cell
-from pytest_pafot.model.scenario import CrossingInstruction, Scenario
+from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.searching.ask_tell import GenerationalSearch, GenerationState, GenerationStateT, check_parameters
 from pytest_pafot.searching.evaluation import Evaluation
 from pytest_pafot.searching.operators import first_crossed, improves, mutate, tournament
@@ -211,7 +211,7 @@ class DistinctSearch(NicheSearch[DistinctState]):
 
 def niche(evaluation: Evaluation, crossings: Crossings | None = None) -> Niche:
     """Return the niche of an evaluation; ``crossings`` are the world's ways that meet the ego's way."""
-    hit, place = evaluation.collision, meeting_place(evaluation, crossings)
+    hit, place = evaluation.collision, evaluation.meeting_place(crossings)
     speed = 0 if hit is None else min(int(hit.closing_speed / SPEED_NICHE), FASTEST_NICHE)
     if hit is not None and hit.cell is not None and hit.npc != evaluation.crossing:
         return int(hit.cell), speed
@@ -219,19 +219,6 @@ def niche(evaluation: Evaluation, crossings: Crossings | None = None) -> Niche:
         return (-1 - place, 0) if hit is None else (1 + len(Cell) + place, speed)
     braking, changes, has_stood = evaluation.demand
     return 0, 6 * braking + 2 * changes + has_stood
-
-
-def meeting_place(evaluation: Evaluation, crossings: Crossings | None) -> int | None:
-    """Return a number for the zone and slot of the nearest NPC that crosses; None if no NPC crosses.
-
-    Zones are counted in the order in which the ego reaches them.
-    """
-    npc = evaluation.crossing
-    instruction = None if npc is None else evaluation.scenario.npcs[npc][0]
-    if crossings is None or not isinstance(instruction, CrossingInstruction):
-        return None
-    zone = [each.way for each in crossings.zones].index(instruction.zone)
-    return len(SLOTS) * zone + list(SLOTS).index(slot_name(instruction.slot))
 
 
 def _parent(groups: Sequence[Sequence[Evaluation]], rng: Generator) -> Evaluation:

@@ -22,7 +22,8 @@ from typing import Any
 import numpy as np
 from highway_env.vehicle.objects import Obstacle
 
-from pytest_pafot.model.trace import AdsError, Outcome
+from pytest_pafot.model.scenario import Scenario
+from pytest_pafot.model.trace import AdsError, Outcome, Trace
 from pytest_pafot.support.errors import AdsFactoryError, WorldError
 from pytest_pafot.world.driving.ads import AdsFactory, is_vehicle_class, make_ads, wants_env
 from pytest_pafot.world.driving.compiled_vehicle import CompiledRoad, constants_of, obstacles_on, road_rules
@@ -31,10 +32,12 @@ from pytest_pafot.world.driving.object_driver import body_of
 from pytest_pafot.world.driving.observations import observe_fast, observer
 from pytest_pafot.world.driving.perception import ads_and_sight
 from pytest_pafot.world.driving.policy import View
+from pytest_pafot.world.engines import policies
 from pytest_pafot.world.engines.episode import Episode, EpisodeRecording, Kind, Start, Step
 from pytest_pafot.world.guard.failure import UNFIT, closing, error_of
 from pytest_pafot.world.guard.hang_guard import HangGuard
 from pytest_pafot.world.gym_environment import NEUTRAL, GymEnvironment, has_known_step, vehicle_classes_kept
+from pytest_pafot.world.gym_world import World
 from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.kernel.loop import PlannerDriver
 from pytest_pafot.world.kernel.observation import COLUMNS
@@ -392,13 +395,78 @@ def _unrewarded(env: Any) -> Iterator[None]:
         del env._reward, env._info  # it is used again
 
 
-def stepped(environment: Any, seen: Any, guard: HangGuard) -> Any:
-    """Return what drives an environment by ``step`` from its reset on: compiled code, or else the environment itself.
+class ScenarioSteps:
+    """A run of one scenario that advances by calls of ``step``.
 
-    ``seen`` is the observation of the reset, and ``guard`` limits the time of a decision.
+    The world's environment must have one of highway-env's own ``step``, and the scenario must fit the world.
     """
-    start = Start(outer=environment, seen=seen, ads=None, kind="policy", guard=guard)
-    return environment if why_not(start) else CompiledSteps(start)
+
+    def __init__(self, world: World, scenario: Scenario) -> None:
+        self._run = policies.begin(world.environment, world.rules, scenario, HangGuard(world.rules.hang_limit), None)
+        self._env = self._run.driver.env
+        self._env.action_space.seed(scenario.seed)
+
+    @property
+    def trace(self) -> Trace | None:
+        """The trace of the run; None until the run or the episode is over."""
+        return self._run.trace
+
+    def reset(self) -> tuple[Any, dict[str, Any]]:
+        """Return the first observation and info, as the environment's ``reset`` does."""
+        seen = self._run.observe()
+        return seen, self._env._info(seen, self._env.action_space.sample())
+
+    def step(self, action: Any) -> Step:
+        """Drive with an action of the action space; return the same values as the environment's ``step``.
+
+        The run ends at the tick of first contact. The ego is then marked as crashed for the reward, because highway-env
+        does not check for contact in a scenario. A run that ends for a different reason is truncated, unless the
+        environment reports that it is terminated.
+        """
+        run, env = self._run, self._env
+        run.take(action, 0.0)
+        trace = run.trace
+        if trace is not None and trace.error is not None:
+            raise RuntimeError(f"{trace.error.kind}: {trace.error.message}\n{trace.error.traceback}")
+        seen = run.observe()
+        env.vehicle.crashed = trace is not None and trace.collision is not None
+        reward, is_terminated = float(env._reward(action)), bool(env._is_terminated())
+        if is_terminated and trace is None:  # it ends the episode before the run is over, such as behind a merge
+            run.trace = trace = run.vehicles.trace(run.driver)
+        return seen, reward, is_terminated, trace is not None and not is_terminated, env._info(seen, action)
+
+
+class SteppedWorld:
+    """A world that its caller drives by calls of ``step``, in a scenario or in ordinary traffic."""
+
+    def __init__(self, world: World) -> None:
+        self._world = world
+        self._ordinary = world.environment.make(has_traffic=True)
+        observe_fast(self._ordinary.unwrapped)
+        self._guard = HangGuard(world.hang_limit)
+
+    def scenario(self, scenario: Scenario) -> ScenarioSteps:
+        """Return the run of a scenario that fits the world."""
+        return ScenarioSteps(self._world, scenario)
+
+    def traffic(self, seed: int) -> tuple[Any, Any, dict[str, Any]]:
+        """Reset the environment, and return what drives its traffic by ``step``, with what the reset returns.
+
+        Compiled code does, or else the environment itself.
+        """
+        seen, info = self._ordinary.reset(seed=seed)
+        start = Start(outer=self._ordinary, seen=seen, ads=None, kind="policy", guard=self._guard)
+        return self._ordinary if why_not(start) else CompiledSteps(start), seen, info
+
+
+def drive_episode(
+    world: World, factory: AdsFactory, seed: int, *, is_planner: bool = False, is_recorded: bool = False
+) -> Episode:
+    """Drive an episode of a world's own traffic with a new ADS; arguments as of :func:`drive`."""
+    hang_limit = world.hang_limit
+    return drive(
+        world.environment, factory, seed, hang_limit=hang_limit, is_planner=is_planner, is_recorded=is_recorded
+    )
 
 
 def drive(

@@ -29,12 +29,15 @@ class Hang(Exception):  # noqa: N818  (a world that records the name of the exce
     """The end of a decision that exceeds the hang limit, as the code of a user's world sees it."""
 
 
-def rollout_of(world: Any) -> Callable[..., Trace]:
-    """Return the ``rollout`` of any world, with seeded global generators.
+def rollout_of(world: Any, method: str = "rollout") -> Callable[..., Any]:
+    """Return the ``rollout`` of any world, with seeded global generators, or another method of it that makes runs.
 
-    Decisions that hang are ended: by the world, or else here.
+    Decisions that hang are ended: by the world, or else here. ``rollout_batch`` makes several runs at once.
     """
-    return partial(GENERATORS.run, world.rollout if guards_ads(world) else partial(simulate, world))
+    if method == "rollout_batch":
+        return partial(simulate_batch, world)
+    is_guarded = method != "rollout" or guards_ads(world)
+    return partial(GENERATORS.run, getattr(world, method) if is_guarded else partial(simulate, world))
 
 
 def simulate(world: Any, scenario: Scenario, ads_factory: Callable[..., Any], **given: Any) -> Trace:

@@ -10,9 +10,10 @@ import pytest
 
 from pytest_pafot import Highway, Run
 from pytest_pafot.attribution.responsibility import position_rule, rss_rule
+from pytest_pafot.campaign.explore import _of_collision
 from pytest_pafot.campaign.verdict import judge
-from pytest_pafot.extras.comparison.algorithm_run import COLUMNS, _of_run, never_collides, run_rows, text_of
-from pytest_pafot.extras.comparison.plan import Plan
+from pytest_pafot.extras.comparison.algorithm_run import COLUMNS, run_rows, text_of
+from pytest_pafot.extras.comparison.plan import Plan, never_collides
 from pytest_pafot.model.scenario import LaneInstruction, PositionInstruction, Scenario
 from pytest_pafot.searching import ALGORITHMS
 from pytest_pafot.support.errors import RequestError
@@ -43,7 +44,7 @@ def test_each_row_can_be_driven_again_identically(quick, algorithm):
         if row["verdict"] is not None:  # it is, if only a different scenario was simulated
             assert rss_rule(trace).responsibility == (row["responsibility"] or "none")
             assert position_rule(trace) == (row["position_responsibility"] or "none")
-            assert _of_run(Run(trace))["signature"] == row["signature"]
+            assert _of_collision(Run(trace))["signature"] == row["signature"]
     assert any(row["outcome"] == "collision" for row in rows)
 
 

@@ -251,7 +251,7 @@ def test_one_algorithm_alone_is_reported_without_tests(tmp_path):
         (["--runs", "0"], "--runs: expected a whole number, at least 1, received 0"),
         (["--generations", "0"], "--generations: expected a whole number, at least 1, received 0"),
         (["--seed", "-1"], "--seed: expected a whole number, at least 0, received -1"),
-        (["--workers", "0"], "--workers: expected a whole number, from 1 to 1024, received 0"),
+        (["--workers", "0"], "--workers: expected a whole number, at least 1, received 0"),
         (["--population", "1"], "population: expected at least 2"),
         (["--fitness", "papr"], "fitness: expected .* did you mean 'paper'"),
         (["--lanes", "9"], "lanes: expected .* received 9"),

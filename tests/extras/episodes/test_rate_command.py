@@ -35,7 +35,7 @@ def rated(name, **outcomes):
 
 
 def test_rate_prints_share_interval_crashes_and_seeds(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(rate_command, "picture", lambda episode, title: f"{title}: {episode.outcome}".encode())
+    monkeypatch.setattr(rate_command, "drawn_episode", lambda episode, title: f"{title}: {episode.outcome}".encode())
     assert (
         rate("--ads", "constant_speed@planner", "--against", "idm_mobil", "--episodes", "10", "--out", str(tmp_path))
         == 0
@@ -224,7 +224,7 @@ def test_too_few_episodes_for_a_limit_are_refused_with_enough(capsys):
         (["--config", '{"vehicle_count": 3}'], "did you mean 'vehicles_count'?"),
         (["--config", "[3]"], "--config: expected JSON such as '{\"vehicles_count\": 20}', received [3]"),
         (["--episode", "-1"], "--episode: expected a seed, at least 0, received -1"),
-        (["--workers", "0"], "--workers: expected a whole number, from 1 to 1024, received 0"),
+        (["--workers", "0"], "--workers: expected a whole number, at least 1, received 0"),
         (["--seed", "-1"], "--seed: expected a whole number, at least 0, received -1"),
     ],
 )
@@ -272,7 +272,7 @@ def test_unwritable_rows_are_reported_and_command_can_continue(tmp_path, capsys)
 
 @pytest.mark.skipif(os.name == "nt", reason="Windows calls it a lack of permission")
 def test_unwritable_result_is_reported_and_command_can_continue(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(rate_command, "picture", lambda episode, title: b"drawn")
+    monkeypatch.setattr(rate_command, "drawn_episode", lambda episode, title: b"drawn")
     arguments = (*ONE_CRASH, "--out", str(tmp_path))
     for name in ("results.csv", "constant_speed-planner-2.png", "report.md"):
         taken = tmp_path / name

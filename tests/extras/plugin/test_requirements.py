@@ -7,7 +7,7 @@ from xml.etree import ElementTree
 
 import pytest
 
-from pytest_pafot.commands.inventory import collected
+from pytest_pafot.commands.inventory import Inventory
 from pytest_pafot.report.page import requirement_section
 from pytest_pafot.support.errors import RequestError
 from pytest_pafot.support.traced import Traced
@@ -180,7 +180,7 @@ def test_inventory_of_a_session_that_was_broken_off_is_refused(project, monkeypa
     monkeypatch.chdir(project.path)
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join(sys.path))
     with pytest.raises(RequestError, match="expected pytest to collect the tests here"):
-        collected([] if option is None else [option])
+        Inventory.collected([] if option is None else [option])
 
 
 @pytest.mark.processes
@@ -188,4 +188,4 @@ def test_inventory_has_what_a_selection_leaves_out(project, monkeypatch):
     project.write(SESSION)
     (project.path / "pytest.ini").write_text("[pytest]\naddopts = -k nothing\n")
     monkeypatch.chdir(project.path)
-    assert set(collected().tests) == {"test_it.py::test_fails", "test_it.py::test_plain"}
+    assert set(Inventory.collected().tests) == {"test_it.py::test_fails", "test_it.py::test_plain"}
