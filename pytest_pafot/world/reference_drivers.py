@@ -28,7 +28,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
 
-from pytest_pafot.attribution.manoeuvres import KEEPING
+from pytest_pafot.attribution.manoeuvres import DRIFTING, KEEPING
 from pytest_pafot.attribution.responses import EMERGENCY, FOLLOWING
 from pytest_pafot.attribution.sentences import BRAKES
 from pytest_pafot.attribution.takeovers import STEADY_BRAKING
@@ -255,12 +255,11 @@ class ReferenceDriver(ABC):
 class CarefulHuman(ReferenceDriver):
     """The competent and careful human driver of UN R157, who keeps a headway of two seconds to a leader.
 
-    Another vehicle matters once it is in the ego's way, or has left the centre of its lane towards the ego by more
-    than 0.375 m. Danger is a time to collision below 2 s, or a leader that brakes harder than 5 m/s^2 and is nearer
-    than a headway of two seconds and 3 m. The driver needs
-    0.4 s to perceive it and 0.75 s to brake. It then brakes with up to 0.774 g until no danger is left. Without danger,
-    the driver needs the same times before it increases the gap to a new vehicle ahead; afterwards it reacts to that
-    vehicle at once.
+    Another vehicle matters once it is in the ego's way, or moves towards it with at least 0.3 m/s and has left the
+    centre of its lane by more than 0.375 m. Danger is a time to collision below 2 s, or a leader that brakes harder
+    than 5 m/s^2 and is nearer than a headway of two seconds and 3 m. The driver needs 0.4 s to perceive it and 0.75 s
+    to brake. It then brakes with up to 0.774 g until no danger is left. Without danger, the driver needs the same times
+    before it increases the gap to a new vehicle ahead; afterwards it reacts to that vehicle at once.
 
     The 0.75 s are also the time in which the foot moves back from the brake to the accelerator. Until then, the driver
     does not speed up. What begins to matter or to be a danger in that time is answered as soon as it is perceived. The
@@ -466,7 +465,7 @@ def matters_to(ego: VehicleState, other: VehicleState, drift: float, lane_width:
     offset = side * (other.y - other.lane * lane_width)
     next_lane = abs(ego.y - other.y) < 1.5 * lane_width
     stays = is_known and offset + _half_width(other) > lane_width / 2
-    return next_lane and offset > KEEPING and (stays or side * drift > 0)
+    return next_lane and offset > KEEPING and (stays or side * drift >= DRIFTING)
 
 
 def _along(vehicle: VehicleState) -> float:

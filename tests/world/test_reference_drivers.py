@@ -139,8 +139,9 @@ class TestCarefulHuman:
         for (gap, braking), expected in cases.items():
             assert Leader(gap=gap, speed=20.0, closing=0.0, braking=braking).is_critical == expected
 
-    def test_careful_human_ignores_vehicle_in_next_lane(self):
-        rows = drive(CarefulHuman(), lambda time: car(10.0 + 8 * time, 0.3, 8.0))
+    @pytest.mark.parametrize(("y", "sideways"), [(0.3, 0.0), (0.8, 0.004), (0.0, 0.29)])
+    def test_careful_human_ignores_vehicle_that_stays_in_next_lane(self, y, sideways):
+        rows = drive(CarefulHuman(), lambda time: car(40.0 + 8 * time, y + sideways * time, 8.0), seconds=4.0)
         assert all(a == 0.0 for *_, a in rows)
 
 
