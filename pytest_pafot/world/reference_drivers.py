@@ -28,8 +28,9 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
 
-from pytest_pafot.attribution.manoeuvres import KEEPING
+from pytest_pafot.attribution.manoeuvres import DRIFTING, KEEPING
 from pytest_pafot.attribution.responses import EMERGENCY, FOLLOWING
+from pytest_pafot.attribution.sentences import BRAKES
 from pytest_pafot.attribution.takeovers import STEADY_BRAKING
 from pytest_pafot.model.crossings import CrossingVehicle, Kind
 from pytest_pafot.world.kernel.observation import Observation, VehicleState
@@ -254,20 +255,29 @@ class ReferenceDriver(ABC):
 class CarefulHuman(ReferenceDriver):
     """The competent and careful human driver of UN R157, who keeps a headway of two seconds to a leader.
 
-    Another vehicle matters once it is in the ego's way, or has left the centre of its lane towards the ego by more
-    than 0.375 m. Danger is a time to collision below 2 s, or a leader that brakes harder than 5 m/s^2 and is nearer
-    than a headway of two seconds and 3 m. The driver needs
-    0.4 s to perceive it and 0.75 s to brake. It then brakes with up to 0.774 g until no danger is left. Without danger,
-    the driver needs the same times before it increases the gap to a new vehicle ahead; afterwards it reacts to that
-    vehicle at once.
+    Another vehicle matters once it is in the ego's way, or moves towards it with at least 0.3 m/s and has left the
+    centre of its lane by more than 0.375 m. Danger is a time to collision below 2 s, or a leader that brakes harder
+    than 5 m/s^2 and is nearer than a headway of two seconds and 3 m. The driver needs 0.4 s to perceive it and 0.75 s
+    to brake. It then brakes with up to 0.774 g until no danger is left. Without danger, the driver needs the same times
+    before it increases the gap to a new vehicle ahead; afterwards it reacts to that vehicle at once.
+
+    The 0.75 s are also the time in which the foot moves back from the brake to the accelerator. Until then, the driver
+    does not speed up. What begins to matter or to be a danger in that time is answered as soon as it is perceived. The
+    regulation, in which only one vehicle comes in, says nothing about this.
     """
 
     brakes_from: float = math.inf
+    braked: float = -math.inf
 
     def wish(self, observation: Observation) -> float:
         """Return the acceleration that the driver wants now [m/s^2]."""
         ego = observation.ego
-        calm, is_danger, is_over = self.cruise(ego.speed), False, True
+        if self.acceleration <= -BRAKES:
+            self.braked = self.now
+        foot = self.held("foot at the brake", self.now - self.braked < DELAY - EPSILON)
+        calm, is_over = self.cruise(ego.speed), True
+        if foot >= 0:
+            calm = min(calm, 0.0)
         for index, other in enumerate(observation.others):
             leader = self.ahead(observation, index)
             is_known = f"noticed {index}" in self.since
@@ -278,16 +288,15 @@ class CarefulHuman(ReferenceDriver):
             danger = self.held(f"danger {index}", critical)
             if leader is None:
                 continue
-            is_danger |= danger >= EMERGENCY.perception - EPSILON
             is_over &= leader.closing <= 0 and not critical
+            if danger >= EMERGENCY.perception - EPSILON:
+                self.brakes_from = min(self.brakes_from, self.now + (DELAY if foot < danger else 0.0))
             follow = self.follow(ego.speed, leader)
-            if noticed >= EMERGENCY.perception + DELAY - EPSILON or noticed == self.now:
+            if noticed >= EMERGENCY.perception + (DELAY if foot < noticed else 0.0) - EPSILON or noticed == self.now:
                 calm = min(calm, follow)
             elif noticed >= EMERGENCY.perception - EPSILON and follow < 0:
                 calm = min(calm, 0.0)  # the foot has left the accelerator, but is not yet on the brake
-        if is_danger:
-            self.brakes_from = min(self.brakes_from, self.now + DELAY)
-        elif is_over and self.brakes_from <= self.now:
+        if is_over and self.brakes_from <= self.now:
             self.brakes_from = math.inf
         if self.brakes_from < math.inf:
             calm = min(calm, 0.0)
@@ -456,7 +465,7 @@ def matters_to(ego: VehicleState, other: VehicleState, drift: float, lane_width:
     offset = side * (other.y - other.lane * lane_width)
     next_lane = abs(ego.y - other.y) < 1.5 * lane_width
     stays = is_known and offset + _half_width(other) > lane_width / 2
-    return next_lane and offset > KEEPING and (stays or side * drift > 0)
+    return next_lane and offset > KEEPING and (stays or side * drift >= DRIFTING)
 
 
 def _along(vehicle: VehicleState) -> float:

@@ -28,14 +28,17 @@ def car(x, y=4.0, speed=20.0, heading=0.0):
     return VehicleState(x, y, heading, speed, round(y / 4), 5.0, 2.0)
 
 
-def drive(driver, other, *, seconds=10.0, speed=20.0, hz=HZ):
-    """Return gap [m], speed [m/s] and acceleration [m/s^2] of a driver behind a vehicle with given states."""
+def drive(driver, *others, seconds=10.0, speed=20.0, hz=HZ):
+    """Return time [s], gap to the first vehicle [m], speed [m/s] and acceleration [m/s^2] of a driver behind vehicles.
+
+    Each vehicle is a function from a time to its state.
+    """
     rows, x = [], 0.0
     for tick in range(round(seconds * hz)):
         time = tick / hz
-        state = other(time)
-        gap = state.x - x - 5.0
-        acceleration, steering = driver(Observation(time, car(x, speed=speed), (state,), 4, 4.0, 26.8))
+        states = tuple(other(time) for other in others)
+        gap = states[0].x - x - 5.0
+        acceleration, steering = driver(Observation(time, car(x, speed=speed), states, 4, 4.0, 26.8))
         assert steering == 0.0
         rows.append((time, gap, speed, acceleration))
         x += speed / hz
@@ -93,8 +96,12 @@ class TestCarefulHuman:
         assert full - begins == pytest.approx(0.6, abs=1.5 / HZ)
 
     def test_careful_human_answers_braking_leader_after_delay(self):
-        rows = drive(CarefulHuman(), leader(36.0, 20.0, brakes_at=0.2, braking=8.0))
+        rows = drive(CarefulHuman(), leader(38.0, 22.0, brakes_at=0.2, braking=8.0))
         assert first(rows, lambda gap, speed, a: a < -4.1) == pytest.approx(0.2 + 1.15, abs=3 / HZ)
+
+    def test_careful_human_that_already_braked_answers_braking_leader_sooner(self):
+        rows = drive(CarefulHuman(), leader(36.0, 20.0, brakes_at=0.2, braking=8.0))
+        assert first(rows, lambda gap, speed, a: a < -4.1) == pytest.approx(0.2 + 0.4, abs=4 / HZ)
 
     def test_careful_human_avoids_leader_braking_to_standstill(self):
         assert min(gap for _, gap, *_ in drive(CarefulHuman(), leader(43.0, 20.0, 2.0, 8.0))) > 2.0
@@ -108,6 +115,20 @@ class TestCarefulHuman:
         rows = drive(CarefulHuman(), cut_in(10.0, 20.0, begins=1.0))
         assert -4.0 <= min(a for *_, a in rows) < -2.0
 
+    def test_careful_human_that_brakes_answers_second_cut_in_once_perceived(self):
+        """Its foot is on the brake, so it does not need the 0.75 s in which it would move there."""
+        both = cut_in(10.0, 20.0, begins=1.0), cut_in(12.0, 10.0, begins=3.0)
+        perceived = 3.0 + 0.375 / 2.0 + 0.4
+        rows = drive(CarefulHuman(), *both)
+        assert perceived < first(rows, lambda gap, speed, a: a < -4.0) < perceived + 0.2
+        assert first(drive(CarefulHuman(), both[1]), lambda gap, speed, a: a < 0) > perceived + 0.7
+
+    def test_careful_human_does_not_speed_up_until_foot_is_off_the_brake(self):
+        rows = drive(CarefulHuman(), lambda time: leader(10.0, 19.0)(time) if time < 3.0 else car(1000.0))
+        brakes = [time for time, *_, a in rows if a <= -0.5]
+        assert max(brakes) < 3.0
+        assert first(rows, lambda gap, speed, a: a > 0) == pytest.approx(max(brakes) + 0.75, abs=2.5 / HZ)
+
     def test_cannot_avoid_what_comes_within_the_reaction_time(self):
         rows = drive(CarefulHuman(), cut_in(5.0, 8.0, begins=1.0, seconds=0.5))
         assert min(gap for _, gap, *_ in rows) < 0
@@ -118,8 +139,9 @@ class TestCarefulHuman:
         for (gap, braking), expected in cases.items():
             assert Leader(gap=gap, speed=20.0, closing=0.0, braking=braking).is_critical == expected
 
-    def test_careful_human_ignores_vehicle_in_next_lane(self):
-        rows = drive(CarefulHuman(), lambda time: car(10.0 + 8 * time, 0.3, 8.0))
+    @pytest.mark.parametrize(("y", "sideways"), [(0.3, 0.0), (0.8, 0.004), (0.0, 0.29)])
+    def test_careful_human_ignores_vehicle_that_stays_in_next_lane(self, y, sideways):
+        rows = drive(CarefulHuman(), lambda time: car(40.0 + 8 * time, y + sideways * time, 8.0), seconds=4.0)
         assert all(a == 0.0 for *_, a in rows)
 
 
