@@ -66,7 +66,6 @@ if TYPE_CHECKING:
     from pytest_pafot.searching.ask_tell import check_evaluations as check_evaluations
     from pytest_pafot.searching.ask_tell import check_parameters as check_parameters
     from pytest_pafot.searching.ask_tell import end_of_local_search as end_of_local_search
-    from pytest_pafot.searching.ask_tell_loop import run_campaign as run_campaign
     from pytest_pafot.searching.evaluation import Evaluation as Evaluation
     from pytest_pafot.searching.events import AlgorithmEvent as AlgorithmEvent
     from pytest_pafot.searching.events import Evaluated as Evaluated
@@ -167,7 +166,6 @@ _HOMES = {
     "require": "oracle.checks",
     "resolve_algorithm": "searching.algorithms.catalogue",
     "rollout_of": "world.guard.own_worlds",
-    "run_campaign": "searching.ask_tell_loop",
     "sample": "searching.space",
     "sample_manoeuvres": "searching.space",
     "scenario_of": "searching.space",

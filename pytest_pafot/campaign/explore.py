@@ -15,9 +15,9 @@ from pytest_pafot.campaign.harness import Harness, reference_of
 from pytest_pafot.campaign.options import BY_NAME, LOCAL, OPTIONS, PROFILES, Settings
 from pytest_pafot.campaign.replays import Replays
 from pytest_pafot.campaign.request import Request, SearchArguments, build_world, check_names, checked_request
-from pytest_pafot.campaign.resuming import check_states
 from pytest_pafot.campaign.run_table import RunTable
 from pytest_pafot.campaign.search import Search, prepared, time_limit
+from pytest_pafot.campaign.state import check_states
 from pytest_pafot.campaign.verdict import source_file
 from pytest_pafot.corpus.layout import folder_of_test, link_below
 from pytest_pafot.corpus.saved import refusal
@@ -115,9 +115,11 @@ def explore(
     with tempfile.TemporaryDirectory(prefix="pafot-") as scratch:
         replays = replays_of(request, holds, name, Path(scratch), executor, needs_only_run=on_event is None)
         now = time.monotonic()
-        with prepared(replays.harness, listen, has_table=True) as sessions:
+        with prepared(replays.harness, has_table=True) as parts:
             limit = time_limit(request.settings, now=now, began=now, left=1)
-            search = Search(node_id=name, sessions=sessions, replays=replays, limit=limit, progress_seconds=0.5)
+            search = Search(
+                node_id=name, parts=parts, replays=replays, limit=limit, listener=listen, progress_seconds=0.5
+            )
             result = search.run()
     if result.fault is not None:
         raise result.fault

@@ -25,7 +25,6 @@ from pytest_pafot.extending import (
     replays_of,
     request_of,
     require,
-    run_campaign,
 )
 from pytest_pafot.extras.comparison.plan import DIFFERENT, Plan
 from pytest_pafot.extras.resumable import ResumableJob, Task, Tick, claim, run_job
@@ -117,7 +116,7 @@ def run_rows(plan: Plan, algorithm: str, run: int, tick: Tick = lambda share: No
     request = replace(request, settings=replace(request.settings, max_saved=0))
     table, seconds = RunTable(seed=seed, more=_of_run), 0.0
 
-    def listen(event: Any) -> None:
+    def see(event: Any) -> None:
         nonlocal seconds
         table.see(event)
         if isinstance(event, Evaluated):
@@ -137,17 +136,11 @@ def run_rows(plan: Plan, algorithm: str, run: int, tick: Tick = lambda share: No
     with tempfile.TemporaryDirectory(prefix="pafot-") as scratch:
         harness = replays_of(request, partial(never_collides, plan.blame), "compare", Path(scratch)).harness
         # Blame affects all fitnesses except AV-Fuzzer's, which its authors used without it.
-        with prepared(harness, listen, space=space, is_steered=request.fitness != "av-fuzzer") as sessions:
-            events = run_campaign(
-                plan.made(algorithm),
-                sessions.loop.evaluate,
-                generations=generations,
-                seed=seed,
-                stop=lambda: seconds >= budget,
-                foresee=sessions.loop.simulation.runner.announce,
-            )
+        with prepared(harness, space=space, is_steered=request.fitness != "av-fuzzer") as parts:
+            made, is_over = plan.made(algorithm), lambda: seconds >= budget
             try:
-                sessions.loop.follow(events)
+                for event in parts.search(made, generations=generations, seed=seed, stop=is_over):
+                    see(event)
             except SetupFaultError as fault:
                 raise _set_up(fault, world, request.ads) from None
     tick(1.0)
