@@ -19,9 +19,9 @@ from pytest_pafot.campaign.harness import Harness, reference_of
 from pytest_pafot.campaign.options import BY_NAME, LOCAL, OPTIONS, PROFILES, Settings
 from pytest_pafot.campaign.replays import Replayed, Replays
 from pytest_pafot.campaign.request import Request, SearchArguments, build_world, check_names, checked_request
-from pytest_pafot.campaign.resuming import check_states
 from pytest_pafot.campaign.run_table import RunTable
 from pytest_pafot.campaign.search import Search, prepared, time_limit
+from pytest_pafot.campaign.state import check_states
 from pytest_pafot.campaign.verdict import Verdict, judge, source_file
 from pytest_pafot.corpus.layout import folder_of_test, link_below
 from pytest_pafot.corpus.saved import Saved, refusal
@@ -32,7 +32,6 @@ from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.searching.algorithms.catalogue import AlgorithmClass
 from pytest_pafot.searching.ask_tell import Algorithm
-from pytest_pafot.searching.ask_tell_loop import run_campaign
 from pytest_pafot.searching.events import Evaluated
 from pytest_pafot.searching.fitness import resolve
 from pytest_pafot.searching.space import SearchSpace
@@ -129,9 +128,11 @@ def explore(
     with tempfile.TemporaryDirectory(prefix="pafot-") as scratch:
         replays = replays_of(request, holds, name, Path(scratch), executor, needs_only_run=on_event is None)
         now = time.monotonic()
-        with prepared(replays.harness, listen, has_table=True) as sessions:
+        with prepared(replays.harness, has_table=True) as parts:
             limit = time_limit(request.settings, now=now, began=now, left=1)
-            search = Search(node_id=name, sessions=sessions, replays=replays, limit=limit, progress_seconds=0.5)
+            search = Search(
+                node_id=name, parts=parts, replays=replays, limit=limit, listener=listen, progress_seconds=0.5
+            )
             result = search.run()
     if result.fault is not None:
         raise result.fault
@@ -210,7 +211,7 @@ class AlgorithmRun:
         request = replace(request, settings=replace(request.settings, max_saved=0))
         table, seconds = RunTable(seed=self.seed, more=_of_collision), 0.0
 
-        def listen(event: Any) -> None:
+        def see(event: Any) -> None:
             nonlocal seconds
             table.see(event)
             if isinstance(event, Evaluated):
@@ -229,17 +230,11 @@ class AlgorithmRun:
             harness = replays_of(request, self.holds, "compare", Path(scratch)).harness
             # Blame affects all fitnesses except AV-Fuzzer's, which its authors used without it.
             is_steered = request.fitness != "av-fuzzer"
-            with prepared(harness, listen, space=self.space, is_steered=is_steered) as sessions:
-                sessions.loop.follow(
-                    run_campaign(
-                        self._made(),
-                        sessions.loop.evaluate,
-                        generations=self.generations,
-                        seed=self.seed,
-                        stop=lambda: seconds >= self.seconds,
-                        foresee=sessions.loop.simulation.runner.announce,
-                    )
-                )
+            with prepared(harness, space=self.space, is_steered=is_steered) as parts:
+                for event in parts.search(
+                    self._made(), generations=self.generations, seed=self.seed, stop=lambda: seconds >= self.seconds
+                ):
+                    see(event)
         tick(1.0)
         return table.taken()
 

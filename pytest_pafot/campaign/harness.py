@@ -19,19 +19,19 @@ from pytest_pafot.campaign.verdict import Test, Verdict, judge, no_skip, referen
 from pytest_pafot.execution.crash_records import CrashRecord, Leftover, left_by
 from pytest_pafot.execution.elsewhere import DrivesElsewhere
 from pytest_pafot.execution.pool import ProcessLostError
-from pytest_pafot.execution.runner import Runner, replay_in_gym_apart, runner_for
-from pytest_pafot.execution.scenario_pool import Digest, ExecutionError, Job
+from pytest_pafot.execution.runner import Runner, runner_for
+from pytest_pafot.execution.scenario_pool import ExecutionError, Job
 from pytest_pafot.findings.neighbours import Limits
 from pytest_pafot.findings.signature import PROCESS_CRASH, Failure
 from pytest_pafot.model.scenario import Scenario, ScenarioError
 from pytest_pafot.model.trace import Outcome, Trace
 from pytest_pafot.oracle.run import ReferenceOutcome, Run
-from pytest_pafot.support.errors import DriverError, OutOfTime, RequestError, RevisionError
+from pytest_pafot.support.errors import DriverError, RequestError, RevisionError
 from pytest_pafot.support.references import REVISION, factory_named, name_of
 from pytest_pafot.support.source_files import source_files
 from pytest_pafot.world import AdsFactoryError, WorldError, codec, protocol
 from pytest_pafot.world.driving.ads import hint_at_object, is_vehicle_class, preload, weights_digest
-from pytest_pafot.world.guard.chance import GENERATORS, Unseeded
+from pytest_pafot.world.guard.chance import Unseeded
 from pytest_pafot.world.guard.failure import exits, let_through
 
 # The reference of a search: a policy with which the tested one is compared, such as its version before a change.
@@ -316,100 +316,6 @@ def refusals(whose: str = "the ADS") -> Iterator[None]:
             f"expected the factory of {whose} to leave the session alone, received pytest.exit({str(error)!r}); raise "
             "another exception"
         ) from None
-
-
-@dataclass(frozen=True, slots=True)
-class Simulation:
-    """The runs of one search. Until a run is judged, its scenario is on disk in the crash record of this process."""
-
-    harness: Harness
-    runner: Runner
-    record: CrashRecord
-    reference: Runner | None = None  # the runner of the reference
-
-    def made(self, scenario: Scenario) -> Run | Digest:
-        """Run a scenario as :meth:`run` does, or return the digest of its run if another process has judged it."""
-        __tracebackhide__ = True
-        with self._recorded(), refusals():
-            made = self.runner.made(scenario)
-        return made if isinstance(made, Digest) else self.harness.seen(made)
-
-    def run(self, scenario: Scenario, *, afresh: bool = False) -> Run:
-        """Run a scenario. The caller must call :meth:`judge` next, which also clears the crash record.
-
-        For ``afresh`` see :meth:`pytest_pafot.execution.runner.Runner.run`.
-
-        Raises:
-            ProcessLostError: if the run was in another process, and that process died or hung.
-            RequestError: for a world, factory or scenario that does not fit.
-            OutOfTime: if the time of the search is over.
-        """
-        __tracebackhide__ = True
-        with self._recorded(), refusals():
-            trace = self.runner.run(scenario, afresh=afresh)
-        return self.harness.seen(trace)
-
-    def judge(self, run: Run, scenario: Scenario | None = None) -> Verdict:
-        """Judge the last run. If it fails, the reference is run in ``scenario``, by default in the run's scenario."""
-        __tracebackhide__ = True
-        with self._recorded():
-            verdict = self.harness.judge(run)
-            if verdict.failed and self.reference is not None:
-                verdict = verdict.beside(self.harness.judge_reference(self.reference, scenario or run.scenario))
-        self.record.clear()
-        return verdict
-
-    def is_common(self, scenario: Scenario) -> bool:
-        """Return whether a failure in a scenario does not count, because the reference does not pass it either."""
-        __tracebackhide__ = True
-        if self.reference is None:
-            return False
-        verdict = self.harness.judge_reference(self.reference, scenario)
-        self.record.clear()
-        return not verdict.passes
-
-    def rerun(self, scenario: Scenario) -> Run:
-        """Run a scenario from scratch, without a verdict."""
-        __tracebackhide__ = True
-        run = self.run(scenario, afresh=True)
-        self.record.clear()
-        return run
-
-    def rerun_one_by_one(self, leftover: Leftover) -> None:
-        """Run the scenarios of a batch in which a process died one by one, to see which scenario is the cause."""
-        __tracebackhide__ = True
-        leftover.discard()  # first, or after a second death every session would run the whole batch again
-        for scenario in leftover.scenarios:
-            self.rerun(scenario)
-
-    def rerun_in_gym(self, scenario: Scenario) -> Run | None:
-        """Run a scenario with ``env.step`` of highway-env's own environment; None if the world has no environment."""
-        __tracebackhide__ = True
-        world = protocol.gym_replaying(self.harness.world)
-        if world is None:
-            return None
-        self.record.write(scenario)
-        ads = self.harness.ads
-        with self._recorded(), refusals():
-            if isinstance(ads, DrivesElsewhere):
-                trace = ads.driven("rollout_in_gym", world, scenario)
-            elif self.harness.request.settings.isolate:
-                trace = replay_in_gym_apart(self.harness.job(), self.record, scenario)
-            else:
-                trace = GENERATORS.run(world.rollout_in_gym, scenario, self.harness.drawing(ads))
-        self.runner.asked += len(trace.actions)
-        self.record.clear()
-        return Run(trace, decision_limit=self.harness.request.decision_limit)
-
-    @contextmanager
-    def _recorded(self) -> Iterator[None]:
-        """Clear the crash record of a run that the time limit ends, because no process died in it."""
-        __tracebackhide__ = True
-        try:
-            yield
-        except OutOfTime:
-            self.record.clear()
-            raise
 
 
 def checked_factory(given: object, name: str) -> Callable[..., Any]:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections import deque
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 
-from pytest_pafot.campaign.events import Find, FindTold
-from pytest_pafot.campaign.resuming import Sessions
-from pytest_pafot.campaign.search_loop import UNCONFIRMED
+from pytest_pafot.campaign.events import Find, FindTold, SearchEvent
+from pytest_pafot.campaign.search import Prepared
 from pytest_pafot.campaign.simplification import Simplification
+from pytest_pafot.campaign.store import UNCONFIRMED
 from pytest_pafot.campaign.verdict import headline
 from pytest_pafot.corpus.saved import Saved
 from pytest_pafot.findings.finding import Finding, Perceived, ending, of_failure
@@ -37,24 +38,25 @@ class Later:
 
 
 def shrink_saved(
-    sessions: Sessions, saved: Saved, *, path: str, until: float = math.inf, tell: Callable[[str], None]
+    parts: Prepared, saved: Saved, *, path: str, until: float = math.inf, tell: Callable[[str], None]
 ) -> Later:
     """Shrink the scenario of a file further, from what it is now, and try drivers and neighbours in the result.
 
     Args:
-        sessions: the parts of a search in the world of the file.
+        parts: the parts of a search in the world of the file.
         saved: the file, with a finding that is expected to give the same run each time.
         path: the path of the file, for reports.
         until: the time at which it must end [s], or infinity.
         tell: is called often, with a text on the current work.
     """
     __tracebackhide__ = True
-    loop, harness, before = sessions.loop, sessions.harness, saved.finding
+    state, workers, store, before = parts.state, parts.workers, parts.store, saved.finding
+    harness = workers.harness
     if before is None:
         raise ValueError(f"saved: expected a file that can be read, received {saved!r:.100}")
     # The file has to fail as it says, or everything that is simpler would be compared with something else.
-    run = loop.simulation.run(before.scenario, afresh=True)
-    verdict = loop.simulation.judge(run)
+    run = workers.run(before.scenario, afresh=True)
+    verdict = workers.judge(run)
     failure = verdict.failure if verdict.failed else None
     if failure is None or verdict.exception is None or of_failure(run, failure) != before.signature:
         now = headline(run, verdict) if verdict.failed else ending(run)
@@ -72,31 +74,38 @@ def shrink_saved(
     find = Find(
         id=saved.id, node_id=harness.saved_node_id(saved.id), path=path, unshrunk=UNCONFIRMED, severity=verdict.severity
     )
-    recorder = loop.recorder
-    recorder.release()
-    recorder.until = until
-    recorder.kept[saved.id] = FindTold(
+    store.is_holding = False
+    workers.until = until
+    store.kept[saved.id] = FindTold(
         finding=start, find=find, origin="", exception=verdict.exception, run=run, is_new=False
     )
-    loop.finds[of_failure(run, failure)] = saved.id
+    state.finds[of_failure(run, failure)] = saved.id
     work = Simplification(
-        loop=loop,
+        state=state,
+        workers=workers,
+        store=store,
+        send=_drop,
         tell=tell,
-        plain=None if loop.space is None else (loop.space.ego_lane, loop.space.ego_speed),
-        plain_seconds=None if loop.space is None else loop.space.gene_seconds,
+        plain=None if state.space is None else (state.space.ego_lane, state.space.ego_speed),
+        plain_seconds=None if state.space is None else state.space.gene_seconds,
         neighbours=harness.request.settings.neighbours,
-        answers=sessions.answers,
-        clock=sessions.clock,
+        answers=state.answers,
+        clock=state.clock,
         until=until,
     )
     work.run_all("")
-    kept = recorder.kept[saved.id]
-    others = (f"found saved-{id_}: {each.find.headline}" for id_, each in recorder.kept.items() if each is not kept)
+    kept = store.kept[saved.id]
+    others = (f"found saved-{id_}: {each.find.headline}" for id_, each in store.kept.items() if each is not kept)
     notes = (*work.notes, *others)
     if kept.find.is_flaky:
         told = f"it is flaky: {kept.find.difference}"
         return Later(told=told, is_refused=True, notes=notes)
     return replace(_compared(before, kept, work.runs), notes=notes)
+
+
+def _drop(happened: Iterable[SearchEvent]) -> None:
+    """Let happen what is reported to nobody."""
+    deque(happened, maxlen=0)
 
 
 def _compared(before: Finding, kept: FindTold, runs: int) -> Later:

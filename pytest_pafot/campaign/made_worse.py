@@ -7,18 +7,20 @@ So both policies drive the same random scenarios, and those in which only one of
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Generator, Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field
 from itertools import islice
 
-from pytest_pafot.campaign.events import FindTold, Paired
-from pytest_pafot.campaign.search_loop import SearchLoop
+from pytest_pafot.campaign.events import FindTold, Paired, SearchEvent
+from pytest_pafot.campaign.state import State, lose
+from pytest_pafot.campaign.store import Store
+from pytest_pafot.campaign.workers import Workers
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.findings.signature import SLOW_DECISION
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Outcome
-from pytest_pafot.searching.ask_tell_loop import generation_rng
+from pytest_pafot.searching.plan import generation_rng
 from pytest_pafot.searching.space import SearchSpace, sample
 from pytest_pafot.support.errors import OutOfTime
 from pytest_pafot.world.guard.hang_guard import runs_end_in
@@ -32,44 +34,40 @@ class MadeWorse:
     """The decision which findings of a search speak against the new policy, and which it only fails elsewhere.
 
     Attributes:
-        loop: the loop of the search, which has a reference.
-        seed: the seed of the search.
+        state, workers, store: the parts of the search, which has a reference.
         most: the largest number of random scenarios.
-        clock: returns the seconds since some fixed moment.
         until: the time at which random scenarios must end [s], or infinity.
-        tell: is called often, with a text on the current work.
         paired: the counts of the random scenarios.
     """
 
-    loop: SearchLoop
-    seed: int
+    state: State
+    workers: Workers
+    store: Store
     most: int
-    clock: Callable[[], float]
     until: float
-    tell: Callable[[str], None]
     paired: Paired = field(init=False)
 
     def __post_init__(self) -> None:
         self.paired = Paired(most=self.most)
 
-    def compare(self, space: SearchSpace) -> None:
+    def compare(self, space: SearchSpace) -> Iterator[SearchEvent | str]:
         """Drive random scenarios with both policies, and dismiss the findings if the new one does not fail more often.
 
-        The scenarios depend only on the seed of the search, and are judged in their order. So the result is the same
-        with any number of processes.
+        Yield texts on the current work, and what becomes of the findings. The scenarios depend only on the seed of the
+        search, and are judged in their order. So the result is the same with any number of processes.
         """
         __tracebackhide__ = True
         # Numbers that follow those of a generation, so no generation of the search draws the same.
-        drawn = (sample(space, generation_rng(self.seed, 0, 0, number)) for number in range(self.most))
-        runner = self.loop.simulation.runner
+        drawn = (sample(space, generation_rng(self.store.seed, 0, 0, number)) for number in range(self.most))
+        runner = self.workers.runner
         runner.read_here()  # Other processes judge by the failures that the search knows, which do not matter here.
         with runner, suppress(OutOfTime):
             while ahead := list(islice(drawn, AHEAD)):
                 runner.announce(ahead)
                 for scenario in ahead:
-                    self.tell(f"comparing in random scenario {self.paired.runs + 1} of {self.most}")
-                    with runs_end_in(self.until - self.clock()):
-                        new, old = self._fail(scenario)
+                    yield f"comparing in random scenario {self.paired.runs + 1} of {self.most}"
+                    with runs_end_in(self.until - self.state.clock()):
+                        new, old = yield from self._fail(scenario)
                     self.paired = self.paired.with_run(new=new, old=old)
                     if self.paired.is_worse is not None:
                         break
@@ -77,41 +75,40 @@ class MadeWorse:
                     break
         # What no time was left to decide counts.
         if self.paired.is_worse is False:
-            recorder = self.loop.recorder
-            recorder.dismissed.update(dict.fromkeys(recorder.unsaved, ""))
-            recorder.unsaved.clear()
-            self._dismiss(recorder.kept.values())
+            self.store.dismissed.update(dict.fromkeys(self.store.unsaved, ""))
+            self.store.unsaved.clear()
+            yield from self._dismiss(self.store.kept.values())
 
-    def conclude(self) -> None:
+    def conclude(self) -> Iterator[SearchEvent]:
         """Dismiss findings that are not broad, if the random scenarios hardly tell the two policies apart."""
         if self.paired.is_worse is None and not self.paired.is_cut:
-            found = ((kept, kept.find.breadth) for kept in self.loop.recorder.kept.values())
-            self._dismiss(kept for kept, breadth in found if breadth is not None and breadth.word != "broad")
+            found = ((kept, kept.find.breadth) for kept in self.store.kept.values())
+            yield from self._dismiss(kept for kept, breadth in found if breadth is not None and breadth.word != "broad")
 
-    def _fail(self, scenario: Scenario) -> tuple[bool, bool]:
+    def _fail(self, scenario: Scenario) -> Generator[SearchEvent, None, tuple[bool, bool]]:
         """Return whether only the new policy fails in a scenario, and whether only the reference does."""
         __tracebackhide__ = True
-        loop, simulation = self.loop, self.loop.simulation
-        if scenario in loop.fatal or simulation.reference is None:
+        workers = self.workers
+        if scenario in self.state.fatal or workers.reference is None:
             return False, False
         try:
-            verdict = simulation.judge(simulation.run(scenario))
+            verdict = workers.judge(workers.run(scenario))
         except ProcessLostError as error:
-            return loop.lose(error), False
+            return (yield from lose(error, self.state, workers, self.store)), False
         if not verdict.passes:
             return verdict.failed, False
-        reference = simulation.harness.judge_reference(simulation.reference, scenario)
-        simulation.record.clear()
+        reference = workers.harness.judge_reference(workers.reference, scenario)
+        workers.record.clear()
         return False, reference.failed
 
-    def _dismiss(self, finds: Iterable[FindTold]) -> None:
+    def _dismiss(self, finds: Iterable[FindTold]) -> Iterator[SearchEvent]:
         """Take findings back, unless the policy itself raised, hung or was slow: that is no question of how often."""
-        loop, harness = self.loop, self.loop.simulation.harness
+        state, harness = self.state, self.workers.harness
         way_out = f"a search without {harness.request.option('against')} counts what it finds, and saves it"
         told = f"fails elsewhere, no worse than {harness.against_name}: {self.paired}; {way_out}"
         for kept in list(finds):
             expect = kept.finding.expect
             if expect.outcome not in (Outcome.ADS_ERROR, Outcome.HANG) and expect.failure != SLOW_DECISION:
-                loop.recorder.dismiss(kept, told)
+                yield from self.store.dismiss(kept, told)
         # A later session that finds one again decides again.
-        loop.finds = {signature: id_ for signature, id_ in loop.finds.items() if id_ not in loop.recorder.dismissed}
+        state.finds = {signature: id_ for signature, id_ in state.finds.items() if id_ not in self.store.dismissed}

@@ -1,6 +1,7 @@
-"""One search, from the replays of saved scenarios to new findings, reported to a listener.
+"""One search, from the replays of saved scenarios to new findings.
 
-Read :meth:`Search.run` from the top: replays, the loop over generations, simplification, the summary.
+:func:`search` is the loop: draw, drive, judge, learn. :meth:`Search.run` is what is around it: the replays of saved
+scenarios before, and after it the simplification of findings and the summary.
 """
 
 from __future__ import annotations
@@ -8,8 +9,8 @@ from __future__ import annotations
 import hashlib
 import math
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager, suppress
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from contextlib import ExitStack, closing, contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, NamedTuple
@@ -22,32 +23,41 @@ from pytest_pafot.campaign.events import (
     ALL_RUN,
     DONE,
     FindTold,
+    Judged,
     Listener,
     Progress,
+    SearchEvent,
     SearchStarted,
     SearchSummary,
 )
-from pytest_pafot.campaign.harness import Harness, Simulation, refusals
+from pytest_pafot.campaign.harness import Harness, refusals
 from pytest_pafot.campaign.made_worse import MadeWorse
 from pytest_pafot.campaign.options import FULL, LOCAL, PROFILES, Settings
 from pytest_pafot.campaign.replays import Replays
 from pytest_pafot.campaign.request import build_space
-from pytest_pafot.campaign.resuming import RandomBeginning, Sessions
-from pytest_pafot.campaign.search_loop import Counting, Reader, Recorder, SearchLoop, difference, left_out_text
-from pytest_pafot.campaign.setup_fault import SetupFaultError
+from pytest_pafot.campaign.setup_fault import SetupFaultError, unit_doubt
 from pytest_pafot.campaign.simplification import Simplification, rollouts_for
-from pytest_pafot.campaign.verdict import no_skip, skips
+from pytest_pafot.campaign.state import State, agreed, lose
+from pytest_pafot.campaign.state_file import FLAG, StateFile, state_path
+from pytest_pafot.campaign.store import UNCONFIRMED, Store
+from pytest_pafot.campaign.verdict import Verdict, no_skip, skips
+from pytest_pafot.campaign.workers import Counting, Passed, Reader, Tally, Workers, caught_in, left_out_text
 from pytest_pafot.corpus.saved import Saved, saved_in
 from pytest_pafot.execution import scenario_pool
 from pytest_pafot.execution.crash_records import Leftover
+from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.execution.runner import Retried, must_stay_here, retry, runner_for
-from pytest_pafot.findings.finding import Manner
+from pytest_pafot.execution.scenario_pool import LostRun
+from pytest_pafot.findings.finding import Manner, failed_as, of_failure
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.sight import Sight
-from pytest_pafot.searching import run_campaign
-from pytest_pafot.searching.ask_tell import Algorithm, draws_ahead
-from pytest_pafot.searching.ask_tell_loop import CheckpointError
+from pytest_pafot.model.trace import Outcome
+from pytest_pafot.oracle.run import Run
+from pytest_pafot.searching.ask_tell import Algorithm, ResumableSearch
+from pytest_pafot.searching.evaluation import Evaluation
+from pytest_pafot.searching.events import EndReason, Event, GroupEvaluated
 from pytest_pafot.searching.fitness import FitnessError, is_built_in, resolve
+from pytest_pafot.searching.plan import AheadPlan, Checkpoint, CheckpointError, Plan, plan_of
 from pytest_pafot.searching.space import SearchSpace, sample
 from pytest_pafot.support.errors import OutOfTime, RequestError, command, flag
 from pytest_pafot.support.interrupts import postponed
@@ -77,9 +87,6 @@ is over by then [s]. So a search of a fast policy tests something although other
 
 MAX_UNLIKE = 3
 """The largest number of scenarios that are named because they fail like a saved scenario in another manner."""
-
-COUNTED_AT_ONCE = 16
-"""The number of evaluations after which a search that draws ahead counts them."""
 
 SLOWER = 0.5
 """The difference by which an ego must brake below the environment's least speed to show that it can [m/s]."""
@@ -132,22 +139,37 @@ class SearchResult:
     is_vacuous: bool  # True if nothing was tested, or if a broken reference prevented every failure from counting
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Prepared:
+    """The parts of a search that is ready to run."""
+
+    state: State
+    workers: Workers
+    store: Store
+
+    def search(
+        self, algorithm: Algorithm[Any], *, generations: int, seed: int, stop: Callable[[], bool]
+    ) -> Iterator[SearchEvent]:
+        """Search with an algorithm, without limits of time, until ``stop()`` says so between two scenarios."""
+        self.state.plan = plan_of(algorithm, generations=generations, seed=seed)
+        return search(self.state, self.workers, self.store, Watch(stop))
+
+
 @contextmanager
 def prepared(
     harness: Harness,
-    listener: Listener,
     *,
     space: SearchSpace | None = None,
     is_steered: bool = True,
     has_table: bool = False,
     wants_each: bool = True,
-) -> Iterator[Sessions]:
-    """Build the parts of a search that run scenarios, record findings and count. Stop their processes at the end.
+) -> Iterator[Prepared]:
+    """Build the parts of a search that run scenarios, count, and save findings. Stop their processes at the end.
 
     The search has the space that its request describes, unless one is given. It is steered towards collisions for which
-    the ego is responsible, unless ``blame="any"`` or ``is_steered`` is False. With ``has_table``, the listener is
-    told all that a table of runs needs, also of runs that another process judges. Without ``wants_each``, the listener
-    receives one event for several runs that another process has counted.
+    the ego is responsible, unless ``blame="any"`` or ``is_steered`` is False. With ``has_table``, the events have
+    all that a table of runs needs, also those of runs that another process judges. Without ``wants_each``, there is
+    one event for several runs that another process has counted.
 
     Raises:
         RequestError: for a fitness that does not exist, or a world that cannot be used.
@@ -192,30 +214,24 @@ def prepared(
         reference = harness.reference_runner(harness.job(), record, isolate=settings.isolate)
         if reference is not None:
             stack.push(reference.__exit__)
-        simulation = Simulation(harness, runner, record, reference)
-        confirm = partial(difference, simulation=simulation)
-        beginning = RandomBeginning(listener=listener)
-        loop = SearchLoop(
-            simulation=simulation,
-            recorder=Recorder(
+        state = State()
+        state.clock, state.space, state.begun = time.monotonic, space, begun
+        state.began = state.clock()
+        stack.callback(state.close)
+        yield Prepared(
+            state=state,
+            workers=Workers(
                 harness=harness,
-                seed=seed,
-                confirm=confirm,
-                listener=listener,
-                clock=time.monotonic,
-                asked=lambda: runner.asked,
+                runner=runner,
+                record=record,
+                reference=reference,
+                counting=counting,
+                fitness=fitness,
+                is_steered_by_checks=is_steered_by_checks,
+                clock=state.clock,
             ),
-            space=space,
-            fitness=fitness,
-            listener=beginning,
-            is_steered_by_checks=is_steered_by_checks,
-            counting=counting,
+            store=Store(harness=harness, seed=seed),
         )
-        sessions = Sessions(
-            harness=harness, seed=seed, loop=loop, beginning=beginning, clock=time.monotonic, begun=begun
-        )
-        stack.callback(sessions.close)
-        yield sessions
 
 
 def _why_judged_here(harness: Harness) -> str:
@@ -228,46 +244,381 @@ def _why_judged_here(harness: Harness) -> str:
     return "they were not forked from it" if is_apart or scenario_pool.METHOD != "fork" else ""
 
 
+@dataclass(slots=True)
+class Watch:
+    """What ends a search and reports how far it is. This one asks a function, and reports nothing."""
+
+    stop: Callable[[], bool] = lambda: False
+
+    def reached(self, plan: Plan[Any]) -> EndReason | None:
+        """Return the limit that is reached between two scenarios; None if there is none."""
+        return "stopped" if self.stop() else "runs" if plan.has_all_runs else None
+
+    def seconds_left(self) -> float:
+        """Return the time after which a run ends between two decisions [s]."""
+        return math.inf
+
+    def seen(self) -> Iterator[SearchEvent]:
+        """Yield a report of the progress if one is due after an event of the plan."""
+        yield from ()
+
+    def confirms(self, find_id: str) -> Iterator[SearchEvent]:
+        """Yield a report of the progress if one is due before a finding is run again."""
+        yield from ()
+
+
+def search(state: State, workers: Workers, store: Store, watch: Watch) -> Generator[SearchEvent, None, None]:
+    """Draw scenarios, drive and judge them, let the algorithm learn, and save each new failure; yield what happens.
+
+    Raises:
+        SetupFaultError: if all runs of the first generation end in the same exception.
+        CheckpointError: if the plan goes on from a checkpoint of another search.
+        RequestError: for a world, factory, test function or scenario that does not fit.
+    """
+    plan = state.plan
+    reason: EndReason | None = None
+    if plan is None:
+        return
+    began, evaluated_before = state.clock(), plan.sums.evaluated
+    yield from _seen([plan.started], state, watch)
+    workers.begin(plan, state.random_most, state.fatal)
+    while reason is None and not plan.is_over:
+        while not plan.is_whole:
+            # Limits count after the first scenario, so that a search tests something.
+            reason = None if plan.sums.evaluated == evaluated_before else watch.reached(plan)
+            if reason is not None:
+                break
+            known = plan.known()
+            if known is not None:
+                yield from _seen([plan.take(known, reused=True)], state, watch)
+                continue
+            try:
+                with runs_end_in(watch.seconds_left()):
+                    done = workers.next(plan, state.fatal)
+                    events = yield from _judged(done, plan, state, workers, store, watch)
+            except OutOfTime:
+                reason = "time"
+                break
+            if events is None:  # Its process died or hung.
+                events = yield from _lost(done, plan, state, workers, store)
+            state.decides_for_many = plan.decides_for_many = state.decides_for_many or workers.runner.decides_for_many
+            yield from _seen(events, state, watch)
+        # The algorithm learns from whole generations. Between two of them the state is stored.
+        if reason is None:
+            news, learnt = plan.news, plan.learn()
+            # Until two runs differ, this process must see each failure, which may be a fault of the set-up.
+            workers.learn(news, frozenset() if state.first.is_alike else frozenset({*state.shown, *state.finds}))
+            yield from _seen(learnt, state, watch)
+            state.offer(store)
+    yield from _seen(plan.finished(reason or "generations", state.clock() - began), state, watch)
+
+
+def _seen(happened: Iterable[Event], state: State, watch: Watch) -> Iterator[SearchEvent]:
+    """Yield events of the plan, and count what they say."""
+    for event in happened:
+        yield event
+        state.see(event)
+        yield from watch.seen()
+
+
+Judging = Generator[SearchEvent, None, Sequence[Event] | None]
+
+
+def _judged(
+    done: Run | Passed | Tally | LostRun | None,
+    plan: Plan[Any],
+    state: State,
+    workers: Workers,
+    store: Store,
+    watch: Watch,
+) -> Judging:
+    """Judge what became of the next scenarios and count it; return the plan's events, or None for a lost run."""
+    __tracebackhide__ = True
+    match done:
+        case Run():
+            return [plan.take((yield from _judged_here(done, state, workers, store, watch)))]
+        case Passed():
+            yield done.event
+            state.see(done.event)
+            state.take_passed(done)
+            yield from _released(state, store)
+            return [plan.take(done.evaluation)]
+        case Tally():
+            for _, event in done.judged or ():
+                yield event
+                state.see(event)
+            state.take_tally(done)
+            yield from _released(state, store)
+            return _counted(done, plan)
+    return None
+
+
+def _counted(tally: Tally, plan: Plan[Any]) -> Sequence[Event]:
+    """Return the events of runs that other processes have drawn and counted: one for each, or one for all."""
+    if not isinstance(plan, AheadPlan):
+        raise TypeError(f"plan: expected one whose scenarios other processes draw, received {plan!r:.100}")
+    first = plan.index
+    if tally.judged is not None:
+        return plan.take_all([evaluation for evaluation, _ in tally.judged], tally.news)
+    plan.skip(tally.runs, tally.news)
+    return [GroupEvaluated(generation=plan.generation, index=first, runs=tally.runs, counts=tally)]
+
+
+def _judged_here(
+    run: Run, state: State, workers: Workers, store: Store, watch: Watch
+) -> Generator[SearchEvent, None, Evaluation]:
+    """Judge and count a run, and save a new failure before the next run; return what the algorithm sees of it."""
+    __tracebackhide__ = True
+    is_alone, verdict = workers.runner.is_alone, workers.judge(run)
+    judged = [Judged.here(run, verdict)]
+    if verdict.failed and not is_alone:  # Run it alone as its replay will, in case a batch mixes up its rows.
+        run = workers.run(run.trace.scenario, afresh=True)
+        verdict = workers.judge(run)
+        judged.append(Judged.here(run, verdict))
+        state.repeated[verdict.failed] += 1
+    for event in judged:  # After both runs, because the time limit may end the second one, and then none counts.
+        yield event
+        state.see(event)
+    state.take(run, verdict, caught_in(verdict), unit_doubt(run.trace))
+    yield from _released(state, store)
+    signature = None
+    if verdict.failed and verdict.failure is not None:
+        signature, manner = failed_as(run, verdict.failure)
+        state.see_manner(signature, manner, run.scenario.id)
+        if state.knows(signature):
+            state.repeat(signature)
+        else:
+            found = yield from saved_as(run, verdict, state.generation, state.runs, workers, store, watch)
+            state.add(signature, found)
+    return workers.evaluation(run, verdict, signature)
+
+
+def saved_as(
+    run: Run, verdict: Verdict, generation: int, number: int, workers: Workers, store: Store, watch: Watch
+) -> Generator[SearchEvent, None, str]:
+    """Save a new failure, run its scenario again to confirm it, and report it or hold it back; return its id.
+
+    The numbers are as in :meth:`Store.add`.
+    """
+    kept = store.add(run, verdict, generation, number)
+    if isinstance(kept, str):
+        return kept
+    # It is saved before it is confirmed, so that nothing is lost if the session dies in the second run.
+    if not verdict.is_timed:
+        yield from watch.confirms(kept.find.id)
+        try:
+            if differs := workers.confirmed(run):
+                kept = store.call_flaky(kept, differs)
+        except OutOfTime:
+            kept = replace(kept, find=replace(kept.find, unshrunk=UNCONFIRMED))
+    store.kept[kept.find.id] = kept
+    if not store.is_holding:
+        yield from store.report(kept)
+    return kept.find.id
+
+
+def _released(state: State, store: Store) -> Iterator[SearchEvent]:
+    """Report the findings that were held back, as soon as two runs differ, which is no fault of the set-up."""
+    if store.is_holding and not state.first.is_alike:
+        yield from store.release()
+
+
+def _lost(
+    lost: object, plan: Plan[Any], state: State, workers: Workers, store: Store
+) -> Generator[SearchEvent, None, Sequence[Event]]:
+    """Record a scenario in which a process died or hung now or, if ``lost`` is None, earlier."""
+    state.first.is_alike = False
+    yield from _released(state, store)
+    if isinstance(lost, ProcessLostError):
+        is_failure = yield from lose(lost, state, workers, store)
+        state.verdicts["failed" if is_failure else "common"] += 1
+    return [plan.take(_unknown(plan.scenario()))]
+
+
+def _unknown(scenario: Scenario) -> Evaluation:
+    """Return the evaluation of a scenario in which a process died: nothing is known about it."""
+    return Evaluation(
+        scenario=scenario,
+        executed=scenario,
+        fitness=0.0,
+        failing=False,
+        outcome=Outcome.SAFE,
+        duration=0.0,
+        genes_started=0,
+        genes_reached=0,
+        interaction=False,
+        discarded=True,
+    )
+
+
+@dataclass(slots=True, kw_only=True)
+class TimedWatch(Watch):
+    """The watch of a search that has a limit of time or of findings, and a listener that wants to see its progress.
+
+    Attributes:
+        node_id: the node id of the search in reports.
+        limit: the limit of the time of the search.
+        most: the number of findings after which it ends, or None.
+        progress_seconds: the interval between reports of progress [s].
+        began: the time at which the loop began [s].
+        until: the earliest time at which it ends for lack of time [s].
+        last: the time of the last event of the plan [s].
+    """
+
+    node_id: str
+    state: State
+    workers: Workers
+    store: Store
+    limit: TimeLimit
+    most: int | None
+    progress_seconds: float
+    began: float = 0.0
+    until: float = math.inf
+    last: float = 0.0
+    _runs_before: int = 0
+    _told_at: float = field(init=False)
+    # the time [s], without what confirmed findings, and the number of runs after the first one, which loads libraries
+    _since: tuple[float, int] | None = field(init=False, default=None)
+
+    def __post_init__(self) -> None:
+        self._told_at = self.state.clock()
+
+    def begin(self, until: float) -> None:
+        """Note that the loop begins now, and the earliest time at which it may end [s]."""
+        self.began = self.last = self.state.clock()
+        self.until, self._runs_before = until, self.state.runs
+
+    def reached(self, plan: Plan[Any]) -> EndReason | None:
+        """Return the limit that is reached between two scenarios; None if there is none."""
+        if self.most is not None and self.store.count >= self.most:
+            return "stopped"
+        if plan.has_all_runs:
+            return "runs"
+        return "time" if self.state.clock() >= self._ends() else None
+
+    def seconds_left(self) -> float:
+        """Return the time after which a run may be cut [s]. The first run gets its time in any case."""
+        ends = self._ends() if self.store.firm else self.limit.until
+        ends = ends if self.state.runs > self._runs_before else max(ends, self.began + LEAST)
+        return ends - self.state.clock()
+
+    def _ends(self) -> float:
+        """Return when the loop has to end, given its findings so far [s].
+
+        That leaves the time to simplify its findings, or without any, to confirm one in its last run, as far as can be
+        told from the runs so far. Runs of a policy that decides for many at once do not tell how long one alone takes.
+        """
+        harness, state = self.workers.harness, self.state
+        settings, firm = harness.request.settings, self.store.firm
+        if self.limit.until == math.inf or (firm and state.decides_for_many):
+            return self.until
+        to_simplify = RUNS_TO_CONFIRM + rollouts_for(harness) + RUNS_A_NEIGHBOUR * settings.neighbours
+        to_compare = 0 if harness.against is None else 2 * settings.pairs
+        run_seconds = (state.clock() - self.began) * settings.workers / max(state.runs - self._runs_before, 1)
+        return max(self.until, self.limit.until - (firm * to_simplify + to_compare or RUNS_TO_CONFIRM) * run_seconds)
+
+    def seen(self) -> Iterator[SearchEvent]:
+        """Yield a report of the progress if one is due after an event of the plan."""
+        self.last = self.state.clock()
+        if self._since is None and self.state.runs > self._runs_before:
+            self._since = self.last - self.workers.confirm_seconds, self.state.runs
+        return self.progress()
+
+    def confirms(self, find_id: str) -> Iterator[SearchEvent]:
+        """Yield a report of the progress if one is due before a finding is run again."""
+        return self.progress(f"found {find_id}, running it again")
+
+    @property
+    def _run_seconds(self) -> float:
+        """The mean time of a run in the process that makes it [s]; 0 if it is not known yet.
+
+        Confirming a finding is left out: at first most failures are new, and later hardly any.
+        """
+        runner = self.workers.runner
+        if runner.processes.in_use:
+            return runner.processes.run_seconds
+        # The first runs of an executor come at the same time, after that of one run.
+        if self._since is None or (runner.processes.is_elsewhere and not self.state.generation):
+            return 0.0
+        began, before = self._since
+        made = self.state.runs + runner.ready - before
+        return (self.state.clock() - self.workers.confirm_seconds - began) / made if made else 0.0
+
+    def progress(self, phase: str = "", of: str = "") -> Iterator[SearchEvent]:
+        """Yield a report of the progress if one is due, in a phase of the work on a finding."""
+        state, runner = self.state, self.workers.runner
+        now = state.clock()
+        if now - self._told_at < self.progress_seconds:
+            return
+        self._told_at = now
+        budget, generations = state.budget(self.workers.harness.request.settings)
+        run_seconds = self._run_seconds
+        runs_left = 0 if budget is None else budget - state.runs - runner.ready
+        decisions = 0 if state.is_resumed else self.workers.decisions  # some of the runs are of an earlier session
+        yield Progress(
+            node_id=self.node_id,
+            generation=min(state.generation + 1, generations or state.generation + 1),
+            generations=generations,
+            runs=state.runs,
+            budget=budget,
+            failing=state.verdicts["failed"],
+            finds=self.store.count,
+            seconds=state.seconds_so_far,
+            left=runs_left * run_seconds / max(runner.processes.in_use, 1),
+            decision_seconds=run_seconds * state.runs / decisions if decisions else 0.0,
+            is_limited=self.limit.until < math.inf,
+            phase=phase,
+            of=of,
+        )
+
+
 @dataclass(slots=True, kw_only=True)
 class Search:
     """The search of one test, from the replays of saved scenarios to the summary."""
 
     node_id: str  # the node id in reports
-    sessions: Sessions  # made by :func:`prepared`
+    parts: Prepared
     replays: Replays
     limit: TimeLimit
+    listener: Listener  # receives all events, in their order
     stops_at_first: bool = False  # True if it ends at its first new finding
     shrinks_later: bool = False  # True if the command ``corpus shrink`` can shrink its findings, which needs the test
     progress_seconds: float = 10.0  # interval between reports of progress [s]
     driver_notes: list[str] = field(default_factory=list)  # notes on drivers of the world that failed
     process_notes: list[str] = field(default_factory=list)  # notes on processes for the summary
+    harness: Harness = field(init=False)
+    state: State = field(init=False)
+    workers: Workers = field(init=False)
+    store: Store = field(init=False)
+    watch: TimedWatch = field(init=False)
     _shrink_runs: int = field(init=False, default=0)
     _neighbour_runs: int = field(init=False, default=0)
     _shrink_decisions: int = field(init=False, default=0)
     _neighbour_decisions: int = field(init=False, default=0)
     _worse: MadeWorse | None = field(init=False, default=None)  # of a search with findings and a reference
     _manners: dict[str, Manner] = field(init=False, default_factory=dict)  # of the saved scenarios, by id
-    _told_at: float = field(init=False)
-    # the time [s], without what confirmed findings, and the number of runs after the first one, which loads libraries
-    _since: tuple[float, int] | None = field(init=False, default=None)
 
     def __post_init__(self) -> None:
-        self._told_at = self.sessions.clock()
-
-    @property
-    def harness(self) -> Harness:
-        """The harness of the search."""
-        return self.sessions.harness
-
-    @property
-    def loop(self) -> SearchLoop:
-        """The loop over scenarios, with everything that the search has seen so far."""
-        return self.sessions.loop
+        self.state, self.workers, self.store = self.parts.state, self.parts.workers, self.parts.store
+        self.harness = self.workers.harness
+        self.watch = TimedWatch(
+            node_id=self.node_id,
+            state=self.state,
+            workers=self.workers,
+            store=self.store,
+            limit=self.limit,
+            most=1 if self.stops_at_first else self.harness.request.settings.stop_after,
+            progress_seconds=self.progress_seconds,
+        )
 
     @property
     def _told_with_warnings(self) -> tuple[str, ...]:
         """The reasons for an end that leave enough runs to warn of their health."""
         return DONE, ALL_RUN, self.limit.flag
+
+    def _send(self, happened: Iterable[SearchEvent]) -> None:
+        for event in happened:
+            self.listener(event)
 
     def run(self) -> SearchResult:
         """Replay saved scenarios, search, simplify the findings, and report a summary.
@@ -278,95 +629,100 @@ class Search:
             RequestError: if the search cannot be run as requested.
         """
         __tracebackhide__ = True
-        harness, loop, recorder, simulation = self.harness, self.loop, self.loop.recorder, self.loop.simulation
-        recorder.listener(
+        harness, state, workers, store = self.harness, self.state, self.workers, self.store
+        self.listener(
             SearchStarted(
                 node_id=self.node_id,
-                seed=self.sessions.seed,
+                seed=store.seed,
                 speed_limit=float(harness.world.speed_limit),
                 acts_in_si=protocol.acts_in_si(harness.world, harness.ads),
             )
         )
-        began = self.sessions.clock()
-        recorder.until = max(self.limit.until, began + LEAST)
-        recorder.begins = lambda find_id: self._tell_progress(f"found {find_id}, running it again")
+        began = state.clock()
+        workers.until = max(self.limit.until, began + LEAST)
         # A process of an earlier session may have died: its scenarios are tried again before anything else.
         left = harness.left_behind()
         retried = [self._retried(leftover, left) for leftover in left]
         self.process_notes += [note for each in retried for note in each.notes]
         reason, fault = "interrupted", None
         try:
-            with simulation.runner:
+            with workers.runner:
                 reason = self._searched(saved_in(harness.folder), began)
             # All findings are reported and the state is stored before shrinking, which takes long and may be cut.
-            recorder.release()
-            self.sessions.store()
+            self._send(store.release())
+            state.write(store)
             # With a reference, the findings that do not show that the policy became worse are not even shrunk.
-            if harness.against is not None and loop.space is not None and recorder.count:
-                now = self.sessions.clock()
+            if harness.against is not None and state.space is not None and store.count:
+                now = state.clock()
                 self._worse = MadeWorse(
-                    loop=loop,
-                    seed=self.sessions.seed,
+                    state=state,
+                    workers=workers,
+                    store=store,
                     most=harness.request.settings.pairs,
-                    clock=self.sessions.clock,
                     until=now + (self.limit.until - now) / 2,
-                    tell=lambda phase: self._tell_progress(phase, "comparison"),
                 )
-                self._worse.compare(loop.space)
-            plain = None if loop.space is None else (loop.space.ego_lane, loop.space.ego_speed)
-            work = Simplification(
-                loop=loop,
-                tell=lambda phase: self._tell_progress(phase, work.current),
-                plain=plain,
-                plain_seconds=None if loop.space is None else loop.space.gene_seconds,
-                neighbours=harness.request.settings.neighbours,
-                answers=self.sessions.answers,
-                clock=self.sessions.clock,
-                until=self.limit.until,
-                after_attempt=lambda: self.sessions.after_attempt(work.done),
-            )
-            try:
-                with GENERATORS.held():
-                    work.run_all(f"; {flag('resume')} goes on" if self.sessions.go_on else "")
-                    if self._worse is not None:
-                        self._worse.conclude()
-                    if reason in self._told_with_warnings:
-                        with suppress(OutOfTime), runs_end_in(self.limit.until - self.sessions.clock()):
-                            loop.check_pure()
-            finally:  # Even after Ctrl-C, findings that were simplified must not be simplified again.
-                self._shrink_runs, self._neighbour_runs = work.runs, work.neighbour_runs
-                self._shrink_decisions, self._neighbour_decisions = work.shrink_decisions, work.neighbour_decisions
-                self.driver_notes += work.notes
-                self.sessions.store(simplified=work.done)
+                for event in self._worse.compare(state.space):
+                    self._send(self.watch.progress(event, "comparison") if isinstance(event, str) else [event])
+            self._simplify(reason)
         except SetupFaultError as error:
             reason, fault = "error", error
-            recorder.withdraw()
-            loop.known.clear()  # The same error ends the saved scenarios now, but was not what they were saved for.
-            loop.failures.clear()
-            loop.finds.clear()  # They are withdrawn, and must not count as findings of earlier sessions.
+            self._send(store.withdraw())
+            state.forget_findings()
         except BaseException as error:
             reason = "interrupted" if is_interruption(error) else "error"
             raise
         finally:
             with postponed():
-                recorder.release()
+                self._send(store.release())
                 for each in retried:
                     if each.pending is not None:
                         each.pending.discard()
-                self.process_notes += simulation.runner.notes
-                if simulation.record.error:
-                    self.process_notes += [str(simulation.record.error)]
+                self.process_notes += workers.runner.notes
+                if workers.record.error:
+                    self.process_notes += [str(workers.record.error)]
                 summary = self._summary(reason)
-                recorder.listener(summary)
+                self.listener(summary)
         return SearchResult(
             summary=summary,
-            kept=tuple(recorder.kept.values()),
-            count=recorder.count,
-            first=recorder.first,
+            kept=tuple(store.kept.values()),
+            count=store.count,
+            first=store.first,
             fault=None if fault is None else fault.shown(harness.world, harness.ads),
-            skip=loop.skip if loop.skip is not None and loop.verdicts["skipped"] == loop.runs else None,
-            is_vacuous=loop.health.vacuous or bool(loop.broken),
+            skip=state.skip if state.skip is not None and state.verdicts["skipped"] == state.runs else None,
+            is_vacuous=state.health.vacuous or bool(state.broken),
         )
+
+    def _simplify(self, reason: str) -> None:
+        """Shrink the findings, and look at their neighbours and at decisions."""
+        __tracebackhide__ = True
+        state, space, clock = self.state, self.state.space, self.state.clock
+        work = Simplification(
+            state=state,
+            workers=self.workers,
+            store=self.store,
+            send=self._send,
+            tell=lambda phase: self._send(self.watch.progress(phase, work.current)),
+            plain=None if space is None else (space.ego_lane, space.ego_speed),
+            plain_seconds=None if space is None else space.gene_seconds,
+            neighbours=self.harness.request.settings.neighbours,
+            answers=state.answers,
+            clock=clock,
+            until=self.limit.until,
+            after_attempt=lambda: state.offer(self.store, work.done),
+        )
+        try:
+            with GENERATORS.held():
+                work.run_all(f"; {flag('resume')} goes on" if state.file is not None else "")
+                if self._worse is not None:
+                    self._send(self._worse.conclude())
+                if reason in self._told_with_warnings:
+                    with suppress(OutOfTime), runs_end_in(self.limit.until - clock()):
+                        state.impure = self.workers.impure()
+        finally:  # Even after Ctrl-C, findings that were simplified must not be simplified again.
+            self._shrink_runs, self._neighbour_runs = work.runs, work.neighbour_runs
+            self._shrink_decisions, self._neighbour_decisions = work.shrink_decisions, work.neighbour_decisions
+            self.driver_notes += work.notes
+            state.write(self.store, work.done)
 
     def _retried(self, leftover: Leftover, left: Sequence[Leftover]) -> Retried:
         """Run the scenarios again in which a process of an earlier session died; return the result.
@@ -390,28 +746,31 @@ class Search:
                 f"be made here now, {dict(leftover.world or {})!r:.200}; it cannot be tried again, so it is no finding"
             )
             return Retried(notes=(note,), pending=leftover)
-        return retry(
+        before = set(self.store.kept)
+        again = retry(
             leftover,
             harness.job(world),
             partial(harness.judge_trace, world),
             isolate=harness.request.settings.isolate,
             has_died_twice=sum(not each.is_watched for each in same) > 1,
-            keep=self.loop.recorder.keep_crash,
-            run_here=self.loop.simulation.rerun_one_by_one,
+            keep=self.store.add_crash,
+            run_here=self.workers.rerun_one_by_one,
         )
+        for each in [each for id_, each in self.store.kept.items() if id_ not in before]:
+            self._send(self.store.report(each))
+        return again
 
     def _searched(self, saved: Sequence[Saved], began: float) -> str:
-        """Run the campaign; return why it ended. ``began`` is the time at which the search began [s].
+        """Replay the saved scenarios and search; return why it ended. ``began`` is when the search began [s].
 
         Raises:
             RequestError: if the algorithm does not support the settings, or the fitness cannot be used.
         """
         __tracebackhide__ = True
-        if self.loop.space is None:
+        state, space, watch, clock = self.state, self.state.space, self.watch, self.state.clock
+        if space is None:
             return "replay only"
-        space, loop, runner = self.loop.space, self.loop, self.loop.simulation.runner
         request, settings = self.harness.request, self.harness.request.settings
-        limit = 1 if self.stops_at_first else settings.stop_after
         # The algorithm twice: a policy that decides for many runs at once gets a larger population, but only its first
         # generation shows whether it does.
         try:
@@ -423,218 +782,194 @@ class Search:
             raise RequestError(str(error)) from None
         # What is known before the first run: the state of earlier sessions, and the failures that saved scenarios still
         # show. The search's own findings of earlier sessions are part of that state, not known failures.
-        self.sessions.beginning.most = getattr(algorithm, "counted_at_first", 0.0)
-        resumed = self.sessions.resume(algorithm, space, saved)
-        others = [each for each in saved if not self.sessions.is_own(each)]
-        loop.recorder.replayed = frozenset(each.path for each in others)
-        loop.fatal |= {each.finding.scenario for each in others if each.finding is not None and each.is_crash}
-        search_until = began + (self.limit.until - began) * (1 - FOR_SIMPLIFYING)
+        state.random_most = getattr(algorithm, "counted_at_first", 0.0)
+        resumed = self._resumed(algorithm, space, saved)
+        others = [each for each in saved if not self._is_own(each)]
+        self.store.replayed = frozenset(each.path for each in others)
+        state.fatal |= {each.finding.scenario for each in others if each.finding is not None and each.is_crash}
+        until = began + (self.limit.until - began) * (1 - FOR_SIMPLIFYING)
         try:
-            with runs_end_in(loop.recorder.until - self.sessions.clock()):
-                loop.shown = self.replays.shown_by(others)  # Their failures are not new.
+            with runs_end_in(self.workers.until - clock()):
+                state.shown = self.replays.shown_by(others)  # Their failures are not new.
                 self._manners = {each.id: Manner.of(each.finding.expect) for each in others if each.finding is not None}
-                self.sessions.find_again(saved, search_until)
+                self._send(self._find_again(saved, until))
         except OutOfTime:  # It is unknown what is known, so nothing could be called new.
             return self.limit.flag
-
-        def adapted(algorithm: Algorithm[Any], generation: int) -> Algorithm[Any]:
-            return for_batches if generation and self.sessions.decides_for_many else algorithm
-
-        runs_before, campaign_began = loop.runs, self.sessions.clock()
-        last = campaign_began  # the end of the last run
-
-        def tick() -> None:
-            nonlocal last
-            last = self.sessions.clock()
-            if self._since is None and loop.runs > runs_before:
-                self._since = last - loop.recorder.confirm_seconds, loop.runs
-            self._tell_progress()
-
-        campaign_ends = self._campaign_ends(campaign_began, runs_before, search_until)
-
-        # A run may be cut when the time is over; the first run gets its time in any case.
-        def seconds_left() -> float:
-            ends = campaign_ends() if loop.recorder.firm else self.limit.until
-            return (ends if loop.runs > runs_before else max(ends, began + LEAST)) - self.sessions.clock()
-
-        is_ahead = draws_ahead(algorithm)
-        if loop.counting is not None:
-            loop.counting.random_runs, loop.counting.fatal = self.sessions.beginning.most, loop.fatal
-
-        def foresee(scenarios: Iterable[Scenario]) -> None:
-            runner.announce((each for each in scenarios if each not in loop.fatal), more=is_ahead)
-            if not is_ahead or len(loop.uncounted) >= COUNTED_AT_ONCE:
-                loop.count()  # now, because other processes are busy with the scenarios
-
-        # The campaign is a generator: the loop that follows its events makes it draw, run and breed.
+        watch.begin(until)
+        runs_before = state.runs
         try:
-            events = run_campaign(
+            state.plan = plan_of(
                 algorithm,
-                loop.evaluate,
                 generations=settings.generations,
                 runs=settings.runs,
-                seed=self.sessions.seed,
-                max_seconds=lambda: max(0.0, campaign_ends() - campaign_began),
-                clock=self.sessions.clock,
-                stop=lambda: limit is not None and loop.recorder.count >= limit,
+                seed=self.store.seed,
+                for_batches=for_batches,
+                decides_for_many=state.decides_for_many,
                 seeds_matter=(sight_of(self.harness.ads) or Sight()).is_drawn,
-                foresee=foresee,
-                team=None if loop.counting is None else loop,
-                adapted=adapted,
                 resumed=resumed,
-                border=self.sessions.at_border,
             )
-            loop.seconds_left = seconds_left
-            loop.follow(events, tick)
+            if resumed is None:
+                state.offer(self.store)
+            with closing(search(state, self.workers, self.store, watch)) as events:
+                self._send(events)
         except CheckpointError as error:
-            raise self.sessions.refused(error) from None
+            raise RequestError(str(error)) if state.file is None else state.file.refused(error) from None
         except FitnessError as error:
             raise RequestError(str(error)) from None
         except skips() as error:
             raise RequestError(no_skip("the fitness", error)) from None
         reasons = {"generations": DONE, "runs": ALL_RUN, "time": self.limit.flag, "stopped": "enough findings"}
-        lost, runs = self.sessions.clock() - last, loop.runs - runs_before
-        is_cut = loop.finished is not None and loop.finished.reason == "time"
-        if is_cut and lost > max(1.0, LOST * (last - campaign_began) / (runs + 1)):
+        lost, runs = clock() - watch.last, state.runs - runs_before
+        is_cut = state.finished is not None and state.finished.reason == "time"
+        if is_cut and lost > max(1.0, LOST * (watch.last - watch.began) / (runs + 1)):
             self.driver_notes.append(
                 f"{self.limit.flag} cut a run after {lost:.1f} s, with {plural(runs, 'run')} before it: if a decision "
                 "hangs, a longer limit or a shorter hang_limit of the world shows it"
             )
-        return "interrupted" if loop.finished is None else reasons[loop.finished.reason]
+        return "interrupted" if state.finished is None else reasons[state.finished.reason]
 
-    def _campaign_ends(self, began: float, runs_before: int, search_until: float) -> Callable[[], float]:
-        """Return a function that says when the campaign has to end [s], given its findings so far.
+    def _resumed(self, algorithm: Algorithm[Any], space: SearchSpace, saved: Sequence[Saved]) -> Checkpoint[Any] | None:
+        """Go on from the state of earlier sessions; return the progress of their plan, or None for a new search.
 
-        That leaves the time to simplify its findings, or without any, to confirm one in its last run, as far as can be
-        told from the runs so far. Runs of a policy that decides for many at once do not tell how long one alone takes.
-        The campaign began at the time ``began`` [s], after ``runs_before`` runs; ``search_until`` is the earliest end
-        [s].
+        Raises:
+            RequestError: if the algorithm cannot be resumed, or if the state belongs to another search or is in use by
+                another session.
         """
-        loop, clock, settings = self.loop, self.sessions.clock, self.harness.request.settings
-        to_simplify = RUNS_TO_CONFIRM + rollouts_for(self.harness) + RUNS_A_NEIGHBOUR * settings.neighbours
-        to_compare = 0 if self.harness.against is None else 2 * settings.pairs
-
-        def ends() -> float:
-            run_seconds = (clock() - began) * settings.workers / max(loop.runs - runs_before, 1)
-            firm = loop.recorder.firm
-            if firm and self.sessions.decides_for_many:
-                return search_until
-            return max(
-                search_until, self.limit.until - (firm * to_simplify + to_compare or RUNS_TO_CONFIRM) * run_seconds
+        harness, state = self.harness, self.state
+        state.before = tuple(each.id for each in saved)
+        if harness.states is None:
+            return None
+        if not isinstance(algorithm, ResumableSearch):
+            raise RequestError(
+                f"{FLAG}: expected an algorithm that can be resumed, such as distinct or random, received "
+                f"{harness.request.algorithm.name!r}; search without {FLAG}, or add the methods stored and restored to "
+                "your own algorithm (pytest_pafot.searching.ResumableSearch)"
             )
+        path, settings = state_path(harness.states, harness.node_id), agreed(harness, algorithm, space)
+        state.file = StateFile(path=path, settings=settings, algorithm=algorithm, clock=state.clock)
+        state.file.claim()
+        found = state.file.read(State)
+        if found is None:
+            return None
+        earlier, checkpoint = found
+        state.resume(earlier, runs=checkpoint.sums.simulated, generations=checkpoint.generation)
+        if checkpoint.sums.evaluated:  # A fault of the set-up would have ended the search in its first session.
+            state.first.is_alike = False
+            self._send(self.store.release())
+        return checkpoint
 
-        return ends
+    def _is_own(self, saved: Saved) -> bool:
+        """Return whether a saved scenario is a finding of this search from an earlier session."""
+        found = None if saved.finding is None else saved.finding.found
+        algorithm = self.harness.request.algorithm.name
+        is_of_search = found is not None and (found.seed, found.algorithm) == (self.store.seed, algorithm)
+        return self.state.file is not None and is_of_search and saved.id not in self.state.before
 
-    @property
-    def _run_seconds(self) -> float:
-        """The mean time of a run in the process that makes it [s]; 0 if it is not known yet.
+    def _find_again(self, saved: Sequence[Saved], until: float) -> Iterator[SearchEvent]:
+        """Run again the findings that earlier sessions have not shrunk, and the findings that have no file.
 
-        Confirming a finding is left out: at first most failures are new, and later hardly any.
+        If findings without a file were skipped, a search that saves none, or whose corpus was lost, would pass forever.
+        After the time ``until`` [s], findings with a file are left to a later session.
         """
-        loop, runner = self.loop, self.loop.simulation.runner
-        if runner.processes.in_use:
-            return runner.processes.run_seconds
-        # The first runs of an executor come at the same time, after that of one run.
-        if self._since is None or (runner.processes.is_elsewhere and not loop.generation):
-            return 0.0
-        began, before = self._since
-        made = loop.runs + runner.ready - before
-        return (self.sessions.clock() - loop.recorder.confirm_seconds - began) / made if made else 0.0
-
-    def _tell_progress(self, phase: str = "", of: str = "") -> None:
-        now, loop = self.sessions.clock(), self.loop
-        if now - self._told_at < self.progress_seconds:
-            return
-        self._told_at = now
-        budget, generations = self.sessions.budget
-        runner, run_seconds = loop.simulation.runner, self._run_seconds
-        runs_left = 0 if budget is None else budget - loop.runs - runner.ready
-        decisions = 0 if self.sessions.is_resumed else loop.decisions  # some of the runs are of an earlier session
-        loop.recorder.listener(
-            Progress(
-                node_id=self.node_id,
-                generation=min(loop.generation + 1, generations or loop.generation + 1),
-                generations=generations,
-                runs=loop.runs,
-                budget=budget,
-                failing=loop.verdicts["failed"],
-                finds=loop.recorder.count,
-                seconds=self.sessions.seconds,
-                left=runs_left * run_seconds / max(runner.processes.in_use, 1),
-                decision_seconds=run_seconds * loop.runs / decisions if decisions else 0.0,
-                is_limited=self.limit.until < math.inf,
-                phase=phase,
-                of=of,
+        __tracebackhide__ = True
+        state, workers, store = self.state, self.workers, self.store
+        for find in state.earlier:
+            # There is a file of the same name, or a simpler one of the same kind after `corpus join`.
+            is_there = any(
+                each.id == find.id or (each.finding is not None and each.finding.signature == find.signature)
+                for each in saved
             )
-        )
+            if find.found is None:
+                state.unsaved_before.add(find.id)
+                continue
+            if is_there and not find.is_due:
+                continue
+            if is_there and state.clock() >= until:
+                state.postponed.add(find.id)
+                state.answers[find.id] = list(find.answers)
+                continue
+            if not is_there:  # forget it, so that it counts as new again, even if the process dies in it
+                del state.finds[find.signature]
+            scenario, generation, number = find.found
+            try:
+                run = workers.run(scenario, afresh=True)
+            except ProcessLostError as error:
+                yield from lose(error, state, workers, store)
+                continue
+            verdict = workers.judge(run)
+            failure = verdict.failure if verdict.failed else None
+            if failure is not None and of_failure(run, failure) == find.signature:
+                find_id = yield from saved_as(run, verdict, generation, number, workers, store, self.watch)
+                state.add(find.signature, find_id)
+                state.answers[find_id] = list(find.answers)
 
     def _summary(self, reason: str) -> SearchSummary:
-        settings, loop, health = self.harness.request.settings, self.loop, self.loop.health
-        budget, generations = self.sessions.budget
-        is_cut = reason == self.limit.flag and not self.sessions.go_on
+        settings, state, health = self.harness.request.settings, self.state, self.state.health
+        budget, generations = state.budget(settings)
+        is_cut = reason == self.limit.flag and self.state.file is None
         cut = [f"cut by {reason}: the same seed may find other scenarios next time"] * is_cut
-        finds = [kept.find for kept in loop.recorder.kept.values()]
+        finds = [kept.find for kept in self.store.kept.values()]
         notes = (
-            loop.doubt,
+            state.doubt,
             self._excused_late,
-            loop.known_alone,
+            state.known_alone,
             self._unused,
             self._without_effect,
             *self._unlike_episodes,
             self._out_of_reach,
-            loading_hint(self.harness.ads) if loop.runs else "",
+            loading_hint(self.harness.ads) if state.runs else "",
         )
-        beginning, crossings = self.sessions.beginning, None if loop.space is None else loop.space.crossings
+        random, crossings = state.random, None if state.space is None else state.space.crossings
         ways = [] if crossings is None else [zone.way for zone in crossings.zones]
         # An error says nothing about the ego, and a rate of random scenarios that end at the first failure is too high.
-        is_cut_short = reason == "error" or (reason == "enough findings" and not beginning.is_whole)
+        is_cut_short = reason == "error" or (reason == "enough findings" and not state.has_all_random)
         return SearchSummary(
             node_id=self.node_id,
             algorithm=self.harness.request.algorithm.name,
             profile=settings.profile,
             base_seed=settings.seed,
-            seed=self.sessions.seed,
-            generations=loop.generation if loop.finished is None else loop.finished.generations,
+            seed=self.store.seed,
+            generations=state.generation if state.finished is None else state.finished.generations,
             asked=generations,
             budget=budget,
             reason=reason,
-            seconds=self.sessions.seconds,
-            runs=loop.runs,
+            seconds=state.seconds_so_far,
+            runs=state.runs,
             known_runs=health.reused,
-            invalid=loop.verdicts["invalid"],
-            npc=loop.verdicts["npc"] + loop.verdicts["avoidable"],
-            avoidable=loop.verdicts["avoidable"],
-            unpreventable=loop.verdicts["unpreventable"],
-            common=loop.verdicts["common"],
-            rejected=loop.verdicts["rejected"],
-            skipped=loop.verdicts["skipped"],
+            invalid=state.verdicts["invalid"],
+            npc=state.verdicts["npc"] + state.verdicts["avoidable"],
+            avoidable=state.verdicts["avoidable"],
+            unpreventable=state.verdicts["unpreventable"],
+            common=state.verdicts["common"],
+            rejected=state.verdicts["rejected"],
+            skipped=state.verdicts["skipped"],
             reached=health.reached_share if health.genes_started and health.goals else None,
             no_interaction=health.no_interaction,
-            failing=loop.verdicts["failed"],
-            finds=tuple(replace(find, repeats=loop.repeats[find.id]) for find in finds),
-            unsaved={id_: 1 + loop.repeats[id_] for id_ in loop.recorder.unsaved},
+            failing=state.verdicts["failed"],
+            finds=tuple(replace(find, repeats=state.repeats[find.id]) for find in finds),
+            unsaved={id_: 1 + state.repeats[id_] for id_ in self.store.unsaved},
             shrink_runs=self._shrink_runs,
             neighbour_runs=self._neighbour_runs,
-            decisions=loop.decisions - self._shrink_decisions - self._neighbour_decisions,
-            confirm_decisions=loop.recorder.confirm_decisions,
+            decisions=self.workers.decisions - self._shrink_decisions - self._neighbour_decisions,
+            confirm_decisions=self.workers.confirm_decisions,
             shrink_decisions=self._shrink_decisions,
             neighbour_decisions=self._neighbour_decisions,
-            reused_decisions=loop.simulation.runner.reused,
-            known=dict(loop.known + self.sessions.found_before),
+            reused_decisions=self.workers.runner.reused,
+            known=dict(state.known + state.found_before(self.store)),
             unlike=self._unlike(),
-            failures={signature.text: id_ for signature, id_ in loop.failures.items()},
-            warnings=loop.warnings if reason in self._told_with_warnings else (),
-            notes=(*self.sessions.notes, *self.driver_notes, *filter(None, notes), *cut, *self._left_undone(reason)),
+            failures={signature.text: id_ for signature, id_ in state.failures.items()},
+            warnings=state.warnings(self.harness) if reason in self._told_with_warnings else (),
+            notes=(*state.notes, *self.driver_notes, *filter(None, notes), *cut, *self._left_undone(reason)),
             process_notes=tuple(self.process_notes),
             against=self.harness.against_name,
             paired=None if self._worse is None else self._worse.paired,
-            no_worse=loop.recorder.dismissed,
-            random_failing=0 if is_cut_short else beginning.at_fault,
-            random_runs=0 if is_cut_short else beginning.runs,
-            random_otherwise=0 if is_cut_short else beginning.otherwise,
-            given=0 if loop.space is None else min(len(loop.space.first), loop.runs),
-            drawn="" if self.loop.space is None else self.loop.space.described,
-            coverage=health.coverage.describe(float(self.harness.world.speed_limit), ways) if loop.runs else "",
+            no_worse=self.store.dismissed,
+            random_failing=0 if is_cut_short else random.at_fault,
+            random_runs=0 if is_cut_short else random.runs,
+            random_otherwise=0 if is_cut_short else random.otherwise,
+            given=0 if state.space is None else min(len(state.space.first), state.runs),
+            drawn="" if self.state.space is None else self.state.space.described,
+            coverage=health.coverage.describe(float(self.harness.world.speed_limit), ways) if state.runs else "",
         )
 
     def _unlike(self) -> dict[str, tuple[str, ...]]:
@@ -643,8 +978,8 @@ class Search:
         Those that differ most are first, then those that came first.
         """
         found: dict[str, tuple[str, ...]] = {}
-        for signature, manners in self.loop.manners.items():
-            id_ = self.loop.shown[signature]
+        for signature, manners in self.state.manners.items():
+            id_ = self.state.shown[signature]
             own = self._manners.get(id_)
             if own is None:
                 continue
@@ -656,18 +991,18 @@ class Search:
     @property
     def _excused_late(self) -> str:
         """A note on collisions that the rules excuse, although braking late, but hard, would have avoided them."""
-        count = self.loop.verdicts["avoidable"]
+        count = self.state.verdicts["avoidable"]
         if not count:
             return ""
         return (
             f"the rules excuse {plural(count, 'collision')} that 6 m/s^2 from 1.4 s after the danger began would have "
-            f'avoided, such as: {self.loop.avoidable} blame="avoidable" counts them as failures'
+            f'avoided, such as: {self.state.avoidable} blame="avoidable" counts them as failures'
         )
 
     @property
     def _out_of_reach(self) -> str:
         """A note on what reference drivers can do and the ADS cannot; empty if its actions can stop the ego."""
-        speed, kept = protocol.least_action_speed(self.harness.world), self.loop.recorder.kept.values()
+        speed, kept = protocol.least_action_speed(self.harness.world), self.store.kept.values()
         expected = [each.finding.expect for each in kept]
         runs = [each.run.ego.speed for each in kept if each.run is not None]  # which may begin slower, and speed up
         was_slower = any(((each[1:] < each[:-1]) & (each[1:] < speed - SLOWER)).any() for each in runs)
@@ -683,7 +1018,7 @@ class Search:
     def _without_effect(self) -> str:
         """A note on the options of config= that have no effect, and on what has it in their place; or empty."""
         lane, world = self.harness.request.space.get("ego_lane"), self.harness.world
-        if not self.loop.runs:  # the environment may be one that cannot be made
+        if not self.state.runs:  # the environment may be one that cannot be made
             return ""
         ads = self.harness.ads
         drives_itself = is_vehicle_class(ads)
@@ -697,7 +1032,7 @@ class Search:
     def _unlike_episodes(self) -> Iterator[str]:
         """Notes on code of the user's environment that has no effect in runs."""
         world = self.harness.world
-        if not self.loop.runs or is_vehicle_class(self.harness.ads):
+        if not self.state.runs or is_vehicle_class(self.harness.ads):
             return
         if told := left_out_text(world):
             yield told
@@ -708,8 +1043,8 @@ class Search:
     def _unused(self) -> str:
         """A note that the search says nothing about traffic on other ways, because no NPC drives there; or empty."""
         world, unused = self.harness.world, protocol.unused_roads(self.harness.world)
-        crosses = self.loop.space is not None and self.loop.space.crossings is not None
-        if not unused or not self.loop.runs or crosses:
+        crosses = self.state.space is not None and self.state.space.crossings is not None
+        if not unused or not self.state.runs or crosses:
             return ""
         verbs = {"crosses": "crosses", "joins": "joins", "oncoming": "comes towards"}
         none = " or ".join(f"{verb} it" for meeting, verb in verbs.items() if meeting in unused)
@@ -720,10 +1055,10 @@ class Search:
 
     def _left_undone(self, reason: str) -> Iterator[str]:
         """Yield notes on what the search left undone, and how to continue."""
-        request, recorder = self.harness.request, self.loop.recorder
+        request, store = self.harness.request, self.store
         settings = request.settings
         is_broken_off = reason in ("interrupted", "error")
-        firm = [kept for kept in recorder.kept.values() if kept.is_firm]
+        firm = [kept for kept in store.kept.values() if kept.is_firm]
         left = [kept for kept in firm if (kept.finding.shrunk is None if is_broken_off else kept.find.unshrunk)]
         if left and settings.shrink_rollouts != 0:
             what = "1 new finding was" if len(left) == 1 else f"{len(left)} new findings were"
@@ -734,12 +1069,12 @@ class Search:
             shrink = f"{command('pytest_pafot', 'corpus', 'shrink', 'FILE')} goes on"
             if not is_broken_off:
                 how = shrink if by_command else f"{again} and more time, or with {resume}"
-                how = f"{resume} goes on" if self.sessions.go_on else how
+                how = f"{resume} goes on" if self.state.file is not None else how
                 yield f"{self.limit.flag} ended before {what} shrunk: {how}"
-            elif not self.sessions.go_on:
+            elif self.state.file is None:
                 yield f"ended before {what} shrunk: {shrink if by_command else again}"
         is_default = settings.profile == LOCAL and settings.runs == PROFILES[LOCAL]["runs"]
-        if is_default and reason == ALL_RUN and not self.loop.verdicts["failed"] and not recorder.count:
+        if is_default and reason == ALL_RUN and not self.state.verdicts["failed"] and not store.count:
             longer = request.option("runs", PROFILES[FULL]["runs"])
             yield f"{settings.runs} runs are a short search; use {longer} for a longer one"
 

@@ -8,19 +8,20 @@ then makes the same attempts in the same order, so it has the same result.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import nullcontext, suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import chain, count, islice
 from typing import Any, TypeVar
 
-from pytest_pafot.campaign.events import ENDED_OTHERWISE, FindTold
+from pytest_pafot.campaign.events import ENDED_OTHERWISE, FindTold, SearchEvent
 from pytest_pafot.campaign.harness import Harness, begins_alike, limits_of, refusals
 from pytest_pafot.campaign.moments import braked_for, moment_of, text_of
-from pytest_pafot.campaign.search_loop import SearchLoop
-from pytest_pafot.campaign.state_file import Answer, Shown
+from pytest_pafot.campaign.state import Answer, Shown, State, lose
+from pytest_pafot.campaign.store import Store
 from pytest_pafot.campaign.verdict import Verdict, headline
+from pytest_pafot.campaign.workers import Workers
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.execution.runner import call_apart, runner_for
 from pytest_pafot.findings.decisions import (
@@ -145,7 +146,8 @@ class Simplification:
     """The simplification of the findings of one search.
 
     Attributes:
-        loop: the loop of the search.
+        state, workers, store: the parts of the search.
+        send: receives the events of what becomes of the findings.
         tell: is called often, with a text on the current work.
         plain: the default start of the ego, which shrinking prefers.
         plain_seconds: the default duration of a gene, which shrinking prefers [s].
@@ -163,7 +165,10 @@ class Simplification:
         notes: notes on what could not be found out about findings.
     """
 
-    loop: SearchLoop
+    state: State
+    workers: Workers
+    store: Store
+    send: Callable[[Iterable[SearchEvent]], None]
     tell: Callable[[str], None]
     plain: Start | None
     plain_seconds: float | None
@@ -189,37 +194,36 @@ class Simplification:
         findings, then to findings that were cut. ``way_on`` says how the user can go on with a finding that stays cut.
         """
         __tracebackhide__ = True
-        runner = self.loop.simulation.runner
+        runner = self.workers.runner
         runner.read_here()  # Candidates are judged by the failure of one finding, which no other process knows.
-        before = self.loop.decisions
+        before = self.workers.decisions
         with runner:
             try:
                 self._shrink_all(way_on)
             finally:
-                shrunk = self.loop.decisions
+                shrunk = self.workers.decisions
                 self.shrink_decisions = shrunk - before
             try:
-                for kept in list(self.loop.recorder.kept.values()) if self.neighbours else ():
+                for kept in list(self.store.kept.values()) if self.neighbours else ():
                     if kept.is_firm and kept.find.id in self.done:
                         self.current = kept.find.id
                         self._examine(kept)
             finally:
-                self.neighbour_decisions = self.loop.decisions - shrunk
+                self.neighbour_decisions = self.workers.decisions - shrunk
 
     def _shrink_all(self, way_on: str) -> None:
         __tracebackhide__ = True
-        recorder = self.loop.recorder
-        finds, before = [find_id for find_id, kept in recorder.kept.items() if kept.is_firm or kept.is_random], -1
+        finds, before = [find_id for find_id, kept in self.store.kept.items() if kept.is_firm or kept.is_random], -1
         while finds and self.runs > before:  # After a round without runs there is no time left.
             before, round_ = self.runs, finds
             for number, find_id in enumerate(round_):
                 self.current = find_id
                 self._have_turn(find_id, sharing=len(round_) - number)
             finds = [find_id for find_id in round_ if find_id not in self.done]
-        for kept in [recorder.kept[find_id] for find_id in finds]:
+        for kept in [self.store.kept[find_id] for find_id in finds]:
             cut = "not shrunk: out of time" if kept.finding.shrunk is None else "shrunk in part: out of time"
             find = replace(kept.find, unshrunk=f"{kept.find.unshrunk or cut}{way_on}")
-            recorder.tell(replace(kept, find=find, is_new=False))
+            self._report(replace(kept, find=find, is_new=False))
 
     def _examine(self, kept: FindTold) -> None:
         """Run the neighbours of a finding, and report how many fail in the same way, unless the time ends before.
@@ -235,22 +239,25 @@ class Simplification:
                 find = replace(find, breadth=breadth)
                 if breadth is not None:
                     labelled = replace(kept.finding, neighbours=breadth.at_full_steps)
-                    kept = self.loop.recorder.rewritten(kept, labelled)
-                self.loop.recorder.tell(replace(kept, find=find, is_new=False))
+                    kept = self.store.rewritten(kept, labelled)
+                self._report(replace(kept, find=find, is_new=False))
                 if found is not None:
                     told = "decisions"
                     answers, moment = self._decisions(kept, found)
                     find = replace(find, answers=answers, moment=moment)
-                    self.loop.recorder.tell(replace(kept, find=find, is_new=False))
+                    self._report(replace(kept, find=find, is_new=False))
                     told = "conditions"
                     find = replace(find, moment=self._with_conditions(found, moment))
-                    self.loop.recorder.tell(replace(kept, find=find, is_new=False))
+                    self._report(replace(kept, find=find, is_new=False))
         except OutOfTime:
             self.notes.append(f"no {told} of saved-{find.id}: out of time")
         except Exception as error:
             if is_interruption(error):
                 raise
             self.notes.append(f"no {told} of saved-{find.id}: {type(error).__name__}: {one_line(str(error))}")
+
+    def _report(self, told: FindTold) -> None:
+        self.send(self.store.report(told))
 
     def _check_time(self) -> None:
         if self.clock() >= self.until:
@@ -269,7 +276,7 @@ class Simplification:
                 return None  # its run is that of the finding, so it is no neighbour
             return run is not None
 
-        limits = limits_of(self.loop.simulation.harness.world)
+        limits = limits_of(self.workers.harness.world)
         return breadth_of(
             kept.finding.scenario, self.neighbours, fails=fails, limits=limits, ahead=self._ahead, expect=self._expect
         )
@@ -282,7 +289,7 @@ class Simplification:
         a policy that has the environment, or in a world that is not built in. Nothing is said of a policy that decides
         otherwise when it sees the same.
         """
-        harness, expect, trace = self.loop.simulation.harness, kept.finding.expect, found.trace
+        harness, expect, trace = self.workers.harness, kept.finding.expect, found.trace
         if is_vehicle_class(harness.ads) or wants_env(harness.ads) or not codec.is_built_in(harness.world):
             return None, None
         moment = None if harness.against is None else self._first_difference(trace)
@@ -335,7 +342,7 @@ class Simplification:
 
     def _with_conditions(self, found: Run, moment: Moment | None) -> Moment | None:
         """Return a moment with the conditions that a fresh policy evaluates in it, if it decides as the run's did."""
-        harness, trace = self.loop.simulation.harness, found.trace
+        harness, trace = self.workers.harness, found.trace
         conditions = None if moment is None else Conditions(source_files(harness.ads), harness.root)
         if moment is None or not conditions:
             return moment
@@ -348,8 +355,8 @@ class Simplification:
 
     def _first_difference(self, trace: Trace) -> Moment | None:
         """Return the first decision that differs from the one of the reference in the same scenario."""
-        simulation = self.loop.simulation
-        harness, record, isolate = simulation.harness, simulation.record, simulation.harness.request.settings.isolate
+        workers = self.workers
+        harness, record, isolate = workers.harness, workers.record, workers.harness.request.settings.isolate
         self._check_time()
         self.neighbour_runs += 1
         with harness.reference_runner(harness.job(), record, isolate=isolate) or nullcontext() as runner:
@@ -373,7 +380,7 @@ class Simplification:
         self.neighbour_runs += 1
         from pytest_pafot.world.driving.policy import checked_action  # noqa: PLC0415  (it needs highway-env, helps do not)
 
-        harness, record = self.loop.simulation.harness, self.loop.simulation.record
+        harness, record = self.workers.harness, self.workers.record
         space = harness.world.action_space
         check = partial(checked_si_action, lanes=MANY) if space is None else partial(checked_action, space=space)
         # A planner with perfect sight sees everybody.
@@ -392,13 +399,13 @@ class Simplification:
         except RequestError:
             return None
         finally:
-            self.loop.told_decisions += aside.asked  # not by the runner of the search
+            self.workers.counted_decisions += aside.asked  # not by the runner of the search
             record.clear()
 
     def _have_turn(self, find_id: str, sharing: int) -> None:
         """Simplify a finding in its share of the remaining time; ``sharing`` is the number of equal shares."""
         __tracebackhide__ = True
-        now, kept = self.clock(), self.loop.recorder.kept[find_id]
+        now, kept = self.clock(), self.store.kept[find_id]
         if now >= self.until:
             return
         try:
@@ -407,8 +414,8 @@ class Simplification:
         except OutOfTime:  # The finding stays as it was. What is known of shrinking it is among the answers.
             is_done = False
         except ProcessLostError as error:
-            self.loop.recorder.call_flaky(kept, f"the process that ran it again {error.how}")
-            self.loop.lose(error)
+            self.store.call_flaky(kept, f"the process that ran it again {error.how}")
+            self.send(lose(error, self.state, self.workers, self.store))
             is_done = True
         if is_done:
             self.done.add(find_id)
@@ -419,11 +426,11 @@ class Simplification:
         found = kept.finding.original or kept.finding.scenario
         # Another thread of this process may have drawn in one run, but hardly in two.
         is_new = kept.is_random and kept.finding.rate is None
-        if is_new and (kept.find.is_flaky or self.loop.simulation.rerun(kept.finding.scenario).trace.drew):
+        if is_new and (kept.find.is_flaky or self.workers.rerun(kept.finding.scenario).trace.drew):
             first = self._rate(kept, kept.finding.scenario)
-            kept = self.loop.recorder.rewritten(kept, replace(kept.finding, rate=first))
+            kept = self.store.rewritten(kept, replace(kept.finding, rate=first))
             kept = replace(kept, find=replace(kept.find, rate=kept.finding.on_rate), is_new=False)
-            self.loop.recorder.tell(kept)
+            self._report(kept)
         if kept.find.is_flaky and not (kept.finding.rate and kept.finding.rate.failing):
             return True
         scenario, shrunk = self._shrunk(kept, found, turn)
@@ -445,8 +452,8 @@ class Simplification:
             run, verdict, differs = self._run_again(scenario, kept)
             rate = before
         if differs and not kept.find.is_flaky:
-            kept = replace(self.loop.recorder.call_flaky(kept, differs), is_new=False)
-            self.loop.recorder.tell(kept)
+            kept = replace(self.store.call_flaky(kept, differs), is_new=False)
+            self._report(kept)
             if kept.is_random:  # the runs that confirmed it were the same by chance
                 self.answers[kept.find.id].clear()
                 return self._refine(kept, _Turn(until=turn.until))
@@ -456,7 +463,7 @@ class Simplification:
 
     def _shrunk(self, kept: FindTold, found: Scenario, turn: _Turn) -> tuple[Scenario, Shrunk]:
         __tracebackhide__ = True
-        harness, answers = self.loop.simulation.harness, self.answers.setdefault(kept.find.id, [])
+        harness, answers = self.workers.harness, self.answers.setdefault(kept.find.id, [])
         rollouts, top_speed = rollouts_for(harness), float(harness.world.speed_limit)
         starts: dict[Scenario, tuple[Start, ...]] = {}
         asked = 0
@@ -507,27 +514,26 @@ class Simplification:
     @property
     def _ahead(self) -> int:
         """The number of runs that are made at the same time: in other processes, or in one batch."""
-        simulation = self.loop.simulation
-        return BATCH if simulation.runner.decides_for_many else simulation.harness.request.settings.workers
+        workers = self.workers
+        return BATCH if workers.runner.decides_for_many else workers.harness.request.settings.workers
 
     def _expect(self, scenarios: Sequence[Scenario], more: bool) -> None:
         """Let scenarios be run in advance, if they can be run at all, and if more than one is run at the same time."""
-        loop = self.loop
         if self._ahead < 2:
             return
 
         def fits(scenario: Scenario) -> bool:
             with suppress(ScenarioError):
-                protocol.check_fits(loop.simulation.harness.world, scenario)
-                return scenario not in loop.fatal
+                protocol.check_fits(self.workers.harness.world, scenario)
+                return scenario not in self.state.fatal
             return False
 
-        loop.simulation.runner.announce(filter(fits, scenarios), more=more)
+        self.workers.runner.announce(filter(fits, scenarios), more=more)
 
     def _confirming(self, scenario: Scenario) -> float:
         """Return the estimated time to confirm a scenario [s], from the slowest confirmation so far."""
-        longest_run = float(self.loop.simulation.harness.world.longest_run)
-        return self.loop.recorder.pace * min(scenario.seconds, longest_run)
+        longest_run = float(self.workers.harness.world.longest_run)
+        return self.workers.pace * min(scenario.seconds, longest_run)
 
     def _shown(self, kept: FindTold, candidate: Scenario, top_speed: float, attempt: int) -> Shown:
         """Run a simpler candidate for a finding; return the scenario as driven, with the ego's state at each gene.
@@ -561,9 +567,8 @@ class Simplification:
             self._check_time()
             self.runs += 1
             other = scenario if kept.find.is_flaky else with_other_seed(scenario, number)
-            simulation = self.loop.simulation
-            run = simulation.run(other, afresh=True)
-            yield simulation.judge(run).failed
+            run = self.workers.run(other, afresh=True)
+            yield self.workers.judge(run).failed
 
     def _rate(self, kept: FindTold, scenario: Scenario) -> FailureRate:
         """Return how often a policy that draws random numbers fails in a scenario."""
@@ -577,26 +582,25 @@ class Simplification:
     def _showing(self, find_id: str, candidate: Scenario) -> Run | None:
         """Run a scenario; return the run if it shows the failure of a finding, otherwise None."""
         __tracebackhide__ = True
-        loop = self.loop
-        if candidate in loop.fatal:
+        if candidate in self.state.fatal:
             return None
         try:
-            protocol.check_fits(loop.simulation.harness.world, candidate)
-            run = loop.simulation.run(candidate)
+            protocol.check_fits(self.workers.harness.world, candidate)
+            run = self.workers.run(candidate)
         except ScenarioError:  # For example, it begins in an outer lane, next to which there are too few cells.
             return None
         except ProcessLostError as error:
-            loop.lose(error)
+            self.send(lose(error, self.state, self.workers, self.store))
             return None
-        shows = self._shows(find_id, run, loop.simulation.judge(run, driven(run)))
-        if shows and not loop.simulation.runner.is_alone:  # A batch may mix up its rows, and a replay runs it alone.
-            run = loop.simulation.run(candidate, afresh=True)
-            shows = self._shows(find_id, run, loop.simulation.judge(run, driven(run)))
+        shows = self._shows(find_id, run, self.workers.judge(run, driven(run)))
+        if shows and not self.workers.runner.is_alone:  # A batch may mix up its rows, and a replay runs it alone.
+            run = self.workers.run(candidate, afresh=True)
+            shows = self._shows(find_id, run, self.workers.judge(run, driven(run)))
         return run if shows else None
 
     def _shows(self, find_id: str, run: Run, verdict: Verdict) -> bool:
         """Return whether a run shows the failure of a finding, and by the same fault, so its name still fits."""
-        found = next(signature for signature, id_ in self.loop.finds.items() if id_ == find_id)
+        found = next(signature for signature, id_ in self.state.finds.items() if id_ == find_id)
         shown = of_failure(run, verdict.failure) if verdict.failed and verdict.failure is not None else None
         return shown is not None and (shown, shown.fault) == (found, found.fault)
 
@@ -604,20 +608,20 @@ class Simplification:
         """Run a scenario from scratch; return the run, its verdict, and its difference from the finding, if any."""
         __tracebackhide__ = True
         for _ in range(MANY_RUNS if kept.find.is_flaky else 1):
-            run = self.loop.simulation.run(scenario, afresh=True)
-            verdict = self.loop.simulation.judge(run)
+            run = self.workers.run(scenario, afresh=True)
+            verdict = self.workers.judge(run)
             if self._shows(kept.find.id, run, verdict):
                 break
         if not self._shows(kept.find.id, run, verdict):
             otherwise = f"{ENDED_OTHERWISE}: {ending(run)}"
             return run, verdict, "the reference failed when it ran again" if verdict.kind == "common" else otherwise
         is_confirmed = kept.find.is_flaky or (scenario == kept.finding.scenario and not kept.find.unshrunk)
-        return run, verdict, "" if is_confirmed else self.loop.recorder.confirmed(run)
+        return run, verdict, "" if is_confirmed else self.workers.confirmed(run)
 
     def _conclude(self, kept: FindTold, scenario: Scenario, shrunk: Shrunk, run: Run, verdict: Verdict) -> None:
         if verdict.failure is None or verdict.exception is None:
             return
-        before, harness, recorder = kept.finding, self.loop.simulation.harness, self.loop.recorder
+        before, harness = kept.finding, self.workers.harness
         found = before.original or before.scenario
         # Drivers in the ego's place say who could have prevented the failure, and how.
         self.tell(f"trying reference drivers in saved-{kept.find.id}")
@@ -653,8 +657,8 @@ class Simplification:
         responsible = finding.expect.responsibility
         find = replace(kept.find, headline=line, severity=verdict.severity, responsible=responsible, unshrunk="")
         find = replace(find, rate=finding.on_rate)
-        recorder.tell(
-            replace(recorder.rewritten(kept, finding), find=find, exception=exception, run=known, is_new=False)
+        self._report(
+            replace(self.store.rewritten(kept, finding), find=find, exception=exception, run=known, is_new=False)
         )
 
     def _claimed(self, claim: Callable[[], ClaimT | None]) -> ClaimT | None:
@@ -672,14 +676,14 @@ class Simplification:
 
     def _perceived(self, kept: FindTold, scenario: Scenario) -> Perceived | None:
         """Return the imperfections of the ADS's perception that a finding needs; None if its perception is perfect."""
-        before, simulation = kept.finding.perception, self.loop.simulation
-        harness, ads = simulation.harness, simulation.harness.ads
+        before, workers = kept.finding.perception, self.workers
+        harness, ads = workers.harness, workers.harness.ads
         if before is None or not isinstance(ads, Perception):
             return None
         self.tell(f"trying perfect sight in saved-{kept.find.id}")
 
         def fails(sight: Sight) -> bool:
-            return harness.fails_with(ads.seeing(sight), scenario, simulation.record)
+            return harness.fails_with(ads.seeing(sight), scenario, workers.record)
 
         return replace(before, needed=needed_imperfections(before.sight, fails))
 

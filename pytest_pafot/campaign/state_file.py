@@ -10,25 +10,20 @@ import errno
 import json
 import math
 import os
-from collections import Counter
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import count
 from pathlib import Path
-from typing import Any, BinaryIO, NoReturn
+from typing import Any, BinaryIO, NoReturn, TypeVar
 
 from pytest_pafot.corpus.layout import safe_name
-from pytest_pafot.findings.shrink import Start
-from pytest_pafot.findings.signature import Signature
-from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.searching.ask_tell import ResumableSearch
-from pytest_pafot.searching.ask_tell_loop import Checkpoint
 from pytest_pafot.searching.evaluation import Evaluation, Remembered
 from pytest_pafot.searching.events import CampaignFinished
-from pytest_pafot.searching.health import Health
 from pytest_pafot.searching.plain import from_plain, plain
+from pytest_pafot.searching.plan import Checkpoint
 from pytest_pafot.support.errors import FieldError, RequestError, flag
 from pytest_pafot.support.files import hold, open_regular, way_out, write_whole
 from pytest_pafot.support.text import differences, visible
@@ -49,69 +44,11 @@ So writing takes at most 2 % of the session. The time to convert new runs to tex
 converted only once.
 """
 
+T = TypeVar("T")
+
 FLAG = flag("resume")
 ANEW = f"delete the file to start the search from scratch, or give another folder with {FLAG}"
 PARTS = ("version", "settings", "algorithm", "sums", "begun", "news", "done", "counts", "remembered")
-
-
-Shown = tuple[Scenario, tuple[Start, ...]] | None
-"""The result of an attempt to shrink a finding: the scenario as driven, and the ego's state at each gene's start.
-
-None if the run does not show the finding.
-"""
-
-Answer = tuple[str, Shown]
-"""An attempt to shrink a finding: the id of the candidate, and the result of its run."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class EarlierFind:
-    """A finding of an earlier session of the same search.
-
-    Attributes:
-        id: the id of the finding, which is the name of its file.
-        signature: distinguishes the finding from other findings.
-        repeats: the number of other runs that failed in the same way.
-        found: the scenario as found, its generation and the number of its run; None if the finding was only counted.
-        is_due: True if the finding still must be simplified.
-        answers: the attempts to shrink the finding so far, in their order; empty if it is not due.
-    """
-
-    id: str
-    signature: Signature
-    repeats: int
-    found: tuple[Scenario, int, int] | None
-    is_due: bool
-    answers: tuple[Answer, ...]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Counts:
-    """The knowledge and the counts of a search, without the state of its algorithm.
-
-    Attributes:
-        before: the ids of the files saved before the search began. Other files with its seed are its own findings.
-        seconds: the time of all sessions of the search so far [s].
-        decides_for_many: True if the ADS has decided for many runs at once.
-        finds: the findings in the order of discovery.
-        known: see :class:`~pytest_pafot.campaign.search_loop.SearchLoop`, also for the next five.
-        random: the counts of :class:`~pytest_pafot.campaign.resuming.RandomBeginning`, in the order of its ``counts``.
-        health: the figures on the search's health, over all evaluations.
-    """
-
-    before: tuple[str, ...]
-    seconds: float
-    decides_for_many: bool
-    finds: tuple[EarlierFind, ...]
-    known: Counter[str]
-    verdicts: Counter[str]
-    caught: Counter[str]
-    doubt: str
-    avoidable: str
-    broken: str | None
-    fatal: tuple[Scenario, ...]
-    random: tuple[int, int, int, int]
-    health: Health
 
 
 def state_path(folder: Path, node_id: str) -> Path:
@@ -176,8 +113,10 @@ class StateFile:
             with suppress(OSError):  # Windows cannot remove an open file, such as one that a new session has locked.
                 path.unlink()
 
-    def read(self) -> tuple[Counts, Checkpoint[Any]] | None:
-        """Return the counts and the checkpoint of the state; None if there is none yet, or only one of other versions.
+    def read(self, kind: type[T]) -> tuple[T, Checkpoint[Any]] | None:
+        """Return the counts, as a value of a class, and the checkpoint of the plan.
+
+        None if there is no state yet, or only one of other versions.
 
         Raises:
             RequestError: if the file is not a state, belongs to another search, or cannot be read.
@@ -225,14 +164,14 @@ class StateFile:
             done=self._part(data, "done", partial(from_plain, int)),
             remembered=self._part(data, "remembered", partial(from_plain, tuple[Remembered, ...])),
         )
-        return self._part(data, "counts", partial(from_plain, Counts)), checkpoint
+        return self._part(data, "counts", partial(from_plain, kind)), checkpoint
 
-    def offer(self, checkpoint: Callable[[], Checkpoint[Any]], counts: Callable[[], Counts]) -> None:
-        """Write the state between two generations, unless writing would take too large a share of the time."""
-        if self.clock() - self._written_at >= SHARE * self._cost:
-            self.write(checkpoint(), counts())
+    @property
+    def is_due(self) -> bool:
+        """True unless writing the state now would take too large a share of the time."""
+        return self.clock() - self._written_at >= SHARE * self._cost
 
-    def write(self, checkpoint: Checkpoint[Any], counts: Counts) -> None:
+    def write(self, checkpoint: Checkpoint[Any], counts: object) -> None:
         """Write the state, as a whole or not at all. An error of the file system is only reported.
 
         Raises:

@@ -13,8 +13,8 @@ from pytest_pafot.campaign.events import Find
 from pytest_pafot.campaign.options import BY_NAME
 from pytest_pafot.campaign.replays import BESIDE, FLAKY, Around, Replayed, ReplayResult, Replays, happened, was_lost
 from pytest_pafot.campaign.request import Request
-from pytest_pafot.campaign.search_loop import cause
 from pytest_pafot.campaign.setup_fault import Cause, SetupFaultError, cause_of
+from pytest_pafot.campaign.store import cause
 from pytest_pafot.campaign.verdict import Verdict, headline
 from pytest_pafot.corpus.layout import relative
 from pytest_pafot.corpus.saved import Saved

@@ -32,7 +32,6 @@ from pytest_pafot.campaign.harness import Harness, checked_factory, is_revision,
 from pytest_pafot.campaign.options import BY_NAME, OF_COMMAND, Settings
 from pytest_pafot.campaign.replays import Replays
 from pytest_pafot.campaign.request import AgainstError, Request, build_space, build_world
-from pytest_pafot.campaign.resuming import check_states
 from pytest_pafot.campaign.search import (
     AFTER_A_DEATH,
     Search,
@@ -41,6 +40,7 @@ from pytest_pafot.campaign.search import (
     prepared,
     time_limit,
 )
+from pytest_pafot.campaign.state import check_states
 from pytest_pafot.campaign.verdict import PlainFailure, Test, source_file
 from pytest_pafot.corpus.layout import SUFFIX, chosen_folder, files_in, folder_of_test, link_below
 from pytest_pafot.corpus.saved import refusal
@@ -292,10 +292,11 @@ def run_search(item: pytest.Function, request: Request) -> None:
     # If this policy has killed a process before, it runs in processes that may die of it.
     chosen = isolated_after_a_death(harness, replays)
     listener = SearchMessages(item, settings, page_counts(item, settings), table_messages_of(item))
-    with prepared(chosen, listener, has_table=listener.table is not None, wants_each=False) as sessions:
+    with prepared(chosen, has_table=listener.table is not None, wants_each=False) as parts:
         result = Search(
             node_id=item.nodeid,
-            sessions=sessions,
+            parts=parts,
+            listener=listener,
             replays=replace(replays, harness=chosen),
             limit=limit,
             # With these options pytest stops at the first failed item. The loop inside of this item must do the same.

@@ -59,8 +59,8 @@ def run_shrink(item: pytest.Function, request: Request, saved: Saved) -> None:
     harness = replace(harness, world=world, request=replace(harness.request, settings=settings))
     now = time.monotonic()
     limit = time_limit(request.settings, now=now, began=item.config.stash[SHARED].began, left=1)
-    with prepared(harness, lambda event: None, space=space, wants_each=False) as sessions:
-        later = shrink_saved(sessions, saved, path=path, until=limit.until, tell=_telling(item, saved.id))
+    with prepared(harness, space=space, wants_each=False) as parts:
+        later = shrink_saved(parts, saved, path=path, until=limit.until, tell=_telling(item, saved.id))
     for note in later.notes:
         messages.send(item, "note", {"text": note})
     told = f"{visible(path)}: {later.told}"

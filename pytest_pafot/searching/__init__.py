@@ -1,6 +1,6 @@
-"""The search: an algorithm proposes scenarios, and a campaign evaluates them and passes the results to the algorithm.
+"""The search as a plan: an algorithm proposes scenarios, and learns from their evaluations.
 
-This package does not simulate: :func:`run_campaign` receives a function that turns a scenario into an evaluation.
+This package does not simulate: whoever follows a :class:`~pytest_pafot.searching.plan.Plan` does.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ from pytest_pafot.searching.ask_tell import (
     ResumableSearch,
     SearchState,
 )
-from pytest_pafot.searching.ask_tell_loop import Checkpoint, Evaluate, run_campaign
 from pytest_pafot.searching.evaluation import Evaluation
 from pytest_pafot.searching.health import Health
 from pytest_pafot.searching.operators import crossover, mutate, tournament
 from pytest_pafot.searching.plain import from_plain, plain
+from pytest_pafot.searching.plan import Checkpoint, Evaluate, run_campaign
 from pytest_pafot.searching.space import SearchSpace, sample, sample_manoeuvres
 
 __all__ = [

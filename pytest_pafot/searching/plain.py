@@ -127,7 +127,7 @@ def _read(kind: Any, data: Any) -> Any:
         kinds = list(names.values())
     elif origin is tuple and inner[-1] is not Ellipsis:
         kinds = inner
-    elif origin in (tuple, frozenset):
+    elif origin in (tuple, frozenset, set):
         one = inner[0]
     elif origin in (Mapping, Counter):
         one = types.GenericAlias(tuple, (inner[0], inner[1] if origin is Mapping else int))

@@ -117,15 +117,10 @@ def measured(named: tuple[str, bool], seed: int, hours: float) -> Tally:
             mistake=None if kind is None else kind.mistake,
         )
 
-    events = run_campaign(
-        variant.algorithm(variant.space, **dict(variant.parameters)),
-        one,
-        generations=ENDLESS,
-        seed=seed,
-        stop=lambda: tally.seconds >= hours * 3600,
-    )
-    for _ in events:
-        pass
+    algorithm = variant.algorithm(variant.space, **dict(variant.parameters))
+    for _ in run_campaign(algorithm, one, generations=ENDLESS, seed=seed):
+        if tally.seconds >= hours * 3600:
+            break
     return tally
 
 

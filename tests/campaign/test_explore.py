@@ -98,7 +98,7 @@ def test_few_frames_separate_search_loop_and_run():
 
     pafot.explore(Planner, holds=lambda run: None, seed=5, runs=1, genes=1)
     assert Planner.stacks[0] == "SteppedRun.finish"
-    assert Planner.stacks.index("_ahead.<locals>.events") < 8
+    assert Planner.stacks.index("search") < 8
 
 
 class Batched:
@@ -370,7 +370,7 @@ def test_taken_finding_name_gets_the_next_number(exploration, tmp_path, monkeypa
             write(path, other)
         return write(path, finding)
 
-    monkeypatch.setattr("pytest_pafot.campaign.search_loop.write", late)
+    monkeypatch.setattr("pytest_pafot.campaign.store.write", late)
     corpus = tmp_path / "saved"
     found = pafot.explore(
         constant_speed.make, holds=never_collides, seed=5, corpus=corpus, stop_after=1, **SHORT

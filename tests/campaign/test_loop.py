@@ -7,9 +7,10 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from pytest_pafot.campaign.search import search_seed
-from pytest_pafot.campaign.search_loop import SearchLoop
+from pytest_pafot.campaign.search import Watch, search, search_seed
+from pytest_pafot.campaign.state import State
 from pytest_pafot.campaign.verdict import Verdict
+from pytest_pafot.campaign.workers import evaluated
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.execution.scenario_pool import expectation
 from pytest_pafot.findings.finding import of_failure
@@ -17,8 +18,10 @@ from pytest_pafot.findings.signature import Failure
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Lane, Outcome, Trace
 from pytest_pafot.oracle.run import Run
-from pytest_pafot.searching import SearchSpace, run_campaign, sample
+from pytest_pafot.searching import SearchSpace, sample
 from pytest_pafot.searching.algorithms.random_search import RandomSearch
+from pytest_pafot.searching.plan import plan_of
+from pytest_pafot.support.errors import OutOfTime
 from tests.helpers.tables import table
 
 SPACE = SearchSpace(npcs=1, genes=2, gene_seconds=5)
@@ -53,40 +56,51 @@ def failed(kind="AssertionError"):
 
 
 @dataclass
-class Recorder:
-    """Record what the loop passes on."""
+class Store:
+    """Note what the search saves."""
 
     finds: list = field(default_factory=list)
+    is_holding = False
 
-    def keep(self, run, verdict, generation, number):
+    def add(self, run, verdict, generation, number):
         self.finds.append((verdict.failure.kind, generation, number))
         return f"id-{len(self.finds)}"
 
-    def keep_lost(self, lost, generation, number):
+    def add_lost(self, lost, generation, number):
         self.finds.append(("hang" if lost.is_hang else "crash", generation, number))
-        return f"id-{len(self.finds)}"
+        return SimpleNamespace(find=SimpleNamespace(id=f"id-{len(self.finds)}"))
 
-    def release(self):
-        """Do nothing, because everything is reported at once here."""
+    def report(self, kept):
+        return ()
 
 
 @dataclass
-class Simulation:
+class Workers:
     """Make runs by a function; run ``n`` gets the ``n``-th verdict."""
 
     verdicts: Callable[[int], Verdict]
     simulate: Callable[[Scenario], Run]
-    runner: SimpleNamespace = field(default_factory=lambda: SimpleNamespace(is_alone=True))
+    runner: SimpleNamespace = field(default_factory=lambda: SimpleNamespace(is_alone=True, decides_for_many=False))
     numbers: Iterator[int] = field(default_factory=count)
     has_reference: bool = False
 
-    def run(self, scenario, *, afresh=False):
-        return self.simulate(scenario)
+    def begin(self, plan, random_runs, fatal):
+        """Do nothing, because there are no other processes."""
 
-    made = run
+    def next(self, plan, fatal):
+        try:
+            return None if plan.scenario() in fatal else self.simulate(plan.scenario())
+        except ProcessLostError as error:
+            return error
 
     def judge(self, run):
         return self.verdicts(next(self.numbers))
+
+    def evaluation(self, run, verdict, signature):
+        return evaluated(run.trace, verdict, signature, lambda trace: 0.0, is_steered_by_checks=True)
+
+    def learn(self, news, known):
+        """Do nothing, because there are no other processes."""
 
     def is_common(self, scenario):
         """Return whether a scenario fails the reference: every second one does if a process dies."""
@@ -102,19 +116,54 @@ def searched(
     fatal=(),
     run=quiet_run,
     has_reference=False,
+    watch=None,
 ):
-    """Return a random search with these verdicts, and what it passed on."""
-    recorder = Recorder()
-    loop = SearchLoop(
-        simulation=Simulation(verdicts, run, has_reference=has_reference),
-        recorder=recorder,
-        fitness=lambda trace: 0.0,
-        fatal=set(fatal),
-        shown=dict(shown),
-    )
-    events = run_campaign(RandomSearch(SPACE, population=population), loop.evaluate, generations=generations, seed=1)
-    loop.follow(events, lambda: None)
-    return loop, recorder.finds
+    """Return the state of a random search with these verdicts, and what it saved."""
+    state, store = State(fatal=set(fatal)), Store()
+    state.shown = dict(shown)
+    state.plan = plan_of(RandomSearch(SPACE, population=population), generations=generations, seed=1)
+    for _ in search(state, Workers(verdicts, run, has_reference=has_reference), store, watch or Watch()):
+        pass
+    return state, store.finds
+
+
+def passed(number):
+    return Verdict(kind="passed")
+
+
+class Reached(Watch):
+    """A watch whose time is up after some runs."""
+
+    def __init__(self, runs):
+        self.runs = runs
+
+    def reached(self, plan):
+        return "time" if plan.sums.simulated >= self.runs else None
+
+
+@table(
+    ("runs", "simulated", "generations", "reason"),
+    [(0, 1, 0, "time"), (1, 1, 0, "time"), (3, 3, 1, "time"), (4, 4, 2, "time"), (6, 6, 3, "generations")],
+)
+def test_limits_are_looked_at_between_runs_but_before_none_and_not_after_the_last(runs, simulated, generations, reason):
+    last = searched(passed, watch=Reached(runs))[0].finished
+    assert (last.simulated, last.generations, last.reason) == (simulated, generations, reason)
+
+
+def test_time_that_ends_in_a_run_ends_the_search_before_it():
+    def cut(scenario, runs=count()):  # noqa: B008
+        if next(runs) == 3:
+            raise OutOfTime
+        return quiet_run(scenario)
+
+    found, _ = searched(passed, run=cut)
+    assert (found.finished.simulated, found.finished.reason, found.runs) == (3, "time", 3)
+
+
+def test_whoever_stops_it_still_gets_the_last_event():
+    told = []
+    found, _ = searched(passed, watch=Watch(lambda: told.append(0) or len(told) >= 3))
+    assert (found.finished.reason, found.finished.evaluated) == ("stopped", 3)
 
 
 def test_failures_with_one_signature_are_one_finding():

@@ -11,7 +11,7 @@ import pytest
 
 import pytest_pafot as pafot
 from example_ads import constant_speed
-from pytest_pafot.campaign import explore, search, search_loop, simplification, state_file
+from pytest_pafot.campaign import explore, search, simplification, state_file, workers
 from pytest_pafot.campaign.events import FindTold, Progress
 from pytest_pafot.execution import runner
 from pytest_pafot.execution.scenario_pool import CapturedOutput
@@ -80,14 +80,14 @@ def attempts(exploration):
 
 
 def test_a_finding_of_a_slow_policy_is_told_before_it_is_confirmed(clock, monkeypatch):
-    def confirming(run, simulation):
+    def confirming(run, workers):
         confirmed.append(clock.now)
         clock.now += 30
         return ""
 
     confirmed = []
     clock.step = lambda: 20.0
-    monkeypatch.setattr(search, "difference", confirming)
+    monkeypatch.setattr(workers, "difference", confirming)
     result = searched(clock, fails_in_three_ways, runs=4, shrink_rollouts=0)
     told = [event for event in result.events if isinstance(event, FindTold) and event.is_new]
     phases = {event.phase: event.seconds for event in result.events if isinstance(event, Progress)}
@@ -129,7 +129,7 @@ def test_time_left_is_true_within_a_factor_of_two_or_not_told(clock, monkeypatch
         clock.now += 10 if ended else 15  # the first run loads libraries
         return rollout_of(world)
 
-    def confirming(run, simulation):
+    def confirming(run, workers):
         clock.now += 30
         return ""
 
@@ -140,7 +140,7 @@ def test_time_left_is_true_within_a_factor_of_two_or_not_told(clock, monkeypatch
     ended = []
     monkeypatch.setattr(runner, "pool_for", Pool)
     monkeypatch.setattr(runner, "rollout_of", here)
-    monkeypatch.setattr(search, "difference", confirming)
+    monkeypatch.setattr("pytest_pafot.campaign.workers.difference", confirming)
     monkeypatch.setattr(search, "runner_for", partial(runner.runner_for, clock=lambda: clock.now))
     given = {"runs": 120, "workers": workers, "fitness": lambda trace: 0.0, "population": 16, "shrink_rollouts": 0}
     result = pafot.explore(constant_speed.make, holds=judged, corpus="corpus", **SHORT | given)
@@ -338,15 +338,15 @@ def test_search_whose_first_run_is_cut_tested_nothing(clock):
 @pytest.fixture
 def confirming(monkeypatch):
     """Return the confirming runs so far; there is no time for the first three."""
-    calls = []
+    calls, compare = [], workers.difference
 
-    def difference(run, simulation):
+    def difference(run, workers):
         calls.append(run)
         if len(calls) <= 3:
             raise OutOfTime
-        return search_loop.difference(run, simulation)
+        return compare(run, workers)
 
-    monkeypatch.setattr(search, "difference", difference)
+    monkeypatch.setattr(workers, "difference", difference)
     return calls
 
 
@@ -383,7 +383,7 @@ def test_what_was_shrunk_before_a_run_is_cut_is_saved(clock, monkeypatch):
 
         return decide
 
-    for module in (search_loop, simplification):
+    for module in (search, workers, simplification):
         monkeypatch.setattr(module, "runs_end_in", runs_end_in)
     options = SHORT | {"runs": 1000, "stop_after": 1, "max_time": 240, "shrink_rollouts": 300}
     result = pafot.explore(slow, holds=fails_in_three_ways, corpus="corpus", **options)

@@ -492,7 +492,8 @@ def test_state_is_written_only_when_it_costs_little(tmp_path, monkeypatch, secon
     sums = CampaignFinished(reason="runs", generations=0, evaluated=0, simulated=0, best=None, seconds=0.0)
     for number in range(1000):
         runs.append((None, (number,)))
-        file.offer(lambda: Checkpoint(state=None, sums=sums, remembered=tuple(runs)), lambda: None)
+        if file.is_due:
+            file.write(Checkpoint(state=None, sums=sums, remembered=tuple(runs)), None)
         now += 0.5
     assert written[0] == 1.0 + seconds
     assert {b - a for a, b in pairwise(written)} == {state_file.SHARE * (1 + 2 * seconds) + 1.0}

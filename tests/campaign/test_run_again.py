@@ -9,7 +9,7 @@ import pytest
 
 import pytest_pafot as pafot
 from example_ads import blind_lane_change, constant_speed, idm_mobil
-from pytest_pafot.campaign import search_loop
+from pytest_pafot.campaign import workers
 from pytest_pafot.campaign.run_table import COLUMNS
 from pytest_pafot.campaign.simplification import Simplification
 from pytest_pafot.searching.fitness import resolve
@@ -67,7 +67,7 @@ SEARCHES = {
 @pytest.mark.parametrize("name", mostly_oracle(SEARCHES, "highway"))
 def test_each_row_is_enough_to_run_its_run_again(name, monkeypatch):
     # What a search does with its findings adds no row, and takes longer than its runs.
-    monkeypatch.setattr(search_loop, "_difference_in_gym", lambda run, simulation: "")
+    monkeypatch.setattr(workers, "_difference_in_gym", lambda run, workers: "")
     monkeypatch.setattr(Simplification, "_conclude", lambda *given: None)
     search = {"world": pafot.Highway(), **SEARCHES[name]}
     found = pafot.explore(**search, holds=never_collides, runs=32, seed=5, shrink_rollouts=0)

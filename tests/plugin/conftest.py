@@ -12,7 +12,7 @@ import pytest
 
 import pytest_pafot
 import pytest_pafot.strategies
-from pytest_pafot.campaign import search_loop
+from pytest_pafot.campaign import workers
 from pytest_pafot.campaign.harness import Harness
 from pytest_pafot.execution.crash_records import CrashRecord
 from pytest_pafot.model.grid import Cell
@@ -33,7 +33,7 @@ imported(
     "attribution", "campaign", "corpus", "execution", "findings", "oracle", "plugin", "report", "searching", "world"
 )
 
-DIFFERENCE_IN_GYM = search_loop._difference_in_gym
+DIFFERENCE_IN_GYM = workers._difference_in_gym
 REFERENCE_OUTCOMES = Harness.reference_outcomes
 
 CONFTEST = """
@@ -124,7 +124,7 @@ class Project:
         """
         before = self._tree
         settings = {name: value for name, value in os.environ.items() if name in SETTINGS or name.startswith("PAFOT_")}
-        whole = search_loop._difference_in_gym is DIFFERENCE_IN_GYM, Harness.reference_outcomes is REFERENCE_OUTCOMES
+        whole = workers._difference_in_gym is DIFFERENCE_IN_GYM, Harness.reference_outcomes is REFERENCE_OUTCOMES
         key = repr((before, settings, whole, [str(arg).replace(str(self.path), "") for arg in args], options))
         if key not in self.found:
             result = self.run(*args, **options)
@@ -211,7 +211,7 @@ def project(request, pytester, monkeypatch, found):
     """
     quick_sessions(monkeypatch)
     if not request.node.get_closest_marker("processes"):
-        monkeypatch.setattr(search_loop, "_difference_in_gym", lambda run, simulation: "")
+        monkeypatch.setattr(workers, "_difference_in_gym", lambda run, workers: "")
         monkeypatch.setattr(Harness, "reference_outcomes", lambda self, run, verdict, failed: {})
         monkeypatch.setenv("PAFOT_SHRINK_ROLLOUTS", "0")
     monkeypatch.setenv("PAFOT_NEIGHBOURS", "0")
@@ -237,7 +237,7 @@ def project(request, pytester, monkeypatch, found):
 @pytest.fixture
 def in_highway_env(project, monkeypatch):
     """Let sessions also run each finding in highway-env's own environment, as users' sessions do."""
-    monkeypatch.setattr(search_loop, "_difference_in_gym", DIFFERENCE_IN_GYM)
+    monkeypatch.setattr(workers, "_difference_in_gym", DIFFERENCE_IN_GYM)
 
 
 @pytest.fixture

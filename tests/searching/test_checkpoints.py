@@ -20,14 +20,14 @@ from pytest_pafot.searching import (
     ResumableSearch,
     from_plain,
     plain,
-    run_campaign,
 )
 from pytest_pafot.searching.algorithms.catalogue import OF_CORE
-from pytest_pafot.searching.ask_tell_loop import CheckpointError
 from pytest_pafot.searching.evaluation import Evaluation, EvaluationCache, Remembered
 from pytest_pafot.searching.events import CampaignFinished, CampaignStarted, GenerationFinished
 from pytest_pafot.searching.operators import mutate
+from pytest_pafot.searching.plan import CheckpointError, plan_of
 from pytest_pafot.searching.space import SearchSpace, sample
+from tests.helpers.campaigns import run_campaign
 
 ALGORITHMS = [DistinctSearch(SearchSpace(genes=3), population=5, random_runs=10), RandomSearch(population=3)]
 
@@ -81,7 +81,7 @@ def campaign(algorithm, world, checkpoints=None, generations=None, **options):
         Telling(world),
         generations=generations,
         seed=5,
-        border=lambda checkpoint: kept.update({len(events): through_json(algorithm, checkpoint())}),
+        border=lambda plan: kept.update({len(events): through_json(algorithm, plan.checkpoint())}),
         **options,
     )
     for event in told:
@@ -137,7 +137,7 @@ def test_it_goes_on_with_other_limits(cheap_world):
 
 def test_a_checkpoint_of_another_campaign_is_refused(cheap_world):
     checkpoints, algorithm = {}, PafotSearch(population=4)
-    kept = lambda checkpoint: checkpoints.update({len(checkpoints): checkpoint()})  # noqa: E731
+    kept = lambda plan: checkpoints.update({len(checkpoints): plan.checkpoint()})  # noqa: E731
     list(run_campaign(algorithm, cheap_world(), generations=None, runs=5, seed=5, border=kept))
     checkpoint = checkpoints[max(checkpoints)]
     assert len(checkpoint.begun) == 1
@@ -145,7 +145,7 @@ def test_a_checkpoint_of_another_campaign_is_refused(cheap_world):
         list(run_campaign(algorithm, cheap_world(), resumed=checkpoint, generations=None, runs=4, seed=6))
     wrong = replace(checkpoint, remembered=((checkpoint.begun[0][0], (7,)),))
     with pytest.raises(CheckpointError, match="remembered: expected numbers of 2 keys"):
-        run_campaign(algorithm, cheap_world(), resumed=wrong, generations=None, runs=4, seed=5)
+        plan_of(algorithm, resumed=wrong, generations=None, runs=4, seed=5)
 
 
 def test_which_algorithms_can_go_on():

@@ -1,6 +1,7 @@
 """A campaign from its first event to its last."""
 
 import random
+from dataclasses import replace
 from itertools import count
 
 import pytest
@@ -8,17 +9,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pytest_pafot.model.trace import Outcome
-from pytest_pafot.searching import DistinctSearch, PafotSearch, RandomSearch, run_campaign
-from pytest_pafot.searching.ask_tell_loop import generation_rng
+from pytest_pafot.searching import DistinctSearch, PafotSearch, RandomSearch
 from pytest_pafot.searching.events import (
-    CampaignFinished,
     CampaignStarted,
     Evaluated,
     GenerationFinished,
     LocalSearchStarted,
     Restarted,
 )
+from pytest_pafot.searching.plan import generation_rng, plan_of
 from pytest_pafot.searching.space import SearchSpace
+from tests.helpers.campaigns import run_campaign
 from tests.helpers.tables import table
 
 ALGORITHMS = [PafotSearch(), RandomSearch(), PafotSearch(SearchSpace(npcs=3, genes=2), population=7)]
@@ -141,58 +142,6 @@ def test_a_reused_evaluation_is_marked(cheap_world):
     assert [event.reused for event in events] == [False] * 4 + [True] * 6
 
 
-def ticking():
-    """Return a clock that advances a second each time it is read."""
-    ticks = count()
-    return lambda: float(next(ticks))
-
-
-def test_at_least_one_scenario_runs_despite_short_time(cheap_world):
-    world = cheap_world()
-    events = list(run_campaign(PafotSearch(), world, generations=5, seed=1, max_seconds=0, clock=ticking()))
-    assert len(world.simulated) == 1
-    assert (events[-1].reason, events[-1].generations, events[-1].simulated) == ("time", 0, 1)
-
-
-def test_the_time_is_looked_at_between_evaluations(cheap_world):
-    world, now = cheap_world(), [0.0]
-
-    def slow(scenario):
-        now[0] += 10.0
-        return world(scenario)
-
-    events = list(run_campaign(RandomSearch(), slow, generations=5, seed=1, max_seconds=55.0, clock=lambda: now[0]))
-    assert len(world.simulated) == 6
-    end = events[-1]
-    assert end == CampaignFinished(reason="time", generations=1, evaluated=6, simulated=6, best=end.best, seconds=60.0)
-    assert events[-1].seconds == 60.0
-
-
-def test_time_limit_may_depend_on_the_evaluations(cheap_world):
-    world, now = cheap_world(), [0.0]
-
-    def slow(scenario):
-        now[0] += 10.0
-        return world(scenario)
-
-    def most():
-        return 55.0 if len(world.simulated) < 3 else 25.0
-
-    events = list(run_campaign(RandomSearch(), slow, generations=5, seed=1, max_seconds=most, clock=lambda: now[0]))
-    assert (events[-1].reason, len(world.simulated)) == ("time", 3)
-
-
-def test_search_finishing_in_last_second_is_not_cut(cheap_world):
-    now = [0.0]
-
-    def slow(scenario, world=cheap_world()):  # noqa: B008
-        now[0] += 10.0
-        return world(scenario)
-
-    events = list(run_campaign(RandomSearch(), slow, generations=1, seed=1, max_seconds=40.0, clock=lambda: now[0]))
-    assert events[-1].reason == "generations"
-
-
 @pytest.fixture(scope="module")
 def longer(cheap_world):
     """Return the events of a search that is longer than the interrupted ones."""
@@ -218,25 +167,18 @@ def test_first_reached_limit_of_runs_or_generations_ends(cheap_world):
     assert [(end.reason, end.simulated) for end in ends] == [("runs", 7), ("generations", 8), ("generations", 8)]
 
 
-def test_another_algorithm_can_continue_after_first_generation(cheap_world):
-    large = RandomSearch(population=6)
-    campaign = run_campaign(
-        RandomSearch(),
-        cheap_world(),
-        generations=3,
-        seed=1,
-        adapted=lambda algorithm, generation: large if generation else algorithm,
-    )
-    assert [len(event.population) for event in of(GenerationFinished, campaign)] == [4, 6, 6]
-
-
-def test_consumer_can_stop_and_still_gets_last_event(cheap_world):
-    seen = []
-    campaign = run_campaign(PafotSearch(), cheap_world(), generations=50, seed=1, stop=lambda: len(seen) >= 3)
-    for event in campaign:
-        seen += of(Evaluated, [event])
-    assert len(seen) == 3
-    assert (event.reason, event.evaluated) == ("stopped", 3)
+@pytest.mark.parametrize("algorithm", [RandomSearch(), PafotSearch()], ids=lambda algorithm: algorithm.name)
+def test_another_algorithm_can_continue_after_first_generation(cheap_world, algorithm):
+    large = replace(algorithm, population=6)
+    plan, events, world = plan_of(algorithm, generations=3, seed=1, for_batches=large), [], cheap_world()
+    while not plan.is_over:
+        while not plan.is_whole:
+            known = plan.known()
+            plan.take(world(plan.scenario()) if known is None else known, reused=known is not None)
+            plan.decides_for_many = True
+        events += plan.learn()
+    wholes = [event for event in of(GenerationFinished, events) if not event.local_generation]
+    assert [len(event.population) - event.elites for event in wholes] == [4, 6 - wholes[1].elites, 6 - wholes[2].elites]
 
 
 @table("events_before", [0, 1, 2, 7, 30])
@@ -310,21 +252,16 @@ def test_local_generations_are_added_after_the_last_generation(make_evaluation):
     [
         ({"generations": 0}, "generations: expected a whole number, at least 1, received 0"),
         ({"seed": -1}, "seed: expected a whole number, at least 0"),
-        ({"max_seconds": -1.0}, "max_seconds: expected seconds, at least 0"),
-        ({"max_seconds": float("nan")}, "max_seconds: expected seconds, at least 0"),
     ],
 )
-def test_arguments_out_of_range_are_refused_early(cheap_world, arguments, message):
+def test_arguments_out_of_range_are_refused_early(arguments, message):
     with pytest.raises(ValueError, match=message):
-        run_campaign(PafotSearch(), cheap_world(), **({"generations": 1, "seed": 1} | arguments))
+        plan_of(PafotSearch(), **({"generations": 1, "seed": 1} | arguments))
 
 
 def best_after(algorithm, evaluate, *, simulations, seed):
-    done = []
-    campaign = run_campaign(algorithm, evaluate, generations=10**6, seed=seed, stop=lambda: len(done) >= simulations)
-    for event in campaign:
-        done += [e for e in of(Evaluated, [event]) if not e.reused]
-    return event.best.fitness
+    *_, last = run_campaign(algorithm, evaluate, generations=None, runs=simulations, seed=seed)
+    return last.best.fitness
 
 
 def test_genetic_algorithm_beats_random_search_on_smooth_landscape(make_evaluation):
@@ -342,8 +279,3 @@ def test_genetic_algorithm_beats_random_search_on_smooth_landscape(make_evaluati
     for algorithm in (PafotSearch(), PafotSearch(restart_after=50)):
         scores = list(zip(bests(algorithm), by_chance, strict=True))
         assert all(ours > theirs for ours, theirs in scores), scores
-
-
-def test_a_time_limit_needs_a_clock(cheap_world):
-    with pytest.raises(ValueError, match=r"time\.monotonic"):
-        run_campaign(PafotSearch(), cheap_world(), generations=1, seed=1, max_seconds=1.0)

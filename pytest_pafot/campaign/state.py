@@ -1,0 +1,480 @@
+"""All that a search knows: its counts, its findings, and its plan, in this session and in those that it resumes."""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from collections import Counter
+from collections.abc import Callable, Collection, Generator, Iterable, Mapping
+from dataclasses import asdict, dataclass, field, fields, is_dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from pytest_pafot.campaign.events import Judged, SearchEvent
+from pytest_pafot.campaign.harness import Harness
+from pytest_pafot.campaign.options import Settings
+from pytest_pafot.campaign.setup_fault import FirstGeneration
+from pytest_pafot.campaign.state_file import FLAG, StateFile
+from pytest_pafot.campaign.store import Store
+from pytest_pafot.campaign.verdict import Verdict
+from pytest_pafot.campaign.workers import FAILING, Passed, Tally, Workers, fails_by_ego
+from pytest_pafot.corpus.layout import link_below
+from pytest_pafot.corpus.saved import refusal
+from pytest_pafot.execution.scenario_pool import LostRun, expectation
+from pytest_pafot.findings.finding import Manner
+from pytest_pafot.findings.shrink import Start
+from pytest_pafot.findings.signature import CHECK_FAILED, Signature
+from pytest_pafot.model.scenario import Scenario
+from pytest_pafot.oracle.run import Run
+from pytest_pafot.searching import events
+from pytest_pafot.searching.ask_tell import Algorithm
+from pytest_pafot.searching.health import Health
+from pytest_pafot.searching.plan import Plan
+from pytest_pafot.searching.space import SearchSpace
+from pytest_pafot.support.errors import RequestError, flag
+from pytest_pafot.support.references import referred_to
+from pytest_pafot.support.source_files import source_digests
+from pytest_pafot.support.text import plural
+from pytest_pafot.world import codec, protocol
+from pytest_pafot.world.driving.ads import weights_digest
+from pytest_pafot.world.driving.perception import sight_of
+
+COUNTED_AT_ONCE = 16
+"""The number of evaluations after which their health is counted: then it takes less time than for each alone."""
+
+Shown = tuple[Scenario, tuple[Start, ...]] | None
+"""The result of an attempt to shrink a finding: the scenario as driven, and the ego's state at each gene's start.
+
+None if the run does not show the finding.
+"""
+
+Answer = tuple[str, Shown]
+"""An attempt to shrink a finding: the id of the candidate, and the result of its run."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EarlierFind:
+    """A finding of an earlier session of the same search.
+
+    Attributes:
+        id: the id of the finding, which is the name of its file.
+        signature: distinguishes the finding from other findings.
+        repeats: the number of other runs that failed in the same way.
+        found: the scenario as found, its generation and the number of its run; None if the finding was only counted.
+        is_due: True if the finding still must be simplified.
+        answers: the attempts to shrink the finding so far, in their order; empty if it is not due.
+    """
+
+    id: str
+    signature: Signature
+    repeats: int
+    found: tuple[Scenario, int, int] | None
+    is_due: bool
+    answers: tuple[Answer, ...]
+
+
+@dataclass(slots=True)
+class RandomRuns:
+    """The first runs of a search, as long as their scenarios are random.
+
+    Attributes:
+        evaluated: the number of evaluated scenarios.
+        runs: the number of runs that say something about the ego.
+        at_fault: the number of those with a collision for which the ego is responsible, alone or with the NPC.
+        otherwise: the number of those that failed in any other way, such as by a check or an error of the ADS.
+    """
+
+    evaluated: int = 0
+    runs: int = 0
+    at_fault: int = 0
+    otherwise: int = 0
+
+    def add(self, evaluated: int, runs: int, at_fault: int, otherwise: int) -> None:
+        """Count more runs."""
+        self.evaluated, self.runs = self.evaluated + evaluated, self.runs + runs
+        self.at_fault, self.otherwise = self.at_fault + at_fault, self.otherwise + otherwise
+
+
+@dataclass(slots=True, kw_only=True)
+class State:
+    """A search in progress, with everything that it has seen so far.
+
+    The first fields, which can be given, are what a file of ``--pafot-resume`` stores of a search, in this order.
+    """
+
+    before: tuple[str, ...] = ()  # ids of the files saved before the search; others with its seed are its own findings
+    seconds: float = 0.0  # the time of all earlier sessions [s]
+    decides_for_many: bool = False  # True if the ADS has decided for many runs at once
+    earlier: tuple[EarlierFind, ...] = ()  # the findings of earlier sessions in the order of discovery
+    known: Counter[str] = field(default_factory=Counter)  # number of failing runs by the file that covers them
+    verdicts: Counter[str] = field(default_factory=Counter)  # number of verdicts by kind
+    caught: Counter[str] = field(default_factory=Counter)  # number of passed runs by a check that failed in them
+    doubt: str = ""  # a doubt about the units of the ADS's actions, if any
+    avoidable: str = ""  # what happened in the first run that is excused though braking late avoids the collision
+    # how the reference itself failed in all its runs so far; empty if it did not in one of them, None before the first
+    broken: str | None = None
+    fatal: set[Scenario] = field(default_factory=set)  # scenarios in which a process died; they are not run
+    random: RandomRuns = field(default_factory=RandomRuns)
+    counted: Health = field(default_factory=Health)  # health of the evaluations that were counted
+
+    space: SearchSpace | None = field(init=False, default=None)  # None for replays only
+    plan: Plan[Any] | None = field(init=False, default=None)  # None before the first run
+    file: StateFile | None = field(init=False, default=None)  # None if the search is in one session
+    begun: str = field(init=False, default="")  # a note on the saved scenarios with which the search begins
+    clock: Callable[[], float] = field(init=False, default=time.monotonic)  # returns the seconds since some moment
+    began: float = field(init=False, default=0.0)  # the time at which this session began [s]
+    random_most: float = field(init=False, default=0.0)  # the number of random scenarios at the beginning
+    # the events of runs that were not evaluated yet, which are random
+    judged: dict[Scenario, Judged] = field(init=False, default_factory=dict)
+    shown: Mapping[Signature, str] = field(init=False, default_factory=dict)  # ids of saved scenarios by their failure
+    finds: dict[Signature, str] = field(init=False, default_factory=dict)  # ids of new findings by signature
+    repeats: Counter[str] = field(init=False, default_factory=Counter)  # number of other runs that show one, by id
+    # for each failure that a saved scenario shows and each manner of it, the id of the first scenario of this session
+    manners: dict[Signature, dict[Manner, str]] = field(init=False, default_factory=dict)
+    failures: dict[Signature, str] = field(init=False, default_factory=dict)  # ids by failures that this session showed
+    # results of the attempts to shrink each finding so far, by the id of the finding
+    answers: dict[str, list[Answer]] = field(init=False, default_factory=dict)
+    uncounted: list[events.Evaluated] = field(init=False, default_factory=list)
+    generation: int = field(init=False, default=0)  # generation of the main search, from 0
+    finished: events.CampaignFinished | None = field(init=False, default=None)  # the last event of the plan
+    skip: BaseException | None = field(init=False, default=None)  # the last skip of the test function
+    first: FirstGeneration = field(init=False, default_factory=FirstGeneration)
+    # number of runs that failed in lock step, by whether they failed alone, too
+    repeated: Counter[bool] = field(init=False, default_factory=Counter)
+    impure: str = field(init=False, default="")  # a scenario in which an ADS that is marked as pure decided otherwise
+    runs_before: int = field(init=False, default=0)  # runs of earlier sessions
+    generations_before: int = field(init=False, default=0)  # generations of earlier sessions
+    is_resumed: bool = field(init=False, default=False)  # True if an earlier session has made some of the runs
+    # ids of findings that still must be shrunk, but not in this session, which has no time left for them
+    postponed: set[str] = field(init=False, default_factory=set)
+    # ids of findings of earlier sessions beyond the number that a search saves
+    unsaved_before: set[str] = field(init=False, default_factory=set)
+
+    @property
+    def runs(self) -> int:
+        """The number of scenarios that were simulated so far."""
+        return self.verdicts.total()
+
+    @property
+    def health(self) -> Health:
+        """The figures that say whether the search tested anything."""
+        self.count()
+        return self.counted
+
+    @property
+    def has_all_random(self) -> bool:
+        """True if all random scenarios at the beginning of the search were run."""
+        return self.random.evaluated >= self.random_most
+
+    def count(self) -> None:
+        """Count the evaluations since the last call. Counting is delayed so that no scenario has to wait for it."""
+        self.counted += Health.of(self.uncounted)
+        self.uncounted.clear()
+
+    @property
+    def known_alone(self) -> str:
+        """A note if all failures so far are known failures of checks; empty if nothing or anything else failed."""
+        checks = {id_ for signature, id_ in self.shown.items() if signature.failure == CHECK_FAILED}
+        if not self.known or self.known.total() < self.verdicts["failed"] or not checks.issuperset(self.known):
+            return ""
+        names = " and ".join(f"saved-{id_}" for id_ in sorted(self.known))
+        which = "a failed check" if len(self.known) == 1 else "failed checks"
+        return f"all {plural(self.known.total(), 'failing run')} are known, by {names}, {which}; nothing else failed"
+
+    def warnings(self, harness: Harness) -> tuple[str, ...]:
+        """Return warnings about the search's health, and about a test or reference with which nothing can fail."""
+        warnings = self.health.warnings(self.known.total(), acts_in_si=protocol.acts_in_si(harness.world, harness.ads))
+        excused = sum(self.verdicts[kind] for kind in ("npc", "avoidable", "unpreventable"))
+        if excused and not self.verdicts["passed"] and not self.verdicts["failed"]:
+            blame, what = harness.request.blame, "collisions that an NPC is responsible for"
+            if self.verdicts["unpreventable"]:
+                what = "failures that no reference driver would have prevented, or " + what
+            warnings.append(
+                f"the test function judged nothing: all runs that it could judge were {what}, which "
+                f'blame="{blame}" excludes; search longer'
+            )
+        warnings += [
+            f"check {name!r} failed in {runs} of {self.verdicts['passed']} runs that passed: the test function caught "
+            "its exception; do not catch it, or use pafot.target, which never fails"
+            for name, runs in sorted(self.caught.items())
+        ]
+        if self.repeated[False] > self.repeated[True]:  # a few may, because a network rounds differently in a batch
+            warnings.append(
+                f"{self.repeated[False]} of {plural(self.repeated.total(), 'run')} that failed by the ADS's `batch` "
+                "passed when the ADS was called for each alone, which is all that counts; let both decide the same"
+            )
+        if self.impure:
+            warnings.append(
+                f"the ADS is marked as pure, but decided otherwise in {self.impure} when it made all decisions, "
+                "as it must if it remembers earlier ones: runs may have passed or failed by that; remove `pure`"
+            )
+        if self.broken:
+            warnings.append(
+                f"the reference itself failed in all its runs, at first with {self.broken}, so no failure could count; "
+                "correct the reference, its factory, or the world= in which it drives"
+            )
+        return tuple(warnings)
+
+    @property
+    def seconds_so_far(self) -> float:
+        """The time that the search has taken so far, in all its sessions [s]."""
+        return self.clock() - self.began + self.seconds
+
+    def budget(self, settings: Settings) -> tuple[int | None, int | None]:
+        """Return the numbers of runs and generations after which this session ends, counted from the first one on."""
+        return (
+            None if settings.runs is None else self.runs_before + settings.runs,
+            None if settings.generations is None else self.generations_before + settings.generations,
+        )
+
+    def resume(self, earlier: State, *, runs: int, generations: int) -> None:
+        """Go on from the state of an earlier session, after so many runs and generations."""
+        for each in fields(self):
+            if each.init:
+                setattr(self, each.name, getattr(earlier, each.name))
+        self.finds = {each.signature: each.id for each in earlier.earlier}
+        self.repeats = Counter({each.id: each.repeats for each in earlier.earlier})
+        self.is_resumed, self.runs_before, self.generation = True, runs, generations
+        self.generations_before = generations
+
+    def offer(self, store: Store, simplified: Collection[str] = ()) -> None:
+        """Write the state, unless it was written shortly before: a session that is killed loses little."""
+        if self.file is not None and self.file.is_due:
+            self._write(self.file, store, simplified)
+
+    def write(self, store: Store, simplified: Collection[str] = ()) -> None:
+        """Write the state at the end of a session; ``simplified`` are the ids of findings that are fully shrunk."""
+        if self.file is not None and self.finished is not None:
+            self._write(self.file, store, simplified)
+
+    def _write(self, file: StateFile, store: Store, simplified: Collection[str]) -> None:
+        if self.plan is not None:
+            file.write(self.plan.checkpoint(), self.stored(store, simplified))
+
+    def close(self) -> None:
+        """Release the file for other sessions."""
+        if self.file is not None:
+            self.file.release()
+
+    def stored(self, store: Store, simplified: Collection[str]) -> State:
+        """Return what the file has to say of this state."""
+        kept = store.kept
+        found = {each.id: each.found for each in self.earlier}
+        for id_, each in kept.items():  # the scenario as found, before shrinking
+            finding = each.finding
+            found[id_] = (finding.original or finding.scenario, finding.found.generation, each.number)
+        due = self.postponed | {id_ for id_, each in kept.items() if each.is_firm and id_ not in simplified}
+        finds = (
+            EarlierFind(
+                id=id_,
+                signature=signature,
+                repeats=self.repeats[id_],
+                found=found.get(id_),
+                is_due=id_ in due,
+                answers=tuple(self.answers.get(id_, ())) if id_ in due else (),
+            )
+            for signature, id_ in self.finds.items()
+        )
+        self.count()
+        return replace(self, seconds=self.seconds_so_far, earlier=tuple(finds))
+
+    def see(self, event: SearchEvent) -> None:
+        """Count what an event says.
+
+        Raises:
+            SetupFaultError: if all runs of the first generation end in the same exception.
+        """
+        match event:
+            case Judged():
+                if not self.has_all_random:
+                    self.judged[event.scenario] = event
+            case events.Evaluated():
+                self.uncounted.append(event)
+                if len(self.uncounted) >= COUNTED_AT_ONCE:
+                    self.count()
+                if not self.has_all_random:
+                    self._see_random(event)
+            case events.GroupEvaluated():
+                self.counted += event.counts.health
+                if not self.has_all_random:
+                    self.random.add(*event.counts.random)
+            case events.GenerationFinished(local_generation=0):
+                self.generation = event.generation + 1
+                self.first.end()
+            case events.LocalSearchStarted():
+                self.generation = event.generation
+            case events.LocalSearchFinished():
+                self.generation = event.generation + 1
+            case events.CampaignFinished():
+                self.finished = event
+
+    def _see_random(self, event: events.Evaluated) -> None:
+        """Count a random scenario, which may be judged twice before it is evaluated."""
+        judged = self.judged.pop(event.evaluation.scenario, None)
+        if judged is None or judged.verdict.discarded or judged.verdict.kind == "invalid":
+            self.random.add(1, 0, 0, 0)
+        elif judged.verdict.kind in FAILING:
+            is_at_fault = judged.run is not None and fails_by_ego(judged.run, judged.verdict)
+            self.random.add(1, 1, is_at_fault, not is_at_fault)
+        else:
+            self.random.add(1, 1, 0, 0)
+
+    def take(self, run: Run | None, verdict: Verdict, caught: Iterable[str], doubt: str) -> None:
+        """Count a judged run; ``run`` is None if another process has judged it."""
+        self.verdicts[verdict.kind] += 1
+        # What says that the set-up is wrong: a check that the function catches, units, the same error in all runs. As
+        # soon as two runs differ, the findings that were held back are no fault of the set-up.
+        self.caught.update(caught)
+        self.doubt = self.doubt or doubt
+        self.avoidable = self.avoidable or verdict.told
+        if self.first.is_alike:
+            self.first.see(run, verdict)
+        if verdict.kind == "skipped":
+            self.skip = verdict.exception
+        if verdict.reference is not None and self.broken != "":
+            broken = verdict.reference.failure if verdict.reference.is_ads else None
+            self.broken = "" if broken is None else self.broken or f"{broken.kind}: {broken.message}"
+
+    def take_passed(self, passed: Passed) -> None:
+        """Count a run that another process has judged."""
+        self.take(None, passed.event.verdict, passed.caught, passed.doubt)
+        if passed.signature is not None:
+            self.repeat(passed.signature)
+            self.see_manner(passed.signature, passed.manner, passed.event.executed.id)
+
+    def take_tally(self, tally: Tally) -> None:
+        """Count runs that another process has drawn, judged and counted."""
+        self.verdicts.update(tally.verdicts)
+        self.caught.update(tally.caught)
+        self.doubt = self.doubt or tally.doubt
+        self.avoidable = self.avoidable or tally.avoidable
+        if self.first.is_alike:
+            self.first.see_others(tally.verdicts)
+        for signature, runs in tally.failed.items():
+            self.repeat(signature, runs)
+        for signature, manner, id_ in tally.manners:
+            self.see_manner(signature, manner, id_)
+
+    def knows(self, signature: Signature) -> bool:
+        """Return whether a saved scenario shows a failure, or this search has found it before."""
+        return signature in self.shown or signature in self.finds
+
+    def repeat(self, signature: Signature, runs: int = 1) -> None:
+        """Count runs with a failure that the search :meth:`knows`."""
+        id_ = self.failures[signature] = self.shown.get(signature) or self.finds[signature]
+        (self.known if signature in self.shown else self.repeats)[id_] += runs
+
+    def add(self, signature: Signature, find_id: str) -> None:
+        """Take a new finding."""
+        self.finds[signature] = self.failures[signature] = find_id
+
+    def see_manner(self, signature: Signature, manner: Manner | None, scenario_id: str) -> None:
+        """Remember how a failure came about that a saved scenario shows."""
+        if signature in self.shown and manner is not None:
+            self.manners.setdefault(signature, {}).setdefault(manner, scenario_id)
+
+    def forget_findings(self) -> None:
+        """Forget the failures of a search whose set-up is at fault: they must not count as findings or as known."""
+        self.known.clear()
+        self.failures.clear()
+        self.finds.clear()
+
+    def found_before(self, store: Store) -> Counter[str]:
+        """Return the number of failing runs for each saved finding of an earlier session, by the finding's id."""
+        told = {*store.kept, *store.unsaved, *self.unsaved_before}
+        return Counter({id_: 1 + self.repeats[id_] for id_ in self.finds.values() if id_ not in told})
+
+    @property
+    def notes(self) -> list[str]:
+        """Lines for the summary on earlier sessions and their findings."""
+        went_on = f"resumed after {plural(self.runs_before, 'run')} of earlier sessions"
+        problem, anew = ("", "") if self.file is None else (self.file.problem, self.file.anew)
+        unsaved = self.unsaved_before
+        shown = plural(sum(1 + self.repeats[id_] for id_ in unsaved), "run")
+        left = f"{plural(len(unsaved), 'finding')} of earlier sessions not saved ({MAX_SAVED}), shown by {shown}"
+        postponed = f"no time was left to shrink {plural(len(self.postponed), 'finding')} of earlier sessions"
+        return [
+            *([went_on] if self.is_resumed else []),
+            *([postponed] if self.postponed else []),
+            *([left] if unsaved else []),
+            *filter(None, [problem, anew, self.begun]),
+        ]
+
+
+def lose(lost: LostRun, state: State, workers: Workers, store: Store) -> Generator[SearchEvent, None, bool]:
+    """Record a scenario whose process died or hung, so that it is never run again, not even in later sessions.
+
+    Return whether that is a failure. It is none if the reference does not pass the scenario either.
+    """
+    state.fatal.add(lost.task)
+    if workers.is_common(lost.task):
+        return False
+    signature = expectation(lost).signature
+    if state.knows(signature):
+        state.repeat(signature)
+    else:
+        kept = store.add_lost(lost, state.generation, state.runs + 1)
+        yield from store.report(kept)
+        state.add(signature, kept.find.id)
+    return True
+
+
+MAX_SAVED = flag("max_saved")
+
+
+def check_states(resume: str, here: Path) -> None:
+    """Refuse a folder of states behind a link, because files are written and removed in that folder.
+
+    ``resume`` is the path that the user gave, relative to ``here``.
+
+    Raises:
+        RequestError: if a relative path contains a link.
+    """
+    link = None if Path(resume).is_absolute() else link_below(here, here / resume)
+    if link is not None:
+        raise RequestError(f"{FLAG}: {refusal(link)}")
+
+
+def agreed(harness: Harness, algorithm: Algorithm[Any], space: SearchSpace) -> dict[str, Any]:
+    """Return the settings in which a state and a search must agree, as plain data.
+
+    They include the hashes of the user's source files: those of the test, the ADS, the reference, the algorithm, the
+    fitness and the world, with all that these files import. The code of a notebook has no file, and is not included.
+    """
+    request, sight = harness.request, sight_of(harness.ads)
+    names: list[str] = [each.name for each in fields(algorithm)] if is_dataclass(algorithm) else []
+    values = {
+        "test": harness.node_id,
+        "seed": request.settings.seed,
+        "algorithm": {"name": algorithm.name, **{name: getattr(algorithm, name) for name in names if name != "space"}},
+        "space": space.plain,
+        "world": codec.described(harness.world),
+        "blame": request.blame,
+        "fitness": request.fitness,
+        "decision_limit": request.decision_limit,
+        "against": None if harness.against is None else harness.against.commit or harness.against.shown,
+        "sight": None if sight is None else asdict(sight),
+        "weights": weights_digest(harness.ads),
+        "versions": harness.versions,
+        "code": _code(harness),
+    }
+    data: dict[str, Any] = json.loads(json.dumps(values, default=_named))
+    return data
+
+
+def _code(harness: Harness) -> dict[str, str]:
+    fitness, request = harness.request.fitness, harness.request
+    own = referred_to(fitness) if isinstance(fitness, str) and ":" in fitness else fitness
+    of_file = next(
+        (each for each in [*sys.modules.values()] if getattr(each, "__file__", None) == harness.test_file), None
+    )
+    against = None if harness.against is None else harness.against.ads
+    given = (of_file, harness.test, harness.ads, against, request.algorithm.made_by, own)
+    return source_digests(*given, *codec.code_of(harness.world), here=harness.root)
+
+
+def _named(value: object) -> str:
+    """Return a text for an object that is not plain data: a function's name, or a text that may differ by process."""
+    name = getattr(value, "__qualname__", None)
+    return repr(value) if name is None else f"{getattr(value, '__module__', '')}:{name}"

@@ -1,0 +1,296 @@
+"""The findings of one search and their files."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from pytest_pafot.campaign.events import NO_WORSE, Find, FindTold
+from pytest_pafot.campaign.harness import Harness
+from pytest_pafot.campaign.verdict import PlainFailure, Verdict, headline
+from pytest_pafot.corpus.layout import SUFFIX, files_in, relative
+from pytest_pafot.corpus.writer import CorpusWriteError, free_path, rewrite, text_of, write
+from pytest_pafot.execution.crash_records import Leftover
+from pytest_pafot.execution.pool import OUT_OF_MEMORY, WORLD_HANGS
+from pytest_pafot.execution.scenario_pool import LostRun, expectation
+from pytest_pafot.findings.finding import Expect, Finding, Found, Perceived, portable
+from pytest_pafot.findings.signature import PROCESS_CRASH
+from pytest_pafot.model.scenario import Scenario
+from pytest_pafot.model.trace import Outcome
+from pytest_pafot.oracle.run import Run
+from pytest_pafot.support.errors import flag
+from pytest_pafot.support.interrupts import postponed
+from pytest_pafot.world import codec
+from pytest_pafot.world.driving.ads import weights_digest
+from pytest_pafot.world.driving.perception import sight_of
+
+UNCONFIRMED = "not confirmed: out of time"
+"""The remark on a finding that the time limit left no time to run again."""
+
+UNSEEN_CRASH = Expect(
+    failure=PROCESS_CRASH,
+    outcome=Outcome.ADS_ERROR,  # The ADS is the only code that can kill a process.
+    time=0.0,
+    message="the process ended while it ran this scenario",
+)
+"""The expected result in the file of a scenario in which a process died for an unknown reason."""
+
+
+@dataclass(slots=True, kw_only=True)
+class Store:
+    """The findings of one search. It saves each at once, and says what is to be reported.
+
+    Findings are held back until it is clear that they are no fault of the set-up.
+    """
+
+    harness: Harness
+    seed: int
+    # files that existed before the search; their replays do not show the findings that are saved here
+    replayed: frozenset[Path] = frozenset()
+    kept: dict[str, FindTold] = field(default_factory=dict)  # the findings so far, by id
+    unsaved: list[str] = field(default_factory=list)  # ids of findings above the limit of saved scenarios
+    first: BaseException | None = None  # the exception of the first finding, for a debugger
+    held: list[str] = field(default_factory=list)  # ids of findings that are saved and not reported yet
+    dismissed: dict[str, str] = field(default_factory=dict)  # headlines of findings that do not count, by id
+    is_holding: bool = True  # False once findings are reported at once, because they are no fault of the set-up
+
+    @property
+    def count(self) -> int:
+        """The number of distinct findings so far, including findings above the limit, which are not saved."""
+        return len(self.kept) + len(self.unsaved) - len(self.held)
+
+    @property
+    def firm(self) -> int:
+        """The number of findings that can be shrunk."""
+        return sum(kept.is_firm for kept in self.kept.values())
+
+    def add(self, run: Run, verdict: Verdict, generation: int, number: int) -> FindTold | str:
+        """Save a new finding, and hold it back; return its id alone if as many are saved as the search may save.
+
+        ``generation`` is counted from 0; ``number``, the number of the run in the search, from 1.
+        """
+        if verdict.failure is None or verdict.exception is None:
+            raise ValueError(f"verdict: expected the verdict on a failed run, received {verdict!r}")
+        harness = self.harness
+        finding = Finding.of(
+            run,
+            verdict.failure,
+            test=harness.node_id,
+            world=codec.described(harness.world),
+            found=self._found(generation),
+            perception=self._perception,
+            against="" if harness.against is None else harness.against.name,
+            root=str(harness.root),
+        )
+        files = files_in(harness.folder)  # Empty if the folder cannot be read; writing into it reports why.
+        is_full = max(len(files), len(self.kept)) >= harness.request.settings.max_saved
+        # A finding whose file exists already takes no more room.
+        if is_full and not os.path.lexists(free_path(harness.folder, finding, self.replayed)[0]):
+            self.unsaved.append(finding.id)
+            self.first = self.first or verdict.exception
+            return finding.id
+        origin = self._origin(generation, number)
+        with postponed():  # Whatever interrupts the search from here on, it ends with a report of what is held.
+            kept = self._saved(finding, headline(run, verdict), origin, verdict.exception, verdict.is_timed)
+            kept = replace(kept, run=run, number=number, find=replace(kept.find, severity=verdict.severity))
+            return self._held(kept)
+
+    def release(self) -> Iterator[FindTold]:
+        """Yield the findings that were held back; from now on, each new finding is to be reported at once."""
+        self.is_holding = False
+        for find_id in tuple(self.held):
+            yield from self.report(self.kept[find_id])
+
+    def withdraw(self) -> Iterator[FindTold]:
+        """Remove the files of findings that were held back, since they are a fault of the set-up.
+
+        Yield the findings whose files cannot be removed.
+        """
+        withdrawn = [self.kept.pop(find_id) for find_id in self.held]
+        self.held.clear()
+        self.is_holding = False
+        self.unsaved.clear()
+        for kept in withdrawn:
+            try:
+                if kept.file is not None:
+                    kept.file.unlink(missing_ok=True)
+            except OSError:
+                yield from self.report(kept)
+        if not any(kept.file for kept in withdrawn):
+            return  # Nothing was saved, and the folders may be behind a link, where nothing may be removed.
+        with suppress(OSError):  # Folders with other content stay.
+            self._remove_folders()
+
+    def dismiss(self, kept: FindTold, why: str) -> Iterator[FindTold]:
+        """Remove the file of a finding that does not count, and yield what is to be reported."""
+        file, find = kept.file, replace(kept.find, label=NO_WORSE, detail=why, unshrunk="")
+        if file is not None:
+            with suppress(OSError):  # A file that cannot be removed stays, and is told with its path.
+                file.unlink(missing_ok=True)
+                find = replace(find, path="")
+            with suppress(OSError):  # Folders with other content stay.
+                self._remove_folders()
+        with postponed():
+            del self.kept[find.id]
+            self.dismissed[find.id] = find.headline
+            self.first = next((each.exception for each in self.kept.values()), None)
+            yield replace(kept, find=find, is_new=False)
+
+    def _remove_folders(self) -> None:
+        for folder in (self.harness.folder, *self.harness.folder.parents[:2]):
+            folder.rmdir()
+
+    def report(self, told: FindTold) -> Iterator[FindTold]:
+        """Yield a new finding, or an update of one, which is reported as soon as the next event is asked for."""
+        with postponed():
+            self.kept[told.find.id] = told
+            if self.first is None or told.find.id == next(iter(self.kept)):
+                self.first = told.exception
+            yield told
+            if told.find.id in self.held:
+                self.held.remove(told.find.id)
+
+    def call_flaky(self, kept: FindTold, difference: str) -> FindTold:
+        """Mark a finding as flaky, also in its file; return it. ``difference`` is what did not repeat."""
+        marked = self.rewritten(kept, replace(kept.finding, flaky=portable(difference, str(self.harness.root))))
+        self.kept[kept.find.id] = replace(marked, find=replace(kept.find, difference=difference, unshrunk=""))
+        return self.kept[kept.find.id]
+
+    def rewritten(self, kept: FindTold, finding: Finding) -> FindTold:
+        """Replace a finding by a new version, also in its file; return it.
+
+        If the file cannot be written, the old finding is returned, with the reason.
+        """
+        if kept.file is None:
+            return replace(kept, finding=finding, content=text_of(finding) if kept.content else "")
+        try:
+            return replace(kept, finding=rewrite(kept.file, finding))
+        except CorpusWriteError as error:
+            return replace(kept, origin=f"{kept.origin}; its file is as first found: {error}")
+
+    def add_crash(self, leftover: Leftover, scenario: Scenario, again: LostRun | None) -> FindTold:
+        """Save a scenario in which a process died in an earlier session, as its record ``leftover`` says.
+
+        ``again`` describes how a second process ended that ran the scenario again; None if that is unknown.
+        """
+        others = " and others in lock step" if leftover.is_lock_step else ""
+        text = f"a process (pid {leftover.pid}) died while it ran this scenario{others}, "
+        if again is None:
+            text += (
+                "because of a crash of native code, something that builds up from run to run, such as memory, or a "
+                "kill from outside; if it was killed from outside, delete the file"
+            )
+        else:
+            text += f"and the one that ran it again {again.how}: {cause(again, 'delete the file')}"
+        expect, line = UNSEEN_CRASH, "crash: a process died while it ran this scenario"
+        if again is not None:
+            expect, line = expectation(again), _headline(again)
+        finding = self._death(scenario, expect, self._found(0, "crash"), leftover.world)
+        is_timed = again is not None and again.is_hang
+        with postponed():
+            return self._held(
+                self._saved(finding, line, "the record of a session that died", PlainFailure(text), is_timed)
+            )
+
+    def add_lost(self, lost: LostRun, generation: int, number: int) -> FindTold:
+        """Save a scenario whose process died or hung. The numbers are as in :meth:`add`."""
+        alone = "" if lost.is_hang else ", also when nothing else ran"
+        text = f"the {lost.who} that ran this scenario {lost.how}{alone}: "
+        text += cause(lost, f"{flag('workers', 1)} finds nothing here; delete the file")
+        finding = self._death(lost.task, expectation(lost), self._found(generation), None)
+        origin = self._origin(generation, number)
+        with postponed():
+            return self._held(self._saved(finding, _headline(lost), origin, PlainFailure(text), lost.is_hang))
+
+    def _held(self, kept: FindTold) -> FindTold:
+        self.kept[kept.find.id] = kept
+        self.held.append(kept.find.id)
+        return kept
+
+    @property
+    def _perception(self) -> Perceived | None:
+        sight = sight_of(self.harness.ads)
+        return None if sight is None else Perceived(sight=sight)
+
+    def _found(self, generation: int, algorithm: str = "") -> Found:
+        algorithm = algorithm or self.harness.request.algorithm.name
+        return Found(
+            seed=self.seed,
+            generation=generation,
+            algorithm=algorithm,
+            versions=self.harness.versions,
+            weights=weights_digest(self.harness.ads),
+        )
+
+    def _origin(self, generation: int, number: int) -> str:
+        algorithm = self.harness.request.algorithm.name
+        return f"{algorithm}, seed {self.seed}, generation {generation}, run {number}"
+
+    def _death(self, scenario: Scenario, expect: Expect, found: Found, world: Mapping[str, Any] | None) -> Finding:
+        return Finding(
+            id=f"{'hang' if expect.outcome is Outcome.HANG else 'crash'}-{scenario.id}",
+            test=self.harness.node_id,
+            scenario=scenario,
+            world=world or codec.described(self.harness.world),
+            expect=expect,
+            found=found,
+            perception=self._perception,
+        )
+
+    def _saved(self, finding: Finding, line: str, origin: str, exception: BaseException, is_timed: bool) -> FindTold:
+        path, finding = free_path(self.harness.folder, finding, self.replayed)
+        while finding.id in self.kept:
+            finding = replace(finding, id=f"{finding.id}-again")
+            path = self.harness.folder / f"{finding.id}{SUFFIX}"
+        problem = content = ""
+        try:
+            if self.harness.request.settings.save == "none":
+                problem = flag("save", "none")
+            # Between the check and the write, another session may use the name for its own finding.
+            while not problem and not write(path, finding):
+                other, renamed = free_path(self.harness.folder, finding, self.replayed)
+                if other == path:
+                    break
+                path, finding = other, renamed
+        except CorpusWriteError as error:
+            problem, content = str(error), text_of(finding)
+        node_id, told = self.harness.saved_node_id(finding.id), "" if problem else relative(path, self.harness.root)
+        find = Find(
+            id=finding.id,
+            node_id=node_id,
+            headline=line,
+            path=told,
+            detail=problem,
+            is_timed=is_timed,
+            responsible=finding.expect.responsibility,
+        )
+        return FindTold(
+            finding=finding,
+            find=find,
+            origin=origin,
+            exception=exception,
+            file=None if problem else path,
+            content=content,
+        )
+
+
+def _headline(lost: LostRun) -> str:
+    return f"{'hang' if lost.is_hang else 'crash'}: the process that ran this scenario {lost.how}"
+
+
+def cause(lost: LostRun, way_out: str) -> str:
+    """Return why a process may have died or hung; with ``way_out``, what to do if the scenario is not the cause."""
+    if lost.how == OUT_OF_MEMORY:
+        return f"the ADS uses more and more memory, or needs that much (then give a larger {flag('memory')})"
+    if lost.how == WORLD_HANGS:
+        return f"the world hangs, or needs that long (then give it a longer hang_limit and {way_out})"
+    if not lost.is_hang:
+        return "the likely cause is a crash of native code, an exit or a lack of memory"
+    return (
+        "the ADS hangs in code that does not return to the interpreter, ignores the interrupt, or uses a library that "
+        f"does not work in a forked process (then {way_out})"
+    )
