@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from pytest_pafot.corpus.layout import SUFFIX as SUFFIX
     from pytest_pafot.corpus.layout import files_below as files_below
     from pytest_pafot.corpus.saved import Saved as Saved
+    from pytest_pafot.criticality.measures import Encounters as Encounters
     from pytest_pafot.execution.elsewhere import DrivesElsewhere as DrivesElsewhere
     from pytest_pafot.execution.pool import ProcessLostError as ProcessLostError
     from pytest_pafot.execution.pool import Requests as Requests
@@ -79,13 +80,12 @@ if TYPE_CHECKING:
     from pytest_pafot.searching.space import sample as sample
     from pytest_pafot.searching.space import sample_manoeuvres as sample_manoeuvres
     from pytest_pafot.support.errors import RequestError as RequestError
+    from pytest_pafot.world.codec import WorldData as WorldData
     from pytest_pafot.world.codec import code_of as code_of
-    from pytest_pafot.world.codec import from_dict as from_dict
     from pytest_pafot.world.driving.ads import AdsFactory as AdsFactory
-    from pytest_pafot.world.driving.ads import is_vehicle_class as is_vehicle_class
     from pytest_pafot.world.driving.ads import loading_hint as loading_hint
+    from pytest_pafot.world.driving.ads import needs_env as needs_env
     from pytest_pafot.world.driving.ads import preload as preload
-    from pytest_pafot.world.driving.ads import wants_env as wants_env
     from pytest_pafot.world.driving.policy import checked_action as checked_action
     from pytest_pafot.world.engines.ordinary_traffic import SteppedWorld as SteppedWorld
     from pytest_pafot.world.engines.ordinary_traffic import drive_episode as drive_episode
@@ -103,6 +103,7 @@ _HOMES = {
     "AlgorithmEvent": "searching.events",
     "AlgorithmRun": "campaign.explore",
     "DrivesElsewhere": "execution.elsewhere",
+    "Encounters": "criticality.measures",
     "Evaluation": "searching.evaluation",
     "ExecutionError": "execution.scenario_pool",
     "Finding": "findings.finding",
@@ -133,6 +134,7 @@ _HOMES = {
     "SteppedWorld": "world.engines.ordinary_traffic",
     "Verdict": "campaign.verdict",
     "WorkerPool": "execution.pool",
+    "WorldData": "world.codec",
     "X": "model.trace",
     "Y": "model.trace",
     "ads_factory": "commands.policy_reference",
@@ -153,13 +155,12 @@ _HOMES = {
     "end_of_local_search": "searching.ask_tell",
     "files_below": "corpus.layout",
     "first_crossed": "searching.operators",
-    "from_dict": "world.codec",
     "identity": "commands.policy_reference",
-    "is_vehicle_class": "world.driving.ads",
     "judged_runs": "campaign.explore",
     "judged_with_drivers": "campaign.verdict",
     "loading_hint": "world.driving.ads",
     "mutate": "searching.operators",
+    "needs_env": "world.driving.ads",
     "policy_of": "plugin.collection",
     "preload": "world.driving.ads",
     "refusals": "campaign.harness",
@@ -173,7 +174,6 @@ _HOMES = {
     "sample_manoeuvres": "searching.space",
     "searched_test": "plugin.collection",
     "varied": "searching.operators",
-    "wants_env": "world.driving.ads",
 }
 
 __all__ = sorted(_HOMES)  # noqa: PLE0605

@@ -62,6 +62,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of the command."""
     kinds = parser.add_subparsers(required=True, metavar="WHAT", dest="what")
     of_folders = "searched for saved scenarios, with all folders below (default: here)"
+    results: dict[str, Any] = {"nargs": "+", "action": "extend", "type": Path, "default": [], "metavar": "FILE"}
     about = "print a table of the saved scenarios, the worst first; pytest collects their tests, and runs none"
     listing = kinds.add_parser("list", help=about, description=about.capitalize())
     listing.add_argument(
@@ -73,15 +74,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="list only rows that have the text in the column, or with `COLUMN=` nothing; all conditions must hold; "
         f"columns: {', '.join(COLUMNS)}",
     )
-    listing.add_argument(
-        "--results",
-        nargs="+",
-        action="extend",
-        type=Path,
-        default=[],
-        metavar="FILE",
-        help=f"results of a session, from {flag('json')}; the last file that has a scenario tells its state",
-    )
+    of_states = f"results of a session, from {flag('json')}; the last file that has a scenario tells its state"
+    listing.add_argument("--results", help=of_states, **results)
     listing.add_argument(
         "--no-tests", action="store_true", help="read only the files, without the requirements and owners of tests"
     )
@@ -109,15 +103,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="DIR",
         help="add the saved scenarios of another corpus to FOLDER instead, and remove none; may be given several times",
     )
-    chosen.add_argument(
-        "--results",
-        nargs="+",
-        action="extend",
-        type=Path,
-        default=[],
-        metavar="FILE",
-        help=f"results of a session here, from {flag('json')}: join only files that still fail in the last one",
-    )
+    of_failing = f"results of a session here, from {flag('json')}: join only files that still fail in the last one"
+    chosen.add_argument("--results", help=of_failing, **results)
     joining.add_argument("folders", nargs="*", type=Path, default=[Path()], metavar="FOLDER", help=of_folders)
     about = "remove saved scenarios whose test is gone; pytest collects the tests for that, and runs none"
     pruning = kinds.add_parser("prune", help=about, description=about.capitalize())

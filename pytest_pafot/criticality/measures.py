@@ -7,13 +7,15 @@ Function), equations 1 to 5. Vehicle 1 of the equations is the ego, vehicle 2 an
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from dataclasses import replace
 from functools import cached_property, lru_cache
 
 import numpy as np
 import numpy.typing as npt
 
 from pytest_pafot.criticality import sweep
-from pytest_pafot.criticality.boxes import Boxes, Pairs, box_gap, contact_time, overlaps, relate
+from pytest_pafot.criticality.boxes import Boxes, Pairs, box_gap, contact_time, depth, overlaps, relate
 from pytest_pafot.criticality.relative import RelativePositions
 from pytest_pafot.model.trace import ACCELERATION, HEADING, SPEED, FloatArray, Trace
 
@@ -50,6 +52,28 @@ class Encounters(RelativePositions):
         """The pairs (ego, NPC)."""
         every = slice(None)
         return relate(self.boxes.part(slice(0, 1), every), self.boxes.part(slice(1, None), every))
+
+    def depths(self, rows: slice = slice(None), heading: float | None = None) -> FloatArray:
+        """Return how deep the boxes of each two vehicles overlap [m], shape [pairs, rows]; negative if they are apart.
+
+        With a heading [rad] the boxes do not turn: all of them have it.
+        """
+        boxes, every = self.boxes, range(len(self.x) - 1)
+        if heading is not None:
+            boxes = replace(boxes, cos=0 * boxes.cos + math.cos(heading), sin=0 * boxes.sin + math.sin(heading))
+        parts = [(boxes.part(slice(n, n + 1), rows), boxes.part(slice(n + 1, None), rows)) for n in every]
+        return np.vstack([depth(relate(*pair)) for pair in parts])
+
+    def depth_in(self, obstacles: Sequence[Sequence[float]], vehicle: int) -> float:
+        """Return how deep a vehicle overlaps fixed boxes at the end [m]; negative if it is apart from all of them.
+
+        Each has x [m], y [m], heading [rad], length and width [m], as in :attr:`pytest_pafot.Trace.obstacles`.
+        """
+        if not obstacles:
+            return -math.inf
+        x, y, heading, length, width = np.array(obstacles, dtype=float).T
+        fixed = Boxes.driving(x, y, heading, 0 * x, length, width)
+        return float(depth(relate(self.boxes.part(slice(vehicle, vehicle + 1), slice(-1, None)), fixed)).max())
 
     @cached_property
     def ego_follows(self) -> npt.NDArray[np.bool_]:

@@ -295,6 +295,11 @@ class Trace(Shown):
         return self.on_way[:, npc]
 
     @property
+    def angles(self) -> FloatArray:
+        """The headings relative to the road [rad], shape [ticks + 1, vehicles]: to the ego's way if the road bends."""
+        return self.states[..., HEADING] - self.lanes[0].heading if self.track is None else self.track[..., ANGLE]
+
+    @property
     def chains(self) -> tuple[Chromosome, ...]:
         """The chains that the NPCs drove: the chains of ``executed``, with the cells of ``driven`` in their place."""
         return with_targets(self.executed.npcs, self.driven)

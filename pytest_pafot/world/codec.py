@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import fields
+from dataclasses import dataclass, field, fields
 from importlib import metadata
 from types import MappingProxyType
 from typing import Any
@@ -252,6 +252,45 @@ def _longest(data: Mapping[str, Any], own: Any) -> float:
     if own_rate is None or not isinstance(rate, int) or not PHYSICS_HZ[0] <= rate <= PHYSICS_HZ[1]:
         return seconds
     return float(seconds * own_rate / rate)
+
+
+@dataclass(frozen=True, slots=True)
+class WorldData:
+    """A world as plain data, as a file stores it; equal worlds have equal data.
+
+    Attributes:
+        data: the data of the world.
+        world: the world that it describes; None for data of a file.
+    """
+
+    data: Mapping[str, Any]
+    world: Any = field(default=None, compare=False)
+
+    @classmethod
+    def of(cls, world: Any) -> WorldData:
+        """Return the data of a world."""
+        return cls(described(world), world)
+
+    @property
+    def is_plain(self) -> bool:
+        """True unless the ``to_dict`` of a user's own world returns what a file cannot store."""
+        return self.data["kind"] != OWN or "data" in self.data
+
+    @property
+    def can_be_made(self) -> bool:
+        """True if the world can be made from its data: it is no code, or its class has ``from_dict``."""
+        return not is_code(self.data) or (self.data["kind"] == OWN and hasattr(type(self.world), "from_dict"))
+
+    def made(self) -> WorldLike:
+        """Return the world that is made from the data.
+
+        Raises:
+            WorldError: for data that is not that of a world, see :func:`from_dict`.
+        """
+        if self.world is not None and self.data["kind"] == OWN:
+            again: WorldLike = type(self.world).from_dict(self.world.to_dict())
+            return again
+        return from_dict(self.data)
 
 
 def is_code(data: Mapping[str, Any]) -> bool:

@@ -60,8 +60,8 @@ def test_saved_scenario_has_scenario_world_and_expectation(save):
     assert repr(saved) == f"<SavedScenario {finding.id}: AssertionError, collision at {finding.expect.time:.1f} s>"
 
 
-def test_a_saved_scenario_below_the_current_folder_is_loaded_by_its_id(save, tmp_path, monkeypatch):
-    saved = save()
+def test_a_saved_scenario_below_the_current_folder_is_loaded_by_its_id(save, monkeypatch):
+    saved = save(finding_in(WORLD))
     monkeypatch.chdir(saved.path.parent)
     assert pafot.load(saved.id).scenario == pafot.load(f"test_x[saved-{saved.id}]").scenario == saved.scenario
 

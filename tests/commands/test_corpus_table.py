@@ -261,13 +261,13 @@ def test_an_interrupted_list_says_only_that(here, capsys, monkeypatch):
         raise RequestError("expected pytest to collect the tests here, received exit code -2")
 
     save(here, finding("a"))
-    monkeypatch.setattr(corpus_command, "collected", interrupted)
+    monkeypatch.setattr(corpus_command.Inventory, "collected", interrupted)
     assert main(["corpus", "list"]) == 130
     assert capsys.readouterr() == ("", "\ncorpus: interrupted\n")
 
 
 def test_no_test_is_collected_if_nothing_is_saved(here, capsys, monkeypatch):
-    monkeypatch.setattr(corpus_command, "collected", None)
+    monkeypatch.setattr(corpus_command.Inventory, "collected", None)
     assert main(["corpus", "list"]) == 0
     assert capsys.readouterr().out == "no saved scenarios\n"
 

@@ -3,7 +3,7 @@
 import pytest_pafot
 from tests.test_layers import EXTRAS, MODULES, imported_names, room_of
 
-BEYOND_THE_DOOR = {"testing": 11}
+BEYOND_THE_DOOR: dict[str, int] = {}
 """The names that an extra imports from the inside of the core, neither public nor on the page for those who
 extend it. Lower a number when it falls; never raise it."""
 

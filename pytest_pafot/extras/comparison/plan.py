@@ -16,13 +16,13 @@ from pytest_pafot.extending import (
     AlgorithmClass,
     AlgorithmRun,
     SearchSpace,
+    WorldData,
     ads_factory,
     code_of,
     identity,
     require,
     resolve_algorithm,
 )
-from pytest_pafot.extending import from_dict as world_from_dict
 from pytest_pafot.support.errors import RequestError
 from pytest_pafot.support.references import referred_to
 from pytest_pafot.support.source_files import source_digests
@@ -158,7 +158,7 @@ class Plan:
         space = SearchSpace(**{**self.space, **drawn})
         if seconds is None:
             return own, space
-        world: Any = world_from_dict({**self.world, "duration": seconds})
+        world: Any = WorldData({**self.world, "duration": seconds}).made()
         ticks, least = round(seconds * world.physics_hz), math.ceil(seconds / space.gene_seconds - 1e-9)
         genes = next(number for number in range(least, ticks + 1) if ticks % number == 0)
         return world, replace(space, genes=genes, gene_seconds=ticks / genes / world.physics_hz)
@@ -235,4 +235,4 @@ def checked(plan: Plan) -> Plan:
 
 def world_of(plan: Plan) -> WorldLike:
     """Return the world of a plan."""
-    return world_from_dict(dict(plan.world))
+    return WorldData(plan.world).made()

@@ -20,8 +20,8 @@ from pytest_pafot.extending import (
     Finding,
     ProcessLostError,
     Verdict,
+    WorldData,
     driving,
-    from_dict,
     judged_with_drivers,
     refusals,
     require,
@@ -497,7 +497,7 @@ def _source(what: Any, world: Any, values: Mapping[str, float]) -> tuple[str, _M
     if isinstance(what, SavedScenario):
         what = what.finding
     if isinstance(what, Finding):
-        place = from_dict(dict(what.world)) if world is None else world
+        place = WorldData(what.world).made() if world is None else world
         sight = "" if what.perception is None else ", with perfect sight"
         return f"{what.id}{sight}", _Made(what.scenario, {}, place)
     if isinstance(what, Scenario):

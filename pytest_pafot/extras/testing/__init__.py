@@ -15,12 +15,10 @@ from typing import Any
 import numpy as np
 
 from pytest_pafot import Cell, LaneInstruction, Outcome, Planned, PositionInstruction, Run, Scenario, Trace
-from pytest_pafot.attribution.takeovers import STEADY_BRAKING, brakes_untouched
-from pytest_pafot.extending import SPEED, Abilities, X, Y, from_dict, is_vehicle_class, rollout_of, sample, wants_env
+from pytest_pafot.extending import LANE, SPEED, Abilities, WorldData, X, Y, needs_env, rollout_of, sample
 from pytest_pafot.extras.testing import traces as rules
 from pytest_pafot.extras.testing.traces import DEEP, ROUNDING, Promises
 from pytest_pafot.support.errors import plain_number
-from pytest_pafot.world.codec import OWN, described, is_code
 
 Ads = Callable[[], Callable[..., Any]]
 
@@ -36,6 +34,8 @@ GOOD_DECISIONS = 2
 """The number of decisions that a failing ADS of the check makes before it fails."""
 LONGER = 4
 """The largest number of runs that are also made longer, if the world has ``lasting``."""
+BRAKING, BRAKING_SHARE = 6.0, 0.1
+"""The braking of the driver steady-braking [m/s^2], and the share by which it may differ."""
 MORE = 4
 """The number of further runs, as a multiple of ``runs``, after which no collision is looked for any more."""
 
@@ -60,14 +60,14 @@ class _Calls:
 
     def __init__(self, ads: Ads) -> None:
         self.ads = self.factory = ads
-        self.is_known = not (is_vehicle_class(ads) or wants_env(ads) or hasattr(ads, "sight"))
+        self.is_known = not (needs_env(ads) or hasattr(ads, "sight"))
         self.noted: list[_Noted] = []
         if self.is_known:
             self.factory = wraps(ads, updated=())(partial(self._make))
 
     def _make(self) -> Any:
         one, noted = self.ads(), _Noted()
-        if is_vehicle_class(one) or hasattr(one, "sight"):
+        if needs_env(one) or hasattr(one, "sight"):
             self.is_known = False
             return one
         self.noted.append(noted)
@@ -439,16 +439,25 @@ def _check_drivers(world: Any, staged: Sequence[_Done], others: Sequence[_Done])
             _promise(is_same, f"take_over repeats the run up to its tick with {name!r}", "other states before it")
             _check_form(world, taken.scenario, taken)
             is_other.append(not _repeats(trace, taken, None, 1))
-            is_braking = name != STEADY_BRAKING or taken.collision is not None or brakes_untouched(taken, tick)
+            is_braking = name != "steady-braking" or taken.collision is not None or _brakes_steadily(taken, tick)
             _promise(is_braking, "steady-braking brakes with 6 m/s^2 in its lane until it stands", f"{taken!r}")
         # Without a collision or another ego, a driver may have nothing else to do than the ADS.
         is_seen = is_other[0] if hit else any(is_other) or not any(each.trace.collision for each in tried)
         _promise(is_seen, f"take_over lets {name!r} drive after its tick", "the states of the run without it")
 
 
+def _brakes_steadily(taken: Trace, tick: int) -> bool:
+    """Return whether the ego brakes with 6 m/s^2 in its lane from a tick on, until it stands."""
+    speed, lane, rate = taken.ego[tick:, SPEED], taken.ego[tick:, LANE], BRAKING / taken.physics_hz
+    wanted = np.maximum(speed[0] - rate * np.arange(len(speed)), 0.0)
+    # A simulator may begin a tick later, and its brakes may be a little weaker or stronger.
+    is_braking = np.abs(speed - wanted) <= BRAKING_SHARE * (speed[0] - wanted) + 2 * rate
+    return bool(is_braking.all() and (lane == lane[0]).all())
+
+
 def _check_batch(world: Any, done: Sequence[_Done], ads: Ads) -> None:
     """Check that runs in lock step give the traces of single runs, if the ADS of the check decides for many."""
-    if not Abilities(world).steps_together or is_vehicle_class(ads) or wants_env(ads) or not hasattr(ads(), "batch"):
+    if not Abilities(world).steps_together or needs_env(ads) or not hasattr(ads(), "batch"):
         return
     with _no_error("rollout_batch runs scenarios"):
         traces = rollout_of(world, "rollout_batch")([each.scenario for each in done], ads)
@@ -516,13 +525,13 @@ def _check_faults(world: Any, done: _Done, ads: Ads) -> None:
 
 
 def _check_round_trip(world: Any, done: _Done, ads: Ads) -> None:
-    data, cls = described(world), type(world)
-    if data["kind"] == OWN:
-        _promise("data" in data, "to_dict returns plain data that a file can store", f"{world.to_dict()!r:.200}")
-    if is_code(data) and not (data["kind"] == OWN and hasattr(cls, "from_dict")):
+    data = WorldData.of(world)
+    _promise(data.is_plain, "to_dict returns plain data that a file can store", f"{world.to_dict()!r:.200}")
+    if not data.can_be_made:
         return
     with _no_error("from_dict accepts the data of to_dict"):
-        again = cls.from_dict(world.to_dict()) if data["kind"] == OWN else from_dict(data)
-    _promise(described(again) == data, "from_dict(to_dict()) has the same data", f"{described(again)} for {data}")
+        again = data.made()
+    other = WorldData.of(again)
+    _promise(other == data, "from_dict(to_dict()) has the same data", f"{other.data} for {data.data}")
     trace = _rollout(rollout_of(again), done.scenario, ads)
     _check_same(done.trace, trace, "from_dict(to_dict()) gives the same traces")

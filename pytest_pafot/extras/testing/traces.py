@@ -9,19 +9,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import replace
 from itertools import combinations, pairwise
 from typing import Any
 
 import numpy as np
 
 from pytest_pafot import Cell, Collision, CrossingInstruction, NpcLimits, Outcome, PositionInstruction, Scenario, Trace
-from pytest_pafot.criticality.boxes import depth, relate
-from pytest_pafot.criticality.measures import Encounters
-from pytest_pafot.extending import ACCELERATION, HEADING, LANE, SPEED, STEERING, FloatArray, Lane, X, Y
-from pytest_pafot.model.trace import ANGLE
+from pytest_pafot.extending import ACCELERATION, HEADING, LANE, SPEED, STEERING, Encounters, FloatArray, Lane, X, Y
 from pytest_pafot.support.errors import plain_whole
-from pytest_pafot.world.kernel.bodies import Box, overlap
 
 Promises = Iterator[tuple[Any, str, str]]
 """For each promise: whether it is kept, its words, and what was received instead. A later one may need the earlier."""
@@ -115,7 +110,7 @@ def limits(world: Any, trace: Trace) -> Promises:
     is_standing = (speed[1:] <= ROUNDING) | (speed[:-1] <= ROUNDING)
     jerk = np.where(is_standing, 0.0, np.diff(acceleration, axis=0) / dt)
     turns = _wrapped(np.diff(npcs[..., HEADING], axis=0))
-    angle = npcs[..., HEADING] - trace.lanes[0].heading if trace.track is None else trace.track[:, 1:, ANGLE]
+    angle = trace.angles[:, 1:]
     angle = angle[..., [zone is None for zone in trace.zones] if trace.zones else slice(None)]
     for name, values, low, high in (
         ("speed", speed, 0.0, stated.overspeed * world.speed_limit),
@@ -295,20 +290,14 @@ def _depths(trace: Trace, rows: slice = slice(None)) -> tuple[FloatArray, FloatA
 
     Some worlds find contacts with boxes that do not turn. So on straight roads the boxes are also taken along the road.
     """
-    turned, heading, depths = Encounters(trace).boxes, trace.lanes[0].heading, []
-    along = replace(turned, cos=0 * turned.cos + math.cos(heading), sin=0 * turned.sin + math.sin(heading))
-    for boxes in (turned, along) if is_straight(trace) else (turned,):
-        parts = [(boxes.part(slice(n, n + 1), rows), boxes.part(slice(n + 1, None), rows))
-                 for n in range(trace.states.shape[1] - 1)]  # fmt: skip
-        depths.append(np.vstack([depth(relate(*pair)) for pair in parts]))
+    positions, headings = Encounters(trace), (None, trace.lanes[0].heading) if is_straight(trace) else (None,)
+    depths = [positions.depths(rows, heading) for heading in headings]
     return np.min(depths, axis=0), np.max(depths, axis=0)
 
 
 def _at_object(trace: Trace, vehicle: int) -> bool:
     """Return whether a vehicle is at a fixed object at the end of a run."""
-    (x, y, heading), (length, width) = trace.states[-1, vehicle, :3].tolist(), trace.sizes[vehicle].tolist()
-    near = Box(x, y, heading, length + 2 * APART, width + 2 * APART)
-    return any(overlap(near, Box(*each)) for each in trace.obstacles)
+    return Encounters(trace).depth_in(trace.obstacles, vehicle) >= -APART
 
 
 def _collision(trace: Trace, hit: Collision, gaps: Sequence[float], velocities: FloatArray) -> Promises:

@@ -44,6 +44,11 @@ def wants_env(factory: AdsFactory) -> bool:
         return False
 
 
+def needs_env(candidate: Any) -> bool:
+    """Return whether an ADS or its factory belongs to an environment: it is a vehicle class, or asks for ``env``."""
+    return is_vehicle_class(candidate) or (callable(candidate) and wants_env(candidate))
+
+
 def check_drives_in(factory: AdsFactory, world: Any) -> None:
     """Call a factory's ``check_world``, if it has one; its error reports what does not fit the world."""
     check = _of_factory(factory, "check_world")
