@@ -131,7 +131,8 @@ class Shrunk:
         is_minimal: True if all simpler candidates were tried within the budget and none of them fails. The candidates
             are: each single step of the passes; each small scenario (one NPC with one or two instructions, or two NPCs
             with one instruction each, with few speeds; or one NPC that crosses in a zone of the scenario, with few
-            slots); and pairs of a limited number of steps. It says nothing about other scenarios.
+            slots), of a collision only some, which are likely to fail; and pairs of a limited number of steps. It says
+            nothing about other scenarios.
         speeds: for each instruction of the result, the speeds at which the scenario still fails, in the order of NPCs
             and genes, as far as the budget allowed.
     """
@@ -548,7 +549,8 @@ PASSES: tuple[Pass, ...] = (*STRUCTURE, _plainer_manoeuvres, _plainer_slots, _ro
 def _small(scenario: Scenario, found: Scenario, plain: Start, likely: Likely | None) -> Candidates:
     """Try one NPC with one or two instructions, or two NPCs with one each, at the ego's preferred and present starts.
 
-    There are thousands of them, of which very few fail. With ``likely`` only those are tried that it lets through.
+    There are thousands of them, of which very few fail. With ``likely``, those with fewer NPCs or instructions are
+    tried that it lets through: the passes get as far in those of the same size.
 
     They are on the grid; if the scenario has NPCs in lanes, every second one has NPCs in lanes instead. If the scenario
     has NPCs that cross, try one NPC that crosses in a zone of the scenario.
@@ -561,11 +563,11 @@ def _small(scenario: Scenario, found: Scenario, plain: Start, likely: Likely | N
     by_kind = [_small_ones(targets, length) for targets in ((SHIFTS, tuple(Cell)) if in_lanes else (tuple(Cell),))]
     in_turn = (each for several in zip_longest(*by_kind) for each in several if each)
     small = _small_crossings(found) if found.crossings else in_turn
-    simpler = ((begin, npcs) for (its_size, npcs), begin in product(small, begins) if its_size < size)
-    for begin, npcs in islice(simpler, None if likely is None else MOST_SMALL):
-        candidate = _valid(begin, npcs)
-        if likely is None or (candidate and sort_key(candidate) < sort_key(scenario) and likely(candidate, scenario)):
-            yield candidate
+    if likely is None:
+        yield from (_valid(begin, npcs) for (its_size, npcs), begin in product(small, begins) if its_size <= size)
+        return
+    fewer = (_valid(begin, npcs) for (its_size, npcs), begin in product(small, begins) if its_size < size)
+    yield from (each for each in islice(fewer, MOST_SMALL) if each is not None and likely(each, scenario))
 
 
 def _small_crossings(found: Scenario) -> Sequence[Sized]:
