@@ -74,7 +74,7 @@ def test_candidates_that_outlast_the_simplest_failing_run_are_not_driven_to_thei
     assert cut.summary.decisions + cut.summary.confirm_decisions + cut.summary.shrink_decisions == asked[0]
     monkeypatch.setattr(simplification, "LATER", 1000.0)
     whole = pafot.explore(lambda: keeps_speed, holds=never_collides, **given)
-    assert cut.findings == whole.findings
+    assert [each.scenario for each in cut.findings] == [each.scenario for each in whole.findings]
     assert cut.summary.shrink_decisions < 0.6 * whole.summary.shrink_decisions
 
 
