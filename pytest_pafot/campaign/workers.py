@@ -372,10 +372,10 @@ class Workers:
             self.counting.read.known.update(new)
             self.runner.tell((tuple(news), new))
 
-    def run(self, scenario: Scenario, *, afresh: bool = False) -> Run:
+    def run(self, scenario: Scenario, *, afresh: bool = False, most: int | None = None) -> Run:
         """Run a scenario. The caller must call :meth:`judge` next, which also clears the crash record.
 
-        For ``afresh`` see :meth:`pytest_pafot.execution.runner.Runner.run`.
+        For ``afresh`` and ``most`` see :meth:`pytest_pafot.execution.runner.Runner.made`.
 
         Raises:
             ProcessLostError: if the run was in another process, and that process died or hung.
@@ -384,7 +384,7 @@ class Workers:
         """
         __tracebackhide__ = True
         with self._recorded(), refusals():
-            trace = self.runner.run(scenario, afresh=afresh)
+            trace = self.runner.run(scenario, afresh=afresh, most=most)
         return self.harness.seen(trace)
 
     def judge(self, run: Run, scenario: Scenario | None = None) -> Verdict:

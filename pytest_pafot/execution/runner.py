@@ -52,6 +52,7 @@ from pytest_pafot.support.isolation import isolates
 from pytest_pafot.support.text import listed, plural, visible
 from pytest_pafot.world import Highway, protocol
 from pytest_pafot.world.driving.ads import is_vehicle_class, make_ads, wants_env
+from pytest_pafot.world.driving.shadow import wrapped
 from pytest_pafot.world.guard.chance import GENERATORS
 from pytest_pafot.world.guard.failure import closing
 from pytest_pafot.world.guard.own_worlds import rollout_of, simulate_batch
@@ -207,15 +208,15 @@ class Runner:
         """Let the processes that draw scenarios learn what the session has learnt."""
         self.processes.tell(said)
 
-    def run(self, scenario: Scenario, *, afresh: bool = False) -> Trace:
+    def run(self, scenario: Scenario, *, afresh: bool = False, most: int | None = None) -> Trace:
         """Return the trace of a run of a scenario that was not announced; arguments and errors as :meth:`made`."""
         __tracebackhide__ = True
-        trace = self.made(scenario, afresh=afresh)
+        trace = self.made(scenario, afresh=afresh, most=most)
         if isinstance(trace, Digest):
             raise TypeError(f"scenario: expected one that no other process has judged, received {scenario}")
         return trace
 
-    def made(self, scenario: Scenario, *, afresh: bool = False) -> Trace | Digest:
+    def made(self, scenario: Scenario, *, afresh: bool = False, most: int | None = None) -> Trace | Digest:
         """Return the trace of a run of a scenario, or the digest of an announced run that another process has judged.
 
         With a trace, the crash record of the scenario stays on disk, because the evaluation of the run may end the
@@ -224,6 +225,8 @@ class Runner:
         Args:
             scenario: the scenario to run, announced or not.
             afresh: True if the ADS must make every decision of this run, without cached or common decisions.
+            most: the number of decisions after which the run is of no interest, and ends with an error of the ADS. A
+                run that was made in advance has more decisions, and so has one in a different process.
 
         Raises:
             ProcessLostError: if the run was in a different process, which died or hung.
@@ -242,11 +245,14 @@ class Runner:
             decisions = () if afresh or self._decisions is None else self._decisions.recall(scenario)
             started = self.clock()
             given = {"decisions": decisions} if decisions else {}  # the user's own world need not have this argument
-            trace = rollout_of(self.job.world)(scenario, self._factory, **given)
+            factory = self._factory
+            if most is not None and not isinstance(self.job.ads, DrivesElsewhere):
+                factory = wrapped(factory, lambda ads: _Ending(ads, most - len(decisions)))
+            trace = rollout_of(self.job.world)(scenario, factory, **given)
             reused = min(len(decisions), len(trace.actions))  # a run may end earlier
             if not self.decides_for_many:
                 self.processes.ran_here(self.clock() - started)
-            if 0 < reused < len(trace.actions):
+            if 0 < reused < len(trace.actions) and (most is None or len(trace.actions) < most):
                 self.resumed.append((min(reused, len(trace.actions) - reused), trace))
                 self.resumed = sorted(self.resumed, key=lambda pair: -pair[0])[:RESUMED]
         self.asked, self.reused = self.asked + len(trace.actions) - reused, self.reused + reused
@@ -270,6 +276,21 @@ class Runner:
 
         make.__wrapped__ = factory  # type: ignore[attr-defined]  # for inspect.signature
         return make
+
+
+class _Ending:
+    """An ADS that raises an error instead of its next decision when it has made all that are of interest."""
+
+    def __init__(self, ads: Any, decisions: int) -> None:
+        self._ads, self._left = ads, decisions
+        if hasattr(ads, "close"):
+            self.close = ads.close
+
+    def __call__(self, observation: Any) -> Any:
+        if self._left <= 0:
+            raise RuntimeError("no more decisions are of interest")
+        self._left -= 1
+        return self._ads(observation)
 
 
 # The decisions of an ADS in earlier runs, for runs that begin in the same way.

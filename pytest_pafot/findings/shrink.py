@@ -60,6 +60,9 @@ not run are dropped."""
 Starts = Callable[[Scenario], Sequence[Start]]
 """A function that returns the start of each gene of a failing scenario as driven; empty if unknown."""
 
+Likely = Callable[[Scenario, Scenario], bool]
+"""A function that returns whether a small scenario may fail in the same way, given the simplest failing one so far."""
+
 Candidates = Iterator[Scenario | None]
 """The scenarios that a pass tries; None stands for a change that gives no valid scenario."""
 
@@ -83,6 +86,10 @@ SMALL_SPEEDS = (0.0, 10.0, 20.0, 25.0)
 
 SMALL_SLOTS = (0.0, 0.5, -0.5, 1.0, -1.0, 2.0)
 """Slots of NPCs that cross in small scenarios [s]."""
+
+MOST_SMALL = 300
+"""The number of small scenarios that are looked at in one pass, because even a look at one takes about a millisecond.
+Any beginning of their list has scenarios of each kind."""
 
 FIRST_PART = 10
 """A tenth of the runs is for small scenarios before anything else, so that most of a small budget is for the passes."""
@@ -124,7 +131,8 @@ class Shrunk:
         is_minimal: True if all simpler candidates were tried within the budget and none of them fails. The candidates
             are: each single step of the passes; each small scenario (one NPC with one or two instructions, or two NPCs
             with one instruction each, with few speeds; or one NPC that crosses in a zone of the scenario, with few
-            slots); and pairs of a limited number of steps. It says nothing about other scenarios.
+            slots), of a collision only some, which are likely to fail; and pairs of a limited number of steps. It says
+            nothing about other scenarios.
         speeds: for each instruction of the result, the speeds at which the scenario still fails, in the order of NPCs
             and genes, as far as the budget allowed.
     """
@@ -214,6 +222,7 @@ def shrink(
     plain_seconds: float | None = None,
     ahead: int = 0,
     expect: Expecting = lambda candidates, more: None,
+    likely: Likely | None = None,
 ) -> tuple[Scenario, Shrunk]:
     """Return the simplest scenario found that fails in the same way as ``scenario``, as driven, with the statistics.
 
@@ -229,6 +238,8 @@ def shrink(
         ahead: number of candidates that ``expect`` is told of before ``attempt`` is called with the first of them.
         expect: is told of candidates that ``attempt`` will be called with if the ones before them do not fail, so that
             they can be run at the same time. It changes nothing in the result.
+        likely: returns whether a small scenario is worth a call of ``attempt``; None if all are. Equal arguments must
+            have equal results.
     """
     top = int(min(top_speed, MAX_SPEED) * SPEED_STEPS_PER_MPS + 1e-6)
     slowest = min(_tenths(gene) for chain in scenario.npcs for gene in chain)
@@ -245,7 +256,7 @@ def shrink(
     with suppress(OutOfBudget):
         gate.exhausts(_ending)  # first, because a run that does not fail lasts as long as its scenario
         gate.exhausts(_alone)
-    small = partial(_small, found=gate.best, plain=plain or (scenario.ego_lane, scenario.ego_speed))
+    small = partial(_small, found=gate.best, plain=plain or (scenario.ego_lane, scenario.ego_speed), likely=likely)
     with suppress(OutOfBudget):
         gate.exhausts(plainer)
         gate.exhausts(small)
@@ -535,8 +546,11 @@ PASSES: tuple[Pass, ...] = (*STRUCTURE, _plainer_manoeuvres, _plainer_slots, _ro
 """All passes; the first ones shorten runs most. The passes are repeated until none finds a simpler scenario."""
 
 
-def _small(scenario: Scenario, found: Scenario, plain: Start) -> Candidates:
+def _small(scenario: Scenario, found: Scenario, plain: Start, likely: Likely | None) -> Candidates:
     """Try one NPC with one or two instructions, or two NPCs with one each, at the ego's preferred and present starts.
+
+    There are thousands of them, of which very few fail. With ``likely``, those with fewer NPCs or instructions are
+    tried that it lets through: the passes get as far in those of the same size.
 
     They are on the grid; if the scenario has NPCs in lanes, every second one has NPCs in lanes instead. If the scenario
     has NPCs that cross, try one NPC that crosses in a zone of the scenario.
@@ -549,9 +563,11 @@ def _small(scenario: Scenario, found: Scenario, plain: Start) -> Candidates:
     by_kind = [_small_ones(targets, length) for targets in ((SHIFTS, tuple(Cell)) if in_lanes else (tuple(Cell),))]
     in_turn = (each for several in zip_longest(*by_kind) for each in several if each)
     small = _small_crossings(found) if found.crossings else in_turn
-    for (its_size, npcs), begin in product(small, begins):
-        if its_size <= size:
-            yield _valid(begin, npcs)
+    if likely is None:
+        yield from (_valid(begin, npcs) for (its_size, npcs), begin in product(small, begins) if its_size <= size)
+        return
+    fewer = (_valid(begin, npcs) for (its_size, npcs), begin in product(small, begins) if its_size < size)
+    yield from (each for each in islice(fewer, MOST_SMALL) if each is not None and likely(each, scenario))
 
 
 def _small_crossings(found: Scenario) -> Sequence[Sized]:

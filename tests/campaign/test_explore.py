@@ -16,6 +16,7 @@ from highway_env.vehicle.behavior import IDMVehicle
 
 import pytest_pafot as pafot
 from example_ads import constant_speed
+from pytest_pafot.campaign import simplification
 from pytest_pafot.campaign.events import FindTold, Judged, SearchStarted, SearchSummary
 from pytest_pafot.corpus.reader import load
 from pytest_pafot.corpus.writer import write
@@ -58,6 +59,23 @@ def exploration(heard, corpus):
     return pafot.explore(
         constant_speed.make, holds=never_collides, seed=5, on_event=heard.append, corpus=corpus, **SHORT
     )
+
+
+def test_candidates_that_outlast_the_simplest_failing_run_are_not_driven_to_their_end(monkeypatch):
+    """Each decision of some policies takes a tenth of a second."""
+    asked = [0]
+
+    def keeps_speed(observation):
+        asked[0] += 1
+        return 0.0, 0.0
+
+    given = SHORT | {"gene_seconds": 30, "shrink_rollouts": 40, "seed": 1}
+    cut = pafot.explore(lambda: keeps_speed, holds=never_collides, **given)
+    assert cut.summary.decisions + cut.summary.confirm_decisions + cut.summary.shrink_decisions == asked[0]
+    monkeypatch.setattr(simplification, "LATER", 1000.0)
+    whole = pafot.explore(lambda: keeps_speed, holds=never_collides, **given)
+    assert [each.scenario for each in cut.findings] == [each.scenario for each in whole.findings]
+    assert cut.summary.shrink_decisions < 0.6 * whole.summary.shrink_decisions
 
 
 def test_its_findings_show_what_the_property_forbids(exploration):

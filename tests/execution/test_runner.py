@@ -154,6 +154,17 @@ def test_pure_ads_decisions_are_reused_unless_fresh(runner_of):
     assert first.states.tobytes() == second.states.tobytes() == third.states.tobytes()
 
 
+@pytest.mark.parametrize("ads", [Planner, Pure])
+def test_run_ends_after_the_decisions_that_are_of_interest(runner_of, ads):
+    runner = runner_of(ads)
+    cut, asked = runner.run(SCENARIOS[0], most=4), runner.asked
+    assert len(cut.actions) == asked == len(callers) == 4
+    whole = runner.run(SCENARIOS[0], most=100)
+    assert whole.states.tobytes() == runner.run(SCENARIOS[0], afresh=True).states.tobytes()
+    runner.run(SCENARIOS[0], most=6)
+    assert all(trace.error is None for _, trace in runner.resumed)
+
+
 @pytest.mark.parametrize("pure", [1, "yes", False, None])
 def test_anything_but_true_is_no_declaration(runner_of, monkeypatch, pure):
     monkeypatch.setattr(Pure, "pure", pure)

@@ -208,6 +208,17 @@ def test_small_unrelated_scenario_is_found():
     assert minimal(BUSY, fails) == ("1@20 2@0",)
 
 
+def test_only_likely_small_scenarios_are_run():
+    looked, asked = [], []
+    shrunk(BUSY, lambda each: each == BUSY, likely=lambda each, best: looked.append((each, best)))
+    (wanted, best), small = looked[20], {each for each, _ in looked}
+    assert best == BUSY
+    assert all(sort_key(each) < sort_key(BUSY)[:2] for each in small)
+    likely = lambda each, best: each == wanted  # noqa: E731
+    assert shrunk(BUSY, lambda each: asked.append(each) or each in (BUSY, wanted), likely=likely)[0] == wanted
+    assert len(set(asked) & small) < 5  # and those that a pass leads to
+
+
 def test_two_new_npcs_are_found_where_needed():
     assert minimal(BUSY, lambda each: each == BUSY or written(each) == ("4@20", "6@25")) == ("4@20", "6@25")
 
