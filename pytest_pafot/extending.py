@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from pytest_pafot.campaign.harness import checked_factory as checked_factory
     from pytest_pafot.campaign.harness import refusals as refusals
     from pytest_pafot.campaign.request import drawn_space as drawn_space
-    from pytest_pafot.campaign.search import prepared as prepared
+    from pytest_pafot.campaign.session import prepared as prepared
     from pytest_pafot.campaign.setup_fault import SetupFaultError as SetupFaultError
     from pytest_pafot.campaign.verdict import Verdict as Verdict
     from pytest_pafot.campaign.verdict import headline as headline
@@ -156,7 +156,7 @@ _HOMES = {
     "mutate": "searching.operators",
     "named_file": "corpus.saved",
     "of_failure": "findings.finding",
-    "prepared": "campaign.search",
+    "prepared": "campaign.session",
     "read_saved_file": "corpus.saved",
     "reference_outcomes": "campaign.verdict",
     "reference_world": "world.protocol",
