@@ -20,9 +20,10 @@ from pytest_pafot.campaign.options import BY_NAME, LOCAL, OPTIONS, PROFILES, Set
 from pytest_pafot.campaign.replays import Replayed, Replays
 from pytest_pafot.campaign.request import Request, SearchArguments, build_world, check_names, checked_request
 from pytest_pafot.campaign.run_table import RunTable
-from pytest_pafot.campaign.search import Search, prepared, time_limit
+from pytest_pafot.campaign.session import Search, prepared
 from pytest_pafot.campaign.state import check_states
 from pytest_pafot.campaign.verdict import Verdict, judge, source_file
+from pytest_pafot.campaign.watch import time_limit
 from pytest_pafot.corpus.layout import folder_of_test, link_below
 from pytest_pafot.corpus.saved import Saved, refusal
 from pytest_pafot.execution.runner import runner_here
@@ -131,7 +132,14 @@ def explore(
         with prepared(replays.harness, has_table=True) as parts:
             limit = time_limit(request.settings, now=now, began=now, left=1)
             search = Search(
-                node_id=name, parts=parts, replays=replays, limit=limit, listener=listen, progress_seconds=0.5
+                node_id=name,
+                state=parts.state,
+                workers=parts.workers,
+                store=parts.store,
+                replays=replays,
+                limit=limit,
+                listener=listen,
+                progress_seconds=0.5,
             )
             result = search.run()
     if result.fault is not None:

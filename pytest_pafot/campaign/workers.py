@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence, Set
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence, Set
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from itertools import chain
@@ -365,11 +365,12 @@ class Workers:
             return passed
         return self.harness.seen(made)
 
-    def learn(self, news: Sequence[Evaluation], known: frozenset[Signature]) -> None:
+    def learn(self, news: Sequence[Evaluation], known: Iterable[Collection[Signature]]) -> None:
         """Let the processes that draw scenarios learn what the algorithm has learnt, and the failures known by now."""
         if self.counting is not None and self.counting.drawer is not None:
-            new = frozenset() if self.counting.wants_each else known - self.counting.read.known
-            self.counting.read.known.update(new)
+            before = self.counting.read.known
+            new = frozenset() if self.counting.wants_each else frozenset().union(*known) - before
+            before.update(new)
             self.runner.tell((tuple(news), new))
 
     def run(self, scenario: Scenario, *, afresh: bool = False, most: int | None = None) -> Run:

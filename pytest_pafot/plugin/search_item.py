@@ -32,16 +32,16 @@ from pytest_pafot.campaign.harness import Harness, checked_factory, is_revision,
 from pytest_pafot.campaign.options import BY_NAME, OF_COMMAND, Settings
 from pytest_pafot.campaign.replays import Replays
 from pytest_pafot.campaign.request import AgainstError, Request, build_space, build_world
-from pytest_pafot.campaign.search import (
+from pytest_pafot.campaign.session import (
     AFTER_A_DEATH,
     Search,
     isolated_after_a_death,
     may_not_leave,
     prepared,
-    time_limit,
 )
 from pytest_pafot.campaign.state import check_states
 from pytest_pafot.campaign.verdict import PlainFailure, Test, source_file
+from pytest_pafot.campaign.watch import time_limit
 from pytest_pafot.corpus.layout import SUFFIX, chosen_folder, files_in, folder_of_test, link_below
 from pytest_pafot.corpus.saved import refusal
 from pytest_pafot.door import REFERENCES, opened
@@ -295,7 +295,9 @@ def run_search(item: pytest.Function, request: Request) -> None:
     with prepared(chosen, has_table=listener.table is not None, wants_each=False) as parts:
         result = Search(
             node_id=item.nodeid,
-            parts=parts,
+            state=parts.state,
+            workers=parts.workers,
+            store=parts.store,
             listener=listener,
             replays=replace(replays, harness=chosen),
             limit=limit,

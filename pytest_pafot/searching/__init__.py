@@ -21,7 +21,7 @@ from pytest_pafot.searching.evaluation import Evaluation
 from pytest_pafot.searching.health import Health
 from pytest_pafot.searching.operators import crossover, mutate, tournament
 from pytest_pafot.searching.plain import from_plain, plain
-from pytest_pafot.searching.plan import Checkpoint, Evaluate, run_campaign
+from pytest_pafot.searching.plan import Checkpoint
 from pytest_pafot.searching.space import SearchSpace, sample, sample_manoeuvres
 
 __all__ = [
@@ -31,7 +31,6 @@ __all__ = [
     "AlgorithmClass",
     "Checkpoint",
     "DistinctSearch",
-    "Evaluate",
     "Evaluation",
     "GenerationState",
     "GenerationalSearch",
@@ -47,7 +46,6 @@ __all__ = [
     "mutate",
     "plain",
     "resolve_algorithm",
-    "run_campaign",
     "sample",
     "sample_manoeuvres",
     "tournament",

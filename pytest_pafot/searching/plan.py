@@ -31,9 +31,6 @@ from pytest_pafot.searching.events import (
 )
 from pytest_pafot.searching.operators import improves
 
-Evaluate = Callable[[Scenario], Evaluation]
-"""A function that simulates a scenario and evaluates the run."""
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Checkpoint(Generic[StateT]):
@@ -65,31 +62,6 @@ class Checkpoint(Generic[StateT]):
 
 class CheckpointError(ValueError):
     """A checkpoint that does not belong to the campaign that should continue from it."""
-
-
-def run_campaign(
-    algorithm: Algorithm[StateT], evaluate: Evaluate, *, generations: int | None, seed: int, runs: int | None = None
-) -> Iterator[Event]:
-    """Run an algorithm with a function that evaluates scenarios, and yield the events as they happen.
-
-    That is how an algorithm is tried without a world. A search of a policy has limits of time, too, other processes,
-    and findings: see :func:`pytest_pafot.campaign.search.search`. The arguments and errors are those of
-    :func:`plan_of`. If the iterator is closed, the campaign ends at the last event, without a further evaluation.
-    """
-    return _campaign(plan_of(algorithm, generations=generations, seed=seed, runs=runs), evaluate)
-
-
-def _campaign(plan: Plan[Any], evaluate: Evaluate) -> Iterator[Event]:
-    yield plan.started
-    while not plan.is_over:
-        while not plan.is_whole and not plan.has_all_runs:
-            known = plan.known()
-            yield plan.take(evaluate(plan.scenario()) if known is None else known, reused=known is not None)
-        if not plan.is_whole:
-            yield from plan.finished("runs")
-            return
-        yield from plan.learn()
-    yield from plan.finished("generations")
 
 
 def plan_of(

@@ -22,10 +22,11 @@ from pytest_pafot.attribution.responsibility import is_ego_responsible
 from pytest_pafot.campaign.request import drawn_space
 from pytest_pafot.findings.finding import of_failure
 from pytest_pafot.model.trace import Outcome
-from pytest_pafot.searching import DistinctSearch, Evaluation, PafotSearch, RandomSearch, SearchSpace, run_campaign
+from pytest_pafot.searching import DistinctSearch, Evaluation, PafotSearch, RandomSearch, SearchSpace
 from pytest_pafot.searching.fitness import Weights, resolve
 from tests.benchmarks.command import in_processes, options, print_head
 from tests.benchmarks.positive_controls import NOT_RUN_COLLISION
+from tests.helpers.campaigns import run_campaign
 
 TABLES = ("collisions", "failures")
 ENDLESS = 100_000

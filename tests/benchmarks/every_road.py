@@ -27,11 +27,12 @@ from highway_env.vehicle.controller import ControlledVehicle
 from pytest_pafot import Run, Scenario, World
 from pytest_pafot.findings.finding import disagreement, of_failure
 from pytest_pafot.model.trace import Outcome, Trace
-from pytest_pafot.searching import Evaluation, PafotSearch, run_campaign
+from pytest_pafot.searching import Evaluation, PafotSearch
 from pytest_pafot.searching.fitness import resolve
 from tests.benchmarks.command import options, print_head
 from tests.benchmarks.positive_controls import NOT_RUN_COLLISION
 from tests.helpers import world_cases
+from tests.helpers.campaigns import run_campaign
 from tests.helpers.road_cases import ENVIRONMENTS, space_of, violations
 
 STRAIGHT = ("highway-v0", "highway-fast-v0")

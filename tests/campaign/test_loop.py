@@ -7,9 +7,11 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from pytest_pafot.campaign.search import Watch, search, search_seed
+from pytest_pafot.campaign.search import search
+from pytest_pafot.campaign.session import search_seed
 from pytest_pafot.campaign.state import State
 from pytest_pafot.campaign.verdict import Verdict
+from pytest_pafot.campaign.watch import Watch
 from pytest_pafot.campaign.workers import evaluated
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.execution.scenario_pool import expectation

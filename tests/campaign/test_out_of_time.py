@@ -11,7 +11,7 @@ import pytest
 
 import pytest_pafot as pafot
 from example_ads import constant_speed
-from pytest_pafot.campaign import explore, search, simplification, state_file, workers
+from pytest_pafot.campaign import explore, session, simplification, state_file, watch, workers
 from pytest_pafot.campaign.events import FindTold, Progress
 from pytest_pafot.execution import runner
 from pytest_pafot.execution.scenario_pool import CapturedOutput
@@ -38,7 +38,7 @@ def clock(tmp_path, monkeypatch):
     """Return the only clock of searches, which run in a new folder; it advances by a second with each evaluated run."""
     monkeypatch.chdir(tmp_path)
     clock = SimpleNamespace(now=0.0, step=lambda: 1.0)
-    for module in (explore, search):
+    for module in (explore, session):
         monkeypatch.setattr(module, "time", SimpleNamespace(monotonic=lambda: clock.now))
     return clock
 
@@ -141,7 +141,7 @@ def test_time_left_is_true_within_a_factor_of_two_or_not_told(clock, monkeypatch
     monkeypatch.setattr(runner, "pool_for", Pool)
     monkeypatch.setattr(runner, "rollout_of", here)
     monkeypatch.setattr("pytest_pafot.campaign.workers.difference", confirming)
-    monkeypatch.setattr(search, "runner_for", partial(runner.runner_for, clock=lambda: clock.now))
+    monkeypatch.setattr(session, "runner_for", partial(runner.runner_for, clock=lambda: clock.now))
     given = {"runs": 120, "workers": workers, "fitness": lambda trace: 0.0, "population": 16, "shrink_rollouts": 0}
     result = pafot.explore(constant_speed.make, holds=judged, corpus="corpus", **SHORT | given)
     told = [(event.left, ended[-1] - event.seconds) for event in result.events if isinstance(event, Progress)]
@@ -161,7 +161,7 @@ def test_search_with_finding_leaves_third_for_shrinking(clock):
 def test_search_with_findings_goes_on_until_these_need_the_rest_of_its_time(clock):
     result = searched(clock, fails_in_three_ways, runs=1000, max_time=300)
     assert len(result.findings) == 3
-    to_simplify = 3 * (15 + search.RUNS_TO_CONFIRM)  # a run takes a second
+    to_simplify = 3 * (15 + watch.RUNS_TO_CONFIRM)  # a run takes a second
     assert 300 - to_simplify - 3 <= result.summary.runs <= 300 - to_simplify
     assert not any(unshrunk(result))
 
@@ -383,8 +383,8 @@ def test_what_was_shrunk_before_a_run_is_cut_is_saved(clock, monkeypatch):
 
         return decide
 
-    for module in (search, workers, simplification):
-        monkeypatch.setattr(module, "runs_end_in", runs_end_in)
+    for module in ("search", "workers", "simplification"):
+        monkeypatch.setattr(f"pytest_pafot.campaign.{module}.runs_end_in", runs_end_in)
     options = SHORT | {"runs": 1000, "stop_after": 1, "max_time": 240, "shrink_rollouts": 300}
     result = pafot.explore(slow, holds=fails_in_three_ways, corpus="corpus", **options)
     assert unshrunk(result) == ["shrunk in part: out of time"]

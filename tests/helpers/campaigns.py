@@ -5,13 +5,14 @@ from typing import Any
 
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.searching.ask_tell import Algorithm
+from pytest_pafot.searching.evaluation import Evaluation
 from pytest_pafot.searching.events import Event
-from pytest_pafot.searching.plan import Evaluate, Plan, plan_of
+from pytest_pafot.searching.plan import Plan, plan_of
 
 
 def run_campaign(
     algorithm: Algorithm[Any],
-    evaluate: Evaluate,
+    evaluate: Callable[[Scenario], Evaluation],
     *,
     foresee: Callable[[Iterable[Scenario]], object] = lambda scenarios: None,
     border: Callable[[Plan[Any]], object] = lambda plan: None,

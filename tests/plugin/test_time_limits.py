@@ -7,7 +7,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from pytest_pafot.campaign.search import time_limit
+from pytest_pafot.campaign.watch import time_limit
 from pytest_pafot.plugin.marks import SEARCH_MARK
 from pytest_pafot.plugin.search_item import searches_left
 from pytest_pafot.plugin.session import SHARED

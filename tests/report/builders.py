@@ -17,7 +17,7 @@ from pytest_pafot.report.views import campaign_view, finding_view
 from pytest_pafot.searching.algorithms.pafot import PafotSearch
 from pytest_pafot.searching.evaluation import Evaluation
 from pytest_pafot.searching.fitness import resolve
-from pytest_pafot.searching.plan import run_campaign
+from tests.helpers.campaigns import run_campaign
 from tests.helpers.hostile import CHARACTERS
 
 TEST = "tests/test_safety.py::test_never_at_fault_in_a_collision"

@@ -16,12 +16,12 @@ from pytest_pafot.searching import (
     RandomSearch,
     SearchSpace,
     resolve_algorithm,
-    run_campaign,
     sample,
 )
 from pytest_pafot.searching.algorithms.catalogue import OF_CORE
 from pytest_pafot.searching.events import GenerationFinished
 from pytest_pafot.searching.fitness import FitnessError, resolve
+from tests.helpers.campaigns import run_campaign
 from tests.helpers.tables import table
 
 SPACE = SearchSpace(npcs=3)

@@ -2,8 +2,9 @@
 
 from pytest_pafot.model.grid import Cell, is_adjacent
 from pytest_pafot.model.scenario import LaneInstruction, PositionInstruction, Scenario
-from pytest_pafot.searching import Health, RandomSearch, run_campaign
+from pytest_pafot.searching import Health, RandomSearch
 from pytest_pafot.searching.health import CELLS, STEPS, Coverage, speed_bins
+from tests.helpers.campaigns import run_campaign
 
 CHAINS = (
     (PositionInstruction(8, 0.0), PositionInstruction(1, 5.0), PositionInstruction(2, 26.8)),

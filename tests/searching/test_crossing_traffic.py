@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.scenario import CrossingInstruction, PositionInstruction, Scenario
 from pytest_pafot.model.trace import Collision, Outcome
-from pytest_pafot.searching import Health, SearchSpace, resolve_algorithm, run_campaign
+from pytest_pafot.searching import Health, SearchSpace, resolve_algorithm
 from pytest_pafot.searching.algorithms.catalogue import OF_CORE
 from pytest_pafot.searching.algorithms.distinct import niche
 from pytest_pafot.searching.crossing_traffic import ACTS, CrossingTraffic, drawn_slot, mixed
@@ -21,6 +21,7 @@ from pytest_pafot.searching.evaluation import EvaluationCache
 from pytest_pafot.searching.events import Evaluated
 from pytest_pafot.searching.operators import crossover, first_crossed, mutate, varied
 from pytest_pafot.searching.space import sample
+from tests.helpers.campaigns import run_campaign
 from tests.helpers.crossings import junction, way_of
 from tests.helpers.tables import table
 from tests.helpers.traces import collision_at

@@ -10,9 +10,10 @@ from hypothesis import strategies as st
 
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.trace import Outcome
-from pytest_pafot.searching import DistinctSearch, PafotSearch, RandomSearch, run_campaign
+from pytest_pafot.searching import DistinctSearch, PafotSearch, RandomSearch
 from pytest_pafot.searching.algorithms.distinct import niche
 from pytest_pafot.searching.events import Evaluated, NewBest
+from tests.helpers.campaigns import run_campaign
 from tests.helpers.tables import table
 from tests.helpers.traces import collision_at
 

@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 
 import pytest
 
-from pytest_pafot.searching import PafotSearch, run_campaign
+from pytest_pafot.searching import PafotSearch
 from pytest_pafot.searching.events import (
     Evaluated,
     GenerationFinished,
@@ -13,6 +13,7 @@ from pytest_pafot.searching.events import (
     NewBest,
     Restarted,
 )
+from tests.helpers.campaigns import run_campaign
 from tests.helpers.stages import mostly_oracle
 
 

@@ -9,10 +9,11 @@ from hypothesis import strategies as st
 
 from pytest_pafot.model.scenario import CrossingInstruction, LaneInstruction, PositionInstruction, Scenario
 from pytest_pafot.model.trace import Outcome
-from pytest_pafot.searching import Health, RandomSearch, run_campaign
+from pytest_pafot.searching import Health, RandomSearch
 from pytest_pafot.searching.evaluation import ended_at_object
 from pytest_pafot.searching.events import Evaluated
 from pytest_pafot.searching.space import SearchSpace, sample
+from tests.helpers.campaigns import run_campaign
 from tests.helpers.tables import table
 from tests.helpers.traces import trace_of, vehicle
 

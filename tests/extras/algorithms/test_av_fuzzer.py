@@ -20,7 +20,7 @@ from pytest_pafot.extras.algorithms.av_fuzzer import (
 )
 from pytest_pafot.model.scenario import SHIFTS, LaneInstruction, Scenario
 from pytest_pafot.model.trace import Outcome
-from pytest_pafot.searching import SearchSpace, run_campaign, sample_manoeuvres
+from pytest_pafot.searching import SearchSpace, sample_manoeuvres
 from pytest_pafot.searching.events import (
     Evaluated,
     GenerationFinished,
@@ -29,6 +29,7 @@ from pytest_pafot.searching.events import (
     NewBest,
     Restarted,
 )
+from tests.helpers.campaigns import run_campaign
 from tests.helpers.tables import table
 
 SPACE = SearchSpace().sliced(5)

@@ -10,8 +10,9 @@ import pytest
 from pytest_pafot.model.grid import Cell, is_adjacent
 from pytest_pafot.model.scenario import LaneInstruction, PositionInstruction, Scenario
 from pytest_pafot.model.trace import Collision, Outcome
-from pytest_pafot.searching import ALGORITHMS, Evaluation, SearchSpace, resolve_algorithm, run_campaign
+from pytest_pafot.searching import ALGORITHMS, Evaluation, SearchSpace, resolve_algorithm
 from pytest_pafot.searching.events import Evaluated, GenerationFinished, NewBest
+from tests.helpers.campaigns import run_campaign
 from tests.helpers.tables import table
 
 NAMES = [name for name in ALGORITHMS if resolve_algorithm(name).library]

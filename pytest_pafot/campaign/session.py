@@ -1,0 +1,734 @@
+"""One session of a search, from the replays of saved scenarios to new findings and the summary.
+
+Read :meth:`Search.run` from the top. The loop over scenarios is :func:`pytest_pafot.campaign.search.search`.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import ExitStack, closing, contextmanager, suppress
+from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from pytest_pafot.attribution.responsibility import is_ego_responsible
+from pytest_pafot.campaign.beginnings import begun_with
+from pytest_pafot.campaign.events import (
+    ALL_RUN,
+    DONE,
+    FindTold,
+    Listener,
+    SearchEvent,
+    SearchStarted,
+    SearchSummary,
+)
+from pytest_pafot.campaign.harness import Harness, refusals
+from pytest_pafot.campaign.made_worse import MadeWorse
+from pytest_pafot.campaign.options import FULL, LOCAL, PROFILES
+from pytest_pafot.campaign.replays import Replays
+from pytest_pafot.campaign.request import build_space
+from pytest_pafot.campaign.search import saved_as, search
+from pytest_pafot.campaign.setup_fault import SetupFaultError
+from pytest_pafot.campaign.simplification import Simplification
+from pytest_pafot.campaign.state import State, agreed, lose
+from pytest_pafot.campaign.state_file import FLAG, StateFile, state_path
+from pytest_pafot.campaign.store import Store
+from pytest_pafot.campaign.verdict import no_skip, skips
+from pytest_pafot.campaign.watch import LEAST, TimedWatch, TimeLimit, Watch
+from pytest_pafot.campaign.workers import Counting, Reader, Workers, left_out_text
+from pytest_pafot.corpus.saved import Saved, saved_in
+from pytest_pafot.execution import scenario_pool
+from pytest_pafot.execution.crash_records import Leftover
+from pytest_pafot.execution.pool import ProcessLostError
+from pytest_pafot.execution.runner import Retried, must_stay_here, retry, runner_for
+from pytest_pafot.findings.finding import Manner, of_failure
+from pytest_pafot.model.sight import Sight
+from pytest_pafot.searching.ask_tell import Algorithm, ResumableSearch
+from pytest_pafot.searching.fitness import FitnessError, is_built_in, resolve
+from pytest_pafot.searching.plan import Checkpoint, CheckpointError, plan_of
+from pytest_pafot.searching.space import SearchSpace, sample
+from pytest_pafot.support.errors import OutOfTime, RequestError, command, flag
+from pytest_pafot.support.interrupts import postponed
+from pytest_pafot.support.text import plural
+from pytest_pafot.world import WorldError, codec, protocol
+from pytest_pafot.world.driving.ads import is_vehicle_class, loading_hint, wants_env
+from pytest_pafot.world.driving.perception import sight_of
+from pytest_pafot.world.guard.chance import GENERATORS
+from pytest_pafot.world.guard.failure import is_interruption
+from pytest_pafot.world.guard.hang_guard import runs_end_in
+
+FOR_SIMPLIFYING = 1 / 3
+"""The largest share of a search's time limit that is reserved to shrink findings and to look at their neighbours."""
+
+MAX_UNLIKE = 3
+"""The largest number of scenarios that are named because they fail like a saved scenario in another manner."""
+
+SLOWER = 0.5
+"""The difference by which an ego must brake below the environment's least speed to show that it can [m/s]."""
+
+AFTER_A_DEATH = f"ran as with {flag('isolate')}, since a process died in this search before"
+
+LOST = 10
+"""How many times longer than a run before it a run has to be, when the time of the search cuts it, to be told."""
+
+
+def search_seed(base_seed: int, node_id: str) -> int:
+    """Return the seed of a search, which depends only on the base seed and on the node id of the test."""
+    return int.from_bytes(hashlib.sha256(f"{base_seed}:{node_id}".encode()).digest()[:4], "big")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SearchResult:
+    """The result of a search."""
+
+    summary: SearchSummary
+    kept: tuple[FindTold, ...]
+    count: int  # number of distinct new findings, saved or only counted
+    first: BaseException | None  # the exception of the first finding; None without one
+    fault: BaseException | None  # a fault of the set-up, as the exception to raise instead of findings
+    skip: BaseException | None  # the last skip, if the function skipped every run
+    is_vacuous: bool  # True if nothing was tested, or if a broken reference prevented every failure from counting
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Prepared:
+    """The parts of a search that is ready to run."""
+
+    state: State
+    workers: Workers
+    store: Store
+
+    def search(
+        self, algorithm: Algorithm[Any], *, generations: int, seed: int, stop: Callable[[], bool]
+    ) -> Iterator[SearchEvent]:
+        """Search with an algorithm, without limits of time, until ``stop()`` says so between two scenarios."""
+        self.state.plan = plan_of(algorithm, generations=generations, seed=seed)
+        return search(self.state, self.workers, self.store, Watch(stop))
+
+
+@contextmanager
+def prepared(
+    harness: Harness,
+    *,
+    space: SearchSpace | None = None,
+    is_steered: bool = True,
+    has_table: bool = False,
+    wants_each: bool = True,
+) -> Iterator[Prepared]:
+    """Build the parts of a search that run scenarios, count, and save findings. Stop their processes at the end.
+
+    The search has the space that its request describes, unless one is given. It is steered towards collisions for which
+    the ego is responsible, unless ``blame="any"`` or ``is_steered`` is False. With ``has_table``, the events have
+    all that a table of runs needs, also those of runs that another process judges. Without ``wants_each``, there is
+    one event for several runs that another process has counted.
+
+    Raises:
+        RequestError: for a fitness that does not exist, or a world that cannot be used.
+    """
+    begun, request, seed = "", harness.request, search_seed(harness.request.settings.seed, harness.node_id)
+    if space is None and request.settings.is_search:
+        space = build_space(request, harness.world)
+        if request.settings.begin_with is not None:
+            space, begun = begun_with(request.settings.begin_with, space, harness.world, request, harness.folder)
+    is_for_ego = is_steered and request.blame != "any"
+    try:
+        fitness = resolve(request.fitness, responsible=is_ego_responsible if is_for_ego else None)
+    except FitnessError as error:
+        raise request.error("fitness=...", error) from None
+    job, settings = harness.job(), request.settings
+    # The user's own fitness runs only in this process, where its errors are reported.
+    is_steered_by_checks = request.fitness == "default"
+    why_here = _why_judged_here(harness)
+    reader = Reader(
+        harness=None if why_here else harness,
+        fitness=fitness if is_built_in(request.fitness) else None,
+        is_steered_by_checks=is_steered_by_checks,
+        has_table=has_table,
+    )
+    counting = None if why_here else Counting(read=reader, wants_each=wants_each)
+    if settings.isolate:  # Isolated processes also make the runs that confirm findings, which the session judges.
+        reader = replace(reader, harness=None)
+    remark = f"; this process judges all runs, since {why_here}" if why_here else ", which also judge their runs"
+    job = replace(job, read=reader, groups=counting, remark=remark)
+    with ExitStack() as stack:
+        record = stack.enter_context(harness.recording(job))
+        with refusals():
+            runner = runner_for(
+                job,
+                record,
+                workers=settings.workers,
+                isolate=settings.isolate,
+                executor=harness.executor,
+                times_decisions=request.decision_limit is not None,
+            )
+        stack.push(runner.__exit__)  # Runs after the search start new processes, which must be stopped as well.
+        reference = harness.reference_runner(harness.job(), record, isolate=settings.isolate)
+        if reference is not None:
+            stack.push(reference.__exit__)
+        state = State()
+        state.clock, state.space, state.begun = time.monotonic, space, begun
+        state.began = state.clock()
+        stack.callback(state.close)
+        yield Prepared(
+            state=state,
+            workers=Workers(
+                harness=harness,
+                runner=runner,
+                record=record,
+                reference=reference,
+                counting=counting,
+                fitness=fitness,
+                is_steered_by_checks=is_steered_by_checks,
+                clock=state.clock,
+            ),
+            store=Store(harness=harness, seed=seed),
+        )
+
+
+def _why_judged_here(harness: Harness) -> str:
+    """Return why the processes that make runs do not judge them, too; empty if they do."""
+    if not is_built_in(harness.request.fitness):
+        return "the fitness is your own"
+    if not harness.needs_only_run:
+        return "the test function needs more than the run"
+    is_apart = harness.executor is not None  # its workers may be on other machines
+    return "they were not forked from it" if is_apart or scenario_pool.METHOD != "fork" else ""
+
+
+@dataclass(slots=True, kw_only=True)
+class Search:
+    """The search of one test, from the replays of saved scenarios to the summary."""
+
+    node_id: str  # the node id in reports
+    state: State
+    workers: Workers
+    store: Store
+    replays: Replays
+    limit: TimeLimit
+    listener: Listener  # receives all events, in their order
+    stops_at_first: bool = False  # True if it ends at its first new finding
+    shrinks_later: bool = False  # True if the command ``corpus shrink`` can shrink its findings, which needs the test
+    progress_seconds: float = 10.0  # interval between reports of progress [s]
+    driver_notes: list[str] = field(default_factory=list)  # notes on drivers of the world that failed
+    process_notes: list[str] = field(default_factory=list)  # notes on processes for the summary
+    watch: TimedWatch = field(init=False)
+    _shrink_runs: int = field(init=False, default=0)
+    _neighbour_runs: int = field(init=False, default=0)
+    _shrink_decisions: int = field(init=False, default=0)
+    _neighbour_decisions: int = field(init=False, default=0)
+    _worse: MadeWorse | None = field(init=False, default=None)  # of a search with findings and a reference
+    _manners: dict[str, Manner] = field(init=False, default_factory=dict)  # of the saved scenarios, by id
+
+    def __post_init__(self) -> None:
+        self.watch = TimedWatch(
+            node_id=self.node_id,
+            state=self.state,
+            workers=self.workers,
+            store=self.store,
+            limit=self.limit,
+            most=1 if self.stops_at_first else self.harness.request.settings.stop_after,
+            progress_seconds=self.progress_seconds,
+        )
+
+    @property
+    def harness(self) -> Harness:
+        """The harness of the search."""
+        return self.workers.harness
+
+    @property
+    def _told_with_warnings(self) -> tuple[str, ...]:
+        """The reasons for an end that leave enough runs to warn of their health."""
+        return DONE, ALL_RUN, self.limit.flag
+
+    def _send(self, happened: Iterable[SearchEvent]) -> None:
+        for event in happened:
+            self.listener(event)
+
+    def run(self) -> SearchResult:
+        """Replay saved scenarios, search, simplify the findings, and report a summary.
+
+        Findings are reported even after an error.
+
+        Raises:
+            RequestError: if the search cannot be run as requested.
+        """
+        __tracebackhide__ = True
+        harness, state, workers, store = self.harness, self.state, self.workers, self.store
+        self.listener(
+            SearchStarted(
+                node_id=self.node_id,
+                seed=store.seed,
+                speed_limit=float(harness.world.speed_limit),
+                acts_in_si=protocol.acts_in_si(harness.world, harness.ads),
+            )
+        )
+        began = state.clock()
+        workers.until = max(self.limit.until, began + LEAST)
+        # A process of an earlier session may have died: its scenarios are tried again before anything else.
+        left = harness.left_behind()
+        retried = [self._retried(leftover, left) for leftover in left]
+        self.process_notes += [note for each in retried for note in each.notes]
+        reason, fault = "interrupted", None
+        try:
+            with workers.runner:
+                reason = self._searched(saved_in(harness.folder), began)
+            # All findings are reported and the state is stored before shrinking, which takes long and may be cut.
+            self._send(store.release())
+            state.write(store)
+            # With a reference, the findings that do not show that the policy became worse are not even shrunk.
+            if harness.against is not None and state.space is not None and store.count:
+                now = state.clock()
+                self._worse = MadeWorse(
+                    state=state,
+                    workers=workers,
+                    store=store,
+                    most=harness.request.settings.pairs,
+                    until=now + (self.limit.until - now) / 2,
+                )
+                for event in self._worse.compare(state.space):
+                    self._send(self.watch.progress(event, "comparison") if isinstance(event, str) else [event])
+            self._simplify(reason)
+        except SetupFaultError as error:
+            reason, fault = "error", error
+            self._send(store.withdraw())
+            state.forget_findings()
+        except BaseException as error:
+            reason = "interrupted" if is_interruption(error) else "error"
+            raise
+        finally:
+            with postponed():
+                self._send(store.release())
+                for each in retried:
+                    if each.pending is not None:
+                        each.pending.discard()
+                self.process_notes += workers.runner.notes
+                if workers.record.error:
+                    self.process_notes += [str(workers.record.error)]
+                summary = self._summary(reason)
+                self.listener(summary)
+        return SearchResult(
+            summary=summary,
+            kept=tuple(store.kept.values()),
+            count=store.count,
+            first=store.first,
+            fault=None if fault is None else fault.shown(harness.world, harness.ads),
+            skip=state.skip if state.skip is not None and state.verdicts["skipped"] == state.runs else None,
+            is_vacuous=state.health.vacuous or bool(state.broken),
+        )
+
+    def _simplify(self, reason: str) -> None:
+        """Shrink the findings, and look at their neighbours and at decisions."""
+        __tracebackhide__ = True
+        state, space, clock = self.state, self.state.space, self.state.clock
+        work = Simplification(
+            state=state,
+            workers=self.workers,
+            store=self.store,
+            send=self._send,
+            tell=lambda phase: self._send(self.watch.progress(phase, work.current)),
+            plain=None if space is None else (space.ego_lane, space.ego_speed),
+            plain_seconds=None if space is None else space.gene_seconds,
+            neighbours=self.harness.request.settings.neighbours,
+            answers=state.answers,
+            clock=clock,
+            until=self.limit.until,
+            after_attempt=lambda: state.offer(self.store, work.done),
+        )
+        try:
+            with GENERATORS.held():
+                work.run_all(f"; {flag('resume')} goes on" if state.file is not None else "")
+                if self._worse is not None:
+                    self._send(self._worse.conclude())
+                if reason in self._told_with_warnings:
+                    with suppress(OutOfTime), runs_end_in(self.limit.until - clock()):
+                        state.impure = self.workers.impure()
+        finally:  # Even after Ctrl-C, findings that were simplified must not be simplified again.
+            self._shrink_runs, self._neighbour_runs = work.runs, work.neighbour_runs
+            self._shrink_decisions, self._neighbour_decisions = work.shrink_decisions, work.neighbour_decisions
+            self.driver_notes += work.notes
+            state.write(self.store, work.done)
+
+    def _retried(self, leftover: Leftover, left: Sequence[Leftover]) -> Retried:
+        """Run the scenarios again in which a process of an earlier session died; return the result.
+
+        They are run in the world of the dead process. If that world cannot be made, this is only reported. ``left`` are
+        the records of all dead processes. If another one died in the same scenario, only the first record counts.
+        """
+        harness, world = self.harness, self.harness.world
+        same = [each for each in left if each.scenarios == leftover.scenarios]
+        if same[0] is not leftover:
+            leftover.discard()
+            return Retried()
+        if leftover.world not in (None, harness.job().world_data):
+            try:
+                world = None if codec.is_code(leftover.world) else codec.from_dict(leftover.world)
+            except (WorldError, TypeError, ValueError):
+                world = None
+        if world is None:
+            note = (
+                f"a process (pid {leftover.pid}) died while it ran {leftover.scenarios!r:.300} in a world that cannot "
+                f"be made here now, {dict(leftover.world or {})!r:.200}; it cannot be tried again, so it is no finding"
+            )
+            return Retried(notes=(note,), pending=leftover)
+        before = set(self.store.kept)
+        again = retry(
+            leftover,
+            harness.job(world),
+            partial(harness.judge_trace, world),
+            isolate=harness.request.settings.isolate,
+            has_died_twice=sum(not each.is_watched for each in same) > 1,
+            keep=self.store.add_crash,
+            run_here=self.workers.rerun_one_by_one,
+        )
+        for each in [each for id_, each in self.store.kept.items() if id_ not in before]:
+            self._send(self.store.report(each))
+        return again
+
+    def _searched(self, saved: Sequence[Saved], began: float) -> str:
+        """Replay the saved scenarios and search; return why it ended. ``began`` is when the search began [s].
+
+        Raises:
+            RequestError: if the algorithm does not support the settings, or the fitness cannot be used.
+        """
+        __tracebackhide__ = True
+        state, space, watch, clock = self.state, self.state.space, self.watch, self.state.clock
+        if space is None:
+            return "replay only"
+        request, settings = self.harness.request, self.harness.request.settings
+        # The algorithm twice: a policy that decides for many runs at once gets a larger population, but only its first
+        # generation shows whether it does.
+        try:
+            algorithm = request.algorithm.make(space, **_population(settings.population))
+            for_batches = request.algorithm.make(
+                space, **_population(settings.population or request.algorithm.batch_population)
+            )
+        except ValueError as error:
+            raise RequestError(str(error)) from None
+        # What is known before the first run: the state of earlier sessions, and the failures that saved scenarios still
+        # show. The search's own findings of earlier sessions are part of that state, not known failures.
+        state.random_most = getattr(algorithm, "counted_at_first", 0.0)
+        resumed = self._resumed(algorithm, space, saved)
+        others = [each for each in saved if not self._is_own(each)]
+        self.store.replayed = frozenset(each.path for each in others)
+        state.fatal |= {each.finding.scenario for each in others if each.finding is not None and each.is_crash}
+        until = began + (self.limit.until - began) * (1 - FOR_SIMPLIFYING)
+        try:
+            with runs_end_in(self.workers.until - clock()):
+                state.shown = self.replays.shown_by(others)  # Their failures are not new.
+                self._manners = {each.id: Manner.of(each.finding.expect) for each in others if each.finding is not None}
+                self._send(self._find_again(saved, until))
+        except OutOfTime:  # It is unknown what is known, so nothing could be called new.
+            return self.limit.flag
+        watch.begin(until)
+        runs_before = state.runs
+        try:
+            state.plan = plan_of(
+                algorithm,
+                generations=settings.generations,
+                runs=settings.runs,
+                seed=self.store.seed,
+                for_batches=for_batches,
+                decides_for_many=state.decides_for_many,
+                seeds_matter=(sight_of(self.harness.ads) or Sight()).is_drawn,
+                resumed=resumed,
+            )
+            if resumed is None:
+                state.offer(self.store)
+            with closing(search(state, self.workers, self.store, watch)) as events:
+                self._send(events)
+        except CheckpointError as error:
+            raise RequestError(str(error)) if state.file is None else state.file.refused(error) from None
+        except FitnessError as error:
+            raise RequestError(str(error)) from None
+        except skips() as error:
+            raise RequestError(no_skip("the fitness", error)) from None
+        reasons = {"generations": DONE, "runs": ALL_RUN, "time": self.limit.flag, "stopped": "enough findings"}
+        lost, runs = clock() - watch.last, state.runs - runs_before
+        is_cut = state.finished is not None and state.finished.reason == "time"
+        if is_cut and lost > max(1.0, LOST * (watch.last - watch.began) / (runs + 1)):
+            self.driver_notes.append(
+                f"{self.limit.flag} cut a run after {lost:.1f} s, with {plural(runs, 'run')} before it: if a decision "
+                "hangs, a longer limit or a shorter hang_limit of the world shows it"
+            )
+        return "interrupted" if state.finished is None else reasons[state.finished.reason]
+
+    def _resumed(self, algorithm: Algorithm[Any], space: SearchSpace, saved: Sequence[Saved]) -> Checkpoint[Any] | None:
+        """Go on from the state of earlier sessions; return the progress of their plan, or None for a new search.
+
+        Raises:
+            RequestError: if the algorithm cannot be resumed, or if the state belongs to another search or is in use by
+                another session.
+        """
+        harness, state = self.harness, self.state
+        state.before = tuple(each.id for each in saved)
+        if harness.states is None:
+            return None
+        if not isinstance(algorithm, ResumableSearch):
+            raise RequestError(
+                f"{FLAG}: expected an algorithm that can be resumed, such as distinct or random, received "
+                f"{harness.request.algorithm.name!r}; search without {FLAG}, or add the methods stored and restored to "
+                "your own algorithm (pytest_pafot.searching.ResumableSearch)"
+            )
+        path, settings = state_path(harness.states, harness.node_id), agreed(harness, algorithm, space)
+        state.file = StateFile(path=path, settings=settings, algorithm=algorithm, clock=state.clock)
+        state.file.claim()
+        found = state.file.read(State)
+        if found is None:
+            return None
+        earlier, checkpoint = found
+        state.resume(earlier, runs=checkpoint.sums.simulated, generations=checkpoint.generation)
+        if checkpoint.sums.evaluated:  # A fault of the set-up would have ended the search in its first session.
+            state.first.is_alike = False
+            self._send(self.store.release())
+        return checkpoint
+
+    def _is_own(self, saved: Saved) -> bool:
+        """Return whether a saved scenario is a finding of this search from an earlier session."""
+        found = None if saved.finding is None else saved.finding.found
+        algorithm = self.harness.request.algorithm.name
+        is_of_search = found is not None and (found.seed, found.algorithm) == (self.store.seed, algorithm)
+        return self.state.file is not None and is_of_search and saved.id not in self.state.before
+
+    def _find_again(self, saved: Sequence[Saved], until: float) -> Iterator[SearchEvent]:
+        """Run again the findings that earlier sessions have not shrunk, and the findings that have no file.
+
+        If findings without a file were skipped, a search that saves none, or whose corpus was lost, would pass forever.
+        After the time ``until`` [s], findings with a file are left to a later session.
+        """
+        __tracebackhide__ = True
+        state, workers, store = self.state, self.workers, self.store
+        for find in state.earlier:
+            # There is a file of the same name, or a simpler one of the same kind after `corpus join`.
+            is_there = any(
+                each.id == find.id or (each.finding is not None and each.finding.signature == find.signature)
+                for each in saved
+            )
+            if find.found is None:
+                state.unsaved_before.add(find.id)
+                continue
+            if is_there and not find.is_due:
+                continue
+            if is_there and state.clock() >= until:
+                state.postponed.add(find.id)
+                state.answers[find.id] = list(find.answers)
+                continue
+            if not is_there:  # forget it, so that it counts as new again, even if the process dies in it
+                del state.finds[find.signature]
+            scenario, generation, number = find.found
+            try:
+                run = workers.run(scenario, afresh=True)
+            except ProcessLostError as error:
+                yield from lose(error, state, workers, store)
+                continue
+            verdict = workers.judge(run)
+            failure = verdict.failure if verdict.failed else None
+            if failure is not None and of_failure(run, failure) == find.signature:
+                find_id = yield from saved_as(run, verdict, generation, number, workers, store, self.watch)
+                state.add(find.signature, find_id)
+                state.answers[find_id] = list(find.answers)
+
+    def _summary(self, reason: str) -> SearchSummary:
+        settings, state, health = self.harness.request.settings, self.state, self.state.health
+        budget, generations = state.budget(settings)
+        is_cut = reason == self.limit.flag and self.state.file is None
+        cut = [f"cut by {reason}: the same seed may find other scenarios next time"] * is_cut
+        finds = [kept.find for kept in self.store.kept.values()]
+        notes = (
+            state.doubt,
+            self._excused_late,
+            state.known_alone,
+            self._unused,
+            self._without_effect,
+            *self._unlike_episodes,
+            self._out_of_reach,
+            loading_hint(self.harness.ads) if state.runs else "",
+        )
+        random, crossings = state.random, None if state.space is None else state.space.crossings
+        ways = [] if crossings is None else [zone.way for zone in crossings.zones]
+        # An error says nothing about the ego, and a rate of random scenarios that end at the first failure is too high.
+        is_cut_short = reason == "error" or (reason == "enough findings" and not state.has_all_random)
+        return SearchSummary(
+            node_id=self.node_id,
+            algorithm=self.harness.request.algorithm.name,
+            profile=settings.profile,
+            base_seed=settings.seed,
+            seed=self.store.seed,
+            generations=state.generation if state.finished is None else state.finished.generations,
+            asked=generations,
+            budget=budget,
+            reason=reason,
+            seconds=state.seconds_so_far,
+            runs=state.runs,
+            known_runs=health.reused,
+            invalid=state.verdicts["invalid"],
+            npc=state.verdicts["npc"] + state.verdicts["avoidable"],
+            avoidable=state.verdicts["avoidable"],
+            unpreventable=state.verdicts["unpreventable"],
+            common=state.verdicts["common"],
+            rejected=state.verdicts["rejected"],
+            skipped=state.verdicts["skipped"],
+            reached=health.reached_share if health.genes_started and health.goals else None,
+            no_interaction=health.no_interaction,
+            failing=state.verdicts["failed"],
+            finds=tuple(replace(find, repeats=state.repeats[find.id]) for find in finds),
+            unsaved={id_: 1 + state.repeats[id_] for id_ in self.store.unsaved},
+            shrink_runs=self._shrink_runs,
+            neighbour_runs=self._neighbour_runs,
+            decisions=self.workers.decisions - self._shrink_decisions - self._neighbour_decisions,
+            confirm_decisions=self.workers.confirm_decisions,
+            shrink_decisions=self._shrink_decisions,
+            neighbour_decisions=self._neighbour_decisions,
+            reused_decisions=self.workers.runner.reused,
+            known=dict(state.known + state.found_before(self.store)),
+            unlike=self._unlike(),
+            failures={signature.text: id_ for signature, id_ in state.failures.items()},
+            warnings=state.warnings(self.harness) if reason in self._told_with_warnings else (),
+            notes=(*state.notes, *self.driver_notes, *filter(None, notes), *cut, *self._left_undone(reason)),
+            process_notes=tuple(self.process_notes),
+            against=self.harness.against_name,
+            paired=None if self._worse is None else self._worse.paired,
+            no_worse=self.store.dismissed,
+            random_failing=0 if is_cut_short else random.at_fault,
+            random_runs=0 if is_cut_short else random.runs,
+            random_otherwise=0 if is_cut_short else random.otherwise,
+            given=0 if state.space is None else min(len(state.space.first), state.runs),
+            drawn="" if self.state.space is None else self.state.space.described,
+            coverage=health.coverage.describe(float(self.harness.world.speed_limit), ways) if state.runs else "",
+        )
+
+    def _unlike(self) -> dict[str, tuple[str, ...]]:
+        """Return for saved scenarios up to three scenarios that fail like them, but came about in another manner.
+
+        Those that differ most are first, then those that came first.
+        """
+        found: dict[str, tuple[str, ...]] = {}
+        for signature, manners in self.state.manners.items():
+            id_ = self.state.shown[signature]
+            own = self._manners.get(id_)
+            if own is None:
+                continue
+            unlike = [(differs, each) for manner, each in manners.items() if (differs := manner.unlike(own))]
+            unlike.sort(key=lambda pair: -len(pair[0]))
+            found[id_] = tuple(f"{each} ({'; '.join(differs)})" for differs, each in unlike[:MAX_UNLIKE])
+        return {id_: told for id_, told in sorted(found.items()) if told}
+
+    @property
+    def _excused_late(self) -> str:
+        """A note on collisions that the rules excuse, although braking late, but hard, would have avoided them."""
+        count = self.state.verdicts["avoidable"]
+        if not count:
+            return ""
+        return (
+            f"the rules excuse {plural(count, 'collision')} that 6 m/s^2 from 1.4 s after the danger began would have "
+            f'avoided, such as: {self.state.avoidable} blame="avoidable" counts them as failures'
+        )
+
+    @property
+    def _out_of_reach(self) -> str:
+        """A note on what reference drivers can do and the ADS cannot; empty if its actions can stop the ego."""
+        speed, kept = protocol.least_action_speed(self.harness.world), self.store.kept.values()
+        expected = [each.finding.expect for each in kept]
+        runs = [each.run.ego.speed for each in kept if each.run is not None]  # which may begin slower, and speed up
+        was_slower = any(((each[1:] < each[:-1]) & (each[1:] < speed - SLOWER)).any() for each in runs)
+        is_avoided = any(each.avoided_by or "avoids" in (each.reference_drivers or {}).values() for each in expected)
+        if speed <= 0 or was_slower or not is_avoided or is_vehicle_class(self.harness.ads):
+            return ""
+        return (
+            f"the environment's actions keep {speed:g} m/s or more, and what braking avoids may need less; "
+            "target_speeds in the action of config= lets a policy do so, too"
+        )
+
+    @property
+    def _without_effect(self) -> str:
+        """A note on the options of config= that have no effect, and on what has it in their place; or empty."""
+        lane, world = self.harness.request.space.get("ego_lane"), self.harness.world
+        if not self.state.runs:  # the environment may be one that cannot be made
+            return ""
+        ads = self.harness.ads
+        drives_itself = is_vehicle_class(ads)
+        simulates = not drives_itself and wants_env(ads)
+        given = protocol.options_without_effect(world, drives_itself=drives_itself, simulates=simulates)
+        given.pop(f"write ego_lane={lane!r}", None)  # it has been written
+        told = [f"{', '.join(names)} ({why})" for why, names in given.items()]
+        return f"options of config= without effect in a search: {'; '.join(told)}" if told else ""
+
+    @property
+    def _unlike_episodes(self) -> Iterator[str]:
+        """Notes on code of the user's environment that has no effect in runs."""
+        world = self.harness.world
+        if not self.state.runs or is_vehicle_class(self.harness.ads):
+            return
+        if told := left_out_text(world):
+            yield told
+        if protocol.has_traffic_in_reset(world):
+            yield "what `reset` does to other vehicles has no effect on NPCs, which begin as their scenario says"
+
+    @property
+    def _unused(self) -> str:
+        """A note that the search says nothing about traffic on other ways, because no NPC drives there; or empty."""
+        world, unused = self.harness.world, protocol.unused_roads(self.harness.world)
+        crosses = self.state.space is not None and self.state.space.crossings is not None
+        if not unused or not self.state.runs or crosses:
+            return ""
+        verbs = {"crosses": "crosses", "joins": "joins", "oncoming": "comes towards"}
+        none = " or ".join(f"{verb} it" for meeting, verb in verbs.items() if meeting in unused)
+        where = getattr(world, "env_id", type(world).__name__)
+        which = f"at {where} all NPCs drive along the ego's way: none {none}"
+        without = ", and acts= has no effect" if "acts" in self.harness.request.space else ""
+        return f"{which}, so the search says nothing about such traffic{without}"
+
+    def _left_undone(self, reason: str) -> Iterator[str]:
+        """Yield notes on what the search left undone, and how to continue."""
+        request, store = self.harness.request, self.store
+        settings = request.settings
+        is_broken_off = reason in ("interrupted", "error")
+        firm = [kept for kept in store.kept.values() if kept.is_firm]
+        left = [kept for kept in firm if (kept.finding.shrunk is None if is_broken_off else kept.find.unshrunk)]
+        if left and settings.shrink_rollouts != 0:
+            what = "1 new finding was" if len(left) == 1 else f"{len(left)} new findings were"
+            first = "delete its files and " if any(kept.file for kept in left) else ""
+            again = f"{first}search again with {request.option('seed', settings.seed)}"
+            resume = request.option("resume", settings.resume or "FOLDER")
+            by_command = self.shrinks_later and all(kept.file for kept in left)
+            shrink = f"{command('pytest_pafot', 'corpus', 'shrink', 'FILE')} goes on"
+            if not is_broken_off:
+                how = shrink if by_command else f"{again} and more time, or with {resume}"
+                how = f"{resume} goes on" if self.state.file is not None else how
+                yield f"{self.limit.flag} ended before {what} shrunk: {how}"
+            elif self.state.file is None:
+                yield f"ended before {what} shrunk: {shrink if by_command else again}"
+        is_default = settings.profile == LOCAL and settings.runs == PROFILES[LOCAL]["runs"]
+        if is_default and reason == ALL_RUN and not self.state.verdicts["failed"] and not store.count:
+            longer = request.option("runs", PROFILES[FULL]["runs"])
+            yield f"{settings.runs} runs are a short search; use {longer} for a longer one"
+
+
+def _population(given: int | None) -> dict[str, int]:
+    """Return the population as a parameter of the algorithm; nothing for None, so that its default is used."""
+    return {} if given is None else {"population": given}
+
+
+def may_not_leave(harness: Harness) -> str:
+    """Return why the ADS of a harness had better stay in this process, see :func:`must_stay_here`; or empty."""
+    try:
+        scenario = sample(build_space(harness.request, harness.world), np.random.default_rng(0))
+    except RequestError:  # which the search reports
+        return ""
+    return must_stay_here(harness.job(), scenario)
+
+
+def isolated_after_a_death(harness: Harness, replays: Replays) -> Harness:
+    """Return a harness that runs scenarios in other processes, if an earlier session died in a run of this test.
+
+    This is done only if processes are forked, because otherwise some factories cannot be passed to another process.
+    """
+    settings = harness.request.settings
+    if scenario_pool.METHOD != "fork" or settings.isolate or not settings.is_search:
+        return harness
+    if harness.left_behind() or any(each.is_crash and replays.still_fails(each) for each in saved_in(harness.folder)):
+        return replace(harness, request=replace(harness.request, settings=replace(settings, isolate=True)))
+    return harness

@@ -1,0 +1,202 @@
+"""The limits of a search, and when to report how far it is."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+from pytest_pafot.campaign.events import (
+    Progress,
+    SearchEvent,
+)
+from pytest_pafot.campaign.options import Settings
+from pytest_pafot.campaign.simplification import rollouts_for
+from pytest_pafot.campaign.state import State
+from pytest_pafot.campaign.store import Store
+from pytest_pafot.campaign.workers import Workers
+from pytest_pafot.searching.events import EndReason
+from pytest_pafot.searching.plan import Plan
+from pytest_pafot.support.errors import flag
+
+RUNS_A_NEIGHBOUR = 4
+"""The time for one of a finding's neighbours, as a number of runs: as many are run with smaller steps, up to three
+times."""
+
+RUNS_TO_CONFIRM = 4
+"""The time to find and confirm a failure, as a number of runs.
+
+The scenario is run, run again, and run in highway-env's own environment, which takes about as long as two runs.
+"""
+
+LEAST = 2.0
+"""The time that a search has for its replays, its first run and the confirmation of a finding in it, even if its limit
+is over by then [s]. So a search of a fast policy tests something although others have used up the session's time."""
+
+
+class TimeLimit(NamedTuple):
+    """The time limit of a search, including shrinking: the option's flag, and the time of the end [s] or infinity."""
+
+    flag: str
+    until: float
+
+
+def time_limit(settings: Settings, *, now: float, began: float, left: int) -> TimeLimit:
+    """Return the time limit of a search: its own limit or its share of the session's limit, whichever ends first.
+
+    Args:
+        settings: the options of the search.
+        now: the time at which the search begins [s].
+        began: the time at which the session began [s].
+        left: the number of searches, including this search, that share the remaining time of the session equally.
+    """
+    own = TimeLimit(flag("max_time"), now + (math.inf if settings.max_time is None else settings.max_time))
+    if settings.total_time is None:
+        return own
+    share = max(0.0, began + settings.total_time - now) / left
+    return min(own, TimeLimit(flag("total_time"), now + share), key=lambda limit: limit.until)
+
+
+@dataclass(slots=True)
+class Watch:
+    """What ends a search and reports how far it is. This one asks a function, and reports nothing."""
+
+    stop: Callable[[], bool] = lambda: False
+
+    def reached(self, plan: Plan[Any]) -> EndReason | None:
+        """Return the limit that is reached between two scenarios; None if there is none."""
+        return "stopped" if self.stop() else "runs" if plan.has_all_runs else None
+
+    def seconds_left(self) -> float:
+        """Return the time after which a run ends between two decisions [s]."""
+        return math.inf
+
+    def seen(self) -> Iterator[SearchEvent]:
+        """Yield a report of the progress if one is due after an event of the plan."""
+        yield from ()
+
+    def confirms(self, find_id: str) -> Iterator[SearchEvent]:
+        """Yield a report of the progress if one is due before a finding is run again."""
+        yield from ()
+
+
+@dataclass(slots=True, kw_only=True)
+class TimedWatch(Watch):
+    """The watch of a search that has a limit of time or of findings, and a listener that wants to see its progress.
+
+    Attributes:
+        node_id: the node id of the search in reports.
+        limit: the limit of the time of the search.
+        most: the number of findings after which it ends, or None.
+        progress_seconds: the interval between reports of progress [s].
+        began: the time at which the loop began [s].
+        until: the earliest time at which it ends for lack of time [s].
+        last: the time of the last event of the plan [s].
+    """
+
+    node_id: str
+    state: State
+    workers: Workers
+    store: Store
+    limit: TimeLimit
+    most: int | None
+    progress_seconds: float
+    began: float = 0.0
+    until: float = math.inf
+    last: float = 0.0
+    _runs_before: int = 0
+    _told_at: float = field(init=False)
+    # the time [s], without what confirmed findings, and the number of runs after the first one, which loads libraries
+    _since: tuple[float, int] | None = field(init=False, default=None)
+
+    def __post_init__(self) -> None:
+        self._told_at = self.state.clock()
+
+    def begin(self, until: float) -> None:
+        """Note that the loop begins now, and the earliest time at which it may end [s]."""
+        self.began = self.last = self.state.clock()
+        self.until, self._runs_before = until, self.state.runs
+
+    def reached(self, plan: Plan[Any]) -> EndReason | None:
+        """Return the limit that is reached between two scenarios; None if there is none."""
+        if self.most is not None and self.store.count >= self.most:
+            return "stopped"
+        if plan.has_all_runs:
+            return "runs"
+        return "time" if self.state.clock() >= self._ends() else None
+
+    def seconds_left(self) -> float:
+        """Return the time after which a run may be cut [s]. The first run gets its time in any case."""
+        ends = self._ends() if self.store.firm else self.limit.until
+        ends = ends if self.state.runs > self._runs_before else max(ends, self.began + LEAST)
+        return ends - self.state.clock()
+
+    def _ends(self) -> float:
+        """Return when the loop has to end, given its findings so far [s].
+
+        That leaves the time to simplify its findings, or without any, to confirm one in its last run, as far as can be
+        told from the runs so far. Runs of a policy that decides for many at once do not tell how long one alone takes.
+        """
+        harness, state = self.workers.harness, self.state
+        settings, firm = harness.request.settings, self.store.firm
+        if self.limit.until == math.inf or (firm and state.decides_for_many):
+            return self.until
+        to_simplify = RUNS_TO_CONFIRM + rollouts_for(harness) + RUNS_A_NEIGHBOUR * settings.neighbours
+        to_compare = 0 if harness.against is None else 2 * settings.pairs
+        run_seconds = (state.clock() - self.began) * settings.workers / max(state.runs - self._runs_before, 1)
+        return max(self.until, self.limit.until - (firm * to_simplify + to_compare or RUNS_TO_CONFIRM) * run_seconds)
+
+    def seen(self) -> Iterator[SearchEvent]:
+        """Yield a report of the progress if one is due after an event of the plan."""
+        self.last = self.state.clock()
+        if self._since is None and self.state.runs > self._runs_before:
+            self._since = self.last - self.workers.confirm_seconds, self.state.runs
+        return self.progress()
+
+    def confirms(self, find_id: str) -> Iterator[SearchEvent]:
+        """Yield a report of the progress if one is due before a finding is run again."""
+        return self.progress(f"found {find_id}, running it again")
+
+    @property
+    def _run_seconds(self) -> float:
+        """The mean time of a run in the process that makes it [s]; 0 if it is not known yet.
+
+        Confirming a finding is left out: at first most failures are new, and later hardly any.
+        """
+        runner = self.workers.runner
+        if runner.processes.in_use:
+            return runner.processes.run_seconds
+        # The first runs of an executor come at the same time, after that of one run.
+        if self._since is None or (runner.processes.is_elsewhere and not self.state.generation):
+            return 0.0
+        began, before = self._since
+        made = self.state.runs + runner.ready - before
+        return (self.state.clock() - self.workers.confirm_seconds - began) / made if made else 0.0
+
+    def progress(self, phase: str = "", of: str = "") -> Iterator[SearchEvent]:
+        """Yield a report of the progress if one is due, in a phase of the work on a finding."""
+        state, runner = self.state, self.workers.runner
+        now = state.clock()
+        if now - self._told_at < self.progress_seconds:
+            return
+        self._told_at = now
+        budget, generations = state.budget(self.workers.harness.request.settings)
+        run_seconds = self._run_seconds
+        runs_left = 0 if budget is None else budget - state.runs - runner.ready
+        decisions = 0 if state.is_resumed else self.workers.decisions  # some of the runs are of an earlier session
+        yield Progress(
+            node_id=self.node_id,
+            generation=min(state.generation + 1, generations or state.generation + 1),
+            generations=generations,
+            runs=state.runs,
+            budget=budget,
+            failing=state.verdicts["failed"],
+            finds=self.store.count,
+            seconds=state.seconds_so_far,
+            left=runs_left * run_seconds / max(runner.processes.in_use, 1),
+            decision_seconds=run_seconds * state.runs / decisions if decisions else 0.0,
+            is_limited=self.limit.until < math.inf,
+            phase=phase,
+            of=of,
+        )
