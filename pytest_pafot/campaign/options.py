@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 from pytest_pafot.corpus.layout import CORPUS
 from pytest_pafot.support.errors import RequestError, flag, page
 from pytest_pafot.support.text import meant
-from pytest_pafot.support.versions import cores
 
 if TYPE_CHECKING:
     from pytest_pafot.searching.ask_tell import Algorithm
@@ -399,6 +398,8 @@ def _read_integer(option: Option, value: object) -> int:
 
 def _read_workers(option: Option, value: object) -> int:
     if value == AUTO:
+        from pytest_pafot.support.versions import cores  # noqa: PLC0415  (slow to import)
+
         return cores()
     try:
         return _read_integer(option, value)
