@@ -15,9 +15,11 @@ from pytest_pafot import door
 from pytest_pafot.__main__ import GROUP, known_commands, main
 from pytest_pafot.searching import SearchSpace, resolve_algorithm
 from pytest_pafot.world import AdsFactoryError
-from tests.extras.plugin.test_bisect_command import BAD, GOOD, bisect, commit, tried  # noqa: F401
 from tests.plugin.conftest import found, project  # noqa: F401
 from tests.searching.conftest import make_evaluation  # noqa: F401
+
+pytest.importorskip("pytest_pafot.extras", reason="all of this is about the extras")
+from tests.extras.plugin.test_bisect_command import BAD, GOOD, bisect, commit, tried  # noqa: F401
 
 SAVED = Path(__file__).parent / "corpus" / "saved" / "collision-xfail.pafot.yaml"
 FAST = pafot.World("highway-fast-v0", {"vehicles_count": 8, "duration": 6})
