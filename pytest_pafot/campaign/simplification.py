@@ -530,7 +530,8 @@ class Simplification:
 
     def _ends_in_collision(self, kept: FindTold) -> bool:
         """Return whether a finding is a collision that another run with the same decisions of the ADS repeats here."""
-        is_here = codec.is_built_in(self.loop.simulation.harness.world) and not kept.find.is_flaky
+        is_sure = not kept.find.is_flaky and kept.finding.rate is None
+        is_here = is_sure and codec.is_built_in(self.loop.simulation.harness.world)
         trace = None if kept.run is None else kept.run.trace
         return is_here and trace is not None and trace.collision is not None and bool(trace.actions)
 
