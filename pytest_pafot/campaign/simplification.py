@@ -450,9 +450,14 @@ class Simplification:
         run, verdict, differs = self._run_again(scenario, kept)
         before, rate = kept.finding.rate, kept.finding.rate
         if before is not None and not differs and scenario != kept.finding.scenario:
-            rate = after = self._rate(kept, scenario)
-            is_rarer = before.change(after) in ("better", "fixed")
-            differs = f"it fails in {after} runs, not in {before}" if is_rarer else ""
+            held = self._failing_as_often(kept, scenario)
+            if held is None:
+                differs = f"what is simpler does not fail as often as in {before} runs"
+            else:
+                if held != scenario:
+                    shrunk = replace(shrunk, is_minimal=False, speeds=())
+                    run, verdict, differs = self._run_again(held, kept)
+                scenario, rate = held, self._rate(kept, held)
         if differs and len(self.answers[kept.find.id]) > turn.attempts:
             self.answers[kept.find.id].clear()  # Some are from earlier sessions: the ADS may have changed since.
             return self._refine(kept, _Turn(until=turn.until))
@@ -532,7 +537,8 @@ class Simplification:
 
     def _ends_in_collision(self, kept: FindTold) -> bool:
         """Return whether a finding is a collision that another run with the same decisions of the ADS repeats here."""
-        is_here = codec.is_built_in(self.workers.harness.world) and not kept.find.is_flaky
+        is_sure = not kept.find.is_flaky and kept.finding.rate is None
+        is_here = is_sure and codec.is_built_in(self.workers.harness.world)
         trace = None if kept.run is None else kept.run.trace
         return is_here and trace is not None and trace.collision is not None and bool(trace.actions)
 
@@ -628,6 +634,33 @@ class Simplification:
             other = scenario if kept.find.is_flaky else with_other_seed(scenario, number)
             run = self.workers.run(other, afresh=True)
             yield self.workers.judge(run).failed
+
+    def _failing_as_often(self, kept: FindTold, simplest: Scenario) -> Scenario | None:
+        """Return the simplest scenario on the way to ``simplest`` that does not fail more rarely than the finding.
+
+        Of many candidates those are kept that were lucky in a few runs. So what they led to is compared in more runs,
+        with other seeds; if it fails more rarely, bisection finds how far shrinking may go.
+        """
+        before, steps = kept.finding.rate, list[Scenario]()
+        for _, shown in self.answers[kept.find.id]:
+            if shown is not None and sort_key(shown[0]) < min(map(sort_key, steps), default=(math.inf,)):
+                steps.append(shown[0])
+        steps = steps[: steps.index(simplest) + 1]
+        if before is None:
+            return None
+        more = islice(self._outcomes(kept, kept.finding.scenario, before.runs + 1), MANY_RUNS - before.runs)
+        before = FailureRate(failing=before.failing + sum(more), runs=MANY_RUNS)
+        first = MANY_RUNS + 1 + len(self.answers[kept.find.id]) * FEW_RUNS  # no seed with which an attempt was chosen
+        low, middle, high = -1, len(steps) - 1, len(steps) - 1
+        while low < high:
+            self.tell(f"comparing how often {kept.find.id} fails")
+            failing = sum(islice(self._outcomes(kept, steps[middle], first), MANY_RUNS))
+            if before.change(FailureRate(failing=failing, runs=MANY_RUNS)) in ("better", "fixed"):
+                high = middle - 1
+            else:
+                low = middle
+            middle = (low + high + 1) // 2
+        return None if low < 0 else steps[low]
 
     def _rate(self, kept: FindTold, scenario: Scenario) -> FailureRate:
         """Return how often a policy that draws random numbers fails in a scenario."""

@@ -83,6 +83,24 @@ def test_a_finding_that_does_not_repeat_has_a_rate_too_and_is_shrunk_by_it(tmp_p
     assert told.finding.original is not None
 
 
+class BrakesForTwo:
+    """A policy that brakes in most runs if it sees two others, and seldom if it sees one."""
+
+    def __init__(self):
+        self.drawn = random.random()
+
+    def __call__(self, seen):
+        return (-3.0 if self.drawn < (0.7 if len(seen.others) > 1 else 0.05) else 0.0), 0.0
+
+
+def test_what_few_lucky_runs_have_kept_is_taken_back_but_no_more(tmp_path, monkeypatch):
+    monkeypatch.setattr(FailureRate, "is_as_often", lambda rate, outcomes: any(outcomes))
+    finding = found(BrakesForTwo, tmp_path).finding
+    assert len(finding.scenario.npcs) == 2
+    assert finding.original is not None
+    assert finding.rate.failing >= 10
+
+
 def test_unseeded_generators_are_the_users(tmp_path):
     random.seed(1)
     assert found(Brakes, tmp_path, unseeded=True).finding.flaky is not None
