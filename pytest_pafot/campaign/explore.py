@@ -132,14 +132,9 @@ def explore(
         with prepared(replays.harness, has_table=True) as parts:
             limit = time_limit(request.settings, now=now, began=now, left=1)
             search = Search(
-                node_id=name,
-                state=parts.state,
-                workers=parts.workers,
-                store=parts.store,
+                watch=parts.watch(name, limit, progress_seconds=0.5),
                 replays=replays,
-                limit=limit,
                 listener=listen,
-                progress_seconds=0.5,
             )
             result = search.run()
     if result.fault is not None:

@@ -47,7 +47,7 @@ def search(state: State, workers: Workers, store: Store, watch: Watch) -> Genera
         return
     began, evaluated_before = state.clock(), plan.sums.evaluated
     yield from _seen([plan.started], state, watch)
-    workers.begin(plan, state.random_most, state.fatal)
+    workers.begin(plan, state.random.most, state.fatal)
     while reason is None and not plan.is_over:
         while not plan.is_whole:
             # Limits count after the first scenario, so that a search tests something.

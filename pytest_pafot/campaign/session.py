@@ -109,6 +109,20 @@ class Prepared:
         self.state.plan = plan_of(algorithm, generations=generations, seed=seed)
         return search(self.state, self.workers, self.store, Watch(stop))
 
+    def watch(
+        self, node_id: str, limit: TimeLimit, *, progress_seconds: float, stops_at_first: bool = False
+    ) -> TimedWatch:
+        """Return the watch of the search that is ready; with ``stops_at_first`` it ends at its first new finding."""
+        return TimedWatch(
+            node_id=node_id,
+            state=self.state,
+            workers=self.workers,
+            store=self.store,
+            limit=limit,
+            most=1 if stops_at_first else self.workers.harness.request.settings.stop_after,
+            progress_seconds=progress_seconds,
+        )
+
 
 @contextmanager
 def prepared(
@@ -203,36 +217,35 @@ def _why_judged_here(harness: Harness) -> str:
 class Search:
     """The search of one test, from the replays of saved scenarios to the summary."""
 
-    node_id: str  # the node id in reports
-    state: State
-    workers: Workers
-    store: Store
+    watch: TimedWatch
     replays: Replays
-    limit: TimeLimit
     listener: Listener  # receives all events, in their order
-    stops_at_first: bool = False  # True if it ends at its first new finding
     shrinks_later: bool = False  # True if the command ``corpus shrink`` can shrink its findings, which needs the test
-    progress_seconds: float = 10.0  # interval between reports of progress [s]
     driver_notes: list[str] = field(default_factory=list)  # notes on drivers of the world that failed
     process_notes: list[str] = field(default_factory=list)  # notes on processes for the summary
-    watch: TimedWatch = field(init=False)
-    _shrink_runs: int = field(init=False, default=0)
-    _neighbour_runs: int = field(init=False, default=0)
-    _shrink_decisions: int = field(init=False, default=0)
-    _neighbour_decisions: int = field(init=False, default=0)
+    _work: Simplification | None = field(init=False, default=None)  # of a search that came to its end
     _worse: MadeWorse | None = field(init=False, default=None)  # of a search with findings and a reference
     _manners: dict[str, Manner] = field(init=False, default_factory=dict)  # of the saved scenarios, by id
 
-    def __post_init__(self) -> None:
-        self.watch = TimedWatch(
-            node_id=self.node_id,
-            state=self.state,
-            workers=self.workers,
-            store=self.store,
-            limit=self.limit,
-            most=1 if self.stops_at_first else self.harness.request.settings.stop_after,
-            progress_seconds=self.progress_seconds,
-        )
+    @property
+    def state(self) -> State:
+        """All that the search knows."""
+        return self.watch.state
+
+    @property
+    def workers(self) -> Workers:
+        """The runs of the search."""
+        return self.watch.workers
+
+    @property
+    def store(self) -> Store:
+        """The findings of the search."""
+        return self.watch.store
+
+    @property
+    def limit(self) -> TimeLimit:
+        """The limit of the search's time."""
+        return self.watch.limit
 
     @property
     def harness(self) -> Harness:
@@ -260,7 +273,7 @@ class Search:
         harness, state, workers, store = self.harness, self.state, self.workers, self.store
         self.listener(
             SearchStarted(
-                node_id=self.node_id,
+                node_id=self.watch.node_id,
                 seed=store.seed,
                 speed_limit=float(harness.world.speed_limit),
                 acts_in_si=protocol.acts_in_si(harness.world, harness.ads),
@@ -324,7 +337,7 @@ class Search:
         """Shrink the findings, and look at their neighbours and at decisions."""
         __tracebackhide__ = True
         state, space, clock = self.state, self.state.space, self.state.clock
-        work = Simplification(
+        work = self._work = Simplification(
             state=state,
             workers=self.workers,
             store=self.store,
@@ -347,8 +360,6 @@ class Search:
                     with suppress(OutOfTime), runs_end_in(self.limit.until - clock()):
                         state.impure = self.workers.impure()
         finally:  # Even after Ctrl-C, findings that were simplified must not be simplified again.
-            self._shrink_runs, self._neighbour_runs = work.runs, work.neighbour_runs
-            self._shrink_decisions, self._neighbour_decisions = work.shrink_decisions, work.neighbour_decisions
             self.driver_notes += work.notes
             state.write(self.store, work.done)
 
@@ -410,7 +421,7 @@ class Search:
             raise RequestError(str(error)) from None
         # What is known before the first run: the state of earlier sessions, and the failures that saved scenarios still
         # show. The search's own findings of earlier sessions are part of that state, not known failures.
-        state.random_most = getattr(algorithm, "counted_at_first", 0.0)
+        state.random.most = getattr(algorithm, "counted_at_first", 0.0)
         resumed = self._resumed(algorithm, space, saved)
         others = [each for each in saved if not self._is_own(each)]
         self.store.replayed = frozenset(each.path for each in others)
@@ -534,6 +545,10 @@ class Search:
     def _summary(self, reason: str) -> SearchSummary:
         settings, state, health = self.harness.request.settings, self.state, self.state.health
         budget, generations = state.budget(settings)
+        work = self._work
+        shrink_decisions, neighbour_decisions = (
+            (0, 0) if work is None else (work.shrink_decisions, work.neighbour_decisions)
+        )
         is_cut = reason == self.limit.flag and self.state.file is None
         cut = [f"cut by {reason}: the same seed may find other scenarios next time"] * is_cut
         finds = [kept.find for kept in self.store.kept.values()]
@@ -550,9 +565,9 @@ class Search:
         random, crossings = state.random, None if state.space is None else state.space.crossings
         ways = [] if crossings is None else [zone.way for zone in crossings.zones]
         # An error says nothing about the ego, and a rate of random scenarios that end at the first failure is too high.
-        is_cut_short = reason == "error" or (reason == "enough findings" and not state.has_all_random)
+        is_cut_short = reason == "error" or (reason == "enough findings" and not random.is_whole)
         return SearchSummary(
-            node_id=self.node_id,
+            node_id=self.watch.node_id,
             algorithm=self.harness.request.algorithm.name,
             profile=settings.profile,
             base_seed=settings.seed,
@@ -576,12 +591,12 @@ class Search:
             failing=state.verdicts["failed"],
             finds=tuple(replace(find, repeats=state.repeats[find.id]) for find in finds),
             unsaved={id_: 1 + state.repeats[id_] for id_ in self.store.unsaved},
-            shrink_runs=self._shrink_runs,
-            neighbour_runs=self._neighbour_runs,
-            decisions=self.workers.decisions - self._shrink_decisions - self._neighbour_decisions,
+            shrink_runs=0 if work is None else work.runs,
+            neighbour_runs=0 if work is None else work.neighbour_runs,
+            decisions=self.workers.decisions - shrink_decisions - neighbour_decisions,
             confirm_decisions=self.workers.confirm_decisions,
-            shrink_decisions=self._shrink_decisions,
-            neighbour_decisions=self._neighbour_decisions,
+            shrink_decisions=shrink_decisions,
+            neighbour_decisions=neighbour_decisions,
             reused_decisions=self.workers.runner.reused,
             known=dict(state.known + state.found_before(self.store)),
             unlike=self._unlike(),

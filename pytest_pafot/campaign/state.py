@@ -83,15 +83,40 @@ class RandomRuns:
         runs: the number of runs that say something about the ego.
         at_fault: the number of those with a collision for which the ego is responsible, alone or with the NPC.
         otherwise: the number of those that failed in any other way, such as by a check or an error of the ADS.
+        most: the number of random scenarios with which the search begins; infinite if all are random.
+        judged: the events of runs whose scenarios were not evaluated yet.
     """
 
     evaluated: int = 0
     runs: int = 0
     at_fault: int = 0
     otherwise: int = 0
+    most: float = field(init=False, default=0.0)
+    judged: dict[Scenario, Judged] = field(init=False, default_factory=dict)
 
-    def add(self, evaluated: int, runs: int, at_fault: int, otherwise: int) -> None:
-        """Count more runs."""
+    @property
+    def is_whole(self) -> bool:
+        """True if all random scenarios at the beginning of the search were run."""
+        return self.evaluated >= self.most
+
+    def see(self, event: SearchEvent) -> None:
+        """Count an event of the beginning. A scenario may be judged twice before it is evaluated."""
+        if self.is_whole:
+            return
+        if isinstance(event, events.GroupEvaluated):
+            self._add(*event.counts.random)
+        elif isinstance(event, Judged):
+            self.judged[event.scenario] = event
+        elif isinstance(event, events.Evaluated):
+            judged = self.judged.pop(event.evaluation.scenario, None)
+            if judged is None or judged.verdict.discarded or judged.verdict.kind == "invalid":
+                self._add(1, 0, 0, 0)
+            else:
+                has_failed = judged.verdict.kind in FAILING
+                is_at_fault = has_failed and judged.run is not None and fails_by_ego(judged.run, judged.verdict)
+                self._add(1, 1, is_at_fault, has_failed and not is_at_fault)
+
+    def _add(self, evaluated: int, runs: int, at_fault: int, otherwise: int) -> None:
         self.evaluated, self.runs = self.evaluated + evaluated, self.runs + runs
         self.at_fault, self.otherwise = self.at_fault + at_fault, self.otherwise + otherwise
 
@@ -124,9 +149,6 @@ class State:
     begun: str = field(init=False, default="")  # a note on the saved scenarios with which the search begins
     clock: Callable[[], float] = field(init=False, default=time.monotonic)  # returns the seconds since some moment
     began: float = field(init=False, default=0.0)  # the time at which this session began [s]
-    random_most: float = field(init=False, default=0.0)  # the number of random scenarios at the beginning
-    # the events of runs that were not evaluated yet, which are random
-    judged: dict[Scenario, Judged] = field(init=False, default_factory=dict)
     shown: Mapping[Signature, str] = field(init=False, default_factory=dict)  # ids of saved scenarios by their failure
     finds: dict[Signature, str] = field(init=False, default_factory=dict)  # ids of new findings by signature
     repeats: Counter[str] = field(init=False, default_factory=Counter)  # number of other runs that show one, by id
@@ -143,9 +165,8 @@ class State:
     # number of runs that failed in lock step, by whether they failed alone, too
     repeated: Counter[bool] = field(init=False, default_factory=Counter)
     impure: str = field(init=False, default="")  # a scenario in which an ADS that is marked as pure decided otherwise
-    runs_before: int = field(init=False, default=0)  # runs of earlier sessions
-    generations_before: int = field(init=False, default=0)  # generations of earlier sessions
-    is_resumed: bool = field(init=False, default=False)  # True if an earlier session has made some of the runs
+    # the numbers of runs and generations of earlier sessions; None if there is none
+    done_before: tuple[int, int] | None = field(init=False, default=None)
     # ids of findings that still must be shrunk, but not in this session, which has no time left for them
     postponed: set[str] = field(init=False, default_factory=set)
     # ids of findings of earlier sessions beyond the number that a search saves
@@ -161,11 +182,6 @@ class State:
         """The figures that say whether the search tested anything."""
         self.count()
         return self.counted
-
-    @property
-    def has_all_random(self) -> bool:
-        """True if all random scenarios at the beginning of the search were run."""
-        return self.random.evaluated >= self.random_most
 
     def count(self) -> None:
         """Count the evaluations since the last call. Counting is delayed so that no scenario has to wait for it."""
@@ -223,20 +239,22 @@ class State:
 
     def budget(self, settings: Settings) -> tuple[int | None, int | None]:
         """Return the numbers of runs and generations after which this session ends, counted from the first one on."""
+        runs, generations = self.done_before or (0, 0)
         return (
-            None if settings.runs is None else self.runs_before + settings.runs,
-            None if settings.generations is None else self.generations_before + settings.generations,
+            None if settings.runs is None else runs + settings.runs,
+            None if settings.generations is None else generations + settings.generations,
         )
 
     def resume(self, earlier: State, *, runs: int, generations: int) -> None:
         """Go on from the state of an earlier session, after so many runs and generations."""
+        most = self.random.most
         for each in fields(self):
             if each.init:
                 setattr(self, each.name, getattr(earlier, each.name))
+        self.random.most = most
         self.finds = {each.signature: each.id for each in earlier.earlier}
         self.repeats = Counter({each.id: each.repeats for each in earlier.earlier})
-        self.is_resumed, self.runs_before, self.generation = True, runs, generations
-        self.generations_before = generations
+        self.done_before, self.generation = (runs, generations), generations
 
     def offer(self, store: Store, simplified: Collection[str] = ()) -> None:
         """Write the state, unless it was written shortly before: a session that is killed loses little."""
@@ -285,20 +303,14 @@ class State:
         Raises:
             SetupFaultError: if all runs of the first generation end in the same exception.
         """
+        self.random.see(event)
         match event:
-            case Judged():
-                if not self.has_all_random:
-                    self.judged[event.scenario] = event
             case events.Evaluated():
                 self.uncounted.append(event)
                 if len(self.uncounted) >= COUNTED_AT_ONCE:
                     self.count()
-                if not self.has_all_random:
-                    self._see_random(event)
             case events.GroupEvaluated():
                 self.counted += event.counts.health
-                if not self.has_all_random:
-                    self.random.add(*event.counts.random)
             case events.GenerationFinished(local_generation=0):
                 self.generation = event.generation + 1
                 self.first.end()
@@ -308,17 +320,6 @@ class State:
                 self.generation = event.generation + 1
             case events.CampaignFinished():
                 self.finished = event
-
-    def _see_random(self, event: events.Evaluated) -> None:
-        """Count a random scenario, which may be judged twice before it is evaluated."""
-        judged = self.judged.pop(event.evaluation.scenario, None)
-        if judged is None or judged.verdict.discarded or judged.verdict.kind == "invalid":
-            self.random.add(1, 0, 0, 0)
-        elif judged.verdict.kind in FAILING:
-            is_at_fault = judged.run is not None and fails_by_ego(judged.run, judged.verdict)
-            self.random.add(1, 1, is_at_fault, not is_at_fault)
-        else:
-            self.random.add(1, 1, 0, 0)
 
     def take(self, run: Run | None, verdict: Verdict, caught: Iterable[str], doubt: str) -> None:
         """Count a judged run; ``run`` is None if another process has judged it."""
@@ -388,14 +389,13 @@ class State:
     @property
     def notes(self) -> list[str]:
         """Lines for the summary on earlier sessions and their findings."""
-        went_on = f"resumed after {plural(self.runs_before, 'run')} of earlier sessions"
         problem, anew = ("", "") if self.file is None else (self.file.problem, self.file.anew)
         unsaved = self.unsaved_before
         shown = plural(sum(1 + self.repeats[id_] for id_ in unsaved), "run")
         left = f"{plural(len(unsaved), 'finding')} of earlier sessions not saved ({MAX_SAVED}), shown by {shown}"
         postponed = f"no time was left to shrink {plural(len(self.postponed), 'finding')} of earlier sessions"
         return [
-            *([went_on] if self.is_resumed else []),
+            *([f"resumed after {plural(self.done_before[0], 'run')} of earlier sessions"] if self.done_before else []),
             *([postponed] if self.postponed else []),
             *([left] if unsaved else []),
             *filter(None, [problem, anew, self.begun]),

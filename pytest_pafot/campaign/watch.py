@@ -184,7 +184,7 @@ class TimedWatch(Watch):
         budget, generations = state.budget(self.workers.harness.request.settings)
         run_seconds = self._run_seconds
         runs_left = 0 if budget is None else budget - state.runs - runner.ready
-        decisions = 0 if state.is_resumed else self.workers.decisions  # some of the runs are of an earlier session
+        decisions = 0 if state.done_before else self.workers.decisions  # some of the runs are of an earlier session
         yield Progress(
             node_id=self.node_id,
             generation=min(state.generation + 1, generations or state.generation + 1),

@@ -292,19 +292,16 @@ def run_search(item: pytest.Function, request: Request) -> None:
     # If this policy has killed a process before, it runs in processes that may die of it.
     chosen = isolated_after_a_death(harness, replays)
     listener = SearchMessages(item, settings, page_counts(item, settings), table_messages_of(item))
+    # With these options pytest stops at the first failed item. The loop inside of this item must do the same.
+    is_first_enough = bool(item.config.getoption("usepdb", False)) or item.config.getoption("maxfail", 0) == 1
     with prepared(chosen, has_table=listener.table is not None, wants_each=False) as parts:
         result = Search(
-            node_id=item.nodeid,
-            state=parts.state,
-            workers=parts.workers,
-            store=parts.store,
+            watch=parts.watch(
+                item.nodeid, limit, progress_seconds=shared.progress_seconds, stops_at_first=is_first_enough
+            ),
             listener=listener,
             replays=replace(replays, harness=chosen),
-            limit=limit,
-            # With these options pytest stops at the first failed item. The loop inside of this item must do the same.
-            stops_at_first=bool(item.config.getoption("usepdb", False)) or item.config.getoption("maxfail", 0) == 1,
             shrinks_later=not os.environ.get(OF_SEARCH),  # the command search has no test that stays
-            progress_seconds=shared.progress_seconds,
             process_notes=[] if chosen is harness else [AFTER_A_DEATH],
         ).run()
     # The item fails for a fault of the set-up, for new findings, for failures without an item, and for an empty search.

@@ -21,7 +21,7 @@ from pytest_pafot.searching.evaluation import Evaluation
 from pytest_pafot.searching.health import Health
 from pytest_pafot.searching.operators import crossover, mutate, tournament
 from pytest_pafot.searching.plain import from_plain, plain
-from pytest_pafot.searching.plan import Checkpoint
+from pytest_pafot.searching.plan import Checkpoint, Plan, plan_of
 from pytest_pafot.searching.space import SearchSpace, sample, sample_manoeuvres
 
 __all__ = [
@@ -36,6 +36,7 @@ __all__ = [
     "GenerationalSearch",
     "Health",
     "PafotSearch",
+    "Plan",
     "RandomManoeuvreSearch",
     "RandomSearch",
     "ResumableSearch",
@@ -45,6 +46,7 @@ __all__ = [
     "from_plain",
     "mutate",
     "plain",
+    "plan_of",
     "resolve_algorithm",
     "sample",
     "sample_manoeuvres",
