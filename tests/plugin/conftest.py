@@ -211,9 +211,7 @@ def project(request, pytester, monkeypatch, found):
     """
     quick_sessions(monkeypatch)
     if not request.node.get_closest_marker("processes"):
-        monkeypatch.setattr(search_loop, "_difference_in_gym", lambda run, simulation: "")
-        monkeypatch.setattr(Harness, "reference_outcomes", lambda self, run, verdict, failed: {})
-        monkeypatch.setenv("PAFOT_SHRINK_ROLLOUTS", "0")
+        omit_slow_steps(monkeypatch)
     monkeypatch.setenv("PAFOT_NEIGHBOURS", "0")
     for name in (
         "CI",
@@ -232,6 +230,19 @@ def project(request, pytester, monkeypatch, found):
     monkeypatch.setenv("COLUMNS", "500")  # messages on one line each
     monkeypatch.setenv("PYTEST_DISABLE_PLUGIN_AUTOLOAD", "1")
     return Project(pytester, found)
+
+
+def omit_slow_steps(monkeypatch):
+    monkeypatch.setattr(search_loop, "_difference_in_gym", lambda run, simulation: "")
+    monkeypatch.setattr(Harness, "reference_outcomes", lambda self, run, verdict, failed: {})
+    monkeypatch.setenv("PAFOT_SHRINK_ROLLOUTS", "0")
+
+
+@pytest.fixture
+def quick(project, monkeypatch):
+    """Return a project whose sessions omit slow steps, also those of tests of several processes."""
+    omit_slow_steps(monkeypatch)
+    return project
 
 
 @pytest.fixture
