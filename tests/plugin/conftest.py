@@ -1,8 +1,6 @@
 """A project with a fast ADS and short scenarios, in which pytest runs in this process."""
 
-import importlib
 import os
-import pkgutil
 from pathlib import Path
 
 # pytester forgets modules that a run imports; compiled ones must stay, since they cannot be loaded a second time
@@ -18,20 +16,10 @@ from pytest_pafot.execution.crash_records import CrashRecord
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.scenario import PositionInstruction, Scenario
 from pytest_pafot.world import Highway
-from tests.helpers.sessions import in_a_copy, in_process, quick_sessions
-
+from tests.helpers.sessions import CORE, imported, in_a_copy, in_process, quick_sessions
 
 # pytester forgets the modules that a session imports; those of the package stay, because importing them is slow.
-def imported(*rooms):
-    for room in rooms:
-        path = importlib.import_module(f"pytest_pafot.{room}").__path__
-        for module in pkgutil.walk_packages(path, f"pytest_pafot.{room}."):
-            importlib.import_module(module.name)
-
-
-imported(
-    "attribution", "campaign", "corpus", "execution", "findings", "oracle", "plugin", "report", "searching", "world"
-)
+imported(*CORE)
 
 DIFFERENCE_IN_GYM = search_loop._difference_in_gym
 REFERENCE_OUTCOMES = Harness.reference_outcomes
