@@ -19,6 +19,7 @@ from pytest_pafot.__main__ import main
 from pytest_pafot.campaign.options import BY_NAME, OPTIONS
 from pytest_pafot.commands.search_command import add_arguments
 from pytest_pafot.support.errors import OF_SEARCH, command, flag, install, page, rerun
+from tests.helpers.sessions import command_in_a_copy
 
 pytest.importorskip("pytest_pafot.extras", reason="messages of extras count as well")
 from pytest_pafot.extras.export import exporter
@@ -201,10 +202,12 @@ def here(tmp_path, monkeypatch):
 
 def ran(text):
     """Run a command as a shell reads it; return its exit code and its output."""
-    first, *rest = shlex.split(text)
-    words = [sys.executable, *(rest if first == "python" else ["-m", first, *rest])]
-    done = subprocess.run(words, capture_output=True, text=True, check=False, timeout=120)
-    return done.returncode, done.stdout + done.stderr
+    words = shlex.split(text)
+    if words[:2] == ["python", "-c"]:
+        done = subprocess.run([sys.executable, *words[1:]], capture_output=True, text=True, check=False, timeout=120)
+        return done.returncode, done.stdout + done.stderr
+    done = command_in_a_copy(*(words[2:] if words[:2] == ["python", "-m"] else words))
+    return done.code, done.out + done.err
 
 
 def named_in(text, before):

@@ -7,6 +7,8 @@ import sys
 
 import pytest
 
+from tests.helpers.sessions import command_in_a_copy
+
 pytestmark = pytest.mark.processes
 
 POLICY = """
@@ -44,12 +46,19 @@ ENDINGS = {
 }
 
 
-def ended(folder, command, *, options=(), **parts):
-    """Run a command on a policy; return its exit code and what it wrote to the standard error."""
+def ended(folder, command, *, options=None, **parts):
+    """Run a command on a policy; return its exit code and what it wrote.
+
+    Args:
+        options: Those of a new interpreter, if it must be one.
+    """
     source = POLICY
     for name in ENDINGS:
         source = source.replace(name, parts.get(name, "pass"))
     (folder / "planner.py").write_text(source)
+    if options is None:
+        done = command_in_a_copy("pytest_pafot", *command.split(), folder=folder)
+        return done.code, done.err + done.out
     line = [sys.executable, *options, "-m", "pytest_pafot", *command.split()]
     done = subprocess.run(line, cwd=folder, capture_output=True, text=True, check=False, timeout=120)
     return done.returncode, done.stderr + done.stdout
@@ -59,6 +68,8 @@ def ended(folder, command, *, options=(), **parts):
 def outside_of_ci(monkeypatch):
     """In CI a search isolates its policy, so that its end is a finding and needs no receipt."""
     monkeypatch.delenv("CI", raising=False)
+    monkeypatch.setenv("PAFOT_SHRINK_ROLLOUTS", "0")
+    monkeypatch.setenv("PAFOT_NEIGHBOURS", "0")
 
 
 def test_in_ci_the_end_of_a_process_is_a_finding_of_a_search(tmp_path, monkeypatch):
@@ -84,7 +95,7 @@ def check_ending(folder, command, place, how):
 
 @pytest.mark.parametrize("how", ["os._exit(0)", "sys.exit(0)"])
 def test_an_ending_after_the_verdict_is_no_success(tmp_path, how):
-    assert ended(tmp_path, SEARCH, ON_IMPORT=f"atexit.register(lambda: {how})")[0] != 0
+    assert ended(tmp_path, SEARCH, options=(), ON_IMPORT=f"atexit.register(lambda: {how})")[0] != 0
 
 
 def test_a_search_that_comes_to_its_end_keeps_its_code(tmp_path):
@@ -110,8 +121,9 @@ def session(folder, test, *options, docstring=""):
     imports = "import pytest_pafot as pafot\nfrom helper import holds\nfrom planner import Old\n"
     (folder / "test_it.py").write_text(f"{docstring}{imports}{test}")
     (folder / "planner.py").write_text(re.sub("[A-Z]+_[A-Z]+", "pass", POLICY))
-    line = [sys.executable, "-O", "-m", "pytest", "-p", "no:randomly", "--pafot-runs=8", "--pafot-seed=1", *options]
-    return subprocess.run(line, cwd=folder, capture_output=True, text=True, check=False).stdout
+    line = [sys.executable, "-O", "-m", "pytest", "-p", "pafot", "--pafot-runs=8", "--pafot-seed=1", *options]
+    alone = {**os.environ, "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1"}
+    return subprocess.run(line, cwd=folder, env=alone, capture_output=True, text=True, check=False).stdout
 
 
 MARKED = "@pafot.search(ads=Old)\ndef test_it(run):\n    assert not run.collision\n"

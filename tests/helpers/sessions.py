@@ -2,11 +2,15 @@
 
 import faulthandler
 import functools
+import importlib
 import inspect
 import json
+import math
 import os
+import pkgutil
 import re
 import signal
+import subprocess
 import sys
 import tempfile
 import time
@@ -14,13 +18,17 @@ import traceback
 import types
 import warnings
 from importlib import metadata
+from pathlib import Path
+from typing import NamedTuple
 
 import _pytest._code.code
 import _pytest.assertion.rewrite
 import _pytest.fixtures
 import pytest
 
+from pytest_pafot import __main__
 from pytest_pafot.campaign.events import SearchSummary
+from pytest_pafot.commands import search_command
 from pytest_pafot.report.session_record import VERSION, FindingRecord, ItemRecord, SessionRecord
 
 INTERRUPTIBLE = (
@@ -70,15 +78,73 @@ def in_a_copy(pytester, *args):
     begun = time.monotonic()
     base = tempfile.mkdtemp(prefix="runpytest-", dir=pytester.path)
     streams = [pytester.path / name for name in ("stdout", "stderr")]
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DeprecationWarning)  # a thread of a worker of pytest-xdist only waits
-        pid = os.fork()
+    pid = _forked()
     if not pid:
         _be_a_session(streams, [f"--basetemp={base}", *map(str, args)])
     status = os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
     out, err = (stream.read_text(encoding="utf-8") for stream in streams)
     print(out, err, sep="\n")
     return pytest.RunResult(status, out.splitlines(), err.splitlines(), time.monotonic() - begun)
+
+
+CORE = (
+    "attribution",
+    "campaign",
+    "corpus",
+    "execution",
+    "findings",
+    "oracle",
+    "plugin",
+    "report",
+    "searching",
+    "world",
+)
+"""The rooms that a session imports."""
+
+
+@functools.cache
+def imported(*rooms):
+    """Import all modules of some rooms."""
+    for room in rooms:
+        path = importlib.import_module(f"pytest_pafot.{room}").__path__
+        for module in pkgutil.walk_packages(path, f"pytest_pafot.{room}."):
+            importlib.import_module(module.name)
+
+
+class Ended(NamedTuple):
+    """A command that has ended."""
+
+    code: int
+    out: str
+    err: str
+
+
+def command_in_a_copy(module, *arguments, folder="."):
+    """Run ``python -m pytest_pafot ...`` or ``python -m pytest ...`` in a copy of this process, for the same reason.
+
+    The process that drives is a copy, too. Neither comes to the end of an interpreter, where `atexit` is.
+    """
+    arguments = list(map(str, arguments))
+    if not hasattr(os, "fork"):
+        command = [sys.executable, "-m", module, *arguments]
+        done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False, timeout=120)
+        return Ended(done.returncode, done.stdout, done.stderr)
+    imported(
+        "attribution", "campaign", "corpus", "execution", "findings", "oracle", "plugin", "report", "searching", "world"
+    )
+    if module == "pytest_pafot" and arguments[0] in __main__.COMMANDS:
+        importlib.import_module(__main__.COMMANDS[arguments[0]].module)
+    with tempfile.TemporaryFile() as out, tempfile.TemporaryFile() as err:
+        pid = _forked()
+        if not pid:
+            _be_a_command(module, arguments, folder, (out.fileno(), err.fileno()))
+        code = os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
+        texts = []
+        for stream in (out, err):
+            stream.seek(0)
+            texts.append(stream.read().decode("utf-8"))
+    print(*texts, sep="\n")
+    return Ended(code, *texts)
 
 
 FIXTURE = type(pytest.fixture(lambda: None))
@@ -162,18 +228,104 @@ def _is_shared(source):
     )
 
 
+def _forked():
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)  # a thread of a worker of pytest-xdist only waits
+        return os.fork()
+
+
 def _be_a_session(streams, args):
     """Run pytest to the end of this process, with standard output and errors in files."""
+    _end_with(
+        lambda: int(_with_room(pytest.main, args)),
+        [os.open(path, os.O_RDWR | os.O_CREAT | os.O_TRUNC) for path in streams],
+    )
+
+
+def _be_a_command(module, arguments, folder, streams):
+    """Run a command to the end of this process, as ``python -m`` does."""
+    run = {"pytest": lambda: int(_with_room(pytest.main, arguments)), "pytest_pafot": lambda: _drive(arguments)}[module]
+    os.chdir(folder)
+    sys.path.insert(0, str(Path.cwd()))
+    sys.argv = [module, *arguments]
+    sys.orig_argv = [sys.executable, "-m", module, *arguments]
+    for each in (__main__, search_command):
+        each.subprocess = types.SimpleNamespace(Popen=_started, TimeoutExpired=subprocess.TimeoutExpired)
+    _end_with(run, streams)
+
+
+def _drive(arguments):
+    return _with_room(__main__.main_in_child, arguments)
+
+
+def _started(command, **options):
+    """Return what `subprocess.Popen` does: a copy of this process for this package's own processes."""
+    place = command.index("-m") if "-m" in command else 1
+    is_own = command[place : place + 2] in (["-m", "pytest_pafot"], ["-c", search_command.PYTEST])
+    return Copy(command[place:], **options) if is_own else subprocess.Popen(command, **options)
+
+
+class Copy:
+    """What `subprocess.Popen` is for a command that starts itself again, or a session, in a child process."""
+
+    def __init__(self, command, env, stdout=None, stderr=None):
+        self.left = None
+        self.pid = _forked()
+        if not self.pid:
+            os.environ.clear()
+            os.environ.update(env)
+            sys.argv = ["-c", *command[2:]]
+            session = {"__name__": "__main__"}
+            is_session = command[0] == "-c"
+            _end_with(
+                (lambda: _with_room(exec, command[1], session)) if is_session else lambda: _drive(command[2:]),
+                (1 if stdout is None else stdout, 2 if stderr is None else stderr),
+            )
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        self.wait()
+
+    def send_signal(self, number):
+        if self.left is None:
+            os.kill(self.pid, number)
+
+    def terminate(self):
+        self.send_signal(signal.SIGTERM)
+
+    def kill(self):
+        self.send_signal(signal.SIGKILL)
+
+    def wait(self, timeout=None):
+        deadline = math.inf if timeout is None else time.monotonic() + timeout
+        while self.left is None:
+            pid, status = os.waitpid(self.pid, 0 if timeout is None else os.WNOHANG)
+            if pid:
+                self.left = os.waitstatus_to_exitcode(status)
+            elif time.monotonic() > deadline:
+                raise subprocess.TimeoutExpired("a copy", timeout)
+            else:
+                time.sleep(0.01)
+        return self.left
+
+
+def _end_with(call, streams=(1, 2)):
+    """End this process with the exit code that a call returns, with standard output and errors in other streams."""
     status = 1
     try:
-        for number, path in enumerate((os.devnull, *streams)):
-            os.dup2(os.open(path, os.O_RDWR | os.O_CREAT | os.O_TRUNC), number)
+        for number, stream in enumerate((os.open(os.devnull, os.O_RDWR), *streams)):
+            if stream != number:
+                os.dup2(stream, number)
         sys.stdout, sys.stderr = (open(number, "w", encoding="utf-8", closefd=False) for number in (1, 2))  # noqa: SIM115
         sys.__stdout__, sys.__stderr__ = sys.stdout, sys.stderr
         warnings.resetwarnings()
         faulthandler.disable()
         signal.signal(signal.SIGSEGV, signal.SIG_DFL)  # pygame has a handler that aborts
-        status = int(_with_room(pytest.main, args))
+        status = call()
+    except SystemExit as ended:
+        status = ended.code if isinstance(ended.code, int) else int(ended.code is not None)
     except BaseException:  # noqa: BLE001
         traceback.print_exc()
     finally:

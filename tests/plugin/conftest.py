@@ -1,8 +1,6 @@
 """A project with a fast ADS and short scenarios, in which pytest runs in this process."""
 
-import importlib
 import os
-import pkgutil
 from pathlib import Path
 
 # pytester forgets modules that a run imports; compiled ones must stay, since they cannot be loaded a second time
@@ -18,20 +16,10 @@ from pytest_pafot.execution.crash_records import CrashRecord
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.scenario import PositionInstruction, Scenario
 from pytest_pafot.world import Highway
-from tests.helpers.sessions import in_a_copy, in_process, quick_sessions
-
+from tests.helpers.sessions import CORE, imported, in_a_copy, in_process, quick_sessions
 
 # pytester forgets the modules that a session imports; those of the package stay, because importing them is slow.
-def imported(*rooms):
-    for room in rooms:
-        path = importlib.import_module(f"pytest_pafot.{room}").__path__
-        for module in pkgutil.walk_packages(path, f"pytest_pafot.{room}."):
-            importlib.import_module(module.name)
-
-
-imported(
-    "attribution", "campaign", "corpus", "execution", "findings", "oracle", "plugin", "report", "searching", "world"
-)
+imported(*CORE)
 
 DIFFERENCE_IN_GYM = workers._difference_in_gym
 REFERENCE_OUTCOMES = Harness.reference_outcomes
@@ -211,9 +199,7 @@ def project(request, pytester, monkeypatch, found):
     """
     quick_sessions(monkeypatch)
     if not request.node.get_closest_marker("processes"):
-        monkeypatch.setattr(workers, "_difference_in_gym", lambda run, workers: "")
-        monkeypatch.setattr(Harness, "reference_outcomes", lambda self, run, verdict, failed: {})
-        monkeypatch.setenv("PAFOT_SHRINK_ROLLOUTS", "0")
+        omit_slow_steps(monkeypatch)
     monkeypatch.setenv("PAFOT_NEIGHBOURS", "0")
     for name in (
         "CI",
@@ -232,6 +218,19 @@ def project(request, pytester, monkeypatch, found):
     monkeypatch.setenv("COLUMNS", "500")  # messages on one line each
     monkeypatch.setenv("PYTEST_DISABLE_PLUGIN_AUTOLOAD", "1")
     return Project(pytester, found)
+
+
+def omit_slow_steps(monkeypatch):
+    monkeypatch.setattr(workers, "_difference_in_gym", lambda run, workers: "")
+    monkeypatch.setattr(Harness, "reference_outcomes", lambda self, run, verdict, failed: {})
+    monkeypatch.setenv("PAFOT_SHRINK_ROLLOUTS", "0")
+
+
+@pytest.fixture
+def quick(project, monkeypatch):
+    """Return a project whose sessions omit slow steps, also those of tests of several processes."""
+    omit_slow_steps(monkeypatch)
+    return project
 
 
 @pytest.fixture

@@ -12,7 +12,7 @@ import pytest
 
 from pytest_pafot.__main__ import main
 from tests.helpers.processes import begun
-from tests.helpers.sessions import INTERRUPTIBLE
+from tests.helpers.sessions import INTERRUPTIBLE, command_in_a_copy
 
 POLICY = """\
 import pytest_pafot as pafot
@@ -46,8 +46,8 @@ def here(tmp_path, monkeypatch):
 
 
 def python(*arguments):
-    done = subprocess.run([sys.executable, "-m", *arguments], capture_output=True, text=True, check=False, timeout=120)
-    return done.returncode, done.stdout
+    done = command_in_a_copy(*arguments)
+    return done.code, done.out
 
 
 @pytest.mark.processes
@@ -61,14 +61,14 @@ def test_search_command_saves_a_finding_and_writes_tests(here):
     again = "search a_planner:Planner --runs 4 --seed 2 --write-test, and commit"
     assert last.startswith(f"keep it as a test: python -m pytest_pafot {again}")
 
-    assert main(["search", "a_planner:Planner", "--write-test"]) == 0
+    assert command_in_a_copy("pytest_pafot", "search", "a_planner:Planner", "--write-test").code == 0
     assert {"conftest.py", "test_safety.py"} <= {path.name for path in here.iterdir()}
 
 
 @pytest.mark.processes
 def test_a_written_test_replays_what_the_search_has_saved(here):
     assert python("pytest_pafot", "search", "a_planner:Planner", "--runs", "4", "--seed", "2")[0] == 1
-    assert main(["search", "a_planner:Planner", "--write-test"]) == 0
+    assert command_in_a_copy("pytest_pafot", "search", "a_planner:Planner", "--write-test").code == 0
     code, told = python("pytest", "-q", "--pafot-generations=0")
     assert code == 1
     assert "replayed 1 saved scenario: 1 still failing" in told
@@ -105,7 +105,8 @@ def test_search_command_counts_what_a_revision_passes(here):
 def test_search_command_uses_the_requested_world_and_check(here):
     arguments = ["search", "a_planner:idle", "--blame", "any", "--check", "a_planner:keeps_moving"]
     config = ["--config", '{"lanes_count": 3, "offroad_terminal": true, "screen_width": null}']
-    assert main([*arguments, "--world", "highway-v0", *config, "--traffic", "everyday", "--write-test"]) == 0
+    arguments += ["--world", "highway-v0", *config, "--traffic", "everyday", "--write-test"]
+    assert command_in_a_copy("pytest_pafot", *arguments).code == 0
     test = (here / "test_safety.py").read_text()
     assert (
         "@pafot.search(world=pafot.World('highway-v0', config={'lanes_count': 3, 'offroad_terminal': True, "
@@ -114,7 +115,7 @@ def test_search_command_uses_the_requested_world_and_check(here):
     ) in test
     for name in ("conftest.py", "test_safety.py"):
         (here / name).unlink()
-    assert main(["search", "a_planner:make:fast", "--write-test"]) == 0
+    assert command_in_a_copy("pytest_pafot", "search", "a_planner:make:fast", "--write-test").code == 0
     assert 'return lambda: factory("fast")' in (here / "conftest.py").read_text().replace("'", '"')
     for name in ("conftest.py", "test_safety.py"):
         (here / name).unlink()
@@ -204,7 +205,10 @@ FIRST = [True]
 def test_search_leaves_a_policy_with_the_thread_that_it_needs(here, monkeypatch):
     monkeypatch.setenv("CI", "true")
     (here / "threaded.py").write_text(THREADED)
-    _, told = python("pytest_pafot", "search", "threaded:make", "--runs", "1", "--", "--pafot-shrink-rollouts=0")
+    command = "-m pytest_pafot search threaded:make --runs 1 --pafot-shrink-rollouts=0"
+    told = subprocess.run(
+        [sys.executable, *command.split()], capture_output=True, text=True, check=False, timeout=120
+    ).stdout
     assert "decides otherwise in another process, which does not have the thread planning" in " ".join(told.split())
 
 
@@ -240,10 +244,10 @@ def test_search_in_a_project_reports_no_file_of_its_tests(here, monkeypatch):
         ),
     ],
 )
-def test_a_test_that_cannot_run_is_not_written(here, capsys, arguments, received):
+def test_a_test_that_cannot_run_is_not_written(here, arguments, received):
     before = sorted(here.iterdir())
-    assert main(["search", *arguments, "--write-test"]) == 2
-    told = capsys.readouterr().err
+    code, _, told = command_in_a_copy("pytest_pafot", "search", *arguments, "--write-test")
+    assert code == 2
     assert told.startswith(f"search: --write-test: expected a test that can run, received {received}")
     assert (told.count("\n"), [path for path in sorted(here.iterdir()) if path.name != "__pycache__"]) == (1, before)
 
@@ -406,11 +410,10 @@ def test_impossible_search_is_reported_and_writes_nothing(here, capsys, argument
 @pytest.mark.parametrize("given", [["--pafot-generations=0"], []], ids=["option", "environment"])
 def test_search_that_is_to_search_nothing_is_refused(here, monkeypatch, given):
     monkeypatch.setenv("PAFOT_GENERATIONS", "0")
-    command = [sys.executable, "-m", "pytest_pafot", "search", "a_planner:Planner", *given]
-    result = subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
+    result = command_in_a_copy("pytest_pafot", "search", "a_planner:Planner", *given)
     received = given[0] if given else "PAFOT_GENERATIONS=0 in the environment"
-    assert result.returncode == 2
-    assert f"search: expected a search, received {received}, which asks for none; leave it out" in result.stderr
+    assert result.code == 2
+    assert f"search: expected a search, received {received}, which asks for none; leave it out" in result.err
 
 
 @pytest.mark.processes

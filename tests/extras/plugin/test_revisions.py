@@ -44,8 +44,9 @@ NOW = "SPEED_UP = 1.25\n"
 
 
 @pytest.fixture
-def repository(project, monkeypatch, tmp_path_factory):
+def repository(quick, monkeypatch, tmp_path_factory):
     """Return a project in git whose policy keeps its speed in main, and whose present core.py makes it speed up."""
+    project = quick
     monkeypatch.setenv("GIT_CONFIG_GLOBAL", os.devnull)
     monkeypatch.setenv("TMPDIR", str(tmp_path_factory.mktemp("copies")))
     monkeypatch.setattr(tempfile, "tempdir", None)
@@ -80,8 +81,9 @@ def commit(project, **files):
     git(project, "commit", "-qm", "Change")
 
 
-def run(project, *args, revision="rev:main", **options):
-    return project.run(f"--pafot-against={revision}", *args, fresh=True, **options)
+def run(project, *args, revision="rev:main", fresh=False, **options):
+    """Run a session against a revision; what `PYTHONPATH` says counts only in a fresh interpreter."""
+    return project.run(f"--pafot-against={revision}", *args, fresh=fresh, apart=not fresh, **options)
 
 
 def test_change_in_an_imported_module_is_a_regression(repository):
@@ -254,7 +256,7 @@ def test_finder_that_is_asked_first_is_named(repository, monkeypatch, tmp_path_f
     commit(repository)
     write(repository, {"src/pkg/core.py": NOW + "\n"})
     monkeypatch.setenv("PYTHONPATH", str(site))
-    result = run(repository)
+    result = run(repository, fresh=True)
     assert result.ret == pytest.ExitCode.USAGE_ERROR
     result.stdout.fnmatch_lines(["*uninstall what own_finder imports, whose finder is asked first, and put*"])
     monkeypatch.delenv("PYTHONPATH")
@@ -315,14 +317,14 @@ def test_installed_copy_of_the_policy_is_refused(repository, monkeypatch, tmp_pa
     site = tmp_path_factory.mktemp("installed")
     shutil.copytree(repository.path / "src" / "pkg", site / "pkg")
     monkeypatch.setenv("PYTHONPATH", str(site))
-    result = run(repository)
+    result = run(repository, fresh=True)
     assert result.ret == pytest.ExitCode.USAGE_ERROR
     where = (
         f"*received pkg.adapter from {site}/pkg/adapter.py, which is the same on both sides; run where*PYTHONPATH=src"
     )
     result.stdout.fnmatch_lines([where])
     monkeypatch.setenv("PYTHONPATH", f"src{os.pathsep}{site}")
-    run(repository).stdout.fnmatch_lines(["against rev:main (*): introduces 1 failure, *"])
+    run(repository, fresh=True).stdout.fnmatch_lines(["against rev:main (*): introduces 1 failure, *"])
 
 
 def test_policy_of_another_repository_is_refused(repository, monkeypatch, tmp_path_factory):
@@ -331,7 +333,7 @@ def test_policy_of_another_repository_is_refused(repository, monkeypatch, tmp_pa
     repository.write(TEST.replace("pkg.adapter", "other"))
     commit(repository)
     monkeypatch.setenv("PYTHONPATH", str(site))
-    result = run(repository)
+    result = run(repository, fresh=True)
     assert result.ret == pytest.ExitCode.USAGE_ERROR
     result.stdout.fnmatch_lines([f"*expected a policy of the repository*received that of {site}/other.py, which is *"])
 
@@ -341,7 +343,7 @@ def test_files_outside_the_repository_are_a_reason_to_search(repository, monkeyp
     (site / "other.py").write_text("SPEED_UP = 1.25\n")
     commit(repository, **{"pkg/core.py": "from other import SPEED_UP\n"})
     monkeypatch.setenv("PYTHONPATH", str(site))
-    run(repository).stdout.fnmatch_lines(["against rev:main (*): introduces 0 failures, *"])
+    run(repository, fresh=True).stdout.fnmatch_lines(["against rev:main (*): introduces 0 failures, *"])
 
 
 def test_programs_of_a_policy_import_from_its_revision(repository, monkeypatch, tmp_path_factory):
@@ -353,7 +355,7 @@ def test_programs_of_a_policy_import_from_its_revision(repository, monkeypatch, 
     site = tmp_path_factory.mktemp("site")  # it does what an editable installation does
     (site / "sitecustomize.py").write_text(f"import sys\nsys.path.append('{repository.path}/src')\n")
     monkeypatch.setenv("PYTHONPATH", str(site))
-    run(repository).stdout.fnmatch_lines(["against rev:main (*): introduces 1 failure, *"])
+    run(repository, fresh=True).stdout.fnmatch_lines(["against rev:main (*): introduces 1 failure, *"])
 
 
 @pytest.mark.parametrize(
@@ -497,7 +499,7 @@ def test_odd_branch_names_are_revisions(repository):
 
 def test_workers_of_xdist_each_have_their_own_copy(repository):
     repository.write(TEST.replace("test_keeps_its_speed", "test_second"), name="test_second")
-    result = run(repository, "-n2")
+    result = run(repository, "-n2", fresh=True)
     result.stdout.fnmatch_lines(["against rev:main (*): introduces 2 failures, fixes 0, 0 as before"])
 
 
