@@ -545,7 +545,7 @@ class Simplification:
         """Return a function that says whether a candidate is likely to fail, and asks no ADS for that.
 
         It is if the ego that does in it what it did in a failing scenario collides in the same way. Of 35 small
-        scenarios that failed, that was so in 27, of 4,333 that did not, in 225. It needs a world that accepts decisions.
+        scenarios that failed, that was so in 27, of 4,333 that did not, in 225. The world must accept decisions.
         """
         harness, found = self.loop.simulation.harness, self._signature(kept.find.id)
         world = protocol.resumable(harness.world)
