@@ -86,11 +86,6 @@ def shrink_saved(
         store=store,
         send=_drop,
         tell=tell,
-        plain=None if state.space is None else (state.space.ego_lane, state.space.ego_speed),
-        plain_seconds=None if state.space is None else state.space.gene_seconds,
-        neighbours=harness.request.settings.neighbours,
-        answers=state.answers,
-        clock=state.clock,
         until=until,
     )
     work.run_all("")

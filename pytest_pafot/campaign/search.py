@@ -10,10 +10,7 @@ from collections.abc import Generator, Iterable, Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
-from pytest_pafot.campaign.events import (
-    Judged,
-    SearchEvent,
-)
+from pytest_pafot.campaign.events import Judged, SearchEvent
 from pytest_pafot.campaign.setup_fault import unit_doubt
 from pytest_pafot.campaign.state import State, lose
 from pytest_pafot.campaign.store import UNCONFIRMED, Store
@@ -33,7 +30,9 @@ from pytest_pafot.support.errors import OutOfTime
 from pytest_pafot.world.guard.hang_guard import runs_end_in
 
 
-def search(state: State, workers: Workers, store: Store, watch: Watch) -> Generator[SearchEvent, None, None]:
+def search(
+    plan: Plan[Any], state: State, workers: Workers, store: Store, watch: Watch
+) -> Generator[SearchEvent, None, None]:
     """Draw scenarios, drive and judge them, let the algorithm learn, and save each new failure; yield what happens.
 
     Raises:
@@ -41,10 +40,7 @@ def search(state: State, workers: Workers, store: Store, watch: Watch) -> Genera
         CheckpointError: if the plan goes on from a checkpoint of another search.
         RequestError: for a world, factory, test function or scenario that does not fit.
     """
-    plan = state.plan
     reason: EndReason | None = None
-    if plan is None:
-        return
     began, evaluated_before = state.clock(), plan.sums.evaluated
     yield from _seen([plan.started], state, watch)
     workers.begin(plan, state.random.most, state.fatal)
@@ -87,9 +83,6 @@ def _seen(happened: Iterable[Event], state: State, watch: Watch) -> Iterator[Sea
         yield from watch.seen()
 
 
-Judging = Generator[SearchEvent, None, Sequence[Event] | None]
-
-
 def _judged(
     done: Run | Passed | Tally | LostRun | None,
     plan: Plan[Any],
@@ -97,7 +90,7 @@ def _judged(
     workers: Workers,
     store: Store,
     watch: Watch,
-) -> Judging:
+) -> Generator[SearchEvent, None, Sequence[Event] | None]:
     """Judge what became of the next scenarios and count it; return the plan's events, or None for a lost run."""
     __tracebackhide__ = True
     match done:

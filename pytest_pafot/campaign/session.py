@@ -72,8 +72,8 @@ SLOWER = 0.5
 
 AFTER_A_DEATH = f"ran as with {flag('isolate')}, since a process died in this search before"
 
-LOST = 10
-"""How many times longer than a run before it a run has to be, when the time of the search cuts it, to be told."""
+SLOW_RUNS = 10
+"""A run that the time limit cuts is reported if it took more than this many times as long as the mean run before it."""
 
 
 def search_seed(base_seed: int, node_id: str) -> int:
@@ -106,8 +106,8 @@ class Prepared:
         self, algorithm: Algorithm[Any], *, generations: int, seed: int, stop: Callable[[], bool]
     ) -> Iterator[SearchEvent]:
         """Search with an algorithm, without limits of time, until ``stop()`` says so between two scenarios."""
-        self.state.plan = plan_of(algorithm, generations=generations, seed=seed)
-        return search(self.state, self.workers, self.store, Watch(stop))
+        plan = plan_of(algorithm, generations=generations, seed=seed)
+        return search(plan, self.state, self.workers, self.store, Watch(stop))
 
     def watch(
         self, node_id: str, limit: TimeLimit, *, progress_seconds: float, stops_at_first: bool = False
@@ -253,7 +253,7 @@ class Search:
         return self.workers.harness
 
     @property
-    def _told_with_warnings(self) -> tuple[str, ...]:
+    def _ends_with_warnings(self) -> tuple[str, ...]:
         """The reasons for an end that leave enough runs to warn of their health."""
         return DONE, ALL_RUN, self.limit.flag
 
@@ -336,18 +336,13 @@ class Search:
     def _simplify(self, reason: str) -> None:
         """Shrink the findings, and look at their neighbours and at decisions."""
         __tracebackhide__ = True
-        state, space, clock = self.state, self.state.space, self.state.clock
+        state = self.state
         work = self._work = Simplification(
             state=state,
             workers=self.workers,
             store=self.store,
             send=self._send,
             tell=lambda phase: self._send(self.watch.progress(phase, work.current)),
-            plain=None if space is None else (space.ego_lane, space.ego_speed),
-            plain_seconds=None if space is None else space.gene_seconds,
-            neighbours=self.harness.request.settings.neighbours,
-            answers=state.answers,
-            clock=clock,
             until=self.limit.until,
             after_attempt=lambda: state.offer(self.store, work.done),
         )
@@ -356,8 +351,8 @@ class Search:
                 work.run_all(f"; {flag('resume')} goes on" if state.file is not None else "")
                 if self._worse is not None:
                     self._send(self._worse.conclude())
-                if reason in self._told_with_warnings:
-                    with suppress(OutOfTime), runs_end_in(self.limit.until - clock()):
+                if reason in self._ends_with_warnings:
+                    with suppress(OutOfTime), runs_end_in(self.limit.until - state.clock()):
                         state.impure = self.workers.impure()
         finally:  # Even after Ctrl-C, findings that were simplified must not be simplified again.
             self.driver_notes += work.notes
@@ -437,7 +432,7 @@ class Search:
         watch.begin(until)
         runs_before = state.runs
         try:
-            state.plan = plan_of(
+            plan = state.plan = plan_of(
                 algorithm,
                 generations=settings.generations,
                 runs=settings.runs,
@@ -449,7 +444,7 @@ class Search:
             )
             if resumed is None:
                 state.offer(self.store)
-            with closing(search(state, self.workers, self.store, watch)) as events:
+            with closing(search(plan, state, self.workers, self.store, watch)) as events:
                 self._send(events)
         except CheckpointError as error:
             raise RequestError(str(error)) if state.file is None else state.file.refused(error) from None
@@ -460,7 +455,7 @@ class Search:
         reasons = {"generations": DONE, "runs": ALL_RUN, "time": self.limit.flag, "stopped": "enough findings"}
         lost, runs = clock() - watch.last, state.runs - runs_before
         is_cut = state.finished is not None and state.finished.reason == "time"
-        if is_cut and lost > max(1.0, LOST * (watch.last - watch.began) / (runs + 1)):
+        if is_cut and lost > max(1.0, SLOW_RUNS * (watch.last - watch.began) / (runs + 1)):
             self.driver_notes.append(
                 f"{self.limit.flag} cut a run after {lost:.1f} s, with {plural(runs, 'run')} before it: if a decision "
                 "hangs, a longer limit or a shorter hang_limit of the world shows it"
@@ -601,7 +596,7 @@ class Search:
             known=dict(state.known + state.found_before(self.store)),
             unlike=self._unlike(),
             failures={signature.text: id_ for signature, id_ in state.failures.items()},
-            warnings=state.warnings(self.harness) if reason in self._told_with_warnings else (),
+            warnings=state.warnings(self.harness) if reason in self._ends_with_warnings else (),
             notes=(*state.notes, *self.driver_notes, *filter(None, notes), *cut, *self._left_undone(reason)),
             process_notes=tuple(self.process_notes),
             against=self.harness.against_name,

@@ -18,7 +18,7 @@ from typing import Any, TypeVar
 from pytest_pafot.campaign.events import ENDED_OTHERWISE, FindTold, SearchEvent
 from pytest_pafot.campaign.harness import Harness, begins_alike, limits_of, refusals
 from pytest_pafot.campaign.moments import braked_for, moment_of, text_of
-from pytest_pafot.campaign.state import Answer, Shown, State, lose
+from pytest_pafot.campaign.state import Shown, State, lose
 from pytest_pafot.campaign.store import Store
 from pytest_pafot.campaign.verdict import Verdict, headline
 from pytest_pafot.campaign.workers import Workers
@@ -157,13 +157,8 @@ class Simplification:
         state, workers, store: the parts of the search.
         send: receives the events of what becomes of the findings.
         tell: is called often, with a text on the current work.
-        plain: the default start of the ego, which shrinking prefers.
-        plain_seconds: the default duration of a gene, which shrinking prefers [s].
-        neighbours: the number of neighbours of each finding to run.
-        answers: the results of attempts in this session or an earlier one, by the id of the finding.
-        clock: returns the seconds since some fixed moment.
         until: the time at which the simplification must end [s], or infinity.
-        after_attempt: is called after each attempt to shrink, when its answer is among ``answers``.
+        after_attempt: is called after each attempt to shrink, when its answer is in the state.
         done: the ids of the findings for which nothing is left to do.
         current: the id of the finding that is simplified or examined now.
         runs: the number of runs so far in this session, except those of neighbours.
@@ -178,11 +173,6 @@ class Simplification:
     store: Store
     send: Callable[[Iterable[SearchEvent]], None]
     tell: Callable[[str], None]
-    plain: Start | None
-    plain_seconds: float | None
-    neighbours: int
-    answers: dict[str, list[Answer]]
-    clock: Callable[[], float]
     until: float = math.inf
     after_attempt: Callable[[], None] = lambda: None
     done: set[str] = field(default_factory=set, init=False)
@@ -214,7 +204,7 @@ class Simplification:
                 shrunk = self.workers.decisions
                 self.shrink_decisions = shrunk - before
             try:
-                for kept in list(self.store.kept.values()) if self.neighbours else ():
+                for kept in list(self.store.kept.values()) if self._neighbours else ():
                     if kept.is_firm and kept.find.id in self.done:
                         self.current = kept.find.id
                         self._examine(kept)
@@ -244,7 +234,7 @@ class Simplification:
         find, told, found = kept.find, "neighbours", kept.run
         try:
             self._check_time()
-            with runs_end_in(self.until - self.clock()):
+            with runs_end_in(self.until - self.state.clock()):
                 breadth = self._breadth(kept)
                 find = replace(find, breadth=breadth)
                 if breadth is not None:
@@ -270,7 +260,7 @@ class Simplification:
         self.send(self.store.report(told))
 
     def _check_time(self) -> None:
-        if self.clock() >= self.until:
+        if self.state.clock() >= self.until:
             raise OutOfTime
 
     def _breadth(self, kept: FindTold) -> Breadth | None:
@@ -288,7 +278,12 @@ class Simplification:
 
         limits = limits_of(self.workers.harness.world)
         return breadth_of(
-            kept.finding.scenario, self.neighbours, fails=fails, limits=limits, ahead=self._ahead, expect=self._expect
+            kept.finding.scenario,
+            self._neighbours,
+            fails=fails,
+            limits=limits,
+            ahead=self._ahead,
+            expect=self._expect,
         )
 
     def _decisions(self, kept: FindTold, found: Run) -> tuple[Answers | None, Moment | None]:
@@ -415,7 +410,7 @@ class Simplification:
     def _have_turn(self, find_id: str, sharing: int) -> None:
         """Simplify a finding in its share of the remaining time; ``sharing`` is the number of equal shares."""
         __tracebackhide__ = True
-        now, kept = self.clock(), self.store.kept[find_id]
+        now, kept = self.state.clock(), self.store.kept[find_id]
         if now >= self.until:
             return
         try:
@@ -448,18 +443,18 @@ class Simplification:
         if turn.is_over and scenario == kept.finding.scenario:
             return False
         run, verdict, differs = self._run_again(scenario, kept)
-        before, rate = kept.finding.rate, kept.finding.rate
+        before = rate = kept.finding.rate
         if before is not None and not differs and scenario != kept.finding.scenario:
-            held = self._failing_as_often(kept, scenario)
-            if held is None:
+            simplest = self._failing_as_often(kept, before, scenario)
+            if simplest is None:
                 differs = f"what is simpler does not fail as often as in {before} runs"
             else:
-                if held != scenario:
+                if simplest != scenario:
                     shrunk = replace(shrunk, is_minimal=False, speeds=())
-                    run, verdict, differs = self._run_again(held, kept)
-                scenario, rate = held, self._rate(kept, held)
-        if differs and len(self.answers[kept.find.id]) > turn.attempts:
-            self.answers[kept.find.id].clear()  # Some are from earlier sessions: the ADS may have changed since.
+                    run, verdict, differs = self._run_again(simplest, kept)
+                scenario, rate = simplest, self._rate(kept, simplest)
+        if differs and len(self.state.answers[kept.find.id]) > turn.attempts:
+            self.state.answers[kept.find.id].clear()  # Some are from earlier sessions: the ADS may have changed since.
             return self._refine(kept, _Turn(until=turn.until))
         if differs and scenario != found:
             # The simplified scenario does not repeat, so fall back to the scenario as found, which may be flaky, too.
@@ -470,7 +465,7 @@ class Simplification:
             kept = replace(self.store.call_flaky(kept, differs), is_new=False)
             self._report(kept)
             if kept.is_random:  # the runs that confirmed it were the same by chance
-                self.answers[kept.find.id].clear()
+                self.state.answers[kept.find.id].clear()
                 return self._refine(kept, _Turn(until=turn.until))
         elif not differs:
             self._conclude(replace(kept, finding=replace(kept.finding, rate=rate)), scenario, shrunk, run, verdict)
@@ -478,7 +473,8 @@ class Simplification:
 
     def _shrunk(self, kept: FindTold, found: Scenario, turn: _Turn) -> tuple[Scenario, Shrunk]:
         __tracebackhide__ = True
-        harness, answers = self.workers.harness, self.answers.setdefault(kept.find.id, [])
+        harness, space = self.workers.harness, self.state.space
+        answers = self.state.answers.setdefault(kept.find.id, [])
         rollouts, top_speed = rollouts_for(harness), float(harness.world.speed_limit)
         starts: dict[Scenario, tuple[Start, ...]] = {}
         asked, best = 0, found
@@ -490,7 +486,7 @@ class Simplification:
             if asked < len(answers) and answers[asked][0] != candidate.id:
                 del answers[asked:]  # They are from a session with other settings, which made other attempts.
             if asked == len(answers):
-                began = self.clock()
+                began = self.state.clock()
                 turn.check(began)
                 self.tell(f"shrinking {kept.find.id}, run {asked + 1} of {rollouts}")
                 try:
@@ -500,7 +496,7 @@ class Simplification:
                     turn.is_over = True
                     raise OutOfBudget from None
                 answers.append((candidate.id, shown))
-                turn.took(self.clock() - began, None if shown is None else self._confirming(shown[0]))
+                turn.took(self.state.clock() - began, None if shown is None else self._confirming(shown[0]))
                 self.after_attempt()
             _, shown = answers[asked]
             asked += 1
@@ -522,15 +518,15 @@ class Simplification:
             rollouts=rollouts,
             top_speed=top_speed,
             starts=lambda scenario: starts.get(scenario, ()),
-            plain=self.plain,
-            plain_seconds=self.plain_seconds,
+            plain=None if space is None else (space.ego_lane, space.ego_speed),  # the default start
+            plain_seconds=None if space is None else space.gene_seconds,
             ahead=self._ahead,
             expect=expect,
             likely=self._likely(kept),
         )
 
     def _did(self, scenario: Scenario) -> tuple[Any, ...]:
-        """Return what the ego did in a failing scenario. If an earlier session has driven it, it is driven again."""
+        """Return the ego's actions in a failing scenario. If an earlier session has driven it, it is driven again."""
         if scenario not in self._actions:
             self._actions[scenario] = self.workers.rerun(scenario).trace.actions
         return self._actions[scenario]
@@ -543,20 +539,21 @@ class Simplification:
         return is_here and trace is not None and trace.collision is not None and bool(trace.actions)
 
     def _most(self, kept: FindTold, best: Scenario) -> int | None:
-        """Return the number of decisions in which a simpler candidate must fail; None if it may take any number."""
+        """Return the number of decisions before which a simpler candidate must fail; None if it may take any number."""
         if kept.run is None or not self._ends_in_collision(kept):
             return None
         return len(self._did(best)) + round(LATER * kept.run.trace.ads_hz)
 
     def _likely(self, kept: FindTold) -> Likely | None:
-        """Return a function that says whether a candidate is likely to fail, and asks no ADS for that.
+        """Return a function that says whether a small scenario is likely to fail, without a decision of the ADS.
 
-        It is if the ego that does in it what it did in a failing scenario collides in the same way. Of 35 small
-        scenarios that failed, that was so in 27, of 4,333 that did not, in 225. The world must accept decisions.
+        It is likely if an ego that repeats its decisions in a failing scenario collides in the same way. That was so in
+        27 of 35 small scenarios that failed, and in 225 of 4,333 that did not. Return None if all small scenarios must
+        be run: the finding is no such collision, or the world's ``rollout`` does not accept decisions.
         """
         harness, found = self.workers.harness, self._signature(kept.find.id)
         world = protocol.resumable(harness.world)
-        if world is None or protocol.lock_stepping(world) is None or not self._ends_in_collision(kept):
+        if world is None or not self._ends_in_collision(kept):
             return None
         failure = Failure(kind=found.failure, assertion=found.assertion)
 
@@ -570,6 +567,11 @@ class Simplification:
             return trace.collision is not None and is_same(of_failure(harness.seen(trace), failure), found)
 
         return likely
+
+    @property
+    def _neighbours(self) -> int:
+        """The number of neighbours of each finding to run."""
+        return self.workers.harness.request.settings.neighbours
 
     @property
     def _ahead(self) -> int:
@@ -634,32 +636,34 @@ class Simplification:
             run = self.workers.run(other, afresh=True)
             yield self.workers.judge(run).failed
 
-    def _failing_as_often(self, kept: FindTold, simplest: Scenario) -> Scenario | None:
+    def _failing_as_often(self, kept: FindTold, rate: FailureRate, simplest: Scenario) -> Scenario | None:
         """Return the simplest scenario on the way to ``simplest`` that does not fail more rarely than the finding.
 
-        Of many candidates those are kept that were lucky in a few runs. So what they led to is compared in more runs,
-        with other seeds; if it fails more rarely, bisection finds how far shrinking may go.
+        Return None if there is none. ``rate`` is how often the finding fails.
+
+        Each step of shrinking was chosen by a few runs, so among many candidates some were only lucky. The result is
+        therefore compared again, in more runs with other seeds. If it fails more rarely, the steps are bisected, as if
+        each failed at most as often as the one before it.
         """
-        before, steps = kept.finding.rate, list[Scenario]()
-        for _, shown in self.answers[kept.find.id]:
-            if shown is not None and sort_key(shown[0]) < min(map(sort_key, steps), default=(math.inf,)):
+        answers, steps = self.state.answers[kept.find.id], list[Scenario]()
+        for _, shown in answers:
+            if shown is not None and (not steps or sort_key(shown[0]) < sort_key(steps[-1])):
                 steps.append(shown[0])
-        steps = steps[: steps.index(simplest) + 1]
-        if before is None:
-            return None
-        more = islice(self._outcomes(kept, kept.finding.scenario, before.runs + 1), MANY_RUNS - before.runs)
-        before = FailureRate(failing=before.failing + sum(more), runs=MANY_RUNS)
-        first = MANY_RUNS + 1 + len(self.answers[kept.find.id]) * FEW_RUNS  # no seed with which an attempt was chosen
-        low, middle, high = -1, len(steps) - 1, len(steps) - 1
-        while low < high:
+        steps = steps[: steps.index(simplest) + 1]  # Later answers are from measuring the speeds at which it fails.
+        further = islice(self._outcomes(kept, kept.finding.scenario, rate.runs + 1), max(0, MANY_RUNS - rate.runs))
+        before = FailureRate(failing=rate.failing + sum(further), runs=max(rate.runs, MANY_RUNS))
+        unused = MANY_RUNS + 1 + len(answers) * FEW_RUNS  # the first seed with which no attempt was chosen
+        good, last = -1, len(steps) - 1  # -1 is the finding itself
+        middle = last
+        while good < last:
             self.tell(f"comparing how often {kept.find.id} fails")
-            failing = sum(islice(self._outcomes(kept, steps[middle], first), MANY_RUNS))
+            failing = sum(islice(self._outcomes(kept, steps[middle], unused), MANY_RUNS))
             if before.change(FailureRate(failing=failing, runs=MANY_RUNS)) in ("better", "fixed"):
-                high = middle - 1
+                last = middle - 1
             else:
-                low = middle
-            middle = (low + high + 1) // 2
-        return None if low < 0 else steps[low]
+                good = middle
+            middle = (good + last + 1) // 2
+        return None if good < 0 else steps[good]
 
     def _rate(self, kept: FindTold, scenario: Scenario) -> FailureRate:
         """Return how often a policy that draws random numbers fails in a scenario."""

@@ -328,7 +328,7 @@ class State:
         # soon as two runs differ, the findings that were held back are no fault of the set-up.
         self.caught.update(caught)
         self.doubt = self.doubt or doubt
-        self.avoidable = self.avoidable or verdict.told
+        self.avoidable = self.avoidable or verdict.excused
         if self.first.is_alike:
             self.first.see(run, verdict)
         if verdict.kind == "skipped":

@@ -43,7 +43,7 @@ class Verdict:
     is_timed: bool = False  # True if it depends on wall-clock time
     is_ads: bool = False  # True if the ADS itself failed, whatever the function asserts
     severity: Severity | None = None  # severity of the failure; None if there is none, or if nothing measures it
-    told: str = ""  # what happened in a run that is ``avoidable``
+    excused: str = ""  # what happened in a run that is ``avoidable``
     reference: Verdict | None = None  # verdict on the reference in the same scenario; None if it was not run
 
     @property
@@ -115,7 +115,7 @@ def judge(run: Run, test: Test, *, blame: str, test_file: str | None = None) -> 
     if broken is None or run.ads_error is None:
         is_excused, avoidable = blame != "any" and run.responsibility == "npc", run.attribution.avoidable
         if is_excused and avoidable and blame != "avoidable":
-            verdict = Verdict(kind="avoidable", told=" ".join(run.attribution.sentences[:1]))
+            verdict = Verdict(kind="avoidable", excused=" ".join(run.attribution.sentences[:1]))
         elif is_excused and not avoidable:
             verdict = Verdict(kind="npc")
         else:

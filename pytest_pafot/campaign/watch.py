@@ -7,10 +7,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
-from pytest_pafot.campaign.events import (
-    Progress,
-    SearchEvent,
-)
+from pytest_pafot.campaign.events import Progress, SearchEvent
 from pytest_pafot.campaign.options import Settings
 from pytest_pafot.campaign.simplification import rollouts_for
 from pytest_pafot.campaign.state import State
@@ -106,12 +103,12 @@ class TimedWatch(Watch):
     until: float = math.inf
     last: float = 0.0
     _runs_before: int = 0
-    _told_at: float = field(init=False)
+    _reported_at: float = field(init=False)
     # the time [s], without what confirmed findings, and the number of runs after the first one, which loads libraries
     _since: tuple[float, int] | None = field(init=False, default=None)
 
     def __post_init__(self) -> None:
-        self._told_at = self.state.clock()
+        self._reported_at = self.state.clock()
 
     def begin(self, until: float) -> None:
         """Note that the loop begins now, and the earliest time at which it may end [s]."""
@@ -178,9 +175,9 @@ class TimedWatch(Watch):
         """Yield a report of the progress if one is due, in a phase of the work on a finding."""
         state, runner = self.state, self.workers.runner
         now = state.clock()
-        if now - self._told_at < self.progress_seconds:
+        if now - self._reported_at < self.progress_seconds:
             return
-        self._told_at = now
+        self._reported_at = now
         budget, generations = state.budget(self.workers.harness.request.settings)
         run_seconds = self._run_seconds
         runs_left = 0 if budget is None else budget - state.runs - runner.ready

@@ -245,7 +245,7 @@ class Counting:
                 row_of(each.evaluation, generation) | dict(each.event.columns or {}) for each in digests if has_rows
             ),
             doubt=next((each.doubt for each in digests if each.doubt), ""),
-            avoidable=next((each.event.verdict.told for each in digests if each.event.verdict.told), ""),
+            avoidable=next((each.event.verdict.excused for each in digests if each.event.verdict.excused), ""),
         )
 
 

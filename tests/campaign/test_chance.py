@@ -7,6 +7,8 @@ import pytest
 
 import pytest_pafot as pafot
 from pytest_pafot.campaign.explore import replays_of, request_of
+from pytest_pafot.campaign.later_shrinking import shrink_saved
+from pytest_pafot.campaign.session import prepared
 from pytest_pafot.corpus.reader import load
 from pytest_pafot.corpus.saved import saved_in
 from pytest_pafot.corpus.writer import rewrite
@@ -49,10 +51,16 @@ def found(ads, folder, **settings):
     return told
 
 
-def replayed(ads, folder, **settings):
+def saved_with(ads, folder, **settings):
+    """Return the replays and the only saved scenario of a test with a policy."""
     request = request_of({"ads": ads, "runs": 1, "corpus": str(folder), **SHORT, **settings})
     replays = replays_of(request, never_brakes, NODE_ID, folder)
     (saved,) = saved_in(replays.harness.folder)
+    return replays, saved
+
+
+def replayed(ads, folder, **settings):
+    replays, saved = saved_with(ads, folder, **settings)
     return replays.labelled(saved, "owner")
 
 
@@ -99,6 +107,15 @@ def test_what_few_lucky_runs_have_kept_is_taken_back_but_no_more(tmp_path, monke
     assert len(finding.scenario.npcs) == 2
     assert finding.original is not None
     assert finding.rate.failing >= 10
+
+
+def test_a_file_whose_rate_is_of_many_runs_is_shrunk(tmp_path):
+    told = found(Brakes, tmp_path, shrink_rollouts=0)
+    rewrite(told.file, replace(load(told.file), rate=FailureRate(failing=60, runs=100)))
+    replays, saved = saved_with(Brakes, tmp_path, shrink_rollouts=40, neighbours=0)
+    with prepared(replays.harness) as parts:
+        later = shrink_saved(parts, saved, path="", tell=lambda text: None)
+    assert len(later.finding.scenario.npcs) == 1
 
 
 def test_unseeded_generators_are_the_users(tmp_path):

@@ -21,6 +21,7 @@ from pytest_pafot.campaign.events import FindTold, Judged, SearchStarted, Search
 from pytest_pafot.corpus.reader import load
 from pytest_pafot.corpus.writer import write
 from pytest_pafot.findings.finding import of_failure
+from pytest_pafot.findings.shrink import Shrunk
 from pytest_pafot.findings.signature import Failure
 from pytest_pafot.searching.events import Evaluated
 from pytest_pafot.support.errors import RequestError
@@ -76,6 +77,24 @@ def test_candidates_that_outlast_the_simplest_failing_run_are_not_driven_to_thei
     whole = pafot.explore(lambda: keeps_speed, holds=never_collides, **given)
     assert [each.scenario for each in cut.findings] == [each.scenario for each in whole.findings]
     assert cut.summary.shrink_decisions < 0.6 * whole.summary.shrink_decisions
+
+
+@table(
+    ("world", "keeps_speed", "is_chosen"),
+    [(pafot.Highway(duration=10.0), (0.0, 0.0), True), (pafot.World("highway-fast-v0", {"duration": 10}), 1, False)],
+)
+def test_small_scenarios_are_chosen_by_recorded_decisions_only_where_a_world_accepts_them(
+    world, keeps_speed, is_chosen, monkeypatch
+):
+    given = []
+
+    def shrink(found, attempt, *, likely, **options):
+        given.append(likely)
+        return found, Shrunk(rollouts=0)
+
+    monkeypatch.setattr(simplification, "shrink", shrink)
+    pafot.explore(lambda: lambda seen: keeps_speed, holds=never_collides, world=world, seed=5, **SHORT)
+    assert {likely is not None for likely in given} == {is_chosen}
 
 
 def test_its_findings_show_what_the_property_forbids(exploration):

@@ -123,8 +123,8 @@ def searched(
     """Return the state of a random search with these verdicts, and what it saved."""
     state, store = State(fatal=set(fatal)), Store()
     state.shown = dict(shown)
-    state.plan = plan_of(RandomSearch(SPACE, population=population), generations=generations, seed=1)
-    for _ in search(state, Workers(verdicts, run, has_reference=has_reference), store, watch or Watch()):
+    plan = plan_of(RandomSearch(SPACE, population=population), generations=generations, seed=1)
+    for _ in search(plan, state, Workers(verdicts, run, has_reference=has_reference), store, watch or Watch()):
         pass
     return state, store.finds
 
