@@ -12,7 +12,7 @@ import pytest
 
 import pytest_pafot as pafot
 from pytest_pafot import door
-from pytest_pafot.__main__ import GROUP, known_commands, main
+from pytest_pafot.__main__ import main
 from pytest_pafot.searching import SearchSpace, resolve_algorithm
 from pytest_pafot.world import AdsFactoryError
 from tests.plugin.conftest import found, project  # noqa: F401
@@ -217,63 +217,6 @@ def test_algorithm_without_its_library_is_refused(name, monkeypatch):
     monkeypatch.setattr("pytest_pafot.searching.algorithms.catalogue.find_spec", lambda library: None)
     with pytest.raises(ValueError, match=r"pip install 'pytest-pafot\[search\]'"):
         resolve_algorithm(name).make(SearchSpace(npcs=2))
-
-
-def add_arguments(parser):
-    parser.add_argument("count", type=int)
-
-
-def run(arguments, line):
-    print("counted to", arguments.count, "by", line[-2])
-    return 3
-
-
-def test_package_adds_a_command_by_an_entry_point(told, register):
-    register(GROUP, tally=__name__, map=__name__)
-    assert told("tally 7") == (3, "counted to 7 by tally\n")
-    assert known_commands()["map"] is door.COMMANDS["map"]
-
-
-LISTENER = """
-told = []
-
-@pytest.hookimpl(optionalhook=True)
-def pytest_pafot_event(config, node_id, kind, data):
-    assert not hasattr(config, "workerinput")
-    told.append(kind)
-
-@pytest.hookimpl(optionalhook=True)
-def pytest_pafot_record(config, record):
-    assert not hasattr(config, "workerinput")
-    print("TOLD", *sorted({*told}), record["exit"], len(record["findings"]))
-"""
-FAILS = "@pafot.search(SHORT, stop_after=1)\ndef test_it(run):\n    assert not run\n"
-
-
-@pytest.mark.parametrize("workers", [(), pytest.param(("-n", "2"), marks=pytest.mark.processes)], ids=["one", "xdist"])
-def test_plugin_follows_searches_by_two_hooks(project, workers):  # noqa: F811
-    conftest = project.path / "conftest.py"
-    conftest.write_text(conftest.read_text() + LISTENER)
-    project.write(FAILS)
-    project.run("-s", *workers).stdout.re_match_lines([r".*TOLD .*finding.*search start.* 1 1"])
-
-
-def test_exception_of_a_listener_is_seen(project):  # noqa: F811
-    conftest = project.path / "conftest.py"
-    conftest.write_text(conftest.read_text() + LISTENER.replace("told.append(kind)", "raise KeyError('mine')"))
-    project.write(FAILS)
-    result = project.run()
-    assert result.ret == 1
-    assert "KeyError: 'mine'" in result.stdout.str()
-
-
-@pytest.mark.parametrize("line", ["told.append(kind)", 'print("TOLD", *sorted'])
-def test_session_whose_tests_pass_does_not_pass_if_a_listener_refuses_it(project, line):  # noqa: F811
-    conftest = project.path / "conftest.py"
-    conftest.write_text(conftest.read_text() + LISTENER.replace(line, f"raise KeyError('mine') #{line}"))
-    project.write(FAILS.replace("not run", "run"))
-    result = project.run()
-    assert (result.ret, "problem: a hook pytest_pafot_" in result.stdout.str()) == (1, True)
 
 
 @pytest.mark.processes

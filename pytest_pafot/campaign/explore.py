@@ -1,4 +1,8 @@
-"""A search without pytest, for notebooks and scripts: ``@pafot.search`` as one function."""
+"""Searches without pytest: ``@pafot.search`` as one function, for notebooks and scripts, and what extras make of it.
+
+An extra runs one algorithm for a comparison, judges given scenarios, or replays a saved one, with the arguments of
+:func:`explore` and as a test would.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +24,7 @@ from pytest_pafot.campaign.options import BY_NAME, LOCAL, OPTIONS, PROFILES, Set
 from pytest_pafot.campaign.replays import Replayed, Replays
 from pytest_pafot.campaign.request import Request, SearchArguments, build_world, check_names, checked_request
 from pytest_pafot.campaign.run_table import RunTable
-from pytest_pafot.campaign.session import Search, prepared
+from pytest_pafot.campaign.session import SearchSession, prepared
 from pytest_pafot.campaign.state import check_states
 from pytest_pafot.campaign.verdict import Verdict, judge, source_file
 from pytest_pafot.campaign.watch import time_limit
@@ -131,12 +135,12 @@ def explore(
         now = time.monotonic()
         with prepared(replays.harness, has_table=True) as parts:
             limit = time_limit(request.settings, now=now, began=now, left=1)
-            search = Search(
+            session = SearchSession(
                 watch=parts.watch(name, limit, progress_seconds=0.5),
                 replays=replays,
                 listener=listen,
             )
-            result = search.run()
+            result = session.run()
     if result.fault is not None:
         raise result.fault
     findings = tuple(replace(kept.finding, trace=None if kept.run is None else kept.run.trace) for kept in result.kept)

@@ -169,8 +169,7 @@ def saved_as(
             if differs := workers.confirmed(run):
                 kept = store.call_flaky(kept, differs)
         except OutOfTime:
-            kept = replace(kept, find=replace(kept.find, unshrunk=UNCONFIRMED))
-    store.kept[kept.find.id] = kept
+            kept = store.kept[kept.find.id] = replace(kept, find=replace(kept.find, unshrunk=UNCONFIRMED))
     if not store.is_holding:
         yield from store.report(kept)
     return kept.find.id

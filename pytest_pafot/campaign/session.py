@@ -1,6 +1,6 @@
 """One session of a search, from the replays of saved scenarios to new findings and the summary.
 
-Read :meth:`Search.run` from the top. The loop over scenarios is :func:`pytest_pafot.campaign.search.search`.
+Read :meth:`SearchSession.run` from the top. The loop over scenarios is :func:`pytest_pafot.campaign.search.search`.
 """
 
 from __future__ import annotations
@@ -214,8 +214,8 @@ def _why_judged_here(harness: Harness) -> str:
 
 
 @dataclass(slots=True, kw_only=True)
-class Search:
-    """The search of one test, from the replays of saved scenarios to the summary."""
+class SearchSession:
+    """One session of the search of a test, from the replays of saved scenarios to the summary."""
 
     watch: TimedWatch
     replays: Replays

@@ -383,8 +383,8 @@ class State:
 
     def found_before(self, store: Store) -> Counter[str]:
         """Return the number of failing runs for each saved finding of an earlier session, by the finding's id."""
-        told = {*store.kept, *store.unsaved, *self.unsaved_before}
-        return Counter({id_: 1 + self.repeats[id_] for id_ in self.finds.values() if id_ not in told})
+        listed = {*store.kept, *store.unsaved, *self.unsaved_before}
+        return Counter({id_: 1 + self.repeats[id_] for id_ in self.finds.values() if id_ not in listed})
 
     @property
     def notes(self) -> list[str]:

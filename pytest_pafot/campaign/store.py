@@ -129,7 +129,7 @@ class Store:
         """Remove the file of a finding that does not count, and yield what is to be reported."""
         file, find = kept.file, replace(kept.find, label=NO_WORSE, detail=why, unshrunk="")
         if file is not None:
-            with suppress(OSError):  # A file that cannot be removed stays, and is told with its path.
+            with suppress(OSError):  # A file that cannot be removed stays, and is reported with its path.
                 file.unlink(missing_ok=True)
                 find = replace(find, path="")
             with suppress(OSError):  # Folders with other content stay.
@@ -258,12 +258,11 @@ class Store:
                 path, finding = other, renamed
         except CorpusWriteError as error:
             problem, content = str(error), text_of(finding)
-        node_id, told = self.harness.saved_node_id(finding.id), "" if problem else relative(path, self.harness.root)
         find = Find(
             id=finding.id,
-            node_id=node_id,
+            node_id=self.harness.saved_node_id(finding.id),
             headline=line,
-            path=told,
+            path="" if problem else relative(path, self.harness.root),
             detail=problem,
             is_timed=is_timed,
             responsible=finding.expect.responsibility,

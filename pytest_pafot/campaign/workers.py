@@ -483,8 +483,8 @@ def difference(run: Run, workers: Workers) -> str:
     if not differs:
         return ""
     harness = workers.harness
-    told = "" if is_vehicle_class(harness.ads) else left_out_text(harness.world)
-    return f"in highway-env's own environment: {differs}" + (f"; {told}" if told else "")
+    likely_cause = "" if is_vehicle_class(harness.ads) else left_out_text(harness.world)
+    return f"in highway-env's own environment: {differs}" + (f"; {likely_cause}" if likely_cause else "")
 
 
 def left_out_text(world: Any) -> str:

@@ -34,7 +34,7 @@ from pytest_pafot.campaign.replays import Replays
 from pytest_pafot.campaign.request import AgainstError, Request, build_space, build_world
 from pytest_pafot.campaign.session import (
     AFTER_A_DEATH,
-    Search,
+    SearchSession,
     isolated_after_a_death,
     may_not_leave,
     prepared,
@@ -295,7 +295,7 @@ def run_search(item: pytest.Function, request: Request) -> None:
     # With these options pytest stops at the first failed item. The loop inside of this item must do the same.
     is_first_enough = bool(item.config.getoption("usepdb", False)) or item.config.getoption("maxfail", 0) == 1
     with prepared(chosen, has_table=listener.table is not None, wants_each=False) as parts:
-        result = Search(
+        result = SearchSession(
             watch=parts.watch(
                 item.nodeid, limit, progress_seconds=shared.progress_seconds, stops_at_first=is_first_enough
             ),

@@ -1,6 +1,7 @@
 """The plan of a search: which scenario is next, and what the algorithm learns from the runs.
 
-A plan is asked and told. It runs nothing and measures no time, so the same evaluations give the same scenarios.
+A plan is asked for scenarios and receives their evaluations. It runs nothing and measures no time, so the same
+evaluations give the same scenarios.
 """
 
 from __future__ import annotations
@@ -123,7 +124,7 @@ def plan_of(
 class Plan(ABC, Generic[StateT]):
     """The scenarios of a search in their order, and what its algorithm has learnt.
 
-    Whoever runs it asks for one :meth:`scenario` after the other and tells how each went by :meth:`take`. When a
+    Whoever runs it asks for one :meth:`scenario` after the other and passes its evaluation to :meth:`take`. When a
     generation :attr:`is_whole`, the algorithm must :meth:`learn` from it.
 
     Args:
@@ -536,10 +537,10 @@ class Drawer(Generic[StateT]):
             del self._states[old]
         for old in [each for each in self._drawings if each <= number]:
             del self._drawings[old]
-        told: tuple[AlgorithmEvent, ...] = tuple(
+        happened: tuple[AlgorithmEvent, ...] = tuple(
             replace(each, is_whole=False) if isinstance(each, GenerationFinished) else each for each in events
         )
-        return told
+        return happened
 
 
 def generation_rng(seed: int, *generation: int) -> np.random.Generator:

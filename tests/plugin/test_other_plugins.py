@@ -213,3 +213,45 @@ def test_other_plugins_randomness_changes_nothing(project):
     project.forget()
     project.run(generations=2, plugins=("randomly",))
     assert project.contents == plain
+
+
+LISTENER = """
+told = []
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_pafot_event(config, node_id, kind, data):
+    assert not hasattr(config, "workerinput")
+    told.append(kind)
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_pafot_record(config, record):
+    assert not hasattr(config, "workerinput")
+    print("TOLD", *sorted({*told}), record["exit"], len(record["findings"]))
+"""
+FAILS = "@pafot.search(SHORT, stop_after=1)\ndef test_it(run):\n    assert not run\n"
+
+
+@pytest.mark.parametrize("workers", [(), pytest.param(("-n", "2"), marks=pytest.mark.processes)], ids=["one", "xdist"])
+def test_plugin_follows_searches_by_two_hooks(project, workers):
+    conftest = project.path / "conftest.py"
+    conftest.write_text(conftest.read_text() + LISTENER)
+    project.write(FAILS)
+    project.run("-s", *workers).stdout.re_match_lines([r".*TOLD .*finding.*search start.* 1 1"])
+
+
+def test_exception_of_a_listener_is_seen(project):
+    conftest = project.path / "conftest.py"
+    conftest.write_text(conftest.read_text() + LISTENER.replace("told.append(kind)", "raise KeyError('mine')"))
+    project.write(FAILS)
+    result = project.run()
+    assert result.ret == 1
+    assert "KeyError: 'mine'" in result.stdout.str()
+
+
+@pytest.mark.parametrize("line", ["told.append(kind)", 'print("TOLD", *sorted'])
+def test_session_whose_tests_pass_does_not_pass_if_a_listener_refuses_it(project, line):
+    conftest = project.path / "conftest.py"
+    conftest.write_text(conftest.read_text() + LISTENER.replace(line, f"raise KeyError('mine') #{line}"))
+    project.write(FAILS.replace("not run", "run"))
+    result = project.run()
+    assert (result.ret, "problem: a hook pytest_pafot_" in result.stdout.str()) == (1, True)
