@@ -163,7 +163,7 @@ def saved_as(
                 kept = store.call_flaky(kept, differs)
         except OutOfTime:
             kept = replace(kept, find=replace(kept.find, unshrunk=UNCONFIRMED))
-    store.kept[kept.find.id] = kept
+    store.findings[kept.find.id] = kept
     if not store.is_holding:
         yield from store.report(kept)
     return kept.find.id
