@@ -52,6 +52,9 @@ def test_fails(run):
     assert not slow or run.duration < 1
     assert run.outcome == "nothing"
 """
+QUICK = "--pafot-shrink-rollouts=0 --pafot-neighbours=0"
+"""The options of searches whose findings only have to be there."""
+
 FAKE = """#!/bin/sh
 [ "$1" != -I ] || exec "$PYTHON" "$@"
 echo "$@" >>"$CALLS"
@@ -129,7 +132,7 @@ def test_fleet_searches_with_own_seeds_and_merges(repository, summary):
     for seed in (1, 2):
         inputs = inputs_of("fleet", "search", {"matrix.seed": seed, "github.run_number": 7})
         assert (inputs["seed"], inputs["artifact"]) == (f"700{seed}", f"pafot-{seed}")
-        inputs |= {"runs": "4", "requirements": "", "options": "--pafot-shrink-rollouts=0 -q"}
+        inputs |= {"runs": "4", "requirements": "", "options": f"{QUICK} -q"}
         code, printed = run_action(inputs, repository)
         assert code == 1, printed
         found += saved(repository)
@@ -152,7 +155,7 @@ def test_night_resumes_in_fresh_clone_from_cached_states(repository, tmp_path):
     commit(repository, {"test_it.py": FAILS}, "A test")
     git(repository, "push", "-q", "origin", "main")
     git(tmp_path, "clone", "-q", "origin.git", "next")
-    options = "--pafot-shrink-rollouts=0 -q --pafot-today=2027-01-31"
+    options = f"{QUICK} -q --pafot-today=2027-01-31"
     inputs = inputs_of("night", "night") | {"runs": "4", "requirements": "", "options": options}
     found = []
     for folder in (repository, tmp_path / "next"):
@@ -182,9 +185,8 @@ def test_jobs_that_divide_the_replays_replay_each_file_once(repository, jobs):
     pytest.importorskip("pytest_split")
     pytest.importorskip("xdist")
     commit(repository, {"test_a.py": FAILS, "test_b.py": FAILS}, "Two tests")
-    options = "--pafot-shrink-rollouts=0 --pafot-neighbours=0"
     plugins = "pytest_pafot.plugin,pytest_split.plugin,xdist.plugin"
-    assert shell(f"sh {SCRIPT} search {options}", repository, RUNS="4")[0] == 1
+    assert shell(f"sh {SCRIPT} search {QUICK}", repository, RUNS="4")[0] == 1
     replayed = []
     for job in jobs:
         code, printed = shell(f"sh {SCRIPT} replay {job}", repository, PYTEST_PLUGINS=plugins)

@@ -143,7 +143,9 @@ def explore(
             result = session.run()
     if result.fault is not None:
         raise result.fault
-    findings = tuple(replace(kept.finding, trace=None if kept.run is None else kept.run.trace) for kept in result.kept)
+    findings = tuple(
+        replace(each.finding, trace=None if each.run is None else each.run.trace) for each in result.findings
+    )
     rows = tuple(table.taken())
     return Exploration(findings=findings, summary=result.summary, events=tuple(events), runs=rows)
 

@@ -76,7 +76,7 @@ def shrink_saved(
     )
     store.is_holding = False
     workers.until = until
-    store.kept[saved.id] = FindTold(
+    store.findings[saved.id] = FindTold(
         finding=start, find=find, origin="", exception=verdict.exception, run=run, is_new=False
     )
     state.finds[of_failure(run, failure)] = saved.id
@@ -89,8 +89,8 @@ def shrink_saved(
         until=until,
     )
     work.run_all("")
-    kept = store.kept[saved.id]
-    others = (f"found saved-{id_}: {each.find.headline}" for id_, each in store.kept.items() if each is not kept)
+    kept = store.findings[saved.id]
+    others = (f"found saved-{id_}: {each.find.headline}" for id_, each in store.findings.items() if each is not kept)
     notes = (*work.notes, *others)
     if kept.find.is_flaky:
         told = f"it is flaky: {kept.find.difference}"

@@ -77,12 +77,12 @@ class MadeWorse:
         if self.paired.is_worse is False:
             self.store.dismissed.update(dict.fromkeys(self.store.unsaved, ""))
             self.store.unsaved.clear()
-            yield from self._dismiss(self.store.kept.values())
+            yield from self._dismiss(self.store.findings.values())
 
     def conclude(self) -> Iterator[SearchEvent]:
         """Dismiss findings that are not broad, if the random scenarios hardly tell the two policies apart."""
         if self.paired.is_worse is None and not self.paired.is_cut:
-            found = ((kept, kept.find.breadth) for kept in self.store.kept.values())
+            found = ((kept, kept.find.breadth) for kept in self.store.findings.values())
             yield from self._dismiss(kept for kept, breadth in found if breadth is not None and breadth.word != "broad")
 
     def _fail(self, scenario: Scenario) -> Generator[SearchEvent, None, tuple[bool, bool]]:

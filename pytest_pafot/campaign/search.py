@@ -18,7 +18,6 @@ from pytest_pafot.campaign.verdict import Verdict
 from pytest_pafot.campaign.watch import Watch
 from pytest_pafot.campaign.workers import Passed, Tally, Workers, caught_in
 from pytest_pafot.execution.pool import ProcessLostError
-from pytest_pafot.execution.scenario_pool import LostRun
 from pytest_pafot.findings.finding import failed_as
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Outcome
@@ -40,8 +39,8 @@ def search(
         CheckpointError: if the plan goes on from a checkpoint of another search.
         RequestError: for a world, factory, test function or scenario that does not fit.
     """
-    reason: EndReason | None = None
     began, evaluated_before = state.clock(), plan.sums.evaluated
+    reason: EndReason | None = None
     yield from _seen([plan.started], state, watch)
     workers.begin(plan, state.random.most, state.fatal)
     while reason is None and not plan.is_over:
@@ -54,17 +53,38 @@ def search(
             if known is not None:
                 yield from _seen([plan.take(known, reused=True)], state, watch)
                 continue
+            # Drive the next scenario and judge it. Other processes may have done so, for several scenarios at once.
+            taken: Sequence[Event] = []
             try:
                 with runs_end_in(watch.seconds_left()):
                     done = workers.next(plan, state.fatal)
-                    events = yield from _judged(done, plan, state, workers, store, watch)
+                    if isinstance(done, Run):
+                        taken = [plan.take((yield from _judged(done, state, workers, store, watch)))]
             except OutOfTime:
                 reason = "time"
                 break
-            if events is None:  # Its process died or hung.
-                events = yield from _lost(done, plan, state, workers, store)
+            match done:
+                case Passed():
+                    yield done.event
+                    state.see(done.event)
+                    state.take_passed(done)
+                    taken = [plan.take(done.evaluation)]
+                case Tally() if isinstance(plan, AheadPlan):
+                    for _, event in done.judged or ():
+                        yield event
+                        state.see(event)
+                    state.take_tally(done)
+                    taken = _taken(done, plan)
+                case ProcessLostError() | None:  # It died or hung now, or in the same scenario before.
+                    state.first.is_alike = False
+                    yield from _released(state, store)
+                    if done is not None:
+                        is_failure = yield from lose(done, state, workers, store)
+                        state.verdicts["failed" if is_failure else "common"] += 1
+                    taken = [plan.take(_unknown(plan.scenario()))]
             state.decides_for_many = plan.decides_for_many = state.decides_for_many or workers.runner.decides_for_many
-            yield from _seen(events, state, watch)
+            yield from _released(state, store)
+            yield from _seen(taken, state, watch)
         # The algorithm learns from whole generations. Between two of them the state is stored.
         if reason is None:
             news, learnt = plan.news, plan.learn()
@@ -83,47 +103,16 @@ def _seen(happened: Iterable[Event], state: State, watch: Watch) -> Iterator[Sea
         yield from watch.seen()
 
 
-def _judged(
-    done: Run | Passed | Tally | LostRun | None,
-    plan: Plan[Any],
-    state: State,
-    workers: Workers,
-    store: Store,
-    watch: Watch,
-) -> Generator[SearchEvent, None, Sequence[Event] | None]:
-    """Judge what became of the next scenarios and count it; return the plan's events, or None for a lost run."""
-    __tracebackhide__ = True
-    match done:
-        case Run():
-            return [plan.take((yield from _judged_here(done, state, workers, store, watch)))]
-        case Passed():
-            yield done.event
-            state.see(done.event)
-            state.take_passed(done)
-            yield from _released(state, store)
-            return [plan.take(done.evaluation)]
-        case Tally():
-            for _, event in done.judged or ():
-                yield event
-                state.see(event)
-            state.take_tally(done)
-            yield from _released(state, store)
-            return _counted(done, plan)
-    return None
-
-
-def _counted(tally: Tally, plan: Plan[Any]) -> Sequence[Event]:
+def _taken(tally: Tally, plan: AheadPlan[Any]) -> Sequence[Event]:
     """Return the events of runs that other processes have drawn and counted: one for each, or one for all."""
-    if not isinstance(plan, AheadPlan):
-        raise TypeError(f"plan: expected one whose scenarios other processes draw, received {plan!r:.100}")
-    first = plan.index
     if tally.judged is not None:
         return plan.take_all([evaluation for evaluation, _ in tally.judged], tally.news)
+    first = plan.index
     plan.skip(tally.runs, tally.news)
     return [GroupEvaluated(generation=plan.generation, index=first, runs=tally.runs, counts=tally)]
 
 
-def _judged_here(
+def _judged(
     run: Run, state: State, workers: Workers, store: Store, watch: Watch
 ) -> Generator[SearchEvent, None, Evaluation]:
     """Judge and count a run, and save a new failure before the next run; return what the algorithm sees of it."""
@@ -169,7 +158,7 @@ def saved_as(
             if differs := workers.confirmed(run):
                 kept = store.call_flaky(kept, differs)
         except OutOfTime:
-            kept = store.kept[kept.find.id] = replace(kept, find=replace(kept.find, unshrunk=UNCONFIRMED))
+            kept = store.findings[kept.find.id] = replace(kept, find=replace(kept.find, unshrunk=UNCONFIRMED))
     if not store.is_holding:
         yield from store.report(kept)
     return kept.find.id
@@ -179,18 +168,6 @@ def _released(state: State, store: Store) -> Iterator[SearchEvent]:
     """Report the findings that were held back, as soon as two runs differ, which is no fault of the set-up."""
     if store.is_holding and not state.first.is_alike:
         yield from store.release()
-
-
-def _lost(
-    lost: object, plan: Plan[Any], state: State, workers: Workers, store: Store
-) -> Generator[SearchEvent, None, Sequence[Event]]:
-    """Record a scenario in which a process died or hung now or, if ``lost`` is None, earlier."""
-    state.first.is_alike = False
-    yield from _released(state, store)
-    if isinstance(lost, ProcessLostError):
-        is_failure = yield from lose(lost, state, workers, store)
-        state.verdicts["failed" if is_failure else "common"] += 1
-    return [plan.take(_unknown(plan.scenario()))]
 
 
 def _unknown(scenario: Scenario) -> Evaluation:

@@ -86,7 +86,7 @@ class SearchResult:
     """The result of a search."""
 
     summary: SearchSummary
-    kept: tuple[FindTold, ...]
+    findings: tuple[FindTold, ...]
     count: int  # number of distinct new findings, saved or only counted
     first: BaseException | None  # the exception of the first finding; None without one
     fault: BaseException | None  # a fault of the set-up, as the exception to raise instead of findings
@@ -325,7 +325,7 @@ class SearchSession:
                 self.listener(summary)
         return SearchResult(
             summary=summary,
-            kept=tuple(store.kept.values()),
+            findings=tuple(store.findings.values()),
             count=store.count,
             first=store.first,
             fault=None if fault is None else fault.shown(harness.world, harness.ads),
@@ -380,7 +380,7 @@ class SearchSession:
                 f"be made here now, {dict(leftover.world or {})!r:.200}; it cannot be tried again, so it is no finding"
             )
             return Retried(notes=(note,), pending=leftover)
-        before = set(self.store.kept)
+        before = set(self.store.findings)
         again = retry(
             leftover,
             harness.job(world),
@@ -390,7 +390,7 @@ class SearchSession:
             keep=self.store.add_crash,
             run_here=self.workers.rerun_one_by_one,
         )
-        for each in [each for id_, each in self.store.kept.items() if id_ not in before]:
+        for each in [each for id_, each in self.store.findings.items() if id_ not in before]:
             self._send(self.store.report(each))
         return again
 
@@ -546,7 +546,7 @@ class SearchSession:
         )
         is_cut = reason == self.limit.flag and self.state.file is None
         cut = [f"cut by {reason}: the same seed may find other scenarios next time"] * is_cut
-        finds = [kept.find for kept in self.store.kept.values()]
+        finds = [kept.find for kept in self.store.findings.values()]
         notes = (
             state.doubt,
             self._excused_late,
@@ -640,7 +640,7 @@ class SearchSession:
     @property
     def _out_of_reach(self) -> str:
         """A note on what reference drivers can do and the ADS cannot; empty if its actions can stop the ego."""
-        speed, kept = protocol.least_action_speed(self.harness.world), self.store.kept.values()
+        speed, kept = protocol.least_action_speed(self.harness.world), self.store.findings.values()
         expected = [each.finding.expect for each in kept]
         runs = [each.run.ego.speed for each in kept if each.run is not None]  # which may begin slower, and speed up
         was_slower = any(((each[1:] < each[:-1]) & (each[1:] < speed - SLOWER)).any() for each in runs)
@@ -696,7 +696,7 @@ class SearchSession:
         request, store = self.harness.request, self.store
         settings = request.settings
         is_broken_off = reason in ("interrupted", "error")
-        firm = [kept for kept in store.kept.values() if kept.is_firm]
+        firm = [kept for kept in store.findings.values() if kept.is_firm]
         left = [kept for kept in firm if (kept.finding.shrunk is None if is_broken_off else kept.find.unshrunk)]
         if left and settings.shrink_rollouts != 0:
             what = "1 new finding was" if len(left) == 1 else f"{len(left)} new findings were"

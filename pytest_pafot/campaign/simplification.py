@@ -204,7 +204,7 @@ class Simplification:
                 shrunk = self.workers.decisions
                 self.shrink_decisions = shrunk - before
             try:
-                for kept in list(self.store.kept.values()) if self._neighbours else ():
+                for kept in list(self.store.findings.values()) if self._neighbours else ():
                     if kept.is_firm and kept.find.id in self.done:
                         self.current = kept.find.id
                         self._examine(kept)
@@ -213,14 +213,14 @@ class Simplification:
 
     def _shrink_all(self, way_on: str) -> None:
         __tracebackhide__ = True
-        finds, before = [find_id for find_id, kept in self.store.kept.items() if kept.is_firm or kept.is_random], -1
+        finds, before = [find_id for find_id, kept in self.store.findings.items() if kept.is_firm or kept.is_random], -1
         while finds and self.runs > before:  # After a round without runs there is no time left.
             before, round_ = self.runs, finds
             for number, find_id in enumerate(round_):
                 self.current = find_id
                 self._have_turn(find_id, sharing=len(round_) - number)
             finds = [find_id for find_id in round_ if find_id not in self.done]
-        for kept in [self.store.kept[find_id] for find_id in finds]:
+        for kept in [self.store.findings[find_id] for find_id in finds]:
             cut = "not shrunk: out of time" if kept.finding.shrunk is None else "shrunk in part: out of time"
             find = replace(kept.find, unshrunk=f"{kept.find.unshrunk or cut}{way_on}")
             self._report(replace(kept, find=find, is_new=False))
@@ -410,7 +410,7 @@ class Simplification:
     def _have_turn(self, find_id: str, sharing: int) -> None:
         """Simplify a finding in its share of the remaining time; ``sharing`` is the number of equal shares."""
         __tracebackhide__ = True
-        now, kept = self.state.clock(), self.store.kept[find_id]
+        now, kept = self.state.clock(), self.store.findings[find_id]
         if now >= self.until:
             return
         try:

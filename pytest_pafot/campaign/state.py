@@ -277,12 +277,12 @@ class State:
 
     def stored(self, store: Store, simplified: Collection[str]) -> State:
         """Return what the file has to say of this state."""
-        kept = store.kept
+        findings = store.findings
         found = {each.id: each.found for each in self.earlier}
-        for id_, each in kept.items():  # the scenario as found, before shrinking
+        for id_, each in findings.items():  # the scenario as found, before shrinking
             finding = each.finding
             found[id_] = (finding.original or finding.scenario, finding.found.generation, each.number)
-        due = self.postponed | {id_ for id_, each in kept.items() if each.is_firm and id_ not in simplified}
+        due = self.postponed | {id_ for id_, each in findings.items() if each.is_firm and id_ not in simplified}
         finds = (
             EarlierFind(
                 id=id_,
@@ -383,7 +383,7 @@ class State:
 
     def found_before(self, store: Store) -> Counter[str]:
         """Return the number of failing runs for each saved finding of an earlier session, by the finding's id."""
-        listed = {*store.kept, *store.unsaved, *self.unsaved_before}
+        listed = {*store.findings, *store.unsaved, *self.unsaved_before}
         return Counter({id_: 1 + self.repeats[id_] for id_ in self.finds.values() if id_ not in listed})
 
     @property

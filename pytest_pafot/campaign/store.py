@@ -51,7 +51,7 @@ class Store:
     seed: int
     # files that existed before the search; their replays do not show the findings that are saved here
     replayed: frozenset[Path] = frozenset()
-    kept: dict[str, FindTold] = field(default_factory=dict)  # the findings so far, by id
+    findings: dict[str, FindTold] = field(default_factory=dict)  # the findings so far, by id
     unsaved: list[str] = field(default_factory=list)  # ids of findings above the limit of saved scenarios
     first: BaseException | None = None  # the exception of the first finding, for a debugger
     held: list[str] = field(default_factory=list)  # ids of findings that are saved and not reported yet
@@ -61,12 +61,12 @@ class Store:
     @property
     def count(self) -> int:
         """The number of distinct findings so far, including findings above the limit, which are not saved."""
-        return len(self.kept) + len(self.unsaved) - len(self.held)
+        return len(self.findings) + len(self.unsaved) - len(self.held)
 
     @property
     def firm(self) -> int:
         """The number of findings that can be shrunk."""
-        return sum(kept.is_firm for kept in self.kept.values())
+        return sum(kept.is_firm for kept in self.findings.values())
 
     def add(self, run: Run, verdict: Verdict, generation: int, number: int) -> FindTold | str:
         """Save a new finding, and hold it back; return its id alone if as many are saved as the search may save.
@@ -87,7 +87,7 @@ class Store:
             root=str(harness.root),
         )
         files = files_in(harness.folder)  # Empty if the folder cannot be read; writing into it reports why.
-        is_full = max(len(files), len(self.kept)) >= harness.request.settings.max_saved
+        is_full = max(len(files), len(self.findings)) >= harness.request.settings.max_saved
         # A finding whose file exists already takes no more room.
         if is_full and not os.path.lexists(free_path(harness.folder, finding, self.replayed)[0]):
             self.unsaved.append(finding.id)
@@ -103,14 +103,14 @@ class Store:
         """Yield the findings that were held back; from now on, each new finding is to be reported at once."""
         self.is_holding = False
         for find_id in tuple(self.held):
-            yield from self.report(self.kept[find_id])
+            yield from self.report(self.findings[find_id])
 
     def withdraw(self) -> Iterator[FindTold]:
         """Remove the files of findings that were held back, since they are a fault of the set-up.
 
         Yield the findings whose files cannot be removed.
         """
-        withdrawn = [self.kept.pop(find_id) for find_id in self.held]
+        withdrawn = [self.findings.pop(find_id) for find_id in self.held]
         self.held.clear()
         self.is_holding = False
         self.unsaved.clear()
@@ -135,9 +135,9 @@ class Store:
             with suppress(OSError):  # Folders with other content stay.
                 self._remove_folders()
         with postponed():
-            del self.kept[find.id]
+            del self.findings[find.id]
             self.dismissed[find.id] = find.headline
-            self.first = next((each.exception for each in self.kept.values()), None)
+            self.first = next((each.exception for each in self.findings.values()), None)
             yield replace(kept, find=find, is_new=False)
 
     def _remove_folders(self) -> None:
@@ -147,8 +147,8 @@ class Store:
     def report(self, told: FindTold) -> Iterator[FindTold]:
         """Yield a new finding, or an update of one, which is reported as soon as the next event is asked for."""
         with postponed():
-            self.kept[told.find.id] = told
-            if self.first is None or told.find.id == next(iter(self.kept)):
+            self.findings[told.find.id] = told
+            if self.first is None or told.find.id == next(iter(self.findings)):
                 self.first = told.exception
             yield told
             if told.find.id in self.held:
@@ -157,8 +157,8 @@ class Store:
     def call_flaky(self, kept: FindTold, difference: str) -> FindTold:
         """Mark a finding as flaky, also in its file; return it. ``difference`` is what did not repeat."""
         marked = self.rewritten(kept, replace(kept.finding, flaky=portable(difference, str(self.harness.root))))
-        self.kept[kept.find.id] = replace(marked, find=replace(kept.find, difference=difference, unshrunk=""))
-        return self.kept[kept.find.id]
+        self.findings[kept.find.id] = replace(marked, find=replace(kept.find, difference=difference, unshrunk=""))
+        return self.findings[kept.find.id]
 
     def rewritten(self, kept: FindTold, finding: Finding) -> FindTold:
         """Replace a finding by a new version, also in its file; return it.
@@ -207,7 +207,7 @@ class Store:
             return self._held(self._saved(finding, _headline(lost), origin, PlainFailure(text), lost.is_hang))
 
     def _held(self, kept: FindTold) -> FindTold:
-        self.kept[kept.find.id] = kept
+        self.findings[kept.find.id] = kept
         self.held.append(kept.find.id)
         return kept
 
@@ -243,7 +243,7 @@ class Store:
 
     def _saved(self, finding: Finding, line: str, origin: str, exception: BaseException, is_timed: bool) -> FindTold:
         path, finding = free_path(self.harness.folder, finding, self.replayed)
-        while finding.id in self.kept:
+        while finding.id in self.findings:
             finding = replace(finding, id=f"{finding.id}-again")
             path = self.harness.folder / f"{finding.id}{SUFFIX}"
         problem = content = ""

@@ -6,7 +6,7 @@ import pytest
 
 from pytest_pafot.findings.neighbours import Breadth
 from tests.helpers.actions import git, inputs_of, run_action
-from tests.test_ci_script import PLANNER, TEST, commit, record_of, repository, saved, summary  # noqa: F401
+from tests.test_ci_script import PLANNER, QUICK, TEST, commit, record_of, repository, saved, summary  # noqa: F401
 
 pytestmark = pytest.mark.processes
 
@@ -72,7 +72,7 @@ class TestAPullRequest:
         commit(repository, files, "A planner")
         git(repository, "switch", "-q", "-c", "closer")
         commit(repository, {"core.py": "HEADWAY = 0.6\n"}, "Keep less distance")
-        code, printed = self.run(repository, summary)
+        code, printed = self.run(repository, summary, options=QUICK)
         assert (code, "introduces 1 failure, fixes 0, 0 as before" in " ".join(printed.split())) == (1, True), printed
 
     def test_change_of_no_part_of_the_policy_is_not_searched(self, repository, summary):
@@ -85,7 +85,7 @@ class TestAPullRequest:
     def test_every_failure_of_a_new_policy_counts(self, repository, summary):
         git(repository, "switch", "-q", "-c", "begins")
         commit(repository, {"planner.py": PLANNER.replace("2.0  #", "0.6  #"), "test_safety.py": TEST}, "A planner")
-        code, printed = self.run(repository, summary, runs="20")
+        code, printed = self.run(repository, summary, runs="20", options=QUICK)
         assert "every failure counts" in " ".join(printed.split())
         assert "against rev" not in printed
         assert code == record_of(repository).exit
@@ -111,5 +111,5 @@ class TestAPullRequest:
         git(repository, "switch", "-q", "-c", "closer")
         commit(repository, {"planner.py": reads.replace("open('net.npz').read()", "'0.6'")}, "Keep less distance")
         assert self.run(repository, summary, runs="4")[0] == 2
-        code, printed = self.run(repository, summary, copy="net.npz")
+        code, printed = self.run(repository, summary, copy="net.npz", options=QUICK)
         assert (code, "introduces 1 failure" in printed) == (1, True), printed

@@ -125,6 +125,7 @@ def command_in_a_copy(module, *arguments, folder="."):
     The process that drives is a copy, too. Neither comes to the end of an interpreter, where `atexit` is.
     """
     arguments = list(map(str, arguments))
+    assert module in ("pytest", "pytest_pafot"), module
     if not hasattr(os, "fork"):
         command = [sys.executable, "-m", module, *arguments]
         done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False, timeout=120)
@@ -244,13 +245,16 @@ def _be_a_session(streams, args):
 
 def _be_a_command(module, arguments, folder, streams):
     """Run a command to the end of this process, as ``python -m`` does."""
-    run = {"pytest": lambda: int(_with_room(pytest.main, arguments)), "pytest_pafot": lambda: _drive(arguments)}[module]
-    os.chdir(folder)
-    sys.path.insert(0, str(Path.cwd()))
-    sys.argv = [module, *arguments]
-    sys.orig_argv = [sys.executable, "-m", module, *arguments]
-    for each in (__main__, search_command):
-        each.subprocess = types.SimpleNamespace(Popen=_started, TimeoutExpired=subprocess.TimeoutExpired)
+
+    def run():
+        os.chdir(folder)
+        sys.path.insert(0, str(Path.cwd()))
+        sys.argv = [module, *arguments]
+        sys.orig_argv = [sys.executable, "-m", module, *arguments]
+        for each in (__main__, search_command):
+            each.subprocess = types.SimpleNamespace(Popen=_started, TimeoutExpired=subprocess.TimeoutExpired)
+        return int(_with_room(pytest.main, arguments)) if module == "pytest" else _drive(arguments)
+
     _end_with(run, streams)
 
 
@@ -272,15 +276,15 @@ class Copy:
         self.left = None
         self.pid = _forked()
         if not self.pid:
-            os.environ.clear()
-            os.environ.update(env)
-            sys.argv = ["-c", *command[2:]]
-            session = {"__name__": "__main__"}
-            is_session = command[0] == "-c"
-            _end_with(
-                (lambda: _with_room(exec, command[1], session)) if is_session else lambda: _drive(command[2:]),
-                (1 if stdout is None else stdout, 2 if stderr is None else stderr),
-            )
+            _end_with(lambda: self._run(command, env), (stdout or 1, stderr or 2))
+
+    def _run(self, command, env):
+        os.environ.clear()
+        os.environ.update(env)
+        if command[0] == "-m":
+            return _drive(command[2:])
+        sys.argv = ["-c", *command[2:]]
+        return _with_room(exec, command[1], {"__name__": "__main__"})
 
     def __enter__(self):
         return self
