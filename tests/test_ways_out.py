@@ -173,7 +173,7 @@ RUN_BY = {
     "campaign/explore.py": "test_deadly_scenario_is_replayed_by_the_command_that_is_named",
     "extras/revisions/bisect_command.py": "test_deadly_scenario_is_replayed_by_the_command_that_is_named",
     "extras/episodes/progress_command.py": "test_progress_names_a_search_that_saves_what_only_the_new_policy_fails",
-    "campaign/session.py": "test_finding_that_was_not_shrunk_names_the_command",
+    "campaign/search_session.py": "test_finding_that_was_not_shrunk_names_the_command",
     "plugin/search_item.py": "test_finding_that_was_not_shrunk_names_the_command",
     "commands/corpus_command.py": "test_finding_that_may_not_repeat_is_refused",
     "extras/episodes/rate_command.py": "test_rate_names_the_command_that_draws_a_crash",

@@ -24,7 +24,7 @@ from pytest_pafot.campaign.options import BY_NAME, LOCAL, OPTIONS, PROFILES, Set
 from pytest_pafot.campaign.replays import Replayed, Replays
 from pytest_pafot.campaign.request import Request, SearchArguments, build_world, check_names, checked_request
 from pytest_pafot.campaign.run_table import RunTable
-from pytest_pafot.campaign.session import SearchSession, prepared
+from pytest_pafot.campaign.search_session import SearchSession, prepared
 from pytest_pafot.campaign.state import check_states
 from pytest_pafot.campaign.verdict import Verdict, judge, source_file
 from pytest_pafot.campaign.watch import time_limit

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 
 from pytest_pafot.campaign.events import Find, FindTold, SearchEvent
-from pytest_pafot.campaign.session import Prepared
+from pytest_pafot.campaign.search_session import Prepared
 from pytest_pafot.campaign.simplification import Simplification
 from pytest_pafot.campaign.store import UNCONFIRMED
 from pytest_pafot.campaign.verdict import headline

@@ -1,7 +1,7 @@
 """The loop of a search: draw, drive, judge, learn.
 
 What is around it, such as the replays of saved scenarios and the simplification of findings, is in
-:mod:`pytest_pafot.campaign.session`.
+:mod:`pytest_pafot.campaign.search_session`.
 """
 
 from __future__ import annotations

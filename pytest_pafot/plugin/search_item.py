@@ -32,7 +32,7 @@ from pytest_pafot.campaign.harness import Harness, checked_factory, is_revision,
 from pytest_pafot.campaign.options import BY_NAME, OF_COMMAND, Settings
 from pytest_pafot.campaign.replays import Replays
 from pytest_pafot.campaign.request import AgainstError, Request, build_space, build_world
-from pytest_pafot.campaign.session import (
+from pytest_pafot.campaign.search_session import (
     AFTER_A_DEATH,
     SearchSession,
     isolated_after_a_death,

@@ -43,7 +43,7 @@ def run_shrink(item: pytest.Function, request: Request, saved: Saved) -> None:
     from pytest_pafot.campaign.later_shrinking import shrink_saved  # noqa: PLC0415  (imports the simulation)
     from pytest_pafot.campaign.replays import Replays  # noqa: PLC0415
     from pytest_pafot.campaign.request import build_space  # noqa: PLC0415
-    from pytest_pafot.campaign.session import prepared  # noqa: PLC0415
+    from pytest_pafot.campaign.search_session import prepared  # noqa: PLC0415
     from pytest_pafot.campaign.watch import time_limit  # noqa: PLC0415
     from pytest_pafot.corpus.writer import CorpusWriteError, rewrite  # noqa: PLC0415
     from pytest_pafot.plugin.own_session import replay_in_own_session  # noqa: PLC0415

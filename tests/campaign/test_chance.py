@@ -8,7 +8,7 @@ import pytest
 import pytest_pafot as pafot
 from pytest_pafot.campaign.explore import replays_of, request_of
 from pytest_pafot.campaign.later_shrinking import shrink_saved
-from pytest_pafot.campaign.session import prepared
+from pytest_pafot.campaign.search_session import prepared
 from pytest_pafot.corpus.reader import load
 from pytest_pafot.corpus.saved import saved_in
 from pytest_pafot.corpus.writer import rewrite

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 
 from pytest_pafot.campaign.search import search
-from pytest_pafot.campaign.session import search_seed
+from pytest_pafot.campaign.search_session import search_seed
 from pytest_pafot.campaign.state import State
 from pytest_pafot.campaign.verdict import Verdict
 from pytest_pafot.campaign.watch import Watch

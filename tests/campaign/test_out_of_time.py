@@ -11,7 +11,7 @@ import pytest
 
 import pytest_pafot as pafot
 from example_ads import constant_speed
-from pytest_pafot.campaign import explore, session, simplification, state_file, watch, workers
+from pytest_pafot.campaign import explore, search_session, simplification, state_file, watch, workers
 from pytest_pafot.campaign.events import FindTold, Progress
 from pytest_pafot.execution import runner
 from pytest_pafot.execution.scenario_pool import CapturedOutput
@@ -38,7 +38,7 @@ def clock(tmp_path, monkeypatch):
     """Return the only clock of searches, which run in a new folder; it advances by a second with each evaluated run."""
     monkeypatch.chdir(tmp_path)
     clock = SimpleNamespace(now=0.0, step=lambda: 1.0)
-    for module in (explore, session):
+    for module in (explore, search_session):
         monkeypatch.setattr(module, "time", SimpleNamespace(monotonic=lambda: clock.now))
     return clock
 
@@ -141,7 +141,7 @@ def test_time_left_is_true_within_a_factor_of_two_or_not_told(clock, monkeypatch
     monkeypatch.setattr(runner, "pool_for", Pool)
     monkeypatch.setattr(runner, "rollout_of", here)
     monkeypatch.setattr("pytest_pafot.campaign.workers.difference", confirming)
-    monkeypatch.setattr(session, "runner_for", partial(runner.runner_for, clock=lambda: clock.now))
+    monkeypatch.setattr(search_session, "runner_for", partial(runner.runner_for, clock=lambda: clock.now))
     given = {"runs": 120, "workers": workers, "fitness": lambda trace: 0.0, "population": 16, "shrink_rollouts": 0}
     result = pafot.explore(constant_speed.make, holds=judged, corpus="corpus", **SHORT | given)
     told = [(event.left, ended[-1] - event.seconds) for event in result.events if isinstance(event, Progress)]
