@@ -341,6 +341,15 @@ def test_speed_interval_reaches_to_where_failure_ends():
         assert how.speeds == (SpeedInterval(npc=0, gene=0, low=low, high=high),)
 
 
+def test_speeds_are_measured_also_where_an_attempt_was_refused():
+    def up_to(limit):
+        return lambda each: each if has(2, 5.0, limit)(each) else None
+
+    simplest, how = shrink(scenario("2@7"), up_to(8.0), rollouts=100, top_speed=26.8, measure=up_to(20.0))
+    assert written(simplest) == ("2@5",)
+    assert how.speeds == (SpeedInterval(npc=0, gene=0, low=5.0, high=20.0),)
+
+
 def test_interval_of_irrelevant_speed_is_everything_below_limit():
     _, how = shrunk(BUSY, has(Cell.FRONT))
     assert how.speeds == (SpeedInterval(npc=0, gene=0, low=0.0, high=26.8),)
