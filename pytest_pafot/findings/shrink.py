@@ -223,6 +223,7 @@ def shrink(
     ahead: int = 0,
     expect: Expecting = lambda candidates, more: None,
     likely: Likely | None = None,
+    measure: Attempt | None = None,
 ) -> tuple[Scenario, Shrunk]:
     """Return the simplest scenario found that fails in the same way as ``scenario``, as driven, with the statistics.
 
@@ -240,6 +241,8 @@ def shrink(
             they can be run at the same time. It changes nothing in the result.
         likely: returns whether a small scenario is worth a call of ``attempt``; None if all are. Equal arguments must
             have equal results.
+        measure: runs a scenario to find out at which speeds the result still fails, if ``attempt`` says that some
+            scenarios do not fail which are only of no use as simpler ones; None if it does not.
     """
     top = int(min(top_speed, MAX_SPEED) * SPEED_STEPS_PER_MPS + 1e-6)
     slowest = min(_tenths(gene) for chain in scenario.npcs for gene in chain)
@@ -268,6 +271,8 @@ def shrink(
     gate.rollouts = rollouts
     with suppress(OutOfBudget):
         gate.exhausts(_papers_traffic)  # only once, even if the passes used up their budget: they do not start again
+        if measure is not None:
+            gate.attempt, gate.tried = measure, {each: same for each, same in gate.tried.items() if same is not None}
         intervals.extend(_intervals(gate))
     return gate.best, Shrunk(rollouts=gate.spent, is_minimal=is_minimal, speeds=tuple(intervals))
 

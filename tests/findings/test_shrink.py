@@ -341,6 +341,17 @@ def test_speed_interval_reaches_to_where_failure_ends():
         assert how.speeds == (SpeedInterval(npc=0, gene=0, low=low, high=high),)
 
 
+def test_speed_interval_includes_failures_of_no_use_as_simpler_ones():
+    soon, ever = has(Cell.FRONT, 3.0, 8.0), has(Cell.FRONT, 2.0, 11.2)
+    _, how = shrink(
+        scenario("2@7"),
+        lambda each: each if soon(each) else None,
+        rollouts=100,
+        measure=lambda each: each if ever(each) else None,
+    )
+    assert how.speeds == (SpeedInterval(npc=0, gene=0, low=2.0, high=11.2),)
+
+
 def test_interval_of_irrelevant_speed_is_everything_below_limit():
     _, how = shrunk(BUSY, has(Cell.FRONT))
     assert how.speeds == (SpeedInterval(npc=0, gene=0, low=0.0, high=26.8),)
