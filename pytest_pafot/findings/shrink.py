@@ -241,8 +241,8 @@ def shrink(
             they can be run at the same time. It changes nothing in the result.
         likely: returns whether a small scenario is worth a call of ``attempt``; None if all are. Equal arguments must
             have equal results.
-        measure: runs a scenario to find out at which speeds the result still fails, if ``attempt`` says that some
-            scenarios do not fail which are only of no use as simpler ones; None if it does not.
+        measure: runs a scenario in place of ``attempt`` when only the speeds of the result are still measured, and may
+            accept what ``attempt`` has refused; None for ``attempt``.
     """
     top = int(min(top_speed, MAX_SPEED) * SPEED_STEPS_PER_MPS + 1e-6)
     slowest = min(_tenths(gene) for chain in scenario.npcs for gene in chain)
