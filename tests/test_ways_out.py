@@ -46,9 +46,11 @@ def facts():
     found = Facts([], [])
     for path in sorted(PACKAGE.rglob("*.py")):
         place, tree = path.relative_to(PACKAGE).as_posix(), ast.parse(path.read_text(encoding="utf-8"))
-        documents = {id(each.value) for each in ast.walk(tree) if isinstance(each, ast.Expr)}
+        documents = set()
         for node in ast.walk(tree):
-            if isinstance(node, ast.Constant) and isinstance(node.value, str):
+            if isinstance(node, ast.Expr):
+                documents.add(id(node.value))  # the walk comes to it later
+            elif isinstance(node, ast.Constant) and isinstance(node.value, str):
                 found.texts.append((place, id(node) in documents, node.value))
             elif isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
                 first = node.args[0] if node.args else None

@@ -480,7 +480,7 @@ class Simplification:
         asked, best = 0, found
         self._actions = {} if kept.run is None else {driven(kept.run): kept.run.trace.actions}
 
-        def attempt(candidate: Scenario, *, is_measured: bool = False) -> Scenario | None:
+        def attempt(candidate: Scenario, *, is_limited: bool = True) -> Scenario | None:
             nonlocal asked, best
             # Shrinking asks the same questions in the same order, so an earlier session's answers serve as a prefix.
             if asked < len(answers) and answers[asked][0] != candidate.id:
@@ -491,7 +491,7 @@ class Simplification:
                 self.tell(f"shrinking {kept.find.id}, run {asked + 1} of {rollouts}")
                 try:
                     with runs_end_in(turn.until - turn.to_conclude - began):
-                        most = None if is_measured else self._most(kept, best)
+                        most = self._most(kept, best) if is_limited else None
                         shown = self._shown(kept, candidate, top_speed, asked, most)
                 except OutOfTime:
                     turn.is_over = True
@@ -524,8 +524,7 @@ class Simplification:
             ahead=self._ahead,
             expect=expect,
             likely=self._likely(kept),
-            # A speed at which it collides later fails, too.
-            measure=partial(attempt, is_measured=True) if self._ends_in_collision(kept) else None,
+            measure=partial(attempt, is_limited=False) if self._ends_in_collision(kept) else None,
         )
 
     def _did(self, scenario: Scenario) -> tuple[Any, ...]:

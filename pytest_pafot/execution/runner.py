@@ -51,7 +51,7 @@ from pytest_pafot.support.errors import flag
 from pytest_pafot.support.isolation import isolates
 from pytest_pafot.support.text import listed, plural, visible
 from pytest_pafot.world import Highway, protocol
-from pytest_pafot.world.driving.ads import is_vehicle_class, make_ads, wants_env
+from pytest_pafot.world.driving.ads import Around, is_vehicle_class, make_ads, wants_env
 from pytest_pafot.world.driving.shadow import wrapped
 from pytest_pafot.world.guard.chance import GENERATORS
 from pytest_pafot.world.guard.failure import closing
@@ -278,13 +278,12 @@ class Runner:
         return make
 
 
-class _Ending:
+class _Ending(Around):
     """An ADS that raises an error instead of its next decision when it has made all that are of interest."""
 
     def __init__(self, ads: Any, decisions: int) -> None:
-        self._ads, self._left = ads, decisions
-        if hasattr(ads, "close"):
-            self.close = ads.close
+        super().__init__(ads)
+        self._left = decisions
 
     def __call__(self, observation: Any) -> Any:
         if self._left <= 0:

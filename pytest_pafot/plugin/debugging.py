@@ -12,7 +12,7 @@ from pytest_pafot.corpus.saved import Saved
 from pytest_pafot.findings.decisions import deciding, seen_of, vehicle_of
 from pytest_pafot.plugin.session import is_worker
 from pytest_pafot.support.errors import RequestError, flag
-from pytest_pafot.world.driving.ads import is_vehicle_class
+from pytest_pafot.world.driving.ads import Around, is_vehicle_class
 from pytest_pafot.world.driving.shadow import wrapped
 from pytest_pafot.world.guard.own_worlds import rollout_of
 
@@ -20,13 +20,12 @@ ANY_TIME = 86_400.0
 """The time that a policy has for a decision in a debugger [s], which is the longest that a world accepts."""
 
 
-class Stopping:
+class Stopping(Around):
     """An ADS in one of whose decisions the debugger opens."""
 
     def __init__(self, ads: Any, number: int, header: str) -> None:
-        self._ads, self._left, self._header = ads, number, header
-        if hasattr(ads, "close"):
-            self.close = ads.close
+        super().__init__(ads)
+        self._left, self._header = number, header
 
     def __call__(self, observation: Any) -> Any:
         """Decide; at the decision, the debugger stops before the policy is called."""

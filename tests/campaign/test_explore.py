@@ -70,14 +70,14 @@ def test_candidates_that_outlast_the_simplest_failing_run_are_not_driven_to_thei
         asked[0] += 1
         return 0.0, 0.0
 
-    given = SHORT | {"gene_seconds": 30, "shrink_rollouts": 40, "seed": 2}
+    given = SHORT | {"gene_seconds": 30, "shrink_rollouts": 40, "seed": 6}
     cut = pafot.explore(lambda: keeps_speed, holds=never_collides, **given)
     assert cut.summary.decisions + cut.summary.confirm_decisions + cut.summary.shrink_decisions == asked[0]
     monkeypatch.setattr(simplification, "LATER", 1000.0)
     whole = pafot.explore(lambda: keeps_speed, holds=never_collides, **given)
     assert [each.scenario for each in cut.findings] == [each.scenario for each in whole.findings]
     assert [each.shrunk.speeds for each in cut.findings] == [each.shrunk.speeds for each in whole.findings]
-    assert cut.summary.shrink_decisions < 0.8 * whole.summary.shrink_decisions
+    assert cut.summary.shrink_decisions < 0.75 * whole.summary.shrink_decisions
 
 
 @table(

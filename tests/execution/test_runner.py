@@ -165,6 +165,18 @@ def test_run_ends_after_the_decisions_that_are_of_interest(runner_of, ads):
     assert all(trace.error is None for _, trace in runner.resumed)
 
 
+def test_run_that_ends_early_closes_what_the_ads_opened_in_it(runner_of):
+    closed = []
+
+    class OpensAtItsFirstDecision(Planner):
+        def __call__(self, observation):
+            self.close = lambda: closed.append(len(self.callers))
+            return super().__call__(observation)
+
+    runner_of(OpensAtItsFirstDecision).run(SCENARIOS[0], most=4)
+    assert closed == [4]
+
+
 @pytest.mark.parametrize("pure", [1, "yes", False, None])
 def test_anything_but_true_is_no_declaration(runner_of, monkeypatch, pure):
     monkeypatch.setattr(Pure, "pure", pure)

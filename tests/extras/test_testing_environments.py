@@ -27,7 +27,7 @@ from tests.world.test_gym_environment import (
 )
 def test_decisions_at_rates_of_an_environments_own_are_accepted(entry_point, wrappers, register):
     register("mine-v0", entry_point=entry_point)
-    check_world(World("mine-v0", duration=8.0, wrappers=wrappers), ads=IDLE, npcs=1, runs=4)
+    check_world(World("mine-v0", duration=8.0, wrappers=wrappers), ads=IDLE, npcs=1, runs=2)
 
 
 @pytest.mark.parametrize("told", [(0, 15, 45), (0, 0, 45, 90), (15, 45, 90), (0, 90, 45)])

@@ -341,13 +341,15 @@ def test_speed_interval_reaches_to_where_failure_ends():
         assert how.speeds == (SpeedInterval(npc=0, gene=0, low=low, high=high),)
 
 
-def test_speeds_are_measured_also_where_an_attempt_was_refused():
-    def up_to(limit):
-        return lambda each: each if has(2, 5.0, limit)(each) else None
-
-    simplest, how = shrink(scenario("2@7"), up_to(8.0), rollouts=100, top_speed=26.8, measure=up_to(20.0))
-    assert written(simplest) == ("2@5",)
-    assert how.speeds == (SpeedInterval(npc=0, gene=0, low=5.0, high=20.0),)
+def test_speed_interval_includes_failures_of_no_use_as_simpler_ones():
+    soon, ever = has(Cell.FRONT, 3.0, 8.0), has(Cell.FRONT, 2.0, 11.2)
+    _, how = shrink(
+        scenario("2@7"),
+        lambda each: each if soon(each) else None,
+        rollouts=100,
+        measure=lambda each: each if ever(each) else None,
+    )
+    assert how.speeds == (SpeedInterval(npc=0, gene=0, low=2.0, high=11.2),)
 
 
 def test_interval_of_irrelevant_speed_is_everything_below_limit():

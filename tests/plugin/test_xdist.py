@@ -27,6 +27,11 @@ def test_second(run):
 """
 
 
+@pytest.fixture(autouse=True)
+def short_shrinking(project, monkeypatch):
+    monkeypatch.setenv("PAFOT_SHRINK_ROLLOUTS", "60")  # none of these tests needs the default of 300
+
+
 def test_xdist_workers_give_same_results_as_one_process(project):
     project.write(TWO)
     page = project.path / "report.html"

@@ -11,7 +11,7 @@ from typing import Any
 from pytest_pafot.model.sight import Sight, SightWithout
 from pytest_pafot.support.errors import AdsFactoryError
 from pytest_pafot.support.text import shown
-from pytest_pafot.world.driving.ads import AdsFactory, is_vehicle_class, make_ads
+from pytest_pafot.world.driving.ads import AdsFactory, Around, is_vehicle_class, make_ads
 from pytest_pafot.world.driving.seeing import SeeingAds
 
 DRIVES_ITSELF = "a highway-env vehicle class drives itself and reads the road, so nothing can be hidden from it"
@@ -107,13 +107,12 @@ class Perception:
         return SeeingAds(ads, self.sight)
 
 
-class _Noting:
+class _Noting(Around):
     """An ADS whose observations are noted, and that decides for one run at a time."""
 
     def __init__(self, ads: Any, note: Callable[[Any], object]) -> None:
-        self._ads, self._note = ads, note
-        if hasattr(ads, "close"):
-            self.close = ads.close
+        super().__init__(ads)
+        self._note = note
 
     def __call__(self, observation: Any) -> Any:
         self._note(observation)

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from pytest_pafot.support.errors import AdsFactoryError
-from pytest_pafot.world.driving.ads import AdsFactory, is_vehicle_class
+from pytest_pafot.world.driving.ads import AdsFactory, Around, is_vehicle_class
 from pytest_pafot.world.driving.conditions import Conditions
 from pytest_pafot.world.driving.perception import DRIVES_ITSELF, ads_and_sight
 from pytest_pafot.world.driving.seeing import SeeingAds, lane_nearest, with_others
@@ -63,14 +63,12 @@ class Question:
     conditions: Conditions | None = None
 
 
-class Shadow:
+class Shadow(Around):
     """An ADS of whose decisions a run is told nothing: the run gets the recorded actions."""
 
     def __init__(self, ads: Any, actions: Sequence[Any], check: Check, aside: Aside, question: Question | None) -> None:
-        self._ads, self._actions, self._check = ads, actions, check
-        self._aside, self._question = aside, question
-        if hasattr(ads, "close"):
-            self.close = ads.close
+        super().__init__(ads)
+        self._actions, self._check, self._aside, self._question = actions, check, aside, question
 
     def __call__(self, observation: Any) -> Any:
         """Decide, note the decision, and return the recorded one."""

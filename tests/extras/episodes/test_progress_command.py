@@ -4,12 +4,12 @@ import json
 import os
 import re
 import subprocess
-import sys
 
 import pytest
 
 import pytest_pafot as pafot
 from pytest_pafot.__main__ import main
+from tests.helpers.sessions import command_in_a_copy
 
 POLICY = """\
 import os
@@ -173,9 +173,8 @@ def test_progress_reports_better_version_and_exits_by_option(here, capsys):
 def test_printed_command_saves_the_new_failures(here, capsys):
     progress("Careful", "Blind", "--json", "p.json")
     rows = json.loads((here / "p.json").read_text())["rows"]
-    (command,) = re.findall(r"save and see it: `python (.*)`", capsys.readouterr().out)
-    again = [sys.executable, *command.split(), "--", "--pafot-shrink-rollouts=0"]
-    subprocess.run(again, capture_output=True, check=False, timeout=120)
+    (command,) = re.findall(r"save and see it: `python -m (.*)`", capsys.readouterr().out)
+    command_in_a_copy(*command.split(), "--", "--pafot-shrink-rollouts=0", "--pafot-neighbours=0")
     saved = sorted(path.name.removesuffix(".pafot.yaml") for path in here.rglob("*.pafot.yaml"))
     assert saved == sorted(row["name"] for row in rows if row["part"] == "alone" and row["new"]["failed"])
     progress("Blind", "Careful")
