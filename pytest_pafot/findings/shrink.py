@@ -88,8 +88,8 @@ SMALL_SLOTS = (0.0, 0.5, -0.5, 1.0, -1.0, 2.0)
 """Slots of NPCs that cross in small scenarios [s]."""
 
 MOST_SMALL = 300
-"""The number of small scenarios that are looked at in one pass, because even a look at one takes about a millisecond.
-Any beginning of their list has scenarios of each kind."""
+"""The largest number of small scenarios of which one pass asks whether they are likely to fail: each answer takes about
+a millisecond. Any beginning of their list has scenarios of each kind."""
 
 FIRST_PART = 10
 """A tenth of the runs is for small scenarios before anything else, so that most of a small budget is for the passes."""
@@ -554,8 +554,8 @@ PASSES: tuple[Pass, ...] = (*STRUCTURE, _plainer_manoeuvres, _plainer_slots, _ro
 def _small(scenario: Scenario, found: Scenario, plain: Start, likely: Likely | None) -> Candidates:
     """Try one NPC with one or two instructions, or two NPCs with one each, at the ego's preferred and present starts.
 
-    There are thousands of them, of which very few fail. With ``likely``, those with fewer NPCs or instructions are
-    tried that it lets through: the passes get as far in those of the same size.
+    There are thousands of them, of which very few fail. With ``likely``, only those are tried that have fewer NPCs or
+    instructions than the scenario and are likely to fail: the passes find those of the same size, too.
 
     They are on the grid; if the scenario has NPCs in lanes, every second one has NPCs in lanes instead. If the scenario
     has NPCs that cross, try one NPC that crosses in a zone of the scenario.
