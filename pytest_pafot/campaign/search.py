@@ -85,7 +85,7 @@ def search(
             state.decides_for_many = plan.decides_for_many = state.decides_for_many or workers.runner.decides_for_many
             yield from _released(state, store)
             yield from _seen(taken, state, watch)
-        # The algorithm learns from whole generations. Between two of them the state is stored.
+        # The algorithm learns from whole generations. Between two of them a resumable search may store its state.
         if reason is None:
             news, learnt = plan.news, plan.learn()
             # Until two runs differ, this process must see each failure, since it may be a fault of the set-up.
@@ -155,7 +155,7 @@ def saved_as(
     if not verdict.is_timed:
         yield from watch.confirms(kept.find.id)
         try:
-            if differs := workers.confirmed(run):
+            if differs := workers.difference(run):
                 kept = store.call_flaky(kept, differs)
         except OutOfTime:
             kept = store.findings[kept.find.id] = replace(kept, find=replace(kept.find, unshrunk=UNCONFIRMED))

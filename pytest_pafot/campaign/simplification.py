@@ -161,7 +161,7 @@ class Simplification:
         after_attempt: is called after each attempt to shrink, when its answer is in the state.
         done: the ids of the findings for which nothing is left to do.
         current: the id of the finding that is simplified or examined now.
-        runs: the number of runs so far in this session, except those of neighbours.
+        runs: the number of attempts to shrink so far in this session, and of runs for rates.
         neighbour_runs: the number of runs of neighbours.
         shrink_decisions: the number of decisions of the ADS to shrink the findings, known as soon as that is done.
         neighbour_decisions: that of neighbours, and of the ADS beside a run, known at the end.
@@ -719,7 +719,7 @@ class Simplification:
             otherwise = f"{ENDED_OTHERWISE}: {ending(run)}"
             return run, verdict, "the reference failed when it ran again" if verdict.kind == "common" else otherwise
         is_confirmed = kept.find.is_flaky or (scenario == kept.finding.scenario and not kept.find.unshrunk)
-        return run, verdict, "" if is_confirmed else self.workers.confirmed(run)
+        return run, verdict, "" if is_confirmed else self.workers.difference(run)
 
     def _conclude(self, kept: FindTold, scenario: Scenario, shrunk: Shrunk, run: Run, verdict: Verdict) -> None:
         if verdict.failure is None or verdict.exception is None:

@@ -1,4 +1,4 @@
-"""All that a search knows: its counts, its findings, and its plan, in this session and in those that it resumes."""
+"""What a search knows of all its runs: its counts and failures, in this session and in those that it resumes."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ class EarlierFind:
 
 @dataclass(slots=True)
 class RandomRuns:
-    """The first runs of a search, as long as their scenarios are random.
+    """The first runs of a search, whose scenarios are random or given.
 
     Attributes:
         evaluated: the number of evaluated scenarios.
@@ -126,6 +126,10 @@ class State:
     """A search in progress, with everything that it has seen so far.
 
     The first fields, which can be given, are what a file of ``--pafot-resume`` stores of a search, in this order.
+
+    Verdicts are counted by :meth:`take`, :meth:`take_passed` and :meth:`take_tally`: a run is judged in this process, or
+    in another one, or another one has judged and counted many. What needs only an evaluation is counted by :meth:`see`,
+    from the events of the plan.
     """
 
     before: tuple[str, ...] = ()  # ids of the files saved before the search; others with its seed are its own findings

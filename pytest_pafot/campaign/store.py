@@ -60,7 +60,7 @@ class Store:
 
     @property
     def count(self) -> int:
-        """The number of distinct findings so far, including findings above the limit, which are not saved."""
+        """The number of distinct findings reported so far, including those above the limit, which are not saved."""
         return len(self.findings) + len(self.unsaved) - len(self.held)
 
     @property

@@ -83,15 +83,17 @@ def fails_by_ego(run: Run, verdict: Verdict) -> bool:
 
 
 UNREMARKABLE = ("passed", "npc", "avoidable", "invalid", "rejected")
-"""The kinds of verdicts for which a digest is enough. All other runs are judged in the session, with their traces."""
+"""The kinds of verdicts for which a digest is enough, as it is for failures that the search knows. All other runs are
+judged in the session, with their traces.
+"""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Reader:
     """Read the trace of a run in the process that made it, so that the process of the session need not.
 
-    With a harness, that process judges the run, too, and if nothing failed it sends a digest. Otherwise it sends the
-    trace, which stores the values that the search will need.
+    With a harness, that process judges the run, too, and sends a digest if nothing failed, or nothing new. Otherwise it
+    sends the trace, which stores the values that the search will need.
 
     Attributes:
         harness: has the test function; None if only the process of the session may call it.
@@ -440,7 +442,7 @@ class Workers:
         self.record.clear()
         return Run(trace, decision_limit=self.harness.request.decision_limit)
 
-    def confirmed(self, run: Run) -> str:
+    def difference(self, run: Run) -> str:
         """Return what differs when a run is repeated; empty if nothing does. Measure how long that takes.
 
         Raises:

@@ -1,7 +1,7 @@
 """The interface of the algorithms of a search, which is ask and tell.
 
-In each generation a :class:`~pytest_pafot.searching.plan.Plan` gets scenarios from ``ask`` of an algorithm and passes
-their evaluations to ``tell``. A search needs only the methods of :class:`Algorithm`.
+In each generation a :class:`~pytest_pafot.searching.plan.Plan` gets scenarios from ``ask`` of an algorithm, or one by
+one from its ``draw``, and passes their evaluations to ``tell``. A search needs only the methods of :class:`Algorithm`.
 :class:`GenerationalSearch` is a base class for algorithms without local searches, also for users' own: a subclass
 defines what it proposes and what it learns. An :class:`AheadSearch` also lets several generations be under evaluation
 at the same time.

@@ -58,7 +58,7 @@ class Evaluation:
         scenario: the scenario as requested.
         executed: the scenario as driven, including the repair inside the run.
         fitness: higher is worse for the ego; NaN if the measure failed.
-        failing: whether the user's test function rejected the run.
+        failing: whether the run failed, by the user's test function or by an error of the ADS.
         outcome: how the run ended.
         duration: simulated time [s].
         genes_started: number of genes that began before the run ended, summed over all NPCs.
