@@ -176,7 +176,8 @@ def checked_request(arguments: Mapping[str, Any], settings: Settings, *, place: 
         raise request.error("arg=...", f"expected a name, received {request.arg!r}")
     if request.blame not in BLAMES:
         raise request.error("blame=...", f"expected one of {', '.join(BLAMES)}, received {request.blame!r}")
-    if str(arguments.get("generations")) == "0":  # such a search would always pass
+    generations = arguments.get("generations")  # it may be a text, such as "00"
+    if generations is not None and int(generations) == 0:  # such a search would always pass
         problem = f"expected at least 1, since 0 searches nothing; to replay only, give pytest {flag('generations', 0)}"
         raise request.error("generations=0", problem)
     if limit is not None and not (plain_number(limit) or 0) > 0:  # written so that NaN is refused, too

@@ -344,7 +344,7 @@ class SearchSession:
             send=self._send,
             tell=lambda phase: self._send(self.watch.progress(phase, work.current)),
             until=self.limit.until,
-            after_attempt=lambda: state.offer(self.store, work.done),
+            after_attempt=lambda: state.offer(self.store, work.finished),
         )
         try:
             with GENERATORS.held():
@@ -356,7 +356,7 @@ class SearchSession:
                         state.impure = self.workers.impure()
         finally:  # Even after Ctrl-C, findings that were simplified must not be simplified again.
             self.driver_notes += work.notes
-            state.write(self.store, work.done)
+            state.write(self.store, work.finished)
 
     def _retried(self, leftover: Leftover, left: Sequence[Leftover]) -> Retried:
         """Run the scenarios again in which a process of an earlier session died; return the result.

@@ -159,7 +159,8 @@ class Simplification:
         tell: is called often, with a text on the current work.
         until: the time at which the simplification must end [s], or infinity.
         after_attempt: is called after each attempt to shrink, when its answer is in the state.
-        done: the ids of the findings for which nothing is left to do.
+        done: the ids of the findings for which no shrinking is left to do.
+        examined: the ids of those whose neighbours were run, or had no time left.
         current: the id of the finding that is simplified or examined now.
         runs: the number of attempts to shrink so far in this session, and of runs for rates.
         neighbour_runs: the number of runs of neighbours.
@@ -176,6 +177,7 @@ class Simplification:
     until: float = math.inf
     after_attempt: Callable[[], None] = lambda: None
     done: set[str] = field(default_factory=set, init=False)
+    examined: set[str] = field(default_factory=set, init=False)
     current: str = field(default="", init=False)
     runs: int = field(default=0, init=False)
     neighbour_runs: int = field(default=0, init=False)
@@ -208,8 +210,14 @@ class Simplification:
                     if kept.is_firm and kept.find.id in self.done:
                         self.current = kept.find.id
                         self._examine(kept)
+                        self.examined.add(self.current)
             finally:
                 self.neighbour_decisions = self.workers.decisions - shrunk
+
+    @property
+    def finished(self) -> set[str]:
+        """The ids of the findings for which a later session has nothing left to do."""
+        return self.done & self.examined if self.neighbours else self.done
 
     def _shrink_all(self, way_on: str) -> None:
         __tracebackhide__ = True

@@ -127,9 +127,9 @@ class State:
 
     The first fields, which can be given, are what a file of ``--pafot-resume`` stores of a search, in this order.
 
-    Verdicts are counted by :meth:`take`, :meth:`take_passed` and :meth:`take_tally`: a run is judged in this process, or
-    in another one, or another one has judged and counted many. What needs only an evaluation is counted by :meth:`see`,
-    from the events of the plan.
+    Verdicts are counted by :meth:`take`, :meth:`take_passed` and :meth:`take_tally`: this process judges a run, another
+    one does, or another one judges and counts many. What needs only an evaluation is counted by :meth:`see`, from the
+    events of the plan.
     """
 
     before: tuple[str, ...] = ()  # ids of the files saved before the search; others with its seed are its own findings

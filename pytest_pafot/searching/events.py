@@ -1,8 +1,8 @@
 """The events that a search reports while it runs.
 
 The events of a campaign contain its history: the populations, local searches and restarts can be reconstructed from
-them, except where other processes have counted the runs. Generations are counted from 0. Within a local search ``local_generation`` counts from 1, which is the
-generation of the incumbent's mutants; in the main search it is 0.
+them, except where other processes have counted the runs. Generations are counted from 0. Within a local search
+``local_generation`` counts from 1, which is the generation of the incumbent's mutants; in the main search it is 0.
 """
 
 from __future__ import annotations

@@ -379,6 +379,7 @@ def test_failing_ads_file_omits_the_reference_drivers():
         ({"generation": 3}, r"pafot\.explore\(generation=\.\.\.\): did you mean 'generations'"),
         ({"generations": "many"}, r"pafot\.explore\(generations=\.\.\.\): expected a whole number"),
         ({"generations": 0}, r"pafot\.explore\(generations=0\): expected at least 1, since 0 searches nothing"),
+        ({"generations": "00"}, r"pafot\.explore\(generations=0\): expected at least 1, since 0 searches nothing"),
         ({"report": "page.html"}, r"pafot\.explore\(report=\.\.\.\): expected an argument of a search"),
         (
             {"world": Bare(), "blame": "preventable"},

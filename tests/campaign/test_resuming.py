@@ -194,6 +194,19 @@ def test_killed_session_continues_from_last_state(search, tmp_path, monkeypatch,
     assert {each.id for each in last.findings} <= {each.id for each in whole.findings}
 
 
+def test_session_interrupted_while_it_runs_neighbours_is_continued_with_them(search, tmp_path):
+    def interrupted(event):
+        if isinstance(event, FindTold) and event.find.breadth is not None:
+            raise KeyboardInterrupt
+
+    whole = search("whole", resume=None, runs=24, neighbours=2)
+    with pytest.raises(KeyboardInterrupt):
+        search(runs=20, neighbours=2, on_event=interrupted)
+    search(runs=4, neighbours=2)
+    assert files(tmp_path / "corpus") == files(tmp_path / "whole")
+    assert len(whole.findings) > 1
+
+
 def test_finished_finding_is_reported_only_once(search, first):
     again = search(runs=4)
     assert not {each.id for each in again.findings} & {each.id for each in first.findings}
