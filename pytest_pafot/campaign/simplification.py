@@ -217,7 +217,11 @@ class Simplification:
     @property
     def finished(self) -> set[str]:
         """The ids of the findings for which a later session has nothing left to do."""
-        return self.done & self.examined if self.neighbours else self.done
+        findings = self.store.findings
+        unexamined = {
+            id_ for id_ in self.done - self.examined if self._neighbours and id_ in findings and findings[id_].is_firm
+        }
+        return self.done - unexamined
 
     def _shrink_all(self, way_on: str) -> None:
         __tracebackhide__ = True
