@@ -111,6 +111,9 @@ One run is for the verdict on the shrunk scenario. The others are for reference 
 is not called.
 """
 
+RUNS_TO_COMPARE = 3 * MANY_RUNS
+"""The number of runs to conclude that compare rates: of the finding, of what is simplest, and of that once more."""
+
 
 @dataclass(slots=True, kw_only=True)
 class _Turn:
@@ -118,13 +121,15 @@ class _Turn:
 
     Attributes:
         until: the time at which the share ends [s], or infinity.
-        to_conclude: the estimated time to run the shrunk scenario again and to try reference drivers [s].
+        runs_to_compare: the number of runs that compare rates at the end.
+        to_conclude: the estimated time of the work after shrinking [s].
         attempts: the number of attempts to shrink so far.
         seconds: the time that the attempts have taken [s].
         is_over: True if shrinking was stopped because no time was left.
     """
 
     until: float
+    runs_to_compare: int = 0
     to_conclude: float = 0.0
     attempts: int = 0
     seconds: float = 0.0
@@ -145,8 +150,10 @@ class _Turn:
         self.attempts += 1
         self.seconds += seconds
         if confirming is not None:
-            # It is confirmed by two runs. One that another process made in advance took no time here.
-            self.to_conclude = RUNS_TO_CONCLUDE * max(seconds, confirming / 2) + confirming
+            # It is confirmed by two runs. One that another process made in advance took no time here, and an attempt
+            # takes many where rates are compared.
+            run = confirming / 2 if self.runs_to_compare else max(seconds, confirming / 2)
+            self.to_conclude = (RUNS_TO_CONCLUDE + self.runs_to_compare) * run + confirming
 
 
 @dataclass(slots=True, kw_only=True)
@@ -450,13 +457,14 @@ class Simplification:
             self._report(kept)
         if kept.find.is_flaky and not (kept.finding.rate and kept.finding.rate.failing):
             return True
+        turn.runs_to_compare = RUNS_TO_COMPARE if kept.finding.rate else 0
         scenario, shrunk = self._shrunk(kept, found, turn)
         self.runs += turn.attempts
         if turn.is_over and scenario == kept.finding.scenario:
             return False
         run, verdict, differs = self._run_again(scenario, kept)
         before = rate = kept.finding.rate
-        if before is not None and not differs and scenario != kept.finding.scenario:
+        if before is not None and not differs and scenario not in (found, kept.finding.scenario):
             simplest = self._failing_as_often(kept, before, scenario)
             if simplest is None:
                 differs = f"what is simpler does not fail as often as in {before} runs"
@@ -535,7 +543,7 @@ class Simplification:
             plain_seconds=None if space is None else space.gene_seconds,
             ahead=self._ahead,
             expect=expect,
-            likely=self._likely(kept),
+            likely=self._likely(kept, turn),
             measure=partial(attempt, is_limited=False) if self._ends_in_collision(kept) else None,
         )
 
@@ -558,7 +566,7 @@ class Simplification:
             return None
         return len(self._did(best)) + round(LATER * kept.run.trace.ads_hz)
 
-    def _likely(self, kept: FindTold) -> Likely | None:
+    def _likely(self, kept: FindTold, turn: _Turn) -> Likely | None:
         """Return a function that says whether a small scenario is likely to fail, without a decision of the ADS.
 
         It is likely if an ego that repeats its decisions in a failing scenario collides in the same way. That was so in
@@ -573,7 +581,11 @@ class Simplification:
 
         @cache
         def likely(candidate: Scenario, best: Scenario) -> bool:
-            did = self._did(best)
+            try:
+                did = self._did(best)
+            except OutOfTime:
+                turn.is_over = True
+                raise OutOfBudget from None
             try:
                 trace = world.rollout(candidate, lambda: lambda *seen: did[-1], decisions=did)
             except ScenarioError:
@@ -671,7 +683,12 @@ class Simplification:
         middle = last
         while good < last:
             self.tell(f"comparing how often {kept.find.id} fails")
-            failing = sum(islice(self._outcomes(kept, steps[middle], unused), MANY_RUNS))
+            try:
+                failing = sum(islice(self._outcomes(kept, steps[middle], unused), MANY_RUNS))
+            except OutOfTime:
+                if good < 0:
+                    raise
+                break  # What was good so far is simpler than the finding.
             if before.change(FailureRate(failing=failing, runs=MANY_RUNS)) in ("better", "fixed"):
                 last = middle - 1
             else:
