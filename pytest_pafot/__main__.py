@@ -101,10 +101,12 @@ def main_in_child(arguments: list[str]) -> int:
         # The same interpreter with the same options.
         environ = {**os.environ, DRIVES: f"{os.getpid()}:{folder}"}
         _hold_back(True)
-        child = subprocess.Popen([sys.executable, *sys.orig_argv[1:]], env=environ)  # noqa: S603  (this command)
-        for number in tuple(received):  # before the child was there
-            child.send_signal(number)
-        _hold_back(False)
+        try:
+            child = subprocess.Popen([sys.executable, *sys.orig_argv[1:]], env=environ)  # noqa: S603  (this command)
+            for number in tuple(received):  # before the child was there
+                child.send_signal(number)
+        finally:
+            _hold_back(False)
         left = child.wait()
         received_code = taken_receipt(folder, left)
     if received_code is not None:

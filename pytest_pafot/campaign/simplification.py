@@ -52,7 +52,7 @@ from pytest_pafot.world import codec, protocol
 from pytest_pafot.world.driving.ads import is_vehicle_class, wants_env
 from pytest_pafot.world.driving.conditions import Conditions
 from pytest_pafot.world.driving.perception import Perception, sight_of, without
-from pytest_pafot.world.driving.shadow import Aside, Question, beside
+from pytest_pafot.world.driving.shadow import Aside, Question, beside, repeating
 from pytest_pafot.world.guard.failure import is_interruption
 from pytest_pafot.world.guard.hang_guard import runs_end_in
 from pytest_pafot.world.guard.own_worlds import rollout_of
@@ -587,7 +587,7 @@ class Simplification:
                 turn.is_over = True
                 raise OutOfBudget from None
             try:
-                trace = world.rollout(candidate, lambda: lambda *seen: did[-1], decisions=did)
+                trace = world.rollout(candidate, repeating(did[-1]), decisions=did)
             except ScenarioError:
                 return False
             return trace.collision is not None and is_same(of_failure(harness.seen(trace), failure), found)

@@ -51,8 +51,8 @@ from pytest_pafot.support.errors import flag
 from pytest_pafot.support.isolation import isolates
 from pytest_pafot.support.text import listed, plural, visible
 from pytest_pafot.world import Highway, protocol
-from pytest_pafot.world.driving.ads import Around, is_vehicle_class, make_ads, wants_env
-from pytest_pafot.world.driving.shadow import wrapped
+from pytest_pafot.world.driving.ads import is_vehicle_class, make_ads, wants_env
+from pytest_pafot.world.driving.shadow import ending_after
 from pytest_pafot.world.guard.chance import GENERATORS
 from pytest_pafot.world.guard.failure import closing
 from pytest_pafot.world.guard.own_worlds import rollout_of, simulate_batch
@@ -247,7 +247,7 @@ class Runner:
             given = {"decisions": decisions} if decisions else {}  # the user's own world need not have this argument
             factory = self._factory
             if most is not None and not isinstance(self.job.ads, DrivesElsewhere):
-                factory = wrapped(factory, lambda ads: _Ending(ads, most - len(decisions)))
+                factory = ending_after(factory, most - len(decisions))
             trace = rollout_of(self.job.world)(scenario, factory, **given)
             reused = min(len(decisions), len(trace.actions))  # a run may end earlier
             if not self.decides_for_many:
@@ -276,20 +276,6 @@ class Runner:
 
         make.__wrapped__ = factory  # type: ignore[attr-defined]  # for inspect.signature
         return make
-
-
-class _Ending(Around):
-    """An ADS that raises an error instead of its next decision when it has made all that are of interest."""
-
-    def __init__(self, ads: Any, decisions: int) -> None:
-        super().__init__(ads)
-        self._left = decisions
-
-    def __call__(self, observation: Any) -> Any:
-        if self._left <= 0:
-            raise RuntimeError("no more decisions are of interest")
-        self._left -= 1
-        return self._ads(observation)
 
 
 # The decisions of an ADS in earlier runs, for runs that begin in the same way.

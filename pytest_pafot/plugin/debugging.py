@@ -12,8 +12,9 @@ from pytest_pafot.corpus.saved import Saved
 from pytest_pafot.findings.decisions import deciding, seen_of, vehicle_of
 from pytest_pafot.plugin.session import is_worker
 from pytest_pafot.support.errors import RequestError, flag
-from pytest_pafot.world.driving.ads import Around, is_vehicle_class
+from pytest_pafot.world.driving.ads import is_vehicle_class
 from pytest_pafot.world.driving.shadow import wrapped
+from pytest_pafot.world.guard.failure import Around
 from pytest_pafot.world.guard.own_worlds import rollout_of
 
 ANY_TIME = 86_400.0

@@ -386,7 +386,7 @@ class SearchMessages:
         elif isinstance(event, FindTold):
             self._find(event)
         elif isinstance(event, SearchSummary):
-            found = of_findings((each.finding, each.find.path, each.find.severity) for each in self.told.values())
+            found = of_findings([(each.finding, each.find.path, each.find.severity) for each in self.told.values()])
             set_properties(self.item.user_properties, **found)
             for each in self.told.values():  # only now, because a finding is told again once it is shrunk
                 tell_followers(self.item, each.find.id, _call(each))

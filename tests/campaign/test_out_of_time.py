@@ -3,6 +3,7 @@
 import math
 from collections import Counter
 from contextlib import contextmanager
+from dataclasses import replace
 from functools import partial
 from itertools import cycle
 from types import SimpleNamespace
@@ -277,10 +278,17 @@ def test_answers_of_another_ads_are_not_believed(clock):
     assert again.flaky is None
 
 
-def test_a_session_that_only_replays_shrinks_nothing(clock, tmp_path):
+def test_a_session_that_only_replays_shrinks_nothing(clock, tmp_path, monkeypatch):
     searched(clock, fails_in_three_ways, runs=20, max_time=3, resume="states")
     before = files(tmp_path)
-    replayed = searched(clock, fails_in_three_ways, generations=0, resume="states")
+    made = explore.request_of
+
+    def as_by_the_option(given):
+        request = made(given)
+        return replace(request, settings=replace(request.settings, runs=None, generations=0))
+
+    monkeypatch.setattr(explore, "request_of", as_by_the_option)
+    replayed = searched(clock, fails_in_three_ways, resume="states")
     assert (replayed.summary.reason, replayed.summary.shrink_runs) == ("replay only", 0)
     assert files(tmp_path) == before
 

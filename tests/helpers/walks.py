@@ -46,7 +46,7 @@ def test_collision(run):
 
 @pafot.search(**SHORT, ads=keeping)
 def test_check(run):
-    assert run.min_distance > 15
+    assert run.collision or run.min_distance > 15
 
 
 @pafot.search(genes=1, npcs=1, ads=lambda: lambda observation: 1, world=pafot.World("highway-v0", duration=2.0))

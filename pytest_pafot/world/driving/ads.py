@@ -84,19 +84,6 @@ def _of_factory(factory: AdsFactory, name: str) -> Any:
     return None if isinstance(inner, type) else getattr(inner, name, None)
 
 
-class Around:
-    """An ADS around another one, which may get the method ``close`` that a run calls only when it has driven."""
-
-    def __init__(self, ads: Any) -> None:
-        self._ads = ads
-
-    def close(self) -> None:
-        """Close the other ADS, if it has a method for that."""
-        close = getattr(self._ads, "close", None)
-        if callable(close):
-            close()
-
-
 def make_ads(factory: AdsFactory, **arguments: Any) -> Any:
     """Make a fresh ADS; a vehicle class is returned as it is.
 

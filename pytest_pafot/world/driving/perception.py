@@ -11,8 +11,9 @@ from typing import Any
 from pytest_pafot.model.sight import Sight, SightWithout
 from pytest_pafot.support.errors import AdsFactoryError
 from pytest_pafot.support.text import shown
-from pytest_pafot.world.driving.ads import AdsFactory, Around, is_vehicle_class, make_ads
+from pytest_pafot.world.driving.ads import AdsFactory, is_vehicle_class, make_ads
 from pytest_pafot.world.driving.seeing import SeeingAds
+from pytest_pafot.world.guard.failure import Around
 
 DRIVES_ITSELF = "a highway-env vehicle class drives itself and reads the road, so nothing can be hidden from it"
 

@@ -1,4 +1,7 @@
-"""An ADS that decides beside a run that is driven again by its recorded actions, and so sees what the run's ADS saw."""
+"""ADSs around the user's, or in its place.
+
+An ADS may decide beside a run that is driven again by its recorded actions, and so see what the run's ADS saw.
+"""
 
 from __future__ import annotations
 
@@ -12,10 +15,11 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from pytest_pafot.support.errors import AdsFactoryError
-from pytest_pafot.world.driving.ads import AdsFactory, Around, is_vehicle_class
+from pytest_pafot.world.driving.ads import AdsFactory, is_vehicle_class
 from pytest_pafot.world.driving.conditions import Conditions
 from pytest_pafot.world.driving.perception import DRIVES_ITSELF, ads_and_sight
 from pytest_pafot.world.driving.seeing import SeeingAds, lane_nearest, with_others
+from pytest_pafot.world.guard.failure import Around
 from pytest_pafot.world.kernel.action import plain_action
 from pytest_pafot.world.kernel.observation import Observation
 
@@ -107,6 +111,30 @@ def beside(
         AdsFactoryError: when it makes an ADS, if that is a vehicle class.
     """
     return wrapped(factory, lambda ads: Shadow(ads, actions, check, aside, question))
+
+
+class _Ending(Around):
+    """An ADS that raises an error instead of its next decision when it has made all that are of interest."""
+
+    def __init__(self, ads: Any, decisions: int) -> None:
+        super().__init__(ads)
+        self._left = decisions
+
+    def __call__(self, observation: Any) -> Any:
+        if self._left <= 0:
+            raise RuntimeError("no more decisions are of interest")
+        self._left -= 1
+        return self._ads(observation)
+
+
+def ending_after(factory: AdsFactory, decisions: int) -> AdsFactory:
+    """Return a factory of ADSs that raise an error after a number of decisions."""
+    return wrapped(factory, lambda ads: _Ending(ads, decisions))
+
+
+def repeating(action: Any) -> AdsFactory:
+    """Return a factory of ADSs that always answer with the same action."""
+    return lambda: lambda observation: action
 
 
 def wrapped(factory: AdsFactory, wrap: Callable[[Any], Any]) -> AdsFactory:

@@ -33,6 +33,19 @@ DEBUGGER = "_pytest.debugging"
 """The module in which pytest ends the session when the user quits the debugger."""
 
 
+class Around:
+    """An ADS around another one, which may get the method ``close`` that a run calls only when it has driven."""
+
+    def __init__(self, ads: Any) -> None:
+        self._ads = ads
+
+    def close(self) -> None:
+        """Close the other ADS, if it has a method for that."""
+        close = getattr(self._ads, "close", None)
+        if callable(close):
+            close()
+
+
 def exits() -> tuple[type[BaseException], ...]:
     """Return the exception class of ``pytest.exit()`` in a tuple, which is empty if pytest has not been imported."""
     return (sys.modules["pytest"].exit.Exception,) if "pytest" in sys.modules else ()
