@@ -488,6 +488,8 @@ class Simplification:
                 self.state.answers[kept.find.id].clear()
                 return self._refine(kept, _Turn(until=turn.until))
         elif not differs:
+            if before is not None and scenario == found != kept.finding.scenario:
+                rate = self._rate(kept, found)  # the file's is that of a simpler scenario
             self._conclude(replace(kept, finding=replace(kept.finding, rate=rate)), scenario, shrunk, run, verdict)
         return bool(differs) or not turn.is_over
 

@@ -76,7 +76,7 @@ class Verdict:
 
     @property
     def worsening(self) -> str:
-        """How much worse the failure is than the reference's in the same scenario; empty if it is not worse."""
+        """The words for how much worse the failure is than the reference's in its scenario; empty if it is no worse."""
         return "" if self.reference is None else worsening(self.severity, self.reference.severity)
 
     def beside(self, reference: Verdict) -> Self:

@@ -57,7 +57,7 @@ def time_limit(settings: Settings, *, now: float, began: float, left: int) -> Ti
 
 @dataclass(slots=True)
 class Watch:
-    """What ends a search and reports how far it is. This one asks a function, and reports nothing."""
+    """The limits of a search, with reports on how far it is. This one asks a function, and reports nothing."""
 
     stop: Callable[[], bool] = lambda: False
 
