@@ -90,14 +90,13 @@ if TYPE_CHECKING:
     from pytest_pafot.world.engines.ordinary_traffic import SteppedWorld as SteppedWorld
     from pytest_pafot.world.engines.ordinary_traffic import drive_episode as drive_episode
     from pytest_pafot.world.guard.hang_guard import check_time as check_time
+    from pytest_pafot.world.guard.own_worlds import base_world as base_world
     from pytest_pafot.world.guard.own_worlds import rollout_of as rollout_of
-    from pytest_pafot.world.protocol import Abilities as Abilities
 
 _HOMES = {
     "ABOUT_POLICIES": "commands.policy_reference",
     "ACCELERATION": "model.trace",
     "ALGORITHMS": "searching.algorithms.catalogue",
-    "Abilities": "world.protocol",
     "AdsFactory": "world.driving.ads",
     "AlgorithmClass": "searching.algorithms.catalogue",
     "AlgorithmEvent": "searching.events",
@@ -138,6 +137,7 @@ _HOMES = {
     "X": "model.trace",
     "Y": "model.trace",
     "ads_factory": "commands.policy_reference",
+    "base_world": "world.guard.own_worlds",
     "caution": "commands.policy_reference",
     "check_ask": "searching.ask_tell",
     "check_drives": "campaign.setup_fault",

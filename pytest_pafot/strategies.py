@@ -285,29 +285,25 @@ def scenarios_in(
         ValueError: if no scenario is within the bounds, or if the world's NPCs cannot have the instructions.
         WorldError: if the world cannot be built.
     """
-    from pytest_pafot.world.protocol import (  # noqa: PLC0415
-        crossings,
-        has_lane_instructions,
-        most_on_grid,
-        space_of,
-    )
+    from pytest_pafot.world.guard.own_worlds import base_world  # noqa: PLC0415  (slow to import)
 
-    given: dict[str, Any] = {"traffic": traffic, "crossings": crossings(world)}
+    world = base_world(world)
+    given: dict[str, Any] = {"traffic": traffic, "crossings": world.crossings}
     if acts is not None:
         if given["crossings"] is None:
             raise ValueError(
                 f"acts: expected a world in which NPCs cross the ego's way, received {world!r:.100}; leave acts out"
             )
         given["acts"] = tuple(acts)
-    has_lanes = has_lane_instructions(world)
+    has_lanes = world.has_lane_instructions
     if instructions not in (None, "cells") and not has_lanes:
         raise ValueError(
             f"instructions: expected a world whose NPCs can have Lane-Instructions, received {world!r:.100}, which "
             "declares none; leave instructions out, or write has_lane_instructions = True in its class if its NPCs can"
         )
     # Lanes in which the ego can start with enough free cells around it.
-    space = space_of(world, given)
-    crossing, starts, room = space.crossing_traffic, _starts(world, space.ego_lane), most_on_grid(world)
+    space = world.space(given)
+    crossing, starts, room = space.crossing_traffic, _starts(world, space.ego_lane), world.most_on_grid
     usable = [lane for lane, cells in starts.items() if crossing is not None or min(len(cells), room) >= max_npcs]
     if not usable:
         raise ValueError(
@@ -351,9 +347,7 @@ def _starts(world: Any, ego_lane: int) -> dict[int, list[Cell]]:
 
     On a road that bends, these are all cells, and the repair replaces the cells that do not exist.
     """
-    from pytest_pafot.world.protocol import straight_road  # noqa: PLC0415  (slow to import, and rarely needed)
-
-    road = straight_road(world)
+    road = world.straight_road
     if road is None:
         return {ego_lane: list(Cell)}
     lanes = sorted(range(road.lane_count), key=lambda lane: (lane != min(1, road.lane_count - 1), lane))

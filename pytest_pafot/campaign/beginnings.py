@@ -8,7 +8,6 @@ from contextlib import suppress
 from dataclasses import replace
 from importlib import resources
 from pathlib import Path
-from typing import Any
 
 from pytest_pafot.campaign.request import Request
 from pytest_pafot.corpus import reader
@@ -24,7 +23,7 @@ from pytest_pafot.model.scenario import (
 )
 from pytest_pafot.searching.space import SearchSpace
 from pytest_pafot.support.errors import CorpusError, RequestError
-from pytest_pafot.world import protocol
+from pytest_pafot.world.base_world import BaseWorld
 
 OTHERS = "others"
 """The value of the option ``begin_with`` for the corpus in the package, of failures of policies by others."""
@@ -36,7 +35,7 @@ def others() -> Path:
 
 
 def begun_with(
-    given: str, space: SearchSpace, world: Any, request: Request, own: Path | None = None
+    given: str, space: SearchSpace, world: BaseWorld, request: Request, own: Path | None = None
 ) -> tuple[SearchSpace, str]:
     """Return the space whose search begins with saved scenarios, and a note on those that are left out.
 
@@ -85,7 +84,7 @@ def _in_turn(folder: Path, own: Path | None) -> list[Path]:
     return [file for files in itertools.zip_longest(*by_folder.values()) for file in files if file is not None]
 
 
-def _fitted(scenario: Scenario, space: SearchSpace, world: Any) -> Scenario | None:
+def _fitted(scenario: Scenario, space: SearchSpace, world: BaseWorld) -> Scenario | None:
     """Return a scenario with the start of the space that is nearest to its own; None if it fits with no start."""
     if not all(_can_be_drawn(gene, space) for chain in scenario.npcs for gene in chain):
         return None
@@ -96,7 +95,7 @@ def _fitted(scenario: Scenario, space: SearchSpace, world: Any) -> Scenario | No
     for lane in sorted(lanes, key=lambda lane: abs(lane - scenario.ego_lane)):
         with suppress(ScenarioError):
             moved = replace(scenario, npcs=npcs, ego_lane=lane, ego_speed=speed, traffic=space.traffic)
-            protocol.check_fits(world, moved)
+            world.check_fits(moved)
             return moved
     return None
 

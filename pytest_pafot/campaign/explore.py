@@ -45,7 +45,7 @@ from pytest_pafot.support.shown import Shown
 from pytest_pafot.support.versions import installed_versions
 from pytest_pafot.world import Highway
 from pytest_pafot.world.driving.ads import AdsFactory
-from pytest_pafot.world.protocol import reference_world
+from pytest_pafot.world.guard.own_worlds import base_world
 
 PLACE = "pafot.explore"
 OF_TESTS = ("arg", "debug", "profile", "report", "save", "strict_drift", "strict_health")
@@ -275,7 +275,7 @@ def judged_runs(
     with runner_here(world, ads) as runner:
         runner.announce(scenarios)
         for scenario in scenarios:
-            run = Run(runner.run(scenario), world=reference_world(world))
+            run = base_world(world).run_of(runner.run(scenario))
             yield run, judge(run, holds, blame=blame)
 
 
@@ -345,7 +345,7 @@ def replays_of(
         check_states(settings.resume, Path.cwd())
     harness = Harness(
         request=request,
-        world=build_world(request, Highway()),
+        world=base_world(build_world(request, Highway())),
         ads=request.ads,
         test=holds,
         test_file=source_file(holds),

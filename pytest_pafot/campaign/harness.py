@@ -29,7 +29,8 @@ from pytest_pafot.oracle.run import ReferenceOutcome, Run
 from pytest_pafot.support.errors import DriverError, RequestError, RevisionError
 from pytest_pafot.support.references import REVISION, factory_named, name_of
 from pytest_pafot.support.source_files import source_files
-from pytest_pafot.world import AdsFactoryError, WorldError, codec, protocol
+from pytest_pafot.world import AdsFactoryError, WorldError, codec
+from pytest_pafot.world.base_world import BaseWorld
 from pytest_pafot.world.driving.ads import hint_at_object, is_vehicle_class, preload, weights_digest
 from pytest_pafot.world.guard.chance import Unseeded
 from pytest_pafot.world.guard.failure import exits, let_through
@@ -140,7 +141,7 @@ class Harness:
     """Everything that is needed to run and judge scenarios for one test with its parameters."""
 
     request: Request
-    world: Any  # the world of the search; a saved scenario may have a different one
+    world: BaseWorld  # the world of the search; a saved scenario may have a different one
     ads: Callable[..., Any]
     test: Test
     test_file: str
@@ -156,7 +157,7 @@ class Harness:
     needs_only_run: bool = False
     states: Path | None = None  # the folder of states for searches that are resumed in other sessions, if any
 
-    def job(self, world: Any = None, owner: str = "") -> Job:
+    def job(self, world: BaseWorld | None = None, owner: str = "") -> Job:
         """Return the job for a worker process: everything that it needs to run scenarios with the ADS.
 
         ``world`` is by default the world of the search. ``owner`` is the node id under which crashes of the process are
@@ -186,9 +187,9 @@ class Harness:
         is_seeded = not self.request.settings.unseeded or is_vehicle_class(ads) or isinstance(ads, DrivesElsewhere)
         return ads if is_seeded else Unseeded(ads)
 
-    def seen(self, trace: Trace, world: Any = None) -> Run:
+    def seen(self, trace: Trace, world: BaseWorld | None = None) -> Run:
         """Return a trace as the test function sees it; ``world`` is by default the world of the search."""
-        return protocol.run_of(self.world if world is None else world, trace, self.request.decision_limit)
+        return (self.world if world is None else world).run_of(trace, self.request.decision_limit)
 
     def judge(self, run: Run) -> Verdict:
         """Return the verdict on a run. The test function decides, unless the ADS itself failed."""
@@ -231,7 +232,7 @@ class Harness:
         """Find by simulation how a reference driver avoids a collision for which the rules excuse the ego; or None."""
         return None if run.take_over is None or verdict.severity is None else run.escape
 
-    def judge_trace(self, world: Any, trace: Trace) -> Verdict:
+    def judge_trace(self, world: BaseWorld, trace: Trace) -> Verdict:
         """Return the verdict on a trace that was made in ``world``."""
         return self.judge(self.seen(trace, world))
 
@@ -247,12 +248,14 @@ class Harness:
                 replace(job, ads=self.drawing(self.against.ads), reference=self.against.shown), record, isolate=isolate
             )
 
-    def judge_reference(self, runner: Runner, scenario: Scenario, world: Any = None) -> Verdict:
+    def judge_reference(self, runner: Runner, scenario: Scenario, world: BaseWorld | None = None) -> Verdict:
         """Return the verdict on the reference in a scenario. A reference that raises, hangs or dies has failed."""
         __tracebackhide__ = True
         return self.run_reference(runner, scenario, world)[1]
 
-    def run_reference(self, runner: Runner, scenario: Scenario, world: Any = None) -> tuple[Run | None, Verdict]:
+    def run_reference(
+        self, runner: Runner, scenario: Scenario, world: BaseWorld | None = None
+    ) -> tuple[Run | None, Verdict]:
         """Return the run of the reference in a scenario, None if its process died or hung, and the verdict on it.
 
         Raises:
@@ -333,16 +336,16 @@ def checked_factory(given: object, name: str) -> Callable[..., Any]:
     return given
 
 
-def limits_of(world: Any) -> Limits:
+def limits_of(world: BaseWorld) -> Limits:
     """Return the limits of a world, which neighbours of a scenario must fit."""
 
     def fits(scenario: Scenario) -> bool:
         with suppress(ScenarioError):
-            protocol.check_fits(world, scenario)
+            world.check_fits(scenario)
             return True
         return False
 
-    return Limits(fits=fits, top_speed=float(world.speed_limit), longest_run=float(world.longest_run))
+    return Limits(fits=fits, top_speed=world.speed_limit, longest_run=world.longest_run)
 
 
 def is_same_run(a: Run, b: Run) -> bool:

@@ -10,7 +10,6 @@ from datetime import date
 from functools import partial
 from itertools import islice
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -51,11 +50,12 @@ from pytest_pafot.oracle.run import Run
 from pytest_pafot.searching.space import sample
 from pytest_pafot.support.errors import OutOfTime, RequestError
 from pytest_pafot.support.text import one_line, plural
-from pytest_pafot.world import WorldError, codec, protocol
+from pytest_pafot.world import WorldError, codec
+from pytest_pafot.world.base_world import BaseWorld
 from pytest_pafot.world.driving.ads import weights_digest
 from pytest_pafot.world.driving.perception import sight_of
 from pytest_pafot.world.guard.failure import is_interruption
-from pytest_pafot.world.guard.own_worlds import rollout_of
+from pytest_pafot.world.guard.own_worlds import base_world, rollout_of
 
 FLAKY = "flaky"
 
@@ -219,7 +219,7 @@ class Replays:
             return False
         return shown == _finding(saved).signature
 
-    def _observed(self, saved: Saved, world: Any, owner: str) -> tuple[Signature | None, bool, bool]:
+    def _observed(self, saved: Saved, world: BaseWorld, owner: str) -> tuple[Signature | None, bool, bool]:
         """Return the failure that a saved scenario shows now.
 
         The other values say whether a run that passes showed it when it was repeated, and whether only a neighbour did.
@@ -227,7 +227,7 @@ class Replays:
         try:
             first = Replayed("", *self.tried(saved, world, owner))
             now = first
-            if not first.verdict.failed and not first.verdict.discarded and protocol.lasting(world) is not None:
+            if not first.verdict.failed and not first.verdict.discarded and world.can_last:
                 now = self._repeated(saved, world, owner, first)
             if _finding(saved).rate is not None and not first.verdict.discarded:
                 now = self._by_rate(saved, world, owner, now)
@@ -239,7 +239,7 @@ class Replays:
         is_nearby = now.around.failing is not None
         return of_failure(now.run, now.verdict.failure), now.run is not first.run and not is_nearby, is_nearby
 
-    def world_of(self, saved: Saved) -> Any:
+    def world_of(self, saved: Saved) -> BaseWorld:
         """Return the world in which to replay a file, and check that the scenario fits that world.
 
         It is the world that the file describes; or the test's world, if the world is code, which files do not contain.
@@ -250,16 +250,16 @@ class Replays:
         finding = _finding(saved)
         try:
             if codec.is_code(finding.world):
-                world = codec.named(finding.world, self.harness.world)
+                world: BaseWorld = codec.named(finding.world, self.harness.world)
             else:
-                world = codec.of_file(finding.world, finding.scenario, self.harness.world)
+                world = base_world(codec.of_file(finding.world, finding.scenario, self.harness.world))
             with _naming(saved.path):
-                protocol.check_fits(world, finding.scenario)
+                world.check_fits(finding.scenario)
         except (WorldError, TypeError, ValueError) as error:
             raise RequestError(str(located(saved.path, "world", error))) from None
         return world
 
-    def tried(self, saved: Saved, world: Any, owner: str) -> tuple[Run, Verdict]:
+    def tried(self, saved: Saved, world: BaseWorld, owner: str) -> tuple[Run, Verdict]:
         """Run a saved scenario in a world; return the run and its verdict. ``owner`` is written into the crash record.
 
         The run is in a separate process with ``--pafot-isolate``, or if a process died or hung in this scenario before.
@@ -318,14 +318,14 @@ class Replays:
             return
         raise SetupFaultError(run, verdict, f"this replay and {PROBES} random scenarios", is_replay=True)
 
-    def passes_reference(self, saved: Saved, world: Any, owner: str, sought: Sought | None = None) -> bool | None:
+    def passes_reference(self, saved: Saved, world: BaseWorld, owner: str, sought: Sought | None = None) -> bool | None:
         """Return whether the reference passes a saved scenario; None if the test has no reference."""
         __tracebackhide__ = True
         verdict, _ = self.of_reference(saved, world, owner, sought)
         return None if verdict is None else verdict.passes
 
     def of_reference(
-        self, saved: Saved, world: Any, owner: str, sought: Sought | None = None
+        self, saved: Saved, world: BaseWorld, owner: str, sought: Sought | None = None
     ) -> tuple[Verdict | None, bool]:
         """Return the verdict on the reference in a saved scenario; None if the test has no reference.
 
@@ -346,7 +346,7 @@ class Replays:
         return then if is_shown else verdict, False
 
     def _of_reference(
-        self, saved: Saved, world: Any, owner: str, *, is_checked: bool = False
+        self, saved: Saved, world: BaseWorld, owner: str, *, is_checked: bool = False
     ) -> tuple[Run | None, Verdict | None]:
         """Run the reference in a world; return its run, None if its process died or hung, and the verdict on it."""
         __tracebackhide__ = True
@@ -362,7 +362,7 @@ class Replays:
                 self._check_reference(runner, world, verdict.failure)
             return run, verdict
 
-    def _check_reference(self, runner: Runner, world: Any, failure: Failure) -> None:
+    def _check_reference(self, runner: Runner, world: BaseWorld, failure: Failure) -> None:
         """Check that the reference failed by the scenario of a replay, and not because it no longer drives at all.
 
         Otherwise each replay that passes would be called fixed.
@@ -386,26 +386,25 @@ class Replays:
             "the world= in which it drives"
         )
 
-    def _longer(self, saved: Saved, world: Any) -> tuple[Any | None, str]:
+    def _longer(self, saved: Saved, world: BaseWorld) -> tuple[BaseWorld | None, str]:
         """Return the world with runs that go on after the end of a saved scenario; None if the world cannot go on.
 
         The text says what is wrong with a user's method ``lasting``.
         """
-        lasting = protocol.lasting(world)
-        if lasting is None:
+        if not world.can_last:
             return None, ""
         seconds = min(world.longest_run, _finding(saved).scenario.seconds) + DRIVEN_ON
         try:
-            longer: Any = lasting(seconds)
-            received = f"{longer!r:.100}" if protocol.missing(longer) else ""
+            longer = world.lasting(seconds)
+            received = f"{longer!r:.100}" if longer.missing else ""
         except Exception as error:  # noqa: BLE001  (of a user's world; the replay reports it)
             longer, received = None, f"{type(error).__name__}: {one_line(str(error))}"
         if not received:
             return longer, ""
-        name = f"{type(world).__name__}.lasting({seconds:g})"
+        name = f"{type(world.given).__name__}.lasting({seconds:g})"
         return None, f"not {PAST_END}: {name}: expected a world, received {received}; correct or remove lasting"
 
-    def _driven_on(self, saved: Saved, world: Any, owner: str, first: Replayed) -> Replayed:
+    def _driven_on(self, saved: Saved, world: BaseWorld, owner: str, first: Replayed) -> Replayed:
         """Run a scenario that passes again, and drive on after its end if the world can; a note says why it cannot."""
         __tracebackhide__ = True
         harness, (longer, note) = self.harness, self._longer(saved, world)
@@ -420,8 +419,8 @@ class Replays:
                 if codec.is_built_in(world) or begins_alike(first.run, run):
                     return replace(first, run=run, verdict=verdict)
                 note = (
-                    f"not {PAST_END}: {type(world).__name__}.lasting: expected the same world, received one in which "
-                    "the run begins otherwise; correct or remove lasting"
+                    f"not {PAST_END}: {type(world.given).__name__}.lasting: expected the same world, received one in "
+                    "which the run begins otherwise; correct or remove lasting"
                 )
             except ProcessLostError as error:
                 if was_lost(_finding(saved), error):
@@ -432,7 +431,7 @@ class Replays:
         run, verdict = self.tried(saved, world, owner)
         return replace(first, run=run, verdict=verdict, note=note, is_lost=is_lost)
 
-    def _repeated(self, saved: Saved, world: Any, owner: str, first: Replayed) -> Replayed:
+    def _repeated(self, saved: Saved, world: BaseWorld, owner: str, first: Replayed) -> Replayed:
         """Run a scenario that passes again, and drive on; return the result as in :meth:`labelled`.
 
         Its run is that of ``first``, or the second one if that failed.
@@ -467,11 +466,11 @@ class Replays:
         is_firm = is_firm and self._is_repeatable(saved, world, owner, run)
         return replace(second, label="still failing" if is_firm else FLAKY, note=note)
 
-    def _is_repeatable(self, saved: Saved, world: Any, owner: str, run: Run) -> bool:
+    def _is_repeatable(self, saved: Saved, world: BaseWorld, owner: str, run: Run) -> bool:
         """Return whether a run that was driven on is the same run, and fails, when it is made again."""
         __tracebackhide__ = True
         try:
-            again, verdict = self.tried(saved, self._longer(saved, world)[0], owner)
+            again, verdict = self.tried(saved, self._longer(saved, world)[0] or world, owner)
         except ProcessLostError:
             return False
         return verdict.failed and is_same_run(run, again)
@@ -535,7 +534,7 @@ class Replays:
             now = self._with_neighbours(saved, world, owner, now)
         return replace(now, is_lost=now.is_lost or is_lost)
 
-    def _by_rate(self, saved: Saved, world: Any, owner: str, now: Replayed) -> Replayed:
+    def _by_rate(self, saved: Saved, world: BaseWorld, owner: str, now: Replayed) -> Replayed:
         """Run the scenario of a file with a rate with other seeds, or again and again, and compare how often it fails.
 
         The runs end when as many were made as for the file, if one has failed, or else when they show a fix. One of
@@ -567,7 +566,7 @@ class Replays:
         note = "; ".join(filter(None, [now.note, then.compared(rate, finding.drawn)]))
         return replace(shown, label=label, note=note, rate=rate)
 
-    def _with_neighbours(self, saved: Saved, world: Any, owner: str, now: Replayed) -> Replayed:
+    def _with_neighbours(self, saved: Saved, world: BaseWorld, owner: str, now: Replayed) -> Replayed:
         """Run neighbours of a scenario that passes; if one of them fails as the file says, the replay is that run.
 
         The death of a process in a neighbour is no failure of the file, nor is an error of a user's world, which may
@@ -613,7 +612,7 @@ class Replays:
             return asked
         return FEWEST if breadth is None else breadth.needed
 
-    def _neighbours(self, saved: Saved, world: Any, owner: str, trace: Trace) -> Iterator[tuple[Run, Verdict]]:
+    def _neighbours(self, saved: Saved, world: BaseWorld, owner: str, trace: Trace) -> Iterator[tuple[Run, Verdict]]:
         """Yield the runs of neighbours with their verdicts, up to one that fails as the file says, and does so again.
 
         ``trace`` is the run of the scenario itself, for which neighbours are re-timed. Neighbours that fail in another

@@ -23,8 +23,10 @@ from pytest_pafot.searching.space import MOST_ON_GRID, SearchSpace, sample
 from pytest_pafot.support.errors import RequestError, flag, plain_number
 from pytest_pafot.support.references import factory_named
 from pytest_pafot.support.text import shown
-from pytest_pafot.world import Highway, World, WorldError, protocol
+from pytest_pafot.world import Highway, World, WorldError
+from pytest_pafot.world.base_world import REQUIRED, BaseWorld
 from pytest_pafot.world.driving.ads import hint_at_object
+from pytest_pafot.world.guard.own_worlds import base_world
 from pytest_pafot.world.validation import OTHER_KIND
 
 ROAD_ARGUMENTS = ("lanes", "speed_limit", "clearance")
@@ -250,9 +252,9 @@ def build_space(request: Request, world: Any) -> SearchSpace:
     Raises:
         RequestError: if an argument is out of range, if no scenario can be made, or if the world cannot be built.
     """
-    given = ", ".join(request.space)
+    world, given = base_world(world), ", ".join(request.space)
     try:
-        if "acts" in request.space and protocol.crossings(world) is None:
+        if "acts" in request.space and world.crossings is None:
             raise request.error(
                 "acts=...",
                 f"expected a world in which NPCs cross the ego's way, received {world!r:.100}, in which none does; "
@@ -265,19 +267,19 @@ def build_space(request: Request, world: Any) -> SearchSpace:
                 f"expected {' or '.join(map(repr, kinds))} for the algorithm {request.algorithm.name}, received "
                 f"{request.space['instructions']!r:.100}",
             )
-        if request.space.get("instructions", "cells") != "cells" and not protocol.has_lane_instructions(world):
+        if request.space.get("instructions", "cells") != "cells" and not world.has_lane_instructions:
             raise request.error(
                 "instructions=...",
                 f"expected a world whose NPCs can have Lane-Instructions, received {world!r:.100}, which declares "
                 "none; leave instructions out, or write has_lane_instructions = True in its class if its NPCs can",
             )
-        if request.space.get("instructions") == "manoeuvres" and not protocol.has_manoeuvres(world):
+        if request.space.get("instructions") == "manoeuvres" and not world.has_manoeuvres:
             raise request.error(
                 "instructions=...",
                 f"expected a world whose NPCs can have manoeuvres, received {world!r:.100}, which declares none; leave "
                 "instructions out, or write has_manoeuvres = True in its class if its NPCs can",
             )
-        if SearchSpace(**request.space).traffic != PAPERS and not protocol.has_traffic_styles(world):
+        if SearchSpace(**request.space).traffic != PAPERS and not world.has_traffic_styles:
             raise request.error(
                 "traffic=...",
                 f"expected a world whose NPCs have styles, received {world!r:.100}, which declares none; leave traffic "
@@ -285,7 +287,7 @@ def build_space(request: Request, world: Any) -> SearchSpace:
             )
         # The paper's algorithms keep the paper's space; the others fill in what the mark leaves open.
         drawn = {} if request.algorithm.is_papers else drawn_space(world, {"instructions": kinds[-1], **request.space})
-        space = protocol.space_of(world, {**drawn, **request.space})
+        space: SearchSpace = world.space({**drawn, **request.space})
         if space.instructions == "manoeuvres":
             space = _with_room(space, world, "npcs" in request.space)
         given = ", ".join(f"{name}={value!r}" for name, value in request.space.items())
@@ -297,7 +299,7 @@ def build_space(request: Request, world: Any) -> SearchSpace:
     return space
 
 
-def _with_room(space: SearchSpace, world: Any, is_number_given: bool) -> SearchSpace:
+def _with_room(space: SearchSpace, world: BaseWorld, is_number_given: bool) -> SearchSpace:
     """Return the space with the room for starts of manoeuvres along a world's road, and with no more NPCs than fit."""
     room = []
     for side in (-1, 1):
@@ -305,7 +307,7 @@ def _with_room(space: SearchSpace, world: Any, is_number_given: bool) -> SearchS
         while gap > 0:
             start = Manoeuvre(beside=0, ahead=side * gap, speed=0.0)
             with suppress(ScenarioError):
-                protocol.check_fits(world, Scenario(npcs=((start,),), ego_lane=space.ego_lane, ego_speed=0.0))
+                world.check_fits(Scenario(npcs=((start,),), ego_lane=space.ego_lane, ego_speed=0.0))
                 break
             gap -= asked_traffic.SPACING  # each start takes that much, so a finer answer would be the same
         room.append(gap)
@@ -322,14 +324,14 @@ def drawn_space(world: Any, given: Mapping[str, Any]) -> dict[str, Any]:
     The other defaults are only for a straight road. The start is random only on a Highway, because an environment
     defines how its ego starts.
     """
-    drawn: dict[str, Any] = {}
-    if protocol.has_traffic_styles(world):
+    world, drawn = base_world(world), dict[str, Any]()
+    if world.has_traffic_styles:
         drawn["traffic"] = given.get("traffic", Traffic().style)
-    in_lanes = protocol.has_lane_instructions(world) and given.get("instructions") != "cells"
+    in_lanes = world.has_lane_instructions and given.get("instructions") != "cells"
     if in_lanes:
         drawn["instructions"] = given.get("instructions", "both")
     draws_genes = "genes" not in given and "gene_seconds" not in given
-    road = protocol.straight_road(world)
+    road = world.straight_road
     if road is not None and given.get("instructions") == "manoeuvres":
         drawn["lanes"] = road.lane_count
     if road is None:
@@ -339,7 +341,7 @@ def drawn_space(world: Any, given: Mapping[str, Any]) -> dict[str, Any]:
     # A straight road: patterns of traffic, and random numbers of NPCs, durations and starts, where nothing is given.
     drawn["patterns"] = True
     npcs, lane = given.get("npcs", NPCS), given.get("ego_lane", EGO_LANE)
-    draws_lane = isinstance(world, Highway) and "ego_lane" not in given
+    draws_lane = isinstance(world.given, Highway) and "ego_lane" not in given
     lanes = tuple(each for each in range(road.lane_count) if len(road.cells(each)) > npcs)
     if lane in lanes:
         drawn["npcs"] = npcs
@@ -351,31 +353,31 @@ def drawn_space(world: Any, given: Mapping[str, Any]) -> dict[str, Any]:
         drawn["gene_durations"] = SLICES if in_lanes else GENE_DURATIONS
     if draws_lane:
         drawn["ego_lanes"] = lanes
-    if isinstance(world, Highway) and "ego_speed" not in given:
+    if isinstance(world.given, Highway) and "ego_speed" not in given:
         limit = world.speed_limit
         slowest = max(min(SLOWEST_START, limit / 2), Traffic.of(drawn.get("traffic", PAPERS)).least_speed(limit))
         drawn |= {"ego_speed": min(EGO_SPEED, limit), "ego_speeds": (slowest, limit)}
     return drawn
 
 
-def _crossing_space(world: Any, given: Mapping[str, Any]) -> dict[str, Any]:
+def _crossing_space(world: BaseWorld, given: Mapping[str, Any]) -> dict[str, Any]:
     """Return the default arguments of the search space if other ways meet the ego's way in a world; otherwise none."""
-    crossings = protocol.crossings(world)
+    crossings = world.crossings
     if crossings is None:
         return {}
-    drawn: dict[str, Any] = {"crossings": crossings, "most_on_grid": min(MOST_ON_GRID, protocol.most_on_grid(world))}
+    drawn: dict[str, Any] = {"crossings": crossings, "most_on_grid": min(MOST_ON_GRID, world.most_on_grid)}
     return drawn if "npcs" in given else drawn | {"most_npcs": (MOST_CROSSING,)}
 
 
 def _checked_world(request: Request, world: Any, origin: str) -> Any:
-    missing = protocol.missing(world)
+    missing = base_world(world).missing
     if missing:
         raise RequestError(
             f"expected {origin} pafot.Highway(...) or pafot.World(...), or your own world with "
-            f"{', '.join(protocol.REQUIRED)}, received {world!r:.100}, which has no {', '.join(missing)}"
+            f"{', '.join(REQUIRED)}, received {world!r:.100}, which has no {', '.join(missing)}"
             f"{hint_at_world(world)}"
         )
-    if request.blame == "preventable" and protocol.reference_world(world) is None:
+    if request.blame == "preventable" and not base_world(world).reference_drivers:
         raise request.error(
             "blame='preventable'",
             f"expected a world with reference_drivers and rollout_reference(scenario, name), received {world!r:.100}; "

@@ -15,9 +15,9 @@ from pytest_pafot.oracle.run import Run
 from pytest_pafot.support.errors import CorpusError, command
 from pytest_pafot.support.shown import Shown
 from pytest_pafot.support.text import visible
-from pytest_pafot.world import WorldError, WorldLike, codec, protocol
+from pytest_pafot.world import WorldError, WorldLike, codec
 from pytest_pafot.world.driving.ads import AdsFactory
-from pytest_pafot.world.guard.own_worlds import rollout_of
+from pytest_pafot.world.guard.own_worlds import base_world, rollout_of
 
 
 def load(path: str | os.PathLike[str]) -> SavedScenario:
@@ -86,7 +86,7 @@ class SavedScenario(Shown):
             CorpusError: if it does not; the message names the line of the scenario.
         """
         try:
-            protocol.check_fits(world, self.scenario)
+            base_world(world).check_fits(self.scenario)
         except (ScenarioError, WorldError) as error:
             raise reader.located(self.path, "scenario", error) from error
 
@@ -111,11 +111,11 @@ class SavedScenario(Shown):
         if world is None:
             world = self.world
         try:
-            protocol.check_fits(world, self.scenario)
+            base_world(world).check_fits(self.scenario)
             trace = rollout_of(world)(self.scenario, ads)  # the user's own world may raise only now
         except (ScenarioError, WorldError) as error:
             raise reader.located(self.path, "scenario", error) from None
-        return self.expect.known_of(protocol.run_of(world, trace))
+        return self.expect.known_of(base_world(world).run_of(trace))
 
     def matches(self, run: Run) -> bool:
         """Return whether a run ends as the file expects: by the same contact or in the same other way, within 0.2 s.

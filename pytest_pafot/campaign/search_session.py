@@ -54,12 +54,14 @@ from pytest_pafot.searching.space import SearchSpace, sample
 from pytest_pafot.support.errors import OutOfTime, RequestError, command, flag
 from pytest_pafot.support.interrupts import postponed
 from pytest_pafot.support.text import plural
-from pytest_pafot.world import WorldError, codec, protocol
+from pytest_pafot.world import WorldError, codec
+from pytest_pafot.world.base_world import BaseWorld
 from pytest_pafot.world.driving.ads import is_vehicle_class, loading_hint, wants_env
 from pytest_pafot.world.driving.perception import sight_of
 from pytest_pafot.world.guard.chance import GENERATORS
 from pytest_pafot.world.guard.failure import is_interruption
 from pytest_pafot.world.guard.hang_guard import runs_end_in
+from pytest_pafot.world.guard.own_worlds import base_world
 
 FOR_SIMPLIFYING = 1 / 3
 """The largest share of a search's time limit that is reserved to shrink findings and to look at their neighbours."""
@@ -275,8 +277,8 @@ class SearchSession:
             SearchStarted(
                 node_id=self.watch.node_id,
                 seed=store.seed,
-                speed_limit=float(harness.world.speed_limit),
-                acts_in_si=protocol.acts_in_si(harness.world, harness.ads),
+                speed_limit=harness.world.speed_limit,
+                acts_in_si=harness.world.acts_in_si(harness.ads),
             )
         )
         began = state.clock()
@@ -364,14 +366,16 @@ class SearchSession:
         They are run in the world of the dead process. If that world cannot be made, this is only reported. ``left`` are
         the records of all dead processes. If another one died in the same scenario, only the first record counts.
         """
-        harness, world = self.harness, self.harness.world
+        harness: Harness = self.harness
+        world: BaseWorld | None = harness.world
         same = [each for each in left if each.scenarios == leftover.scenarios]
         if same[0] is not leftover:
             leftover.discard()
             return Retried()
         if leftover.world not in (None, harness.job().world_data):
             try:
-                world = None if codec.is_code(leftover.world) else codec.from_dict(leftover.world)
+                made = None if codec.is_code(leftover.world) else codec.from_dict(leftover.world)
+                world = None if made is None else base_world(made)
             except (WorldError, TypeError, ValueError):
                 world = None
         if world is None:
@@ -607,7 +611,7 @@ class SearchSession:
             random_otherwise=0 if is_cut_short else random.otherwise,
             given=0 if state.space is None else min(len(state.space.first), state.runs),
             drawn="" if self.state.space is None else self.state.space.described,
-            coverage=health.coverage.describe(float(self.harness.world.speed_limit), ways) if state.runs else "",
+            coverage=health.coverage.describe(self.harness.world.speed_limit, ways) if state.runs else "",
         )
 
     def _unlike(self) -> dict[str, tuple[str, ...]]:
@@ -640,7 +644,7 @@ class SearchSession:
     @property
     def _out_of_reach(self) -> str:
         """A note on what reference drivers can do and the ADS cannot; empty if its actions can stop the ego."""
-        speed, kept = protocol.least_action_speed(self.harness.world), self.store.findings.values()
+        speed, kept = self.harness.world.least_action_speed, self.store.findings.values()
         expected = [each.finding.expect for each in kept]
         runs = [each.run.ego.speed for each in kept if each.run is not None]  # which may begin slower, and speed up
         was_slower = any(((each[1:] < each[:-1]) & (each[1:] < speed - SLOWER)).any() for each in runs)
@@ -661,7 +665,7 @@ class SearchSession:
         ads = self.harness.ads
         drives_itself = is_vehicle_class(ads)
         simulates = not drives_itself and wants_env(ads)
-        given = protocol.options_without_effect(world, drives_itself=drives_itself, simulates=simulates)
+        given = world.options_without_effect(drives_itself=drives_itself, simulates=simulates)
         given.pop(f"write ego_lane={lane!r}", None)  # it has been written
         told = [f"{', '.join(names)} ({why})" for why, names in given.items()]
         return f"options of config= without effect in a search: {'; '.join(told)}" if told else ""
@@ -674,19 +678,19 @@ class SearchSession:
             return
         if told := left_out_text(world):
             yield told
-        if protocol.has_traffic_in_reset(world):
+        if world.has_traffic_in_reset:
             yield "what `reset` does to other vehicles has no effect on NPCs, which begin as their scenario says"
 
     @property
     def _unused(self) -> str:
         """A note that the search says nothing about traffic on other ways, because no NPC drives there; or empty."""
-        world, unused = self.harness.world, protocol.unused_roads(self.harness.world)
+        world, unused = self.harness.world, self.harness.world.unused_roads
         crosses = self.state.space is not None and self.state.space.crossings is not None
         if not unused or not self.state.runs or crosses:
             return ""
         verbs = {"crosses": "crosses", "joins": "joins", "oncoming": "comes towards"}
         none = " or ".join(f"{verb} it" for meeting, verb in verbs.items() if meeting in unused)
-        where = getattr(world, "env_id", type(world).__name__)
+        where = getattr(world.given, "env_id", type(world.given).__name__)
         which = f"at {where} all NPCs drive along the ego's way: none {none}"
         without = ", and acts= has no effect" if "acts" in self.harness.request.space else ""
         return f"{which}, so the search says nothing about such traffic{without}"

@@ -15,10 +15,11 @@ from typing import Any
 from pytest_pafot.campaign.verdict import PlainFailure, Verdict
 from pytest_pafot.model.trace import Trace
 from pytest_pafot.oracle.run import Run
+from pytest_pafot.world.base_world import BaseWorld
 from pytest_pafot.world.driving.ads import is_vehicle_class
+from pytest_pafot.world.guard.own_worlds import base_world
 from pytest_pafot.world.kernel.action import Drive, possible_acceleration, possible_steering
 from pytest_pafot.world.limits import TOP_SPEED
-from pytest_pafot.world.protocol import first_decision
 
 Cause = tuple[str, str]
 """The class of an exception, and where it was raised."""
@@ -53,10 +54,10 @@ class SetupFaultError(Exception):
 
         It ends with ``of_si`` if the decision is in SI units, and with ``of_env`` if it is the environment's.
         """
-        asked = None if is_vehicle_class(ads) else first_decision(world, self.run.trace.scenario)
+        asked = None if is_vehicle_class(ads) else base_world(world).first_decision(self.run.trace.scenario)
         return "" if asked is None else f"\n\n{asked.text} {of_si if asked.is_si else of_env}"
 
-    def shown(self, world: Any, ads: Callable[..., Any]) -> BaseException:
+    def shown(self, world: BaseWorld, ads: Callable[..., Any]) -> BaseException:
         """Return the exception for the user: what was raised and where, why it is no finding, and what to do."""
         verdict = self.verdict
         nothing = "so nothing was saved" if not self.is_replay else "so it says nothing about any saved scenario"

@@ -48,7 +48,7 @@ from pytest_pafot.oracle.run import Run
 from pytest_pafot.support.errors import DriverError, OutOfTime, RequestError
 from pytest_pafot.support.source_files import source_files
 from pytest_pafot.support.text import one_line
-from pytest_pafot.world import codec, protocol
+from pytest_pafot.world import codec
 from pytest_pafot.world.driving.ads import is_vehicle_class, wants_env
 from pytest_pafot.world.driving.conditions import Conditions
 from pytest_pafot.world.driving.perception import Perception, sight_of, without
@@ -497,7 +497,7 @@ class Simplification:
         __tracebackhide__ = True
         harness, space = self.workers.harness, self.state.space
         answers = self.state.answers.setdefault(kept.find.id, [])
-        rollouts, top_speed = rollouts_for(harness), float(harness.world.speed_limit)
+        rollouts, top_speed = rollouts_for(harness), harness.world.speed_limit
         starts: dict[Scenario, tuple[Start, ...]] = {}
         asked, best = 0, found
         self._actions = {} if kept.run is None else {driven(kept.run): kept.run.trace.actions}
@@ -576,10 +576,10 @@ class Simplification:
         be run: the finding is no such collision, or the world's ``rollout`` does not accept decisions.
         """
         harness, found = self.workers.harness, self._signature(kept.find.id)
-        world = protocol.resumable(harness.world)
-        if world is None or not self._ends_in_collision(kept):
+        if not harness.world.is_resumable or not self._ends_in_collision(kept):
             return None
         failure = Failure(kind=found.failure, assertion=found.assertion)
+        rollout: Callable[..., Trace] = harness.world.rollout  # which accepts decisions: the world is resumable
 
         @cache
         def likely(candidate: Scenario, best: Scenario) -> bool:
@@ -589,7 +589,7 @@ class Simplification:
                 turn.is_over = True
                 raise OutOfBudget from None
             try:
-                trace = world.rollout(candidate, repeating(did[-1]), decisions=did)
+                trace = rollout(candidate, repeating(did[-1]), decisions=did)
             except ScenarioError:
                 return False
             return trace.collision is not None and is_same(of_failure(harness.seen(trace), failure), found)
@@ -614,7 +614,7 @@ class Simplification:
 
         def fits(scenario: Scenario) -> bool:
             with suppress(ScenarioError):
-                protocol.check_fits(self.workers.harness.world, scenario)
+                self.workers.harness.world.check_fits(scenario)
                 return scenario not in self.state.fatal
             return False
 
@@ -622,7 +622,7 @@ class Simplification:
 
     def _confirming(self, scenario: Scenario) -> float:
         """Return the estimated time to confirm a scenario [s], from the slowest confirmation so far."""
-        longest_run = float(self.workers.harness.world.longest_run)
+        longest_run = self.workers.harness.world.longest_run
         return self.workers.pace * min(scenario.seconds, longest_run)
 
     def _shown(self, kept: FindTold, candidate: Scenario, top_speed: float, attempt: int, most: int | None) -> Shown:
@@ -713,7 +713,7 @@ class Simplification:
         if candidate in self.state.fatal:
             return None
         try:
-            protocol.check_fits(self.workers.harness.world, candidate)
+            self.workers.harness.world.check_fits(candidate)
             for afresh in (False, True):
                 run = self.workers.run(candidate, afresh=afresh, most=most)
                 if most is not None and len(run.trace.actions) >= most:  # what ended it is no failure of the ADS
@@ -827,7 +827,7 @@ def rollouts_for(harness: Harness) -> int:
     given = harness.request.settings.shrink_rollouts
     if given is not None:
         return given
-    return ROLLOUTS_IN_KERNEL if protocol.runs_in_kernel(harness.world, harness.ads) else ROLLOUTS
+    return ROLLOUTS_IN_KERNEL if harness.world.runs_in_kernel(harness.ads) else ROLLOUTS
 
 
 def is_same(shown: Signature, found: Signature) -> bool:

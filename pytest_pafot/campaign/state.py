@@ -36,7 +36,7 @@ from pytest_pafot.support.errors import RequestError, flag
 from pytest_pafot.support.references import referred_to
 from pytest_pafot.support.source_files import source_digests
 from pytest_pafot.support.text import plural
-from pytest_pafot.world import codec, protocol
+from pytest_pafot.world import codec
 from pytest_pafot.world.driving.ads import weights_digest
 from pytest_pafot.world.driving.perception import sight_of
 
@@ -204,7 +204,7 @@ class State:
 
     def warnings(self, harness: Harness) -> tuple[str, ...]:
         """Return warnings about the search's health, and about a test or reference with which nothing can fail."""
-        warnings = self.health.warnings(self.known.total(), acts_in_si=protocol.acts_in_si(harness.world, harness.ads))
+        warnings = self.health.warnings(self.known.total(), acts_in_si=harness.world.acts_in_si(harness.ads))
         excused = sum(self.verdicts[kind] for kind in ("npc", "avoidable", "unpreventable"))
         if excused and not self.verdicts["passed"] and not self.verdicts["failed"]:
             blame, what = harness.request.blame, "collisions that an NPC is responsible for"

@@ -32,7 +32,7 @@ from pytest_pafot.searching.evaluation import Evaluation, interaction_of
 from pytest_pafot.searching.health import Health
 from pytest_pafot.searching.plan import AheadPlan, Drawer, Plan
 from pytest_pafot.support.errors import OutOfTime
-from pytest_pafot.world import protocol
+from pytest_pafot.world.base_world import BaseWorld
 from pytest_pafot.world.driving.ads import is_vehicle_class
 from pytest_pafot.world.guard.chance import GENERATORS
 from pytest_pafot.world.guard.failure import UNFIT, let_through
@@ -426,8 +426,8 @@ class Workers:
     def rerun_in_gym(self, scenario: Scenario) -> Run | None:
         """Run a scenario with ``env.step`` of highway-env's own environment; None if the world has no environment."""
         __tracebackhide__ = True
-        world = protocol.gym_replaying(self.harness.world)
-        if world is None:
+        world = self.harness.world
+        if not world.replays_in_gym:
             return None
         self.record.write(scenario)
         ads = self.harness.ads
@@ -489,9 +489,9 @@ def difference(run: Run, workers: Workers) -> str:
     return f"in highway-env's own environment: {differs}" + (f"; {likely_cause}" if likely_cause else "")
 
 
-def left_out_text(world: Any) -> str:
+def left_out_text(world: BaseWorld) -> str:
     """Return a sentence on the environment's own methods that runs do not call, though they matter; or empty."""
-    methods = protocol.left_out(world)
+    methods = world.left_out
     if not methods:
         return ""
     names = " and ".join(f"`{name}`" for name in methods)

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Any, ClassVar, NoReturn
+from typing import Any, NoReturn
 
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Trace
 from pytest_pafot.support.errors import AdsFactoryError
-from pytest_pafot.world import protocol
+from pytest_pafot.world.base_world import BaseWorld
 
 
 class DrivesElsewhere(ABC):
@@ -29,7 +29,7 @@ class DrivesElsewhere(ABC):
         raise AdsFactoryError(f"{self.label}: expected a run in the process of this revision, received a call here")
 
     @abstractmethod
-    def driven(self, method: str, world: Any, scenario: Scenario) -> Trace:
+    def driven(self, method: str, world: BaseWorld, scenario: Scenario) -> Trace:
         """Run a scenario by a method of a world, ``rollout`` or ``rollout_in_gym``.
 
         Raises:
@@ -39,18 +39,37 @@ class DrivesElsewhere(ABC):
 
 
 @dataclass(frozen=True, slots=True)
-class Elsewhere:
-    """A stand-in for a world, whose runs such a policy makes."""
+class StandIn(BaseWorld):
+    """A stand-in for a world, whose runs are made in another way; it can do nothing else."""
 
-    guards_ads: ClassVar[bool] = True  # in the other process
-    world: Any
-    policy: DrivesElsewhere
+    world: BaseWorld
 
     @property
     def hang_limit(self) -> float:
         """The limit of the world [s]."""
-        return protocol.hang_limit(self.world)
+        return self.world.hang_limit
 
-    def rollout(self, scenario: Scenario, ads: object) -> Trace:
+    @property
+    def speed_limit(self) -> float:
+        """The limit of the world [m/s]."""
+        return self.world.speed_limit
+
+    @property
+    def longest_run(self) -> float:
+        """The longest duration of a run in the world [s]."""
+        return self.world.longest_run
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the world as plain data."""
+        return self.world.to_dict()
+
+
+@dataclass(frozen=True, slots=True)
+class Elsewhere(StandIn):
+    """A stand-in for a world, whose runs a policy makes by itself."""
+
+    policy: DrivesElsewhere
+
+    def rollout(self, scenario: Scenario, ads_factory: object) -> Trace:
         """Run a scenario with the policy."""
         return self.policy.driven("rollout", self.world, scenario)

@@ -23,7 +23,7 @@ from typing import Any, Self, TypeVar, cast
 from pytest_pafot.door import EXECUTOR_POOL, opened
 from pytest_pafot.execution import scenario_pool
 from pytest_pafot.execution.crash_records import CrashRecord, Leftover
-from pytest_pafot.execution.elsewhere import DrivesElsewhere, Elsewhere
+from pytest_pafot.execution.elsewhere import DrivesElsewhere, Elsewhere, StandIn
 from pytest_pafot.execution.groups import Course, Groups
 from pytest_pafot.execution.pool import GRACE, ProcessLostError, WorkerPool
 from pytest_pafot.execution.scenario_pool import (
@@ -50,13 +50,13 @@ from pytest_pafot.searching.evaluation import Chains, plain_chains
 from pytest_pafot.support.errors import flag
 from pytest_pafot.support.isolation import isolates
 from pytest_pafot.support.text import listed, plural, visible
-from pytest_pafot.world import Highway, protocol
+from pytest_pafot.world import Highway
+from pytest_pafot.world.base_world import WorldLike
 from pytest_pafot.world.driving.ads import is_vehicle_class, make_ads, wants_env
 from pytest_pafot.world.driving.shadow import ending_after
 from pytest_pafot.world.guard.chance import GENERATORS
 from pytest_pafot.world.guard.failure import closing
-from pytest_pafot.world.guard.own_worlds import rollout_of, simulate_batch
-from pytest_pafot.world.protocol import WorldLike, lock_stepping, resumable
+from pytest_pafot.world.guard.own_worlds import base_world, rollout_of
 
 ResultT = TypeVar("ResultT")
 
@@ -92,7 +92,7 @@ def runner_for(
     if isolate:
         return Runner(job=job, record=record, processes=Isolated(job, workers=workers, executor=executor), clock=clock)
     is_asked = not (times_decisions or is_vehicle_class(job.ads) or wants_env(job.ads))
-    can_lock_step = is_asked and executor is None and lock_stepping(job.world) is not None
+    can_lock_step = is_asked and executor is None and job.world.has_lock_step
     # This process makes the first runs, which show what the ADS can do and how long a run takes. Then the announced
     # runs are made in lock step if the ADS decides for many runs at once, or else in other processes if runs are slow.
     # Runs that were not announced, or that cannot be made elsewhere, are always made in this process.
@@ -101,7 +101,7 @@ def runner_for(
         record=record,
         processes=Processes(job, workers=workers, executor=executor),
         lock_step=LockStep(job, record, workers=workers) if can_lock_step else None,
-        can_resume=not times_decisions and resumable(job.world) is not None,
+        can_resume=not times_decisions and job.world.is_resumable,
         clock=clock,
     )
 
@@ -110,7 +110,7 @@ def runner_for(
 def runner_here(world: WorldLike, ads: Callable[..., Any]) -> Iterator[Runner]:
     """Provide a runner for a command, which makes all runs in this process and writes only temporary crash records."""
     with tempfile.TemporaryDirectory(prefix="pafot-") as records:
-        job = Job(world=world, ads=ads, records=Path(records), owner="command")
+        job = Job(world=base_world(world), ads=ads, records=Path(records), owner="command")
         with job.crash_record() as record, runner_for(job, record) as runner:
             yield runner
 
@@ -413,12 +413,12 @@ class LockStep:
         if afresh:
             return None
         if scenario in self._announced:
-            are_alike = not isinstance(self._job.world, Highway)
+            are_alike = not isinstance(self._job.world.given, Highway)
             together = [each for each in self._announced if are_alike or len(each.npcs) == len(scenario.npcs)]
             self._announced = [each for each in self._announced if each not in together]
             if len(together) > 1:
                 self._record.write(*together)
-                traces = simulate_batch(self._job.world, together, self._job.ads)
+                traces = rollout_of(self._job.world, "rollout_batch")(together, self._job.ads)
                 self._made |= dict(zip(together, traces, strict=True))
         return self._made.pop(scenario, None)
 
@@ -658,13 +658,15 @@ class Isolated(Processes):
 
 
 @dataclass(frozen=True, slots=True)
-class _OtherRuns:
+class _OtherRuns(StandIn):
     """A stand-in for a world, with a different ``rollout``, which guards the ADS."""
 
-    guards_ads = True
+    drive: Callable[[Scenario, Callable[..., Any]], Any]
 
-    hang_limit: float
-    rollout: Callable[[Scenario, Callable[..., Any]], Any]
+    def rollout(self, scenario: Scenario, ads_factory: Callable[..., Any]) -> Any:
+        """Call the function in the place of the world's ``rollout``."""
+        __tracebackhide__ = True
+        return self.drive(scenario, ads_factory)
 
 
 def answers_apart(
@@ -694,7 +696,7 @@ def answers_apart(
         return trace
 
     if scenario_pool.METHOD == "fork":
-        job = replace(job, world=_OtherRuns(protocol.hang_limit(world), judged))
+        job = replace(job, world=_OtherRuns(world, judged))
     elif not isolate:
         return None
     with pool_for(job, 1) as pool:
@@ -751,7 +753,7 @@ def call_apart(job: Job, scenario: Scenario, drive: Callable[[Scenario, Callable
         Exception: any exception of the separate process.
     """
     __tracebackhide__ = True
-    with pool_for(replace(job, world=_OtherRuns(protocol.hang_limit(job.world), drive)), 1) as pool:
+    with pool_for(replace(job, world=_OtherRuns(job.world, drive)), 1) as pool:
         answer = pool.fetch(scenario)
     if pool.failure:
         raise ExecutionError(f"{flag('isolate')}: expected processes to run the ADS in, received: {pool.failure}")
@@ -771,18 +773,19 @@ def driving(world: Any, ads: Callable[..., Any]) -> Iterator[Callable[[Scenario]
 
     The function raises a ``ProcessLostError`` if the forked process died or hung.
     """
+    base = base_world(world)
     with ExitStack() as stack:
         pool = None
         if scenario_pool.METHOD == "fork" and isolates():
             records = stack.enter_context(tempfile.TemporaryDirectory(prefix="pafot-"))
-            pool = stack.enter_context(pool_for(Job(world=world, ads=ads, records=Path(records), owner="test"), 1))
+            pool = stack.enter_context(pool_for(Job(world=base, ads=ads, records=Path(records), owner="test"), 1))
 
         def drive(scenario: Scenario) -> Run:
             __tracebackhide__ = True
             answer = None if pool is None else pool.fetch(scenario)
             if isinstance(answer, ProcessLostError):
                 raise answer
-            return protocol.run_of(world, rollout_of(world)(scenario, ads))
+            return base.run_of(rollout_of(base)(scenario, ads))
 
         yield drive
 
@@ -797,7 +800,7 @@ def must_stay_here(job: Job, scenario: Scenario) -> str:
     """
     if is_vehicle_class(job.ads) or isinstance(job.ads, DrivesElsewhere):
         return ""
-    patience = protocol.hang_limit(job.world)
+    patience = job.world.hang_limit
 
     def asked(_: str, tell: object) -> tuple[str, str]:
         if not wants_env(job.ads):
@@ -850,7 +853,7 @@ def replay_in_gym_apart(job: Job, record: CrashRecord, scenario: Scenario) -> Tr
         Exception: any exception of the separate process.
     """
     __tracebackhide__ = True
-    in_gym = replace(job, world=_OtherRuns(protocol.hang_limit(job.world), job.world.rollout_in_gym))
+    in_gym = replace(job, world=_OtherRuns(job.world, job.world.rollout_in_gym))
     with runner_for(in_gym, record, isolate=True) as runner:
         return runner.run(scenario)
 

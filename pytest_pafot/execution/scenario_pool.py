@@ -26,7 +26,7 @@ from pytest_pafot.findings.finding import Expect
 from pytest_pafot.findings.signature import PROCESS_CRASH
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Outcome, Trace
-from pytest_pafot.world import protocol
+from pytest_pafot.world.base_world import BaseWorld
 from pytest_pafot.world.guard.chance import GENERATORS
 from pytest_pafot.world.guard.own_worlds import rollout_of
 
@@ -235,7 +235,7 @@ class Job:
     plain data, are written into them.
     """
 
-    world: Any
+    world: BaseWorld
     ads: Callable[..., Any]
     """The factory of the ADS, which is called once for each run."""
     records: Path
@@ -258,7 +258,7 @@ class Job:
     @property
     def patience(self) -> float:
         """The longest time for which a process may not answer while it makes a run [s]."""
-        return protocol.hang_limit(self.world) + GRACE
+        return self.world.hang_limit + GRACE
 
     @staticmethod
     def run(made: Callable[[], Job], scenario: Scenario) -> tuple[Trace, CapturedOutput, float]:

@@ -19,8 +19,8 @@ from numpy.random import Generator
 from pytest_pafot import Run, Scenario, Trace, World, WorldError, load
 from pytest_pafot.extending import (
     SUFFIX,
-    Abilities,
     SteppedWorld,
+    base_world,
     checked_action,
     drawn_space,
     files_below,
@@ -142,7 +142,7 @@ def training_env(world: World, scenarios: Scenarios = None, share: float = 0.5) 
 
 def random_scenarios(world: Any) -> Sampler:
     """Return a sampler of random scenarios, like the first scenarios of a search with default settings in a world."""
-    return partial(sample, Abilities(world).space(drawn_space(world, {})))
+    return partial(sample, base_world(world).space(drawn_space(world, {})))
 
 
 def _sampler(world: World, scenarios: Scenarios) -> Sampler:

@@ -61,13 +61,13 @@ def _drive(item: pytest.Function, name: str, given: Mapping[str, Any]) -> None:
     from pytest_pafot.plugin.failure_reports import SUMMARY  # noqa: PLC0415
     from pytest_pafot.plugin.search_item import bound_test, shown  # noqa: PLC0415
     from pytest_pafot.world import Highway  # noqa: PLC0415
-    from pytest_pafot.world.protocol import missing  # noqa: PLC0415
+    from pytest_pafot.world.guard.own_worlds import base_world  # noqa: PLC0415
 
     ads = given.get("ads", DEFAULT_ADS)
     if isinstance(ads, str) and ":" not in ads:
         ads = checked_factory(item.funcargs[ads], ads)
     world = given.get("world", item.funcargs[WORLD_FIXTURE])
-    if missing(world):
+    if base_world(world).missing:
         raise RequestError(f"world: expected pafot.Highway(...) or pafot.World(...), received {world!r:.80}")
     # The default highway is too slow for some entries; a world that the user has chosen is used as it is.
     world = None if world == Highway() and "world" not in given else world

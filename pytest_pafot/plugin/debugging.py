@@ -15,7 +15,7 @@ from pytest_pafot.support.errors import RequestError, flag
 from pytest_pafot.world.driving.ads import is_vehicle_class
 from pytest_pafot.world.driving.shadow import wrapped
 from pytest_pafot.world.guard.failure import Around
-from pytest_pafot.world.guard.own_worlds import rollout_of
+from pytest_pafot.world.guard.own_worlds import base_world, rollout_of
 
 ANY_TIME = 86_400.0
 """The time that a policy has for a decision in a debugger [s], which is the longest that a world accepts."""
@@ -55,8 +55,9 @@ def stop_in_replay(item: pytest.Function, replays: Replays, saved: Saved) -> Non
             f"{name}: expected a policy that drives, received a finding whose process dies; see its output"
         )
     world = replays.world_of(saved)
-    if is_dataclass(world) and "hang_limit" in {each.name for each in fields(world)}:
-        world = replace(world, hang_limit=ANY_TIME)  # type: ignore[type-var]
+    given = world.given
+    if is_dataclass(given) and "hang_limit" in {each.name for each in fields(given)}:
+        world = base_world(replace(given, hang_limit=ANY_TIME))  # type: ignore[type-var]
     run, _ = replays.tried(saved, world, item.nodeid)
     number = deciding(run, finding.expect)
     if number is None:

@@ -24,8 +24,8 @@ if TYPE_CHECKING:
     from pytest_pafot.findings.finding import Finding
     from pytest_pafot.model.scenario import Scenario
     from pytest_pafot.oracle.run import Run
+    from pytest_pafot.world.base_world import WorldLike
     from pytest_pafot.world.driving.ads import AdsFactory
-    from pytest_pafot.world.protocol import WorldLike
 
 
 class Simulate(Protocol):

@@ -16,6 +16,7 @@ Only environments with wrappers, or with a step function of their own, are drive
 
 from pytest_pafot.model.crossings import CrossingVehicle
 from pytest_pafot.support.errors import AdsFactoryError, WorldError
+from pytest_pafot.world.base_world import WorldLike
 from pytest_pafot.world.codec import from_dict
 from pytest_pafot.world.driving.perception import Perception
 from pytest_pafot.world.gym_world import World
@@ -23,7 +24,6 @@ from pytest_pafot.world.highway import Highway
 from pytest_pafot.world.kernel.action import Drive, Planned
 from pytest_pafot.world.kernel.observation import Observation, VehicleState
 from pytest_pafot.world.limits import NpcLimits
-from pytest_pafot.world.protocol import WorldLike
 
 __all__ = [
     "AdsFactoryError",

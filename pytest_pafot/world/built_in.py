@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Self
@@ -13,6 +13,7 @@ from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.sight import Sight
 from pytest_pafot.model.trace import Trace
 from pytest_pafot.support.errors import WorldError
+from pytest_pafot.world.base_world import BaseWorld, FirstDecision, decision_asked
 from pytest_pafot.world.driving.ads import AdsFactory, check_drives_in
 from pytest_pafot.world.engines.egos import planner_run
 from pytest_pafot.world.engines.lock_step import rollouts
@@ -21,7 +22,6 @@ from pytest_pafot.world.guard.hang_guard import HangGuard
 from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.kernel.observation import Observation
 from pytest_pafot.world.limits import TOP_SPEED, NpcLimits
-from pytest_pafot.world.protocol import FirstDecision, decision_asked
 from pytest_pafot.world.reference_drivers import REFERENCES, TAKING_OVER, ReferenceDriver
 from pytest_pafot.world.roads.junction import Junction
 from pytest_pafot.world.roads.network import NetworkRoad
@@ -78,7 +78,7 @@ LASTS = (0.01, 86400.0)
 """The smallest and the largest accepted duration of runs that last longer [s]."""
 
 
-class BuiltInWorld(ABC):
+class BuiltInWorld(BaseWorld):
     """The base class of this package's worlds, in which reference drivers can take the ego's place."""
 
     clearance: float
@@ -90,11 +90,6 @@ class BuiltInWorld(ABC):
     @property
     def observation_space(self) -> Any:
         """The gymnasium space of observations; None if the ADS receives a :class:`pytest_pafot.Observation`."""
-        return None
-
-    @property
-    def action_space(self) -> Any:
-        """The gymnasium space of actions; None if the ADS acts in SI units."""
         return None
 
     @property
@@ -115,9 +110,15 @@ class BuiltInWorld(ABC):
     def network(self) -> Any:
         """The road as a road network of highway-env."""
 
+    @property
     @abstractmethod
-    def rollout(self, scenario: Scenario, ads_factory: AdsFactory) -> Trace:
-        """Simulate a scenario with a fresh ADS."""
+    def road(self) -> StraightRoad | NetworkRoad:
+        """The road."""
+
+    @property
+    def straight_road(self) -> StraightRoad | None:
+        """The road if it is straight, else None."""
+        return self.road if isinstance(self.road, StraightRoad) else None
 
     @abstractmethod
     def _begin(self, scenario: Scenario, guard: HangGuard, sight: Sight | None) -> SteppedRun:
@@ -144,6 +145,16 @@ class BuiltInWorld(ABC):
         return True
 
     @property
+    def can_last(self) -> bool:
+        """True, because :meth:`lasting` gives this world with longer runs."""
+        return True
+
+    @property
+    def replays_in_gym(self) -> bool:
+        """True, because ``rollout_in_gym`` repeats a run with ``env.step``."""
+        return True
+
+    @property
     def longest_run(self) -> float:
         """The longest duration of a run [s]; a run of a shorter scenario ends earlier."""
         return self.rules.duration if self.rules.lasts is None else self.rules.lasts
@@ -162,6 +173,11 @@ class BuiltInWorld(ABC):
     def takes_over(self) -> tuple[str, ...]:
         """The names of the drivers that can take over but are no reference drivers."""
         return tuple(name for name in TAKING_OVER if name not in REFERENCES)
+
+    @property
+    def drivers(self) -> tuple[str, ...]:
+        """The names of all drivers that can take over."""
+        return (*self.reference_drivers, *self.takes_over)
 
     def check_fits(self, scenario: Scenario) -> None:
         """Check a scenario against this world.

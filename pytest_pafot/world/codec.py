@@ -20,11 +20,11 @@ from pytest_pafot.findings.finding import check_plain
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.support.errors import WorldError
 from pytest_pafot.support.text import differences
-from pytest_pafot.world import protocol
+from pytest_pafot.world.base_world import WorldLike, given_world
+from pytest_pafot.world.guard.own_worlds import base_world
 from pytest_pafot.world.gym_world import LONGEST_RUN, World
 from pytest_pafot.world.highway import Highway
 from pytest_pafot.world.limits import NpcLimits
-from pytest_pafot.world.protocol import WorldLike, missing
 from pytest_pafot.world.validation import PHYSICS_HZ, plain_data
 
 GROUP = "pytest_pafot.worlds"
@@ -123,7 +123,7 @@ def _from_registered(entry: metadata.EntryPoint, values: dict[str, Any]) -> Worl
         )
         received = f"{values['data']!r:.200}"
         raise WorldError(field="world.data", expected=expected, received=received, fix=fix) from error
-    if lacking := missing(world):
+    if lacking := base_world(world).missing:
         expected = f"that {entry.value}.from_dict returns a world"
         received = f"{world!r:.100}, which has no {', '.join(lacking)}"
         raise WorldError(field="world.kind", expected=expected, received=received)
@@ -148,6 +148,7 @@ def described(world: Any) -> dict[str, Any]:
     Raises:
         WorldError: if its environment cannot be used, or a registered world gives data that a file cannot hold.
     """
+    world = given_world(world)
     if is_built_in(world):
         data: dict[str, Any] = world.to_dict()
         return data
@@ -189,9 +190,10 @@ def of_file(data: Mapping[str, Any], scenario: Scenario, own: Any = None) -> Wor
     world = from_dict(within(data, scenario, own))
     if own is None or data.get("kind") in BUILT_IN:
         return world
+    made, own = base_world(world), base_world(own)
     for what, asked, most in (
-        ("decisions", protocol.hang_limit(world), protocol.hang_limit(own)),
-        ("runs", min(world.longest_run, scenario.seconds), own.longest_run),
+        ("decisions", made.hang_limit, own.hang_limit),
+        ("runs", min(made.longest_run, scenario.seconds), own.longest_run),
     ):
         if asked > most + 1e-9:
             expected, received = f"{what} of at most {most:g} s, as in the world that the test names", f"{asked:g} s"
@@ -203,6 +205,7 @@ def of_file(data: Mapping[str, Any], scenario: Scenario, own: Any = None) -> Wor
 
 def code_of(world: Any) -> tuple[object, ...]:
     """Return the classes and functions whose code a world runs: its own, its environment's and its wrappers."""
+    world = given_world(world)
     if not isinstance(world, World):
         return (type(world),)
     return type(world), type(world.environment.unwrapped), *(world.wrappers or ())
@@ -221,7 +224,7 @@ def within(data: Mapping[str, Any], scenario: Scenario, own: Any = None) -> Mapp
         own: the world that the test names; None without a test.
     """
     limits: dict[str, float] = {}
-    hang_limit, most_seconds = data.get("hang_limit"), LONGEST_DECISION if own is None else protocol.hang_limit(own)
+    hang_limit, most_seconds = data.get("hang_limit"), LONGEST_DECISION if own is None else base_world(own).hang_limit
     if isinstance(hang_limit, (int, float)) and hang_limit > most_seconds:
         limits["hang_limit"] = most_seconds
     if own is not None and data.get("kind") in BUILT_IN:
@@ -241,7 +244,7 @@ def cuts(data: Mapping[str, Any], scenario: Scenario, own: Any) -> list[str]:
 
 def _longest(data: Mapping[str, Any], own: Any) -> float:
     """Return the duration that has as many ticks in the file's world as that of the test's world in its own [s]."""
-    config = data.get("config")
+    own, config = given_world(own), data.get("config")
     rate = config.get("simulation_frequency") if isinstance(config, Mapping) else data.get("physics_hz")
     try:
         # A road may end before the duration that the test asks for, which its files then hold.

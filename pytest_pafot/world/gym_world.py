@@ -12,6 +12,7 @@ from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.sight import Sight
 from pytest_pafot.model.trace import Trace
 from pytest_pafot.support.errors import AdsFactoryError, WorldError
+from pytest_pafot.world.base_world import RoadStart
 from pytest_pafot.world.built_in import BuiltInWorld
 from pytest_pafot.world.driving.ads import AdsFactory, check_drives_in, is_vehicle_class, make_ads, wants_env
 from pytest_pafot.world.engines.egos import planner_run
@@ -79,8 +80,6 @@ class World(BuiltInWorld):
     planner_hz: int | None = None
     lasts: float | None = field(default=None, compare=False)
 
-    guards_ads = True
-
     def __post_init__(self) -> None:
         if not isinstance(self.env_id, str) or not self.env_id or ":" in self.env_id:
             expected = 'the id of a registered environment without a module in front, such as "highway-v0"'
@@ -147,6 +146,11 @@ class World(BuiltInWorld):
         """The lane and speed [m/s] with which the ego must start; None on a straight road, which allows any."""
         road = self.road
         return None if isinstance(road, StraightRoad) else (road.ego_lane, road.ego_speed)
+
+    @property
+    def road_start(self) -> RoadStart | None:
+        """The lane and speed of :attr:`start`, with the ticks per second; None on a straight road."""
+        return None if self.start is None else RoadStart(*self.start, physics_hz=self.physics_hz)
 
     @property
     def unused_roads(self) -> frozenset[Meeting]:

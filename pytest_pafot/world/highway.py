@@ -65,8 +65,6 @@ class Highway(BuiltInWorld):
     hang_limit: float = HANG_LIMIT
     lasts: float | None = field(default=None, compare=False)
 
-    guards_ads = True
-
     def __post_init__(self) -> None:
         for name, bounds in (("lanes", LANE_COUNTS), ("physics_hz", PHYSICS_HZ), ("ads_hz", ADS_HZ)):
             object.__setattr__(self, name, whole_within(name, getattr(self, name), *bounds))
@@ -117,6 +115,11 @@ class Highway(BuiltInWorld):
             return vehicle_run(self.rules, scenario, lambda: self.network, ads).finish()
         with closing(ads, self.hang_limit):
             return self._planned(self.rules, scenario, ads, decisions)
+
+    @property
+    def is_resumable(self) -> bool:
+        """True, because :meth:`rollout` accepts ``decisions``."""
+        return True
 
     def runs_in_kernel(self, ads: Any) -> bool:
         """Return whether ``ads`` is a vehicle class that the kernel can drive in this world."""

@@ -12,6 +12,7 @@ from pytest_pafot.execution.crash_records import leftovers
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.execution.runner import answers_apart, retry, run_apart
 from pytest_pafot.execution.scenario_pool import ExecutionError, Job
+from pytest_pafot.world.guard.own_worlds import base_world
 from tests.helpers.toy_world import Toy, scenario
 
 needs_fork = pytest.mark.skipif(sys.platform != "linux", reason="processes are forked on Linux alone")
@@ -22,7 +23,9 @@ ONE, TWO = scenario(1), scenario(2)
 @pytest.fixture
 def job_of(tmp_path):
     """Return a function that makes jobs whose ADS is a function of the scenario's number."""
-    return lambda drive: Job(world=Toy(), ads=lambda: drive, records=tmp_path / "records", owner="test_it.py::test_it")
+    return lambda drive: Job(
+        world=base_world(Toy()), ads=lambda: drive, records=tmp_path / "records", owner="test_it.py::test_it"
+    )
 
 
 @pytest.fixture

@@ -20,6 +20,7 @@ from pytest_pafot.extras.executors import ExecutorPool, packed, versions_here
 from pytest_pafot.model.scenario import PositionInstruction, Scenario
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.world import Highway
+from pytest_pafot.world.guard.own_worlds import base_world
 from tests.helpers.toy_world import Toy, idle, scenario, trace_of
 
 SCENARIOS = [scenario(number) for number in range(48)]
@@ -79,7 +80,7 @@ def pool_of(tmp_path, monkeypatch):
 
 
 def job_of(folder, ads=idle, world=None):
-    return Job(world=world or Toy(), ads=ads, records=folder, owner="test_it.py::test_it", root=folder)
+    return Job(world=base_world(world or Toy()), ads=ads, records=folder, owner="test_it.py::test_it", root=folder)
 
 
 def fetched(pool, scenarios=SCENARIOS):

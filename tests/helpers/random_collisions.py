@@ -15,7 +15,6 @@ from example_ads import constant_speed, defects, idm_mobil
 from pytest_pafot import Highway, Scenario, Trace
 from pytest_pafot.model.scenario import Act
 from pytest_pafot.searching.space import Instructions, SearchSpace, sample, space_on
-from pytest_pafot.world.protocol import road_start
 from pytest_pafot.world.reference_drivers import REFERENCES
 from tests.helpers.junctions import random_meeting
 from tests.helpers.road_cases import space_of, world_of
@@ -192,7 +191,7 @@ def motorway(rng: random.Random) -> Highway:
 def crossing_space(world: Any, rng: random.Random) -> SearchSpace:
     """Return a search space with NPCs that cross, with all acts."""
     given = {"npcs": rng.randint(1, 3), "crossings": world.crossings, "most_on_grid": 1, "acts": get_args(Act)}
-    return space_on(world, given, road_start(world))
+    return space_on(world, given, world.road_start)
 
 
 def motorway_space(world: Highway, rng: random.Random) -> SearchSpace:

@@ -11,7 +11,6 @@ from highway_env.envs.common.abstract import AbstractEnv
 from pytest_pafot import World
 from pytest_pafot.model.trace import ACCELERATION, ALONG, HEADING, SPEED, STEERING, X, Y
 from pytest_pafot.searching.space import space_on
-from pytest_pafot.world.protocol import road_start
 from tests.helpers.world_cases import LENGTH, STANDING, WIDTH, beyond
 
 
@@ -62,7 +61,7 @@ def world_of(env_id, duration=None):
 
 def space_of(world, npcs=2, traffic="paper"):
     """Return the plugin's search space in a world with its own start."""
-    return space_on(world, {"npcs": npcs, "traffic": traffic}, road_start(world))
+    return space_on(world, {"npcs": npcs, "traffic": traffic}, world.road_start)
 
 
 def wrapped(angle):

@@ -14,7 +14,7 @@ from pytest_pafot.model.scenario import CrossingInstruction, PositionInstruction
 from pytest_pafot.model.trace import LANE, SPEED, Outcome, X
 from pytest_pafot.support.errors import WorldError
 from pytest_pafot.world import Highway, World, from_dict
-from pytest_pafot.world.protocol import lasting
+from pytest_pafot.world.guard.own_worlds import base_world
 from tests.helpers.world_cases import EGOS, chains, constant_speed
 
 DURATION = 4.0
@@ -75,7 +75,7 @@ def test_longer_run_begins_as_the_usual_run(world, ads):
 def test_road_and_configuration_stay_the_same():
     for world in (Highway(duration=DURATION), JUNCTION):
         road = world.road  # a road through a network equals only itself, and a world makes its own when asked
-        longer = lasting(world)(14.0)
+        longer = world.lasting(14.0)
         assert (longer, longer.to_dict(), longer.road) == (world, world.to_dict(), road)
         assert (world.longest_run, longer.longest_run) == (DURATION, 14.0)
 
@@ -152,6 +152,7 @@ def test_longer_world_survives_copies_and_shows_its_duration():
 
 
 def test_world_with_another_rollout_does_not_last_by_an_inherited_method():
-    assert lasting(type("Own", (Highway,), {"rollout": lambda self, scenario, ads: None})()) is None
-    assert lasting(type("Around", (), {"__getattr__": lambda self, name: getattr(Highway(), name)})()) is None
-    assert lasting(type("Named", (Highway,), {})()) is not None
+    own = type("Own", (Highway,), {"rollout": lambda self, scenario, ads: None})
+    around = type("Around", (), {"__getattr__": lambda self, name: getattr(Highway(), name)})
+    named = type("Named", (Highway,), {})
+    assert [base_world(world()).can_last for world in (own, around, named)] == [False, False, True]

@@ -24,7 +24,7 @@ from pytest_pafot.model.scenario import (
     Step,
 )
 from pytest_pafot.model.trace import ACCELERATION, ACROSS, ALONG, LANE, SPEED, STRETCH, Outcome, X, Y
-from pytest_pafot.world.protocol import has_manoeuvres
+from pytest_pafot.world.guard.own_worlds import base_world
 from tests.helpers import road_cases
 from tests.helpers.c_library import c_library
 from tests.helpers.run_cases import differences
@@ -476,5 +476,5 @@ def test_steps_begin_in_their_order():
 
 
 def test_world_that_does_not_mention_manoeuvres_has_none():
-    assert not has_manoeuvres(SimpleNamespace(has_lane_instructions=True))
-    assert has_manoeuvres(Highway())
+    assert not base_world(SimpleNamespace(has_lane_instructions=True)).has_manoeuvres
+    assert Highway().has_manoeuvres

@@ -20,7 +20,6 @@ from pytest_pafot.searching.evaluation import EvaluationCache
 from pytest_pafot.searching.operators import crossover, mutate
 from pytest_pafot.searching.space import sample, space_on
 from pytest_pafot.world.kernel.director import Director
-from pytest_pafot.world.protocol import crossings, road_start
 from tests.helpers.road_cases import violations, world_of
 from tests.helpers.world_cases import TRAFFICS
 
@@ -38,8 +37,8 @@ def idm():
 
 def space_in(world, **given):
     """Return the space of scenarios of both kinds, and of all that cross, in a world."""
-    given = {"instructions": "both", "npcs": 3, "crossings": crossings(world), "gene_seconds": 2.0, **given}
-    return space_on(world, given, road_start(world))
+    given = {"instructions": "both", "npcs": 3, "crossings": world.crossings, "gene_seconds": 2.0, **given}
+    return space_on(world, given, world.road_start)
 
 
 def repeated(world, scenario, ego):
@@ -182,7 +181,7 @@ def test_cached_runs_equal_fresh_ones_in_mixed_scenarios(name, seed):
 def test_cells_at_a_junction_are_those_of_their_own_npcs():
     """Skipped cells are recorded for the NPC on the grid, although one in lanes and one that crosses come before it."""
     world = world_of("intersection-v1", duration=8.0)
-    zone = sorted(crossings(world).ways)[0]
+    zone = sorted(world.crossings.ways)[0]
     npcs = [
         [LI("keep", 5.0)] * 4,
         [CrossingInstruction(zone, 2.0, 8.0)],

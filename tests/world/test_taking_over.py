@@ -15,7 +15,7 @@ from pytest_pafot.model.scenario import CrossingInstruction, PositionInstruction
 from pytest_pafot.model.trace import ACCELERATION, LANE, SPEED
 from pytest_pafot.support.errors import DriverError
 from pytest_pafot.world import Highway, World, WorldError
-from pytest_pafot.world.protocol import lock_stepping, reference_world, taking_over
+from pytest_pafot.world.guard.own_worlds import base_world
 from pytest_pafot.world.reference_drivers import REFERENCES
 from tests.helpers.stages import mostly_oracle
 from tests.helpers.tables import table
@@ -185,7 +185,7 @@ class Both(Declares, Resumes):
 )
 def test_drivers_that_take_over_are_those_declared(world, drivers):
     trace = HIGHWAY.rollout(BRAKES, changing_lanes)
-    known = taking_over(world, trace)
+    known = base_world(world).taking_over(trace)
     assert (known and known.drivers) == drivers
 
 
@@ -206,23 +206,24 @@ class Reviewed(Slower):
 
 def test_abilities_for_a_replaced_rollout_are_not_used():
     trace = HIGHWAY.rollout(BRAKES, changing_lanes)
-    assert lock_stepping(HIGHWAY) is reference_world(HIGHWAY) is HIGHWAY
-    assert lock_stepping(Slower()) is reference_world(Slower()) is taking_over(Slower(), trace) is None
-    assert reference_world(Reviewed()).reference_drivers == ("mine",)
-    assert taking_over(Reviewed(), trace).drivers[0] == "mine"
+    assert base_world(HIGHWAY) is HIGHWAY
+    slower = base_world(Slower())
+    assert (slower.has_lock_step, slower.reference_drivers, slower.taking_over(trace)) == (False, (), None)
+    assert base_world(Reviewed()).reference_drivers == ("mine",)
+    assert base_world(Reviewed()).taking_over(trace).drivers[0] == "mine"
 
 
 @table("actions", [(), (0.5, 0.5), ("left", "right"), ((1, 2, 3),), ((True, False),), ((np.nan, 0.0),), (None,)])
 def test_actions_without_si_units_are_not_continued(actions):
     trace = replace(HIGHWAY.rollout(BRAKES, changing_lanes), actions=actions)
-    assert taking_over(Resumes(), trace) is None
-    assert taking_over(Both(), trace).drivers == ("idm-aeb",)
+    assert base_world(Resumes()).taking_over(trace) is None
+    assert base_world(Both()).taking_over(trace).drivers == ("idm-aeb",)
 
 
 def test_braking_after_decisions_equals_the_braking_driver():
     far = Scenario(npcs=[[PositionInstruction(2, 10.0)]], ego_lane=1, ego_speed=22.0)
     trace = HIGHWAY.rollout(far, lambda: lambda seen: (0.0, 0.0))
-    by_decisions = taking_over(Resumes(), trace)(trace, 30, "steady-braking")
+    by_decisions = base_world(Resumes()).taking_over(trace)(trace, 30, "steady-braking")
     assert np.allclose(by_decisions.states, HIGHWAY.take_over(trace, 30, "steady-braking").states)
 
 
@@ -238,7 +239,7 @@ def test_error_of_a_world_names_class_and_driver(take_over, error):
     trace = HIGHWAY.rollout(BRAKES, weaving)
     expected = f"^the world Broken could not run take_over with the driver 'idm-aeb': {error}$"
     with pytest.raises(DriverError, match=expected):
-        taking_over(world, trace)(trace, 3, "idm-aeb")
+        base_world(world).taking_over(trace)(trace, 3, "idm-aeb")
 
 
 def test_driver_that_takes_over_is_driven_on_in_the_longer_world():
@@ -246,11 +247,11 @@ def test_driver_that_takes_over_is_driven_on_in_the_longer_world():
     trace = HIGHWAY.rollout(short, lambda: lambda seen: (0.0, 0.0))
     resuming = type("GoesOn", (Resumes,), {"lasting": lambda self, seconds: HIGHWAY.lasting(seconds)})()
     for world, driver in ((HIGHWAY, "careful-human"), (resuming, "steady-braking")):
-        take_over = taking_over(world, trace)
+        take_over = base_world(world).taking_over(trace)
         usual, longer = (each(trace, 15, driver) for each in (take_over, take_over.lasting(14.0)))
         assert (usual.duration, longer.duration) == (2.0, 14.0)
         assert longer.states[: len(usual.states)].tobytes() == usual.states.tobytes()
-    assert taking_over(Declares(), trace).lasting(14.0) is None
+    assert base_world(Declares()).taking_over(trace).lasting(14.0) is None
 
 
 @table(
@@ -264,4 +265,4 @@ def test_error_of_a_world_that_cannot_go_on_names_its_class(lasting, error):
     world = type("Broken", (Declares,), {"lasting": lasting})()
     trace = HIGHWAY.rollout(BRAKES, weaving)
     with pytest.raises(DriverError, match=f"^the world Broken could not run lasting: {error}$"):
-        taking_over(world, trace).lasting(14.0)
+        base_world(world).taking_over(trace).lasting(14.0)

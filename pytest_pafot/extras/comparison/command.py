@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from pytest_pafot import Highway, World
-from pytest_pafot.extending import ALGORITHMS, Abilities, drawn_space
+from pytest_pafot.extending import ALGORITHMS, base_world, drawn_space
 from pytest_pafot.extras.comparison.algorithm_run import run_all
 from pytest_pafot.extras.comparison.plan import Plan, checked
 from pytest_pafot.extras.resumable import AGAIN, worker_count, written_into
@@ -148,7 +148,7 @@ def plan_of(arguments: argparse.Namespace) -> Plan:
         world.check()
     given = {name: value for name in SPACE if (value := getattr(arguments, name)) is not None}
     try:
-        space = Abilities(world).space(given)
+        space = base_world(world).space(given)
     except ValueError as error:
         raise RequestError(str(error)) from None
     generations = None if arguments.seconds is not None else arguments.generations

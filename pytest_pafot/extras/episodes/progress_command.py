@@ -25,7 +25,6 @@ import numpy as np
 from pytest_pafot import Highway, Outcome, Run, World, WorldError, explore
 from pytest_pafot.extending import (
     ABOUT_POLICIES,
-    Abilities,
     GenerationFinished,
     ProcessLostError,
     Saved,
@@ -34,6 +33,7 @@ from pytest_pafot.extending import (
     Verdict,
     WorkerPool,
     ads_factory,
+    base_world,
     check_drives,
     check_function,
     config_of,
@@ -296,7 +296,7 @@ class ProgressPlan:
     def judged(self, side: str, numbers: range) -> Iterator[tuple[Run, Verdict]]:
         """Run random scenarios with a policy; each scenario depends only on the seed and its number."""
         world = self.world
-        space = Abilities(world).space(drawn_space(world, {}))
+        space = base_world(world).space(drawn_space(world, {}))
         scenarios = [sample(space, np.random.default_rng((self.seed, number))) for number in numbers]
         return judged_runs(scenarios, world, self.factory(side), self.holds, blame="ego")
 

@@ -28,7 +28,7 @@ from pytest_pafot import (
     Step,
     Traffic,
 )
-from pytest_pafot.extending import Abilities
+from pytest_pafot.extending import base_world
 from pytest_pafot.support.errors import RequestError, plain_number
 from pytest_pafot.support.text import meant
 
@@ -144,9 +144,8 @@ class Entry:
         """Return a world, by default a highway, with runs that last as long as this scenario takes."""
         if world is None:
             return Highway(speed_limit=FASTEST, duration=self.seconds)
-        longer = Abilities(world).lasting
         seconds = min(self.seconds, float(world.longest_run))
-        return world if longer is None else longer(seconds)
+        return world.lasting(seconds) if base_world(world).can_last else world
 
 
 def _tenths(value: float) -> float:
@@ -559,10 +558,10 @@ def chosen(names: tuple[str, ...]) -> tuple[Entry, ...]:
 
 def fits(scenario: Scenario, world: Any) -> str:
     """Return why a scenario cannot be driven in a world; empty if it can."""
-    if not Abilities(world).has_manoeuvres and any(isinstance(chain[0], Manoeuvre) for chain in scenario.npcs):
+    if not base_world(world).has_manoeuvres and any(isinstance(chain[0], Manoeuvre) for chain in scenario.npcs):
         return f"expected a world whose NPCs can have manoeuvres, received {world!r:.80}"
     try:
-        Abilities(world).check_fits(scenario)
+        base_world(world).check_fits(scenario)
     except ScenarioError as error:
         return str(error)
     return ""

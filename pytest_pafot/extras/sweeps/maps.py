@@ -15,12 +15,12 @@ from typing import Any, Literal, get_args
 from pytest_pafot import Highway, Outcome, Run, SavedScenario, Scenario, ScenarioError, Trace, load
 from pytest_pafot.extending import (
     SUFFIX,
-    Abilities,
     AdsFactory,
     Finding,
     ProcessLostError,
     Verdict,
     WorldData,
+    base_world,
     driving,
     judged_with_drivers,
     refusals,
@@ -393,7 +393,7 @@ def sweep(
     name += "" if holds is None else f", {getattr(holds, '__name__', type(holds).__name__)}"
     before = {} if against is None else _before(name, axes, against)  # before anything is driven
     factory = named_factory(ads)
-    if not Abilities(make.world).reference_drivers:
+    if not base_world(make.world).reference_drivers:
         raise RequestError(
             "sweep: expected a world with reference drivers, which tell what can be avoided, received one without"
         )

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from pytest_pafot import Cell, LaneInstruction, Outcome, Planned, PositionInstruction, Run, Scenario, Trace
-from pytest_pafot.extending import LANE, SPEED, Abilities, WorldData, X, Y, needs_env, rollout_of, sample
+from pytest_pafot.extending import LANE, SPEED, WorldData, X, Y, base_world, needs_env, rollout_of, sample
 from pytest_pafot.extras.testing import traces as rules
 from pytest_pafot.extras.testing.traces import DEEP, ROUNDING, Promises
 from pytest_pafot.support.errors import plain_number
@@ -137,13 +137,13 @@ def check_world(
         RuntimeWarning: if no run had a collision, so that nothing about collisions was checked; or if all had an event,
             so that nothing about ``lasting`` was checked.
     """
-    lacking = Abilities(world).missing
+    lacking = base_world(world).missing
     _promise(not lacking, "a world has all that a search needs", f"no {', '.join(lacking)}")
     _check_members(world)
-    able: dict[str, Any] = {} if (found := Abilities(world).crossings) is None else {"crossings": found}
-    if Abilities(world).has_lane_instructions:
+    able: dict[str, Any] = {} if (found := base_world(world).crossings) is None else {"crossings": found}
+    if base_world(world).has_lane_instructions:
         able["instructions"] = "both"
-    random, within = np.random.default_rng(seed), Abilities(world).space({**able, **space})
+    random, within = np.random.default_rng(seed), base_world(world).space({**able, **space})
     calls = _Calls(ads)
     done = [_run(world, sample(within, random), calls) for _ in range(runs)]
     for each in done:
@@ -221,7 +221,7 @@ def _further(world: Any, done: Sequence[_Done], scenarios: Iterator[Scenario]) -
 
     The egos have constant actions. If these are not in SI units, there are none, and the ADS of the check drives.
     """
-    is_si = all(each.calls.is_known and Abilities.looks_si(each.noted.actions) for each in done)
+    is_si = all(each.calls.is_known and base_world(world).looks_si(each.noted.actions) for each in done)
     egos = [_run(world, done[0].scenario, _Calls(_constant(action))) for action in EGOS] if is_si else []
     if any(each.trace.error for each in egos):
         egos = []
@@ -314,7 +314,7 @@ def _decided(world: Any, done: _Done) -> Promises:
         promise = "an ADS that receives a pafot.Observation, or an object with its fields, sees the ego as in states"
         received = "a difference of {:.2f} m in x, {:.2f} m in y, {:.2f} m/s at half of the decisions".format(*away)
         yield (away <= 2 * DEEP).all(), promise, received
-    if not trace.actions and not Abilities(world).is_resumable:
+    if not trace.actions and not base_world(world).is_resumable:
         return  # Only worlds with decisions= are asked to repeat actions.
     yield len(trace.actions) == made, "actions has one action for each decision", f"{len(trace.actions)} for {made}"
 
@@ -374,7 +374,7 @@ def _otherwise(scenario: Scenario, speed_limit: float) -> Scenario:
 def _check_lane_changes(world: Any, done: _Done) -> None:
     """Check that NPCs go to the left or to the right by their Lane-Instructions, in runs that last long enough."""
     scenario, lanes = done.scenario, done.trace.lanes
-    if not Abilities(world).has_lane_instructions or len(lanes) < 2 or not rules.is_straight(done.trace):
+    if not base_world(world).has_lane_instructions or len(lanes) < 2 or not rules.is_straight(done.trace):
         return
     across: list[Any] = []
     for lane in ("left", "right"):
@@ -394,10 +394,10 @@ def _check_lane_changes(world: Any, done: _Done) -> None:
 
 def _check_decisions(world: Any, done: Sequence[_Done]) -> None:
     """Check that ``decisions=`` replaces the first decisions of an ADS, which then goes on from there."""
-    for each in done if Abilities(world).is_resumable else ():
+    for each in done if base_world(world).is_resumable else ():
         trace, actions, ticks = each.trace, each.trace.actions, (*each.trace.decision_ticks, each.trace.ticks)
         for given in (len(actions) // 2, len(actions)) if each.calls.is_known and len(actions) > 1 else ():
-            calls = _Calls(_constant((-6.0, 0.0)) if Abilities.looks_si(actions) else each.calls.ads)
+            calls = _Calls(_constant((-6.0, 0.0)) if base_world(world).looks_si(actions) else each.calls.ads)
             again = _rollout(world.rollout, each.scenario, calls.factory, decisions=actions[:given])
             promise = "decisions= replaces the first decisions, so a run with trace.actions repeats states"
             _promise(
@@ -419,7 +419,7 @@ def _check_drivers(world: Any, staged: Sequence[_Done], others: Sequence[_Done])
     tried = [*staged[:1], *others][:4]
     first = tried[0].trace
     hit = bool(staged) and first.collision is not None and first.collision.npc == 0
-    for name in Abilities(world).reference_drivers:
+    for name in base_world(world).reference_drivers:
         with _no_error(f"rollout_reference runs the declared driver {name!r}"):
             trace, again = (world.rollout_reference(first.scenario, name) for _ in range(2))
         _promise(isinstance(trace, Trace), "rollout_reference returns a pafot.Trace", f"{trace!r:.200}")
@@ -427,7 +427,7 @@ def _check_drivers(world: Any, staged: Sequence[_Done], others: Sequence[_Done])
         _check_same(trace, again, f"rollout_reference gives the same trace again for {name!r}")
         is_seen = not (hit and _repeats(first, trace, None, 1))
         _promise(is_seen, f"rollout_reference lets {name!r} drive", "the run without it, with its collision")
-    for name in Abilities(world).takes_over:
+    for name in base_world(world).drivers:
         is_other = []
         for each in tried:
             trace, ticks = each.trace, each.trace.decision_ticks
@@ -457,7 +457,7 @@ def _brakes_steadily(taken: Trace, tick: int) -> bool:
 
 def _check_batch(world: Any, done: Sequence[_Done], ads: Ads) -> None:
     """Check that runs in lock step give the traces of single runs, if the ADS of the check decides for many."""
-    if not Abilities(world).steps_together or needs_env(ads) or not hasattr(ads(), "batch"):
+    if not base_world(world).has_lock_step or needs_env(ads) or not hasattr(ads(), "batch"):
         return
     with _no_error("rollout_batch runs scenarios"):
         traces = rollout_of(world, "rollout_batch")([each.scenario for each in done], ads)
@@ -468,7 +468,7 @@ def _check_batch(world: Any, done: Sequence[_Done], ads: Ads) -> None:
 
 def _check_lasting(world: Any, done: Sequence[_Done], ads: Ads) -> None:
     """Check that a run that lasts longer is as long as asked for, and begins as usual."""
-    if (make := Abilities(world).lasting) is None:
+    if not base_world(world).can_last:
         return
     whole = [each for each in done if each.trace.outcome is Outcome.SAFE][:LONGER]
     if not whole:
@@ -481,8 +481,8 @@ def _check_lasting(world: Any, done: Sequence[_Done], ads: Ads) -> None:
     for number, each in enumerate(whole):
         trace, seconds = each.trace, each.trace.duration + 2.0 + number / 5  # other times for runs of one length
         with _no_error("lasting returns a world"):
-            other = make(seconds)
-        _promise(not Abilities(other).missing, "lasting returns a world", f"{other!r:.100}")
+            other = world.lasting(seconds)
+        _promise(not base_world(other).missing, "lasting returns a world", f"{other!r:.100}")
         longer = _rollout(rollout_of(other), each.scenario, ads)
         begins = _is_same(trace.states, longer.states[: len(trace.states)]) and len(trace.lanes) == len(longer.lanes)
         usual = "a run in the world of lasting begins as usual"
@@ -498,7 +498,7 @@ def _check_lasting(world: Any, done: Sequence[_Done], ads: Ads) -> None:
 
 def _check_faults(world: Any, done: _Done, ads: Ads) -> None:
     """Check that an ADS that fails after its first decisions ends its own run at that decision."""
-    limit, trace = Abilities(world).hang_limit, done.trace
+    limit, trace = base_world(world).hang_limit, done.trace
     faults: list[tuple[str, Callable[[], Any], Outcome]] = [
         ("raises", lambda: 1 / 0, Outcome.ADS_ERROR),
         ("returns None", lambda: None, Outcome.ADS_ERROR),

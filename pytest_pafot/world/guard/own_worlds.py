@@ -1,23 +1,32 @@
-"""Runs in worlds that do not guard the ADS themselves: each decision has a time limit, as in the built-in worlds."""
+"""The worlds of users as a search sees them: what they declare, and a time limit for each decision."""
 
 from __future__ import annotations
 
+import inspect
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import replace
-from functools import partial, wraps
+from dataclasses import dataclass, replace
+from functools import lru_cache, partial, wraps
+from types import FunctionType
 from typing import Any
 
+from pytest_pafot.model.crossings import Crossings
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import AdsError, Outcome, Trace
 from pytest_pafot.support.errors import OutOfTime
-from pytest_pafot.world.driving.ads import is_vehicle_class
+from pytest_pafot.world.base_world import REQUIRED, BaseWorld, FirstDecision, RoadStart
+from pytest_pafot.world.built_in import BuiltInWorld
+from pytest_pafot.world.driving.ads import AdsFactory, is_vehicle_class
 from pytest_pafot.world.driving.seeing import SeeingAds
 from pytest_pafot.world.guard.chance import GENERATORS, is_unseeded
 from pytest_pafot.world.guard.failure import error_of
 from pytest_pafot.world.guard.hang_guard import AdsHang, HangGuard, unending
-from pytest_pafot.world.protocol import hang_limit
+from pytest_pafot.world.gym_world import World
+from pytest_pafot.world.highway import Highway
+from pytest_pafot.world.limits import HANG_LIMIT
+from pytest_pafot.world.roads.network import Meeting
+from pytest_pafot.world.roads.straight import StraightRoad
 
 WORLD_SHARE, LEAST_FOR_WORLD = 10.0, 60.0
 """The time that a world may take between two decisions, before the first and after the last, before a process that can
@@ -29,62 +38,295 @@ class Hang(Exception):  # noqa: N818  (a world that records the name of the exce
     """The end of a decision that exceeds the hang limit, as the code of a user's world sees it."""
 
 
+def base_world(world: Any) -> BaseWorld:
+    """Return a world as a search sees it: itself if it is one of this package, else an :class:`OwnWorld` around it.
+
+    A world of a class that a user has derived from ours is the user's, because it may do anything.
+    """
+    if isinstance(world, BaseWorld) and (not isinstance(world, BuiltInWorld) or type(world) in (Highway, World)):
+        return world
+    return OwnWorld(world)
+
+
 def rollout_of(world: Any, method: str = "rollout") -> Callable[..., Any]:
     """Return the ``rollout`` of any world, with seeded global generators, or another method of it that makes runs.
 
     Decisions that hang are ended: by the world, or else here. ``rollout_batch`` makes several runs at once.
     """
+    base = base_world(world)
     if method == "rollout_batch":
-        return partial(simulate_batch, world)
-    is_guarded = method != "rollout" or guards_ads(world)
-    return partial(GENERATORS.run, getattr(world, method) if is_guarded else partial(simulate, world))
+        return partial(_rollout_batch, base)
+    return partial(GENERATORS.run, getattr(base, method))
 
 
-def simulate(world: Any, scenario: Scenario, ads_factory: Callable[..., Any], **given: Any) -> Trace:
-    """Simulate a scenario in a world that does not guard the ADS; ``given`` are further arguments of its ``rollout``.
+def _rollout_batch(world: BaseWorld, scenarios: Sequence[Scenario], ads_factory: Callable[..., Any]) -> list[Trace]:
+    """Simulate scenarios at once. If they draw from a global generator, each has the numbers of its own seed instead.
 
-    Each decision is interrupted after the world's ``hang_limit``. The world sees a :class:`Hang` then, and again at
-    each further call of this ADS. However the world records that, the outcome of the run is ``hang``.
-
-    Raises:
-        Hang: if the world does not catch exceptions of the ADS.
-        Exception: any exception of the world or of the factory.
-    """
-    __tracebackhide__ = True
-    with _Watch(hang_limit(world), len(given.get("decisions", ()))) as watch:
-        return watch.told(world.rollout(scenario, watch.guarded(ads_factory), **given))
-
-
-def simulate_batch(world: Any, scenarios: Sequence[Scenario], ads_factory: Callable[..., Any]) -> list[Trace]:
-    """Simulate scenarios by any world's ``rollout_batch``, with the guard of :func:`simulate` if the world has none.
-
-    If a decision for many runs hangs, ``hang`` is the outcome of the runs that the world ended for it. If they draw
-    from a global generator, they are made one by one instead, so that each has the numbers of its own seed.
+    They are made one by one then.
     """
     __tracebackhide__ = True
     is_seeded = not is_unseeded(ads_factory)
     with GENERATORS.held():
         if is_seeded:
             GENERATORS.share()
-        if guards_ads(world):
-            made: list[Trace] = world.rollout_batch(scenarios, ads_factory)
-        else:
-            with _Watch(hang_limit(world), 0) as watch:
-                made = world.rollout_batch(scenarios, watch.guarded(ads_factory))
-                if watch.is_cut:
-                    raise OutOfTime
-                made = [watch.told(trace) if trace.outcome is Outcome.ADS_ERROR else trace for trace in made]
+        made = world.rollout_batch(scenarios, ads_factory)
         if is_seeded and not GENERATORS.is_shared():
             made = [rollout_of(world)(each, ads_factory) for each in scenarios]
         return made
 
 
-def guards_ads(world: Any) -> bool:
-    """Return whether the class of a world itself states that it ends decisions that hang.
+@dataclass(frozen=True, slots=True, repr=False)
+class OwnWorld(BaseWorld):
+    """A user's world as a search sees it, with guarded decisions.
 
-    An inherited statement is not used, because a derived class may call the ADS in a ``rollout`` of its own.
+    What it declares is only used where it is about its own ``rollout``: a method of a base class runs scenarios like
+    the ``rollout`` that it was written for, which a derived class may have replaced.
     """
-    return vars(type(world)).get("guards_ads", False) is True
+
+    world: Any
+
+    def __repr__(self) -> str:
+        return repr(self.world)
+
+    @property
+    def given(self) -> Any:
+        """The world as the user gave it."""
+        return self.world
+
+    @property
+    def missing(self) -> tuple[str, ...]:
+        """The names in :data:`REQUIRED` that the world lacks.
+
+        Properties are not evaluated, because a property may make the world's environment.
+        """
+        lacks = lambda name: not hasattr(type(self.world), name) and not hasattr(self.world, name)  # noqa: E731
+        return tuple(filter(lacks, REQUIRED))
+
+    @property
+    def speed_limit(self) -> float:
+        """The highest target speed of NPCs [m/s]."""
+        return float(self.world.speed_limit)
+
+    @property
+    def longest_run(self) -> float:
+        """The longest duration of a run [s]."""
+        return float(self.world.longest_run)
+
+    @property
+    def hang_limit(self) -> float:
+        """The wall-clock time after which a decision of the ADS is interrupted [s]."""
+        return float(getattr(self.world, "hang_limit", HANG_LIMIT))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the world as plain data."""
+        data: dict[str, Any] = self.world.to_dict()
+        return data
+
+    def rollout(self, scenario: Scenario, ads_factory: AdsFactory, **given: Any) -> Trace:
+        """Simulate a scenario; ``given`` are further arguments of the world's ``rollout``.
+
+        Each decision is interrupted after :attr:`hang_limit`, unless the world does so itself. The world sees a
+        :class:`Hang` then, and again at each further call of this ADS. However the world records that, the outcome of
+        the run is ``hang``.
+
+        Raises:
+            Hang: if the world does not catch exceptions of the ADS.
+            Exception: any exception of the world or of the factory.
+        """
+        __tracebackhide__ = True
+        if self._guards_ads:
+            trace: Trace = self.world.rollout(scenario, ads_factory, **given)
+            return trace
+        with _Watch(self.hang_limit, len(given.get("decisions", ()))) as watch:
+            return watch.told(self.world.rollout(scenario, watch.guarded(ads_factory), **given))
+
+    def rollout_batch(self, scenarios: Sequence[Scenario], ads_factory: AdsFactory) -> list[Trace]:
+        """Simulate scenarios by the world's ``rollout_batch``, with the guard of :meth:`rollout`.
+
+        If a decision for many runs hangs, ``hang`` is the outcome of the runs that the world ended for it.
+        """
+        __tracebackhide__ = True
+        if self._guards_ads:
+            made: list[Trace] = self.world.rollout_batch(scenarios, ads_factory)
+            return made
+        with _Watch(self.hang_limit, 0) as watch:
+            made = self.world.rollout_batch(scenarios, watch.guarded(ads_factory))
+            if watch.is_cut:
+                raise OutOfTime
+            return [watch.told(trace) if trace.outcome is Outcome.ADS_ERROR else trace for trace in made]
+
+    @property
+    def _guards_ads(self) -> bool:
+        """True if the world's class itself states that it ends decisions that hang.
+
+        An inherited statement is not used, because a derived class may call the ADS in a ``rollout`` of its own.
+        """
+        return vars(type(self.world)).get("guards_ads", False) is True
+
+    def _runs_alike(self, name: str) -> bool:
+        """Return whether the world has a method that runs scenarios like its ``rollout``."""
+        if not hasattr(self.world, name):
+            return False
+        classes = type(self.world).__mro__
+        rollout, method = (
+            next((n for n, each in enumerate(classes) if member in vars(each)), -1) for member in ("rollout", name)
+        )
+        replaced = [vars(each).get("rollout") for each in classes[rollout + 1 : method + 1]]
+        return all(each is None or getattr(each, "__isabstractmethod__", False) for each in replaced)
+
+    @property
+    def road_start(self) -> RoadStart | None:
+        """The ego's start that the world's ``start`` prescribes."""
+        start: tuple[int, float] | None = getattr(self.world, "start", None)
+        return None if start is None else RoadStart(*start, physics_hz=self.world.physics_hz)
+
+    @property
+    def straight_road(self) -> StraightRoad | None:
+        """The world's ``road`` if it is a :class:`StraightRoad`."""
+        road = getattr(self.world, "road", None)
+        return road if isinstance(road, StraightRoad) else None
+
+    @property
+    def crossings(self) -> Crossings | None:
+        """The ways on which other traffic meets the ego's way."""
+        found: Crossings | None = getattr(self.world, "crossings", None)
+        return found
+
+    @property
+    def unused_roads(self) -> frozenset[Meeting]:
+        """How roads without NPCs meet the ego's way, if the world's class itself states it.
+
+        An inherited property is not used: in a derived class, any vehicle may drive on these roads.
+        """
+        return self.world.unused_roads if "unused_roads" in vars(type(self.world)) else frozenset()
+
+    @property
+    def action_space(self) -> Any:
+        """The gymnasium space of actions."""
+        return getattr(self.world, "action_space", None)
+
+    @property
+    def least_action_speed(self) -> float:
+        """The lowest speed to which actions can slow the ego down [m/s]."""
+        return float(getattr(self.world, "least_action_speed", 0.0))
+
+    @property
+    def left_out(self) -> Mapping[str, tuple[str, ...]]:
+        """The methods of the environment that change its state, but are not called in runs of a policy."""
+        found: Mapping[str, tuple[str, ...]] = getattr(self.world, "left_out", {})
+        return found
+
+    @property
+    def has_traffic_in_reset(self) -> bool:
+        """True if a reset of the environment changes its traffic."""
+        return getattr(self.world, "has_traffic_in_reset", False) is True
+
+    def options_without_effect(self, *, drives_itself: bool, simulates: bool = False) -> dict[str, list[str]]:
+        """Return the given options of the environment that have no effect in a search."""
+        known = getattr(self.world, "options_without_effect", None)
+        return {} if known is None else known(drives_itself=drives_itself, simulates=simulates)
+
+    @property
+    def has_traffic_styles(self) -> bool:
+        """True if the world declares that NPCs keep to the style ``scenario.traffic``."""
+        return getattr(self.world, "has_traffic_styles", False) is True
+
+    @property
+    def has_lane_instructions(self) -> bool:
+        """True if the world declares that NPCs can have Lane-Instructions."""
+        return getattr(self.world, "has_lane_instructions", False) is True
+
+    @property
+    def has_manoeuvres(self) -> bool:
+        """True if the world declares that NPCs can have manoeuvres."""
+        return getattr(self.world, "has_manoeuvres", False) is True
+
+    @property
+    def is_resumable(self) -> bool:
+        """True if ``rollout`` has a parameter ``decisions`` or passes any on, as ``**options``."""
+        rollout = getattr(self.world.rollout, "__func__", self.world.rollout)
+        takes = _takes_decisions if isinstance(rollout, FunctionType) else _takes_decisions.__wrapped__
+        return bool(takes(rollout))
+
+    @property
+    def has_lock_step(self) -> bool:
+        """True if the world has ``rollout_batch`` for its ``rollout``, unless its ``has_lock_step`` is false."""
+        return self._runs_alike("rollout_batch") and bool(getattr(self.world, "has_lock_step", True))
+
+    @property
+    def can_last(self) -> bool:
+        """True if the world's class has ``lasting`` for its ``rollout``.
+
+        A method that only an object of the class has is not used: it may be another world's.
+        """
+        return hasattr(type(self.world), "lasting") and self._runs_alike("lasting")
+
+    def lasting(self, seconds: float) -> BaseWorld:
+        """Return what the world's ``lasting`` returns, which may be no world."""
+        return base_world(self.world.lasting(seconds))
+
+    @property
+    def replays_in_gym(self) -> bool:
+        """True if the world's own class defines ``rollout_in_gym``.
+
+        An inherited method is not used: a derived class may change ``rollout``, and the base class's environment would
+        then repeat a different run.
+        """
+        return "rollout_in_gym" in vars(type(self.world))
+
+    def rollout_in_gym(self, scenario: Scenario, ads_factory: AdsFactory) -> Trace:
+        """Simulate a scenario in gymnasium."""
+        trace: Trace = self.world.rollout_in_gym(scenario, ads_factory)
+        return trace
+
+    @property
+    def reference_drivers(self) -> tuple[str, ...]:
+        """The names of the world's reference drivers, if its ``rollout_reference`` runs like its ``rollout``."""
+        return self._names("reference_drivers") if self._runs_alike("rollout_reference") else ()
+
+    def rollout_reference(self, scenario: Scenario, name: str) -> Trace:
+        """Simulate a scenario with a reference driver in the ego's place."""
+        trace: Trace = self.world.rollout_reference(scenario, name)
+        return trace
+
+    @property
+    def drivers(self) -> tuple[str, ...]:
+        """The names of drivers with which the world declares that its ``take_over`` can be called."""
+        names = (*self._names("reference_drivers"), *self._names("takes_over"))
+        return names if self._runs_alike("take_over") else ()
+
+    def _names(self, attribute: str) -> tuple[str, ...]:
+        return tuple(getattr(self.world, attribute, ()))
+
+    def take_over(self, trace: Trace, tick: int, name: str) -> Trace:
+        """Simulate a run again, with a driver in the ego's place from a tick on."""
+        taken: Trace = self.world.take_over(trace, tick, name)
+        return taken
+
+    def runs_in_kernel(self, ads: Any) -> bool:
+        """Return whether ``ads`` is driven without Python code in each tick."""
+        return bool(self.world.runs_in_kernel(ads)) if hasattr(self.world, "runs_in_kernel") else False
+
+    def check_fits(self, scenario: Scenario) -> None:
+        """Refuse a scenario that does not fit the world, if the world can."""
+        if hasattr(self.world, "check_fits"):
+            self.world.check_fits(scenario)
+
+    def first_decision(self, scenario: Scenario) -> FirstDecision | None:
+        """Describe the first decision of an ADS; return None if the world cannot, or the run fails before it."""
+        asked: FirstDecision | None = None
+        if hasattr(self.world, "first_decision"):
+            asked = self.world.first_decision(scenario)
+        return asked
+
+
+@lru_cache(maxsize=16)  # a search asks before each run, and reading a signature takes as long as breeding a child
+def _takes_decisions(rollout: Callable[..., Any]) -> bool:
+    try:
+        parameters = inspect.signature(rollout).parameters
+    except (TypeError, ValueError):  # builtins without a signature
+        return False
+    return "decisions" in parameters or any(each.kind is each.VAR_KEYWORD for each in parameters.values())
 
 
 class _WorldGuard(HangGuard):

@@ -13,7 +13,6 @@ from pytest_pafot.extras.sweeps.drawing import page
 from pytest_pafot.extras.sweeps.entries import ENTRIES, entry_of
 from pytest_pafot.extras.sweeps.numbers import values_of
 from pytest_pafot.support.errors import RequestError
-from pytest_pafot.world.protocol import run_of
 from tests.extras.sweeps.planted import keeps_speed, mapped, two_numbers
 from tests.extras.sweeps.test_drawing import data_of
 from tests.helpers.tables import table
@@ -137,7 +136,7 @@ def test_time_to_contact_is_reached_as_the_lane_change_ends(lateral_speed):
     entry = entry_of("euro-ncap/cut-in")
     values = {"ttc": 1.5, "ego_speed": 30.0, "target_speed": 20.0, "lateral_speed": lateral_speed}
     world = entry.world()
-    run = run_of(world, world.rollout(entry.scenario(**values), keeps_speed))
+    run = world.run_of(world.rollout(entry.scenario(**values), keeps_speed))
     tick = run.trace.begun[0][0] + round(4.0 / lateral_speed * run.trace.physics_hz)
     ego, npc = run.trace.states[tick, :, 0]
     assert (npc - ego - run.trace.sizes[:, 0].mean()) / 10.0 == pytest.approx(1.5, abs=0.3)

@@ -10,7 +10,6 @@ from pytest_pafot.extras.sweeps.entries import ENTRIES, NAMES, NoPlaceError, cho
 from pytest_pafot.model.scenario import ScenarioError
 from pytest_pafot.model.trace import SPEED
 from pytest_pafot.support.errors import RequestError
-from pytest_pafot.world import protocol
 from tests.extras.sweeps.planted import keeps_speed
 from tests.helpers.tables import table
 
@@ -21,7 +20,7 @@ CUT_IN = entry_of("r157/cut-in")
 
 @cache
 def driven(world, scenario, ads):
-    return protocol.run_of(world, world.rollout(scenario, ads))
+    return world.run_of(world.rollout(scenario, ads))
 
 
 def intersection():

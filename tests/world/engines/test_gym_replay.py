@@ -14,7 +14,7 @@ from pytest_pafot.model.trace import SPEED, Outcome
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.world import Highway, World
 from pytest_pafot.world.engines.gym_replay import StockVehicle
-from pytest_pafot.world.protocol import gym_replaying
+from pytest_pafot.world.guard.own_worlds import base_world
 from tests.helpers.c_library import c_library
 from tests.helpers.run_cases import differences
 from tests.helpers.stages import mostly_oracle, oracle
@@ -224,4 +224,5 @@ def test_only_the_class_itself_repeats_runs_in_an_environment():
     class Repeats(Derived):
         rollout_in_gym = Highway.rollout_in_gym
 
-    assert [gym_replaying(world) is world for world in (Highway(), Derived(), Repeats())] == [True, False, True]
+    worlds = (Highway(), Derived(), Repeats())
+    assert [base_world(world).replays_in_gym for world in worlds] == [True, False, True]

@@ -12,7 +12,7 @@ import pytest
 from pytest_pafot import Highway, PositionInstruction, Scenario
 from pytest_pafot.model.trace import Trace
 from pytest_pafot.world.guard.chance import GENERATORS, Unseeded
-from pytest_pafot.world.guard.own_worlds import rollout_of, simulate_batch
+from pytest_pafot.world.guard.own_worlds import rollout_of
 
 WORLD = Highway(duration=2.0)
 
@@ -150,7 +150,7 @@ class Together:
 
 def test_runs_in_lock_step_that_draw_are_the_runs_one_by_one() -> None:
     scenarios = [with_seed(seed) for seed in (1, 2)]
-    together = simulate_batch(WORLD, scenarios, Together)
+    together = rollout_of(WORLD, "rollout_batch")(scenarios, Together)
     assert [each.actions for each in together] == [drive(Together, seed).actions for seed in (1, 2)]
     assert all(each.drew for each in together)
 

@@ -15,7 +15,7 @@ from pytest_pafot.support.errors import OutOfTime
 from pytest_pafot.world import Highway
 from pytest_pafot.world.guard import own_worlds
 from pytest_pafot.world.guard.hang_guard import AdsHang, HangGuard, LastResort, last_resort, runs_end_in
-from pytest_pafot.world.guard.own_worlds import Hang, guards_ads, rollout_of, simulate, simulate_batch
+from pytest_pafot.world.guard.own_worlds import Hang, OwnWorld, rollout_of
 from tests.helpers.tables import table
 
 AHEAD = Scenario(npcs=[[PositionInstruction(2, 22.0)]], ego_speed=22.0, gene_seconds=4.0)
@@ -122,7 +122,7 @@ def hangs(after=4):
 @table("world", [Calls(), Forgives(), InThread(), Slow(), Quick()])
 def test_decision_that_hangs_ends_run_as_hang(world):
     began = time.monotonic()
-    trace = simulate(world, AHEAD, hangs())
+    trace = OwnWorld(world).rollout(AHEAD, hangs())
     assert time.monotonic() - began < 20
     assert (trace.outcome, trace.collision) == (Outcome.HANG, None)
     assert (trace.error.kind, trace.error.interrupted, trace.error.tick) == ("Hang", True, 12)
@@ -140,19 +140,19 @@ def test_hang_that_the_ads_catches_ends_run_all_the_same(world):
             hangs(after=0 if len(decisions) == 5 else 1)()(seen)
         return 0.0, 0.0
 
-    trace = simulate(world, AHEAD, lambda: catches)
+    trace = OwnWorld(world).rollout(AHEAD, lambda: catches)
     assert (trace.outcome, trace.error.kind, trace.error.tick, len(decisions)) == (Outcome.HANG, "Hang", 12, 5)
 
 
 def test_world_that_goes_on_gets_no_second_long_decision():
     world, began = Forgives(), time.monotonic()
-    simulate(world, AHEAD, hangs())
+    OwnWorld(world).rollout(AHEAD, hangs())
     assert (world.calls, time.monotonic() - began < 5) == (10, True)
 
 
 def test_world_that_catches_nothing_passes_the_hang_on():
     with pytest.raises(Hang, match="one decision took longer than the hang limit of the world and was interrupted"):
-        simulate(Trusts(), AHEAD, hangs())
+        OwnWorld(Trusts()).rollout(AHEAD, hangs())
 
 
 class Swallows(Calls):
@@ -168,13 +168,13 @@ class Swallows(Calls):
 @table("world", [Calls(), Forgives(), Trusts(), InThread(), Swallows()])
 def test_time_limit_ends_a_run_whatever_its_world_catches(world):
     with runs_end_in(0.05), pytest.raises(OutOfTime):
-        simulate(world, AHEAD, lambda: lambda seen: time.sleep(0.02))
+        OwnWorld(world).rollout(AHEAD, lambda: lambda seen: time.sleep(0.02))
     with runs_end_in(60.0):
-        assert simulate(world, AHEAD, lambda: lambda seen: None) == STILL
+        assert OwnWorld(world).rollout(AHEAD, lambda: lambda seen: None) == STILL
 
 
 def test_given_decisions_count_for_the_tick_of_a_hang():
-    trace = simulate(Forgives(), AHEAD, hangs(after=2), decisions=((0.0, 0.0),) * 3)
+    trace = OwnWorld(Forgives()).rollout(AHEAD, hangs(after=2), decisions=((0.0, 0.0),) * 3)
     assert trace.error.tick == 15
 
 
@@ -183,14 +183,14 @@ def test_healthy_runs_are_those_of_the_world_itself(world):
     def drives():
         return lambda seen: (0.5, 0.0)
 
-    assert simulate(world, AHEAD, drives).states.tobytes() == world.rollout(AHEAD, drives).states.tobytes()
+    assert OwnWorld(world).rollout(AHEAD, drives).states.tobytes() == world.rollout(AHEAD, drives).states.tobytes()
 
 
 def test_errors_of_an_ads_stay_what_they_are():
     def breaks():
         return lambda seen: {}["no"]
 
-    trace = simulate(Calls(), AHEAD, breaks)
+    trace = OwnWorld(Calls()).rollout(AHEAD, breaks)
     assert (trace.outcome, trace.error.kind) == (Outcome.ADS_ERROR, "KeyError")
 
 
@@ -207,7 +207,7 @@ def test_traceback_shows_the_ads_and_its_world_only(decides):
             decides(ads_factory())
 
     with pytest.raises(KeyError) as raised:
-        simulate(Asks(), AHEAD, Ads)
+        OwnWorld(Asks()).rollout(AHEAD, Ads)
     assert {entry.path.name for entry in raised.traceback.filter(raised)} == {Path(__file__).name}
 
 
@@ -242,14 +242,16 @@ class Together(Calls):
 
 @table(("does_hang", "outcomes"), [(True, [Outcome.HANG, Outcome.SAFE]), (False, [Outcome.SAFE, Outcome.SAFE])])
 def test_decision_for_many_runs_ends_those_it_was_for(does_hang, outcomes):
-    assert [trace.outcome for trace in simulate_batch(Together(), [AHEAD, AHEAD], lambda: Batch(does_hang))] == outcomes
+    assert [
+        trace.outcome for trace in OwnWorld(Together()).rollout_batch([AHEAD, AHEAD], lambda: Batch(does_hang))
+    ] == outcomes
 
 
 def test_imperfect_sight_drives_in_a_world_around_a_highway():
     blind = pafot.Perception(lambda: lambda seen: (-0.1 * len(seen.others), 0.0), range=0.5)
     world = Slow()
-    assert simulate(world, AHEAD, blind).states.tobytes() == ROAD.rollout(AHEAD, blind).states.tobytes()
-    hung = simulate(world, AHEAD, pafot.Perception(hangs(), range=0.5))
+    assert OwnWorld(world).rollout(AHEAD, blind).states.tobytes() == ROAD.rollout(AHEAD, blind).states.tobytes()
+    hung = OwnWorld(world).rollout(AHEAD, pafot.Perception(hangs(), range=0.5))
     assert hung.outcome is Outcome.HANG
 
 
@@ -263,18 +265,29 @@ def test_vehicle_class_is_passed_to_the_world_as_it_is():
             given.append(ads_factory)
             return STILL
 
-    simulate(Notes(), AHEAD, IDMVehicle)
+    OwnWorld(Notes()).rollout(AHEAD, IDMVehicle)
     assert given == [IDMVehicle]
 
 
 def test_only_the_class_itself_can_say_that_it_guards():
-    class Derived(Highway):
-        pass
+    class Notes(Highway):
+        def rollout(self, scenario, ads_factory):
+            given.append(ads_factory)
+            return STILL
 
-    class Says(Derived):
+    class Says(Notes):
         guards_ads = True
 
-    assert [guards_ads(world) for world in (ROAD, Derived(), Says(), Calls())] == [True, False, True, False]
+        def rollout(self, scenario, ads_factory):
+            return super().rollout(scenario, ads_factory)
+
+    class Inherits(Says):
+        pass
+
+    given, ads = [], hangs()
+    for world in (Notes(), Says(), Inherits()):
+        rollout_of(world)(AHEAD, ads)
+    assert [each is ads for each in given] == [False, True, False]
     assert rollout_of(ROAD).args == (ROAD.rollout,)
     assert rollout_of(Calls())(AHEAD, hangs()).outcome is Outcome.HANG
 
@@ -287,7 +300,7 @@ def test_world_may_set_attributes_of_its_ads():
             ads.decision = decision
             assert ads.decision == planner.decision == decision
 
-    simulate(Sets(), AHEAD, lambda: planner)
+    OwnWorld(Sets()).rollout(AHEAD, lambda: planner)
 
 
 def test_outer_guard_interrupts_inside_an_inner_one():
@@ -314,4 +327,4 @@ def test_world_that_never_asks_again_ends_its_process(monkeypatch):
 
     resort = LastResort(end=lambda: pytest.fail("the decision"), grace=9.0, end_world=ended.set)
     with last_resort(resort):
-        assert isinstance(simulate(Stuck(), AHEAD, lambda: lambda seen: (0.0, 0.0)), Trace)
+        assert isinstance(OwnWorld(Stuck()).rollout(AHEAD, lambda: lambda seen: (0.0, 0.0)), Trace)
