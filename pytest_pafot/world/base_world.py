@@ -306,7 +306,7 @@ class BaseWorld(ABC):
 
     def run_of(self, trace: Trace, decision_limit: float | None = None) -> Run:
         """Return a trace that was made in this world as a test function sees it."""
-        world = self if self.reference_drivers else None
+        world = self.given if self.reference_drivers else None
         return Run(trace, decision_limit=decision_limit, world=world, take_over=self.taking_over(trace))
 
     def taking_over(self, trace: Trace) -> TakingOver | None:
