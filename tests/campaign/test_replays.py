@@ -13,6 +13,7 @@ from pytest_pafot.findings.signature import Failure
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.support.errors import RequestError
+from pytest_pafot.world.guard.own_worlds import base_world
 from tests.findings.builders import plain_finding
 from tests.helpers.traces import collision_at, trace_of, vehicle
 
@@ -49,12 +50,12 @@ class Told(Replays):
     """
 
     def world_of(self, saved):
-        return Lasting() if f"{saved.id}+" in self.harness.ends else Brief()
+        return base_world(Lasting() if f"{saved.id}+" in self.harness.ends else Brief())
 
     def tried(self, saved, world, owner):
         if saved.finding is None:
             raise RequestError(saved.error)
-        return self.harness.ends[f"{saved.id}+" if isinstance(world, Longer) else saved.id][:2]
+        return self.harness.ends[f"{saved.id}+" if isinstance(world.given, Longer) else saved.id][:2]
 
     def passes_reference(self, saved, world, owner, sought=None):
         assert (sought is None) == self.harness.ends[saved.id][1].failed, "the reference is driven on if the ADS was"
