@@ -105,9 +105,6 @@ WHO = {
     "check": "failed check",
 }
 
-SAVE_RUN = '<p class="save"><button type="button" class="save-run" hidden>Save the run as CSV</button></p>'
-"""A button that saves a run. It is hidden until the page's script finds that it can save files."""
-
 
 def finding_keys(findings: Iterable[FindingView]) -> tuple[str, ...]:
     """Return a unique key for each finding, for links and files: its id, with a number if several findings share it."""
@@ -232,10 +229,10 @@ def finding_article(finding: FindingView, index: int) -> str:
 
 
 def _keep_section(finding: FindingView) -> str:
-    """Return the HTML of a finding's command, if any, of a button that saves its run, and of the text of its file."""
+    """Return the HTML of a finding's command, if any, and of the text of its file."""
     command = f"<h3>Run it again</h3>{copyable(finding.command)}" if finding.command else ""
     return (
-        f'<section class="keep">{command}{SAVE_RUN if finding.drive else ""}'
+        f'<section class="keep">{command}'
         f'<div class="yaml"><div class="bar"><h4>{text(finding.path or finding.id + SUFFIX)}</h4>'
         '<button type="button" class="copy" data-copy="pre">Copy the file</button></div>'
         f'<pre tabindex="0" aria-label="The file of this finding">{text(finding.yaml)}</pre></div></section>'
@@ -460,7 +457,7 @@ def _bars(top: int, **values: int) -> str:
 
 ASSETS = "pytest_pafot.report.assets"
 STYLE = "page.css"
-SCRIPTS = ("dom.js", "scene.js", "charts.js", "player.js", "table.js", "campaign.js", "main.js")
+SCRIPTS = ("dom.js", "scene.js", "charts.js", "player.js", "campaign.js", "main.js")
 """The page's scripts, in the order in which they run. Each uses what the earlier scripts define."""
 
 FRAME_HEIGHT = 1010
@@ -484,8 +481,6 @@ def render_page(report: Report, *, embedded: bool = False) -> str:
     policy = f"default-src 'none'; style-src {content_hash(style)}; script-src {content_hash(script)}"
     kind = "embedded" if embedded else "whole"
     is_open = len(report.campaigns) == 1 and not embedded
-    if embedded:  # A sandboxed frame may not save files.
-        report = replace(report, findings=tuple(replace(finding, drive=None) for finding in report.findings))
     # Failures without a finding, with the text that pytest shows for them.
     ended = {view.node_id: "The search ended with an error." for view in report.campaigns if view.reason == "error"}
     errors = "".join(
@@ -518,7 +513,7 @@ def render_page(report: Report, *, embedded: bool = False) -> str:
 def render_frame(report: Report) -> str:
     """Return an ``<iframe>`` that holds the report's page, for a row of pytest-html or the output of a notebook.
 
-    The frame may run its own scripts. Everything else, such as saving files, is forbidden to it.
+    The frame may run its own scripts. Everything else is forbidden to it.
     """
     page = render_page(report, embedded=True)
     has_curve = any(finding.check is not None and finding.check.values for finding in report.findings)
@@ -701,7 +696,7 @@ def _as_row(finding: FindingView) -> FindingView:
     check = None if finding.check is None else replace(finding.check, values=(), broken=())
     road = replace(finding.road, lanes=(), shapes=())
     nothing: dict[str, Any] = dict.fromkeys(("vehicles", "times", "instructions", "grid"), ())
-    return replace(finding, explanation="", yaml="", drive=None, shrink=None, check=check, road=road, **nothing)
+    return replace(finding, explanation="", yaml="", shrink=None, check=check, road=road, **nothing)
 
 
 def _rank(finding: FindingView) -> tuple[Any, ...]:

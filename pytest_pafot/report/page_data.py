@@ -216,19 +216,6 @@ class CheckView:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class DriveView:
-    """All states of all vehicles at each tick, without loss.
-
-    Attributes:
-        physics_hz: ticks per second.
-        states: the states as packed by :func:`~pytest_pafot.report.views.drive_view`.
-    """
-
-    physics_hz: int
-    states: str
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class ShrinkView:
     """The result of shrinking: the chains before and after it, one line per NPC, their sizes, and the number of runs.
 
@@ -270,7 +257,6 @@ class FindingView:
             have failed.
         perception: which imperfections of the ADS's perception the failure needs; empty for perfect sight.
         traffic: how the NPCs drive; empty for the paper's traffic.
-        drive: all states of the run, which the page can save as a table; None without a recorded run or without a file.
         grid: poses of the eight cells at each frame of a bent road, None for a cell without a lane. Empty if all NPCs
             cross, because these use no cells.
         plans: the plan of each decision, in order; empty if the ADS returned no plan.
@@ -303,7 +289,6 @@ class FindingView:
     perception: str = ""
     traffic: str = ""
     shrink: ShrinkView | None = None
-    drive: DriveView | None = None
     grid: tuple[tuple[Pose | None, ...], ...] = ()
     plans: tuple[PlanView, ...] = ()
 

@@ -5,10 +5,8 @@ A finding is built from its file and from the trace of one of its runs; a search
 
 from __future__ import annotations
 
-import base64
 import math
 import shlex
-import zlib
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -44,7 +42,6 @@ from pytest_pafot.report.page_data import (
     CampaignView,
     CheckView,
     CoverageRow,
-    DriveView,
     EventView,
     FindingView,
     GenerationView,
@@ -317,28 +314,13 @@ def finding_view(
         original, rollouts = finding.original or finding.scenario, finding.shrunk.rollouts
         shrink = shrink_view(original, finding.scenario, rollouts=rollouts, notes=speed_sentences(finding))
         view = replace(view, shrink=shrink)
-    return view if trace is None else replace(_with_run(view, trace, clearance, check), drive=drive_view(trace))
+    return view if trace is None else _with_run(view, trace, clearance, check)
 
 
 def with_neighbours(view: FindingView, find: Find) -> FindingView:
     """Return a view with what the neighbours of the finding say, and with what the ADS answers to."""
     explanation = "\n".join(filter(None, [view.explanation, *find.on_decisions]))
     return replace(view, breadth=find.breadth, explanation=explanation)
-
-
-def drive_view(trace: Trace) -> DriveView:
-    """Pack all states of a run without loss, in half the space that a compressed table of them would take.
-
-    The packing has five steps. Write a series of float64 for each column of each vehicle. Read the bits of each number
-    as an integer and take second differences, which are small for even motion. Store the lowest bytes of all numbers
-    first, then the second lowest and so on, so that similar bytes are adjacent. Compress with zlib. Encode in base64.
-    """
-    changes = trace.states.transpose(1, 2, 0).astype("<f8", order="C").view("<i8")
-    for _ in range(2):
-        changes = np.diff(changes, axis=-1, prepend=0)  # overflow wraps around, and so do the sums that undo it
-    planes = changes.astype("<i8", order="C").reshape(-1, 1).view(np.uint8).T
-    packed = zlib.compress(planes.tobytes(), zlib.Z_BEST_COMPRESSION)
-    return DriveView(physics_hz=trace.physics_hz, states=base64.b64encode(packed).decode())
 
 
 def run_view(trace: Trace, clearance: float = CLEARANCE) -> FindingView:

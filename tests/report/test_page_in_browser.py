@@ -568,16 +568,6 @@ def test_a_finding_without_frames_can_be_passed_through(browser, tmp_path):
     page.close()
 
 
-def test_embedded_frame_has_no_save_button(browser, tmp_path):
-    finding = real_report().findings[0]
-    path = tmp_path / "frame.html"
-    path.write_text(render_page(Report.of(finding), embedded=True), encoding="utf-8")
-    page = browser.open(path.as_uri())
-    assert page.evaluate("document.querySelectorAll('.save-run').length") == 0
-    assert finding.drive.states not in path.read_text(encoding="utf-8")
-    page.close()
-
-
 def test_embedded_frame_draws_its_finding_and_listens(browser, tmp_path):
     finding = real_report().findings[0]
     path = tmp_path / "outer.html"

@@ -176,14 +176,6 @@ async function copied(source) {
   }
 }
 
-async function saveRun(button) {
-  const finding = report.findings[button.closest("article").dataset.index];
-  const address = URL.createObjectURL(new Blob([await tableOf(finding)], { type: "text/csv" }));
-  html("a", { href: address, download: `${finding.id}.csv` }).click();
-  announce(`Saved as ${finding.id}.csv`);
-  setTimeout(() => URL.revokeObjectURL(address), 10000);  // Some browsers read it only after the click.
-}
-
 const filter = document.getElementById("filter");
 const outcome = document.getElementById("outcome");
 if (filter) {
@@ -199,10 +191,6 @@ document.getElementById("theme").addEventListener("click", nextTheme);
 document.getElementById("keys").addEventListener("click", toggleKeys);
 document.addEventListener("keydown", onKey);
 for (const button of document.querySelectorAll("button.copy")) button.addEventListener("click", () => copy(button));
-for (const button of document.querySelectorAll("button.save-run")) {
-  button.hidden = !("DecompressionStream" in window);
-  button.addEventListener("click", () => saveRun(button));
-}
 addEventListener("hashchange", () => {
   const { index, time } = readLink();
   if (index < 0) return;
