@@ -38,7 +38,6 @@ from pytest_pafot.report.page_data import (
     CoverageRow,
     Errors,
     FindingView,
-    GenerationView,
     InstructionView,
     Report,
     ShrinkView,
@@ -70,11 +69,6 @@ def copyable(command: str) -> str:
         f'<p class="copyline"><span class="label">Command</span><code>{text(command)}</code>'
         '<button type="button" class="copy" data-copy="code" aria-label="Copy: Command">Copy</button></p>'
     )
-
-
-def details(summary: str, body: str) -> str:
-    """Return HTML that is folded under a summary until the reader opens it."""
-    return f"<details><summary>{summary}</summary>{body}</details>"
 
 
 def table(head: str, rows: Iterable[str]) -> str:
@@ -221,7 +215,7 @@ def finding_article(finding: FindingView, index: int) -> str:
         '<div class="player"></div>' if finding.times else '<p class="empty">There is no run to draw.</p>',
         f'<section><h3>What happened</h3><pre class="explanation">{words}</pre></section>' if words else "",
         "" if finding.shrink is None else _shrink_section(finding.shrink),
-        details("Instructions as a table", instruction_table(finding.instructions)),
+        f"<details><summary>Instructions as a table</summary>{instruction_table(finding.instructions)}</details>",
         _keep_section(finding) if finding.yaml else "",
         "</article>",
     ]
@@ -334,7 +328,7 @@ def _goal(told: InstructionView) -> str:
     return names[0] if told.requested == told.cell else f"{names[0]} (requested {names[1]})"
 
 
-# The page's text on a search without a script: figures, tables and coverage, with a place for its curve.
+# The page's text on a search: figures and coverage.
 
 ENDS = {
     "": "early",
@@ -348,11 +342,11 @@ ENDS = {
 
 
 def campaign_article(view: CampaignView, index: int, *, is_open: bool = True) -> str:
-    """Return the HTML article on one search: its figures, a place for its fitness curve, and its coverage.
+    """Return the HTML article on one search: its figures, and its coverage.
 
     The reader can fold it; ``is_open`` is False if it is folded at first.
     """
-    finished, end = len(view.generations), ENDS.get(view.reason, view.reason)
+    finished, end = view.generations, ENDS.get(view.reason, view.reason)
     figures = (
         ("algorithm", view.algorithm),
         ("seed", view.seed),
@@ -361,8 +355,7 @@ def campaign_article(view: CampaignView, index: int, *, is_open: bool = True) ->
         ("not run again", view.reused),
         ("ended", end),
     )
-    failing = sum(each.failing for each in view.generations)
-    folded = f"{plural(view.simulated, 'run')}, {failing} failing in its generations"
+    folded = f"{plural(view.simulated, 'run')}, {view.failing} failing"
     folded += f", {plural(len(view.warnings), 'warning')}" if view.warnings else ""
     folded += f", ended {end}" if view.reason in ("error", "interrupted") else ""
     warnings = "".join(f'<p class="warning"><b>Warning</b> {text(warning)}</p>' for warning in view.warnings)
@@ -370,11 +363,10 @@ def campaign_article(view: CampaignView, index: int, *, is_open: bool = True) ->
     is_on_grid = not (view.zones or view.lanes) or any(each.requested for each in view.cells)
     goals = ["cell", *(["its lane"] if view.lanes else []), *(["its zone"] if view.zones else [])]
     return (
-        f'<article class="campaign" data-campaign="{index}" aria-labelledby="campaign-{index}">'
+        f'<article class="campaign" aria-labelledby="campaign-{index}">'
         f"<details{' open' if is_open else ''}>"
         f'<summary><h3 id="campaign-{index}" class="id">{text(view.node_id)}</h3>'
-        f'<span class="meta">{text(folded)}</span></summary>{facts(figures)}{warnings}<div class="fitness"></div>'
-        f"{details('Generations as a table', _generation_table(view.generations))}"
+        f'<span class="meta">{text(folded)}</span></summary>{facts(figures)}{warnings}'
         f'<div class="columns">{_counts("Runs by outcome", view.outcomes, view.simulated)}'
         f"{_counts('Runs by responsibility', view.responsibilities, judged)}</div>"
         "<h4>Coverage: instructions requested, driven and reached</h4>"
@@ -385,19 +377,6 @@ def campaign_article(view: CampaignView, index: int, *, is_open: bool = True) ->
         f"{_coverage('Target speeds', 'speed', view.speeds)}"
         f"{_ring(view.steps) if is_on_grid else ''}{_slots(view.zones) if view.zones else ''}</div></details></article>"
     )
-
-
-def _generation_table(generations: Iterable[GenerationView]) -> str:
-    head = columns("generation", "best fitness", "mean fitness", "failing", "")
-    rows = []
-    for each in generations:
-        best, mean = ("-" if value is None else f"{value:.3f}" for value in (each.best, each.mean))
-        remarks = ["random population after a restart"] if each.restarted else []
-        if each.local_best is not None:
-            result = "improved the incumbent" if each.local_replaced else "found nothing better"
-            remarks.append(f"local search {result}")
-        rows.append(row(str(each.generation), best, mean, f"{each.failing} of {each.population}", ", ".join(remarks)))
-    return f'<div class="scroll tall">{table(head, rows)}</div>'
 
 
 def _counts(title: str, counts: Iterable[tuple[str, int]], total: int) -> str:
@@ -457,7 +436,7 @@ def _bars(top: int, **values: int) -> str:
 
 ASSETS = "pytest_pafot.report.assets"
 STYLE = "page.css"
-SCRIPTS = ("dom.js", "scene.js", "charts.js", "player.js", "campaign.js", "main.js")
+SCRIPTS = ("dom.js", "scene.js", "charts.js", "player.js", "main.js")
 """The page's scripts, in the order in which they run. Each uses what the earlier scripts define."""
 
 FRAME_HEIGHT = 1010
@@ -544,7 +523,7 @@ def _nothing_found(report: Report) -> str:
         return "No findings, but an error stopped something before its end."
     if report.is_interrupted or ends & {"", "interrupted"}:
         return "No findings before the interrupt. The scenarios that had not run by then are untested."
-    if any(row.failing for view in report.campaigns for row in view.generations):
+    if any(view.failing for view in report.campaigns):
         return "No new findings. Some runs failed, but saved scenarios already cover these failures."
     if "time" in ends:
         return "No findings before time ran out. The property held in every run that was evaluated by then."

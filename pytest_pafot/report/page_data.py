@@ -317,28 +317,6 @@ class FindingView:
         return self.event.time if self.check is None or self.check.time is None else self.check.time
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class GenerationView:
-    """One generation of the main search.
-
-    Attributes:
-        best, mean: highest and mean fitness of the population's runs, without those that are not eligible.
-        failing: number of the population's runs in which the test failed.
-        restarted: True if the population was sampled at random after a restart.
-        local_best: fitness of the best scenario of the local search after this generation; None without one.
-        local_replaced: True if that scenario replaced the incumbent.
-    """
-
-    generation: int
-    best: float | None
-    mean: float | None
-    failing: int
-    population: int
-    restarted: bool = False
-    local_best: float | None = None
-    local_replaced: bool = False
-
-
 @dataclass(frozen=True, slots=True)
 class CoverageRow:
     """The counts of one kind of instruction in the simulated scenarios of a search, such as those for one cell.
@@ -358,13 +336,13 @@ class CoverageRow:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CampaignView:
-    """The course and the figures of a search, as the report page shows them.
+    """The figures of a search, as the report page shows them.
 
     Attributes:
-        generations: the finished generations in order.
+        generations: number of finished generations of the main search.
         asked: number of requested generations; None if it was not limited.
         reason: why the search ended, including ``error`` and ``interrupted``.
-        simulated: number of scenarios that were run.
+        simulated, failing: number of scenarios that were run, and of those in which the test failed.
         reused: number of scenarios that were not run, since their result was known from an earlier run.
         outcomes, responsibilities: number of simulated runs by outcome, and by who was responsible.
         cells: eight rows, cell 1 first.
@@ -378,10 +356,11 @@ class CampaignView:
     node_id: str
     algorithm: str
     seed: int
-    generations: tuple[GenerationView, ...]
+    generations: int
     asked: int | None
     reason: str
     simulated: int
+    failing: int
     reused: int
     outcomes: tuple[tuple[str, int], ...]
     responsibilities: tuple[tuple[str, int], ...]

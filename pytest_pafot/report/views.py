@@ -44,7 +44,6 @@ from pytest_pafot.report.page_data import (
     CoverageRow,
     EventView,
     FindingView,
-    GenerationView,
     InstructionView,
     LaneView,
     Numbers,
@@ -59,15 +58,12 @@ from pytest_pafot.report.page_data import (
     gap_to,
 )
 from pytest_pafot.report.terminal import prevention_text, speed_sentences
-from pytest_pafot.searching.evaluation import Evaluation
 from pytest_pafot.searching.events import (
     CampaignFinished,
     CampaignStarted,
     Evaluated,
     GenerationFinished,
     GroupEvaluated,
-    LocalSearchFinished,
-    Restarted,
 )
 from pytest_pafot.searching.health import CELLS, LANES, SPEED_BIN, STEPS, Coverage, Health, Key, speed_bins
 from pytest_pafot.world.kernel.driver import following_gap
@@ -603,37 +599,10 @@ def _chain_text(chain: Chromosome) -> str:
 
 
 @dataclass(slots=True)
-class _Generation:
-    """The counts of one generation."""
-
-    population: int = 0
-    failing: int = 0
-    fitness: list[float] = field(default_factory=list)  # of the eligible runs, without infinite ones
-
-    def add(self, evaluation: Evaluation) -> None:
-        is_measured = evaluation.eligible and math.isfinite(evaluation.fitness)
-        self.add_others(1, evaluation.failing, [evaluation.fitness] if is_measured else [])
-
-    def add_others(self, runs: int, failing: int, fitness: Iterable[float]) -> None:
-        self.population, self.failing = self.population + runs, self.failing + failing
-        self.fitness.extend(fitness)
-
-    def view(self, generation: int, is_restarted: bool) -> GenerationView:
-        return GenerationView(
-            generation=generation,
-            best=round(max(self.fitness), 4) if self.fitness else None,
-            mean=round(sum(self.fitness) / len(self.fitness), 4) if self.fitness else None,
-            failing=self.failing,
-            population=self.population,
-            restarted=is_restarted,
-        )
-
-
-@dataclass(slots=True)
 class CampaignCounts:
     """Everything that the report page shows of a search, counted from its events as they happen.
 
-    It grows by one small value for each generation, because a search may have hundreds of thousands of events.
+    It does not grow, because a search may have hundreds of thousands of events.
     """
 
     speed_limit: float = PAPER_SPEED_LIMIT  # the highest target speed [m/s], which determines the number of speed bins
@@ -643,9 +612,8 @@ class CampaignCounts:
     finished: CampaignFinished | None = None
     health: Health = field(default_factory=Health)
     outcomes: Counter[str] = field(default_factory=Counter)  # of the simulated runs
-    generations: dict[int, GenerationView] = field(default_factory=dict)  # of the main search
-    _restarts: set[int] = field(default_factory=set)
-    _generation: _Generation = field(default_factory=_Generation)  # the present one
+    failing: int = 0  # of the simulated runs
+    generations: int = 0  # of the main search
 
     def see(self, event: SearchEvent) -> None:
         """Count an event."""
@@ -658,30 +626,18 @@ class CampaignCounts:
                 self.health = self.health.counted(event.evaluation, reused=event.reused)
                 if not event.reused:
                     self.outcomes[str(event.evaluation.outcome)] += 1
-                if event.local_generation == 0:
-                    self._generation.add(event.evaluation)
+                    self.failing += event.evaluation.failing
             case GroupEvaluated():
                 self.health += event.counts.health
                 self.outcomes.update(event.counts.outcomes)
                 self.responsibilities.update(event.counts.responsibilities)
-                self._generation.add_others(event.runs, event.counts.failing, event.counts.fitness)
+                self.failing += event.counts.failing
             case CampaignStarted():
                 self.started = event
             case CampaignFinished():
                 self.finished = event
             case GenerationFinished(local_generation=0):
-                counted, self._generation = self._generation, _Generation()
-                if event.is_whole:  # otherwise the events of its runs have shown it
-                    counted = _Generation()
-                    for each in event.population:
-                        counted.add(each)
-                self.generations[event.generation] = counted.view(event.generation, event.generation in self._restarts)
-            case Restarted():
-                self._restarts.add(event.generation)
-            case LocalSearchFinished() if event.generation in self.generations:
-                best = round(event.best.fitness, 4) if math.isfinite(event.best.fitness) else None
-                view = self.generations[event.generation]
-                self.generations[event.generation] = replace(view, local_best=best, local_replaced=event.replaced)
+                self.generations += 1
 
     def view(self, node_id: str, *, cut_by: str = "") -> CampaignView:
         """Return the view of the search so far. A search that was cut short has a view, too.
@@ -695,10 +651,11 @@ class CampaignCounts:
             node_id=node_id,
             algorithm="" if self.started is None else self.started.algorithm,
             seed=0 if self.started is None else self.started.seed,
-            generations=tuple(self.generations[generation] for generation in sorted(self.generations)),
+            generations=self.generations,
             asked=None if self.started is None else self.started.generations,
             reason=cut_by or ("" if self.finished is None else self.finished.reason),
             simulated=self.health.simulated,
+            failing=self.failing,
             reused=self.health.reused,
             outcomes=_by_count(self.outcomes),
             responsibilities=_by_count(self.responsibilities),

@@ -94,8 +94,6 @@ def test_page_draws_everything_without_network_requests(page, address):
     assert page.evaluate("document.title") == "Constant speed"
     assert page.evaluate("document.querySelectorAll('article.current .stage svg [data-vehicle]').length") == 3
     assert page.evaluate("document.querySelectorAll('article.current .charts svg .curve').length") > 5
-    assert page.evaluate("document.querySelectorAll('.fitness svg .best-dot title').length") == 8
-    assert page.evaluate("document.querySelectorAll('.fitness svg .restart').length") > 1
     assert page.asked == [address]
 
 
@@ -432,7 +430,6 @@ def test_several_searches_are_folded_and_one_is_open(grouped, page):
     grouped.evaluate("document.querySelector('.campaign summary').focus()")
     grouped.press("Enter")
     assert grouped.evaluate(is_open) == [True, False]
-    grouped.until("document.querySelector('.campaign .fitness svg').getBoundingClientRect().width > 100")
 
 
 def test_there_are_curves_of_acceleration_and_jerk(page):

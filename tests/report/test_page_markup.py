@@ -8,7 +8,7 @@ from dataclasses import replace
 
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.report.page import campaign_article, finding_article, finding_list, instruction_table, render_page
-from pytest_pafot.report.page_data import CampaignView, CoverageRow, GenerationView, Report
+from pytest_pafot.report.page_data import CampaignView, CoverageRow, Report
 from pytest_pafot.report.views import shrink_view
 from tests.helpers.traces import trace_of, vehicle
 from tests.report.builders import TEST, scenario, view_of
@@ -31,7 +31,6 @@ def hand_made_finding():
 
 
 def hand_made_campaign():
-    """Return the events of two generations, the second after a restart, and a local search."""
     counts = [(label, 9 - number, 8 - number, 7 - number) for number, label in enumerate("12345678")]
     rows = tuple(CoverageRow(label=label, requested=a, driven=b, reached=c) for label, a, b, c in counts)
     never = CoverageRow(label="8 to 7", requested=1, driven=0, reached=0)
@@ -39,16 +38,11 @@ def hand_made_campaign():
         node_id=f"{TEST}[search]",
         algorithm="pafot",
         seed=7,
-        generations=(
-            GenerationView(generation=0, best=1.25, mean=0.5, failing=1, population=4),
-            GenerationView(
-                generation=1, best=None, mean=None, failing=0, population=4, restarted=True, local_best=2.0,
-                local_replaced=True,
-            ),
-        ),
+        generations=2,
         asked=3,
         reason="time",
         simulated=8,
+        failing=1,
         reused=1,
         outcomes=(("safe", 7), ("collision", 1)),
         responsibilities=(("none", 7), ("ego", 1)),

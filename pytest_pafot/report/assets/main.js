@@ -198,6 +198,3 @@ addEventListener("hashchange", () => {
 });
 const link = readLink();
 show(link.index < 0 ? 0 : link.index, link.index < 0 ? null : link.time);
-report.campaigns.forEach((campaign, index) => {
-  mountCampaign(campaign, document.querySelector(`article[data-campaign="${index}"] .fitness`));
-});
