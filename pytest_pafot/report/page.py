@@ -30,12 +30,10 @@ from pytest_pafot.corpus.layout import SUFFIX
 from pytest_pafot.findings.finding import JUDGED_OTHERWISE
 from pytest_pafot.findings.severity import Severity
 from pytest_pafot.model.grid import Cell
-from pytest_pafot.model.scenario import SLOTS
 from pytest_pafot.report.animation import AnimationError, animate
 from pytest_pafot.report.page_data import (
     CampaignView,
     CheckView,
-    CoverageRow,
     Errors,
     FindingView,
     InstructionView,
@@ -328,7 +326,7 @@ def _goal(told: InstructionView) -> str:
     return names[0] if told.requested == told.cell else f"{names[0]} (requested {names[1]})"
 
 
-# The page's text on a search: figures and coverage.
+# The page's text on a search.
 
 ENDS = {
     "": "early",
@@ -342,10 +340,7 @@ ENDS = {
 
 
 def campaign_article(view: CampaignView, index: int, *, is_open: bool = True) -> str:
-    """Return the HTML article on one search: its figures, and its coverage.
-
-    The reader can fold it; ``is_open`` is False if it is folded at first.
-    """
+    """Return the HTML article on one search; ``is_open`` is False if it is folded until the reader opens it."""
     finished, end = view.generations, ENDS.get(view.reason, view.reason)
     figures = (
         ("algorithm", view.algorithm),
@@ -353,6 +348,7 @@ def campaign_article(view: CampaignView, index: int, *, is_open: bool = True) ->
         ("generations", finished if view.asked in (None, finished) else f"{finished} of {view.asked}"),
         ("runs", view.simulated),
         ("not run again", view.reused),
+        ("coverage", view.coverage),
         ("ended", end),
     )
     folded = f"{plural(view.simulated, 'run')}, {view.failing} failing"
@@ -360,76 +356,28 @@ def campaign_article(view: CampaignView, index: int, *, is_open: bool = True) ->
     folded += f", ended {end}" if view.reason in ("error", "interrupted") else ""
     warnings = "".join(f'<p class="warning"><b>Warning</b> {text(warning)}</p>' for warning in view.warnings)
     judged = sum(count for _, count in view.responsibilities)
-    is_on_grid = not (view.zones or view.lanes) or any(each.requested for each in view.cells)
-    goals = ["cell", *(["its lane"] if view.lanes else []), *(["its zone"] if view.zones else [])]
     return (
         f'<article class="campaign" aria-labelledby="campaign-{index}">'
         f"<details{' open' if is_open else ''}>"
         f'<summary><h3 id="campaign-{index}" class="id">{text(view.node_id)}</h3>'
         f'<span class="meta">{text(folded)}</span></summary>{facts(figures)}{warnings}'
         f'<div class="columns">{_counts("Runs by outcome", view.outcomes, view.simulated)}'
-        f"{_counts('Runs by responsibility', view.responsibilities, judged)}</div>"
-        "<h4>Coverage: instructions requested, driven and reached</h4>"
-        '<p class="note">Requested: in the scenarios that the search requested. Driven: as far as the runs got, '
-        f"after repair. Reached: the NPC arrived in its {' or '.join(goals)}.</p>"
-        f'<div class="columns">{_coverage("Cells", "cell", view.cells) if is_on_grid else ""}'
-        f"{_coverage('Lanes', 'lane', view.lanes) if view.lanes else ''}"
-        f"{_coverage('Target speeds', 'speed', view.speeds)}"
-        f"{_ring(view.steps) if is_on_grid else ''}{_slots(view.zones) if view.zones else ''}</div></details></article>"
+        f"{_counts('Runs by responsibility', view.responsibilities, judged)}</div></details></article>"
     )
 
 
 def _counts(title: str, counts: Iterable[tuple[str, int]], total: int) -> str:
-    rows = "".join(row(text(name.replace("_", " ")), count, _bars(total, driven=count)) for name, count in counts)
-    return f"<div><h4>{title}</h4><table><tbody>{rows}</tbody></table></div>" if rows else ""
-
-
-def _coverage(title: str, what: str, rows: Sequence[CoverageRow]) -> str:
-    top = max((each.requested for each in rows), default=0)
-    body = []
-    for each in rows:
-        bars = _bars(top, requested=each.requested, driven=each.driven, reached=each.reached)
-        body.append(row(text(each.label), each.requested, each.driven, each.reached, bars))
-    return f"<div><h4>{title}</h4>{table(columns(what, 'requested', 'driven', 'reached', ''), body)}</div>"
-
-
-def _ring(steps: Sequence[CoverageRow]) -> str:
-    """Return an HTML table with a row per cell: how often an NPC in it stayed, stepped clockwise, or anticlockwise."""
-    body = [
-        f'<tr><th scope="row">{int(cell)} {cell.label}</th>{"".join(map(_step, steps[3 * cell - 3 : 3 * cell]))}</tr>'
-        for cell in Cell
-    ]
-    grid = table(columns("from", "hold", "clockwise", "anticlockwise"), body)
-    return f'<div><h4>Steps on the ring <span class="unit">driven / requested, reached</span></h4>{grid}</div>'
-
-
-def _slots(rows: Sequence[CoverageRow]) -> str:
-    """Return an HTML table with a row per zone: how often NPCs were sent to each of the zone's slots."""
-    zones: dict[str, list[CoverageRow]] = {}
-    for each in rows:
-        zones.setdefault(each.label.partition(" ")[0], []).append(each)
-    body = [row(text(zone), *map(_figures, slots)) for zone, slots in zones.items()]
-    figures = '<span class="unit">driven / requested, reached</span>'
-    return f"<div><h4>Slots at zones {figures}</h4>{table(columns('zone', *SLOTS), body)}</div>"
-
-
-def _step(step: CoverageRow) -> str:
-    return f"<td>{_figures(step)}</td>" if step.driven else f'<td class="never">{_figures(step)}</td>'
-
-
-def _figures(step: CoverageRow) -> str:
-    never = "" if step.driven else ' <span class="flag">never</span>'
-    return f"{step.driven} / {step.requested}, {step.reached}{never}"
-
-
-def _bars(top: int, **values: int) -> str:
-    """Draw a bar for each value, one below the other. A bar of the value ``top`` fills the width."""
-    bars = "".join(
-        f'<svg class="meter {kind}" viewBox="0 0 100 4" preserveAspectRatio="none">'
-        f'<rect width="{100 * value / top if top else 0:.1f}" height="4"/></svg>'
-        for kind, value in values.items()
+    """Return an HTML table of counts, each with a bar; a bar of the count ``total`` fills the width."""
+    rows = "".join(
+        row(
+            text(name.replace("_", " ")),
+            count,
+            '<svg class="meter" viewBox="0 0 100 4" preserveAspectRatio="none" aria-hidden="true">'
+            f'<rect width="{100 * count / total if total else 0:.1f}" height="4"/></svg>',
+        )
+        for name, count in counts
     )
-    return f'<span class="bars" aria-hidden="true">{bars}</span>'
+    return f"<div><h4>{title}</h4><table><tbody>{rows}</tbody></table></div>" if rows else ""
 
 
 # The report as one self-contained HTML page: it needs no network, no library and no other file.

@@ -317,23 +317,6 @@ class FindingView:
         return self.event.time if self.check is None or self.check.time is None else self.check.time
 
 
-@dataclass(frozen=True, slots=True)
-class CoverageRow:
-    """The counts of one kind of instruction in the simulated scenarios of a search, such as those for one cell.
-
-    Attributes:
-        label: the kind of instruction in words.
-        requested: number of instructions in the scenarios as the search made them.
-        driven: number of instructions that were driven after the repair, as far as the runs got.
-        reached: number of driven instructions whose cell, lane or zone the NPC reached.
-    """
-
-    label: str
-    requested: int
-    driven: int
-    reached: int
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CampaignView:
     """The figures of a search, as the report page shows them.
@@ -345,12 +328,8 @@ class CampaignView:
         simulated, failing: number of scenarios that were run, and of those in which the test failed.
         reused: number of scenarios that were not run, since their result was known from an earlier run.
         outcomes, responsibilities: number of simulated runs by outcome, and by who was responsible.
-        cells: eight rows, cell 1 first.
-        steps: twenty-four rows, three for each cell: staying in it, one step clockwise, one step anticlockwise.
-        speeds: a row per bin of target speeds, slowest first.
+        coverage: how many of all cells, steps and speeds were reached and requested, in words.
         warnings: warnings about the search's health.
-        zones: five rows for each zone that NPCs were sent to, one per slot; empty if no NPC crosses.
-        lanes: three rows: keep the lane, change to the left, change to the right; empty if no NPC is in lanes.
     """
 
     node_id: str
@@ -364,12 +343,8 @@ class CampaignView:
     reused: int
     outcomes: tuple[tuple[str, int], ...]
     responsibilities: tuple[tuple[str, int], ...]
-    cells: tuple[CoverageRow, ...]
-    steps: tuple[CoverageRow, ...]
-    speeds: tuple[CoverageRow, ...]
+    coverage: str
     warnings: tuple[str, ...] = ()
-    zones: tuple[CoverageRow, ...] = ()
-    lanes: tuple[CoverageRow, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

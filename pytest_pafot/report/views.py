@@ -27,7 +27,6 @@ from pytest_pafot.model.driving_style import AMPLE, Traffic
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.scenario import (
     PAPER_SPEED_LIMIT,
-    SLOTS,
     Chromosome,
     CrossingInstruction,
     LaneInstruction,
@@ -41,7 +40,6 @@ from pytest_pafot.oracle.run import Run, arrival, crossing_text, lane_text
 from pytest_pafot.report.page_data import (
     CampaignView,
     CheckView,
-    CoverageRow,
     EventView,
     FindingView,
     InstructionView,
@@ -65,7 +63,7 @@ from pytest_pafot.searching.events import (
     GenerationFinished,
     GroupEvaluated,
 )
-from pytest_pafot.searching.health import CELLS, LANES, SPEED_BIN, STEPS, Coverage, Health, Key, speed_bins
+from pytest_pafot.searching.health import Health
 from pytest_pafot.world.kernel.driver import following_gap
 from pytest_pafot.world.limits import CLEARANCE
 from pytest_pafot.world.roads.route import wrapped
@@ -605,14 +603,13 @@ class CampaignCounts:
     It does not grow, because a search may have hundreds of thousands of events.
     """
 
-    speed_limit: float = PAPER_SPEED_LIMIT  # the highest target speed [m/s], which determines the number of speed bins
+    speed_limit: float = PAPER_SPEED_LIMIT  # the highest target speed [m/s]
     acts_in_si: bool = True  # False if the ADS's actions are those of an environment
     responsibilities: Counter[str] = field(default_factory=Counter)  # number of runs by who was responsible
     started: CampaignStarted | None = None
     finished: CampaignFinished | None = None
     health: Health = field(default_factory=Health)
     outcomes: Counter[str] = field(default_factory=Counter)  # of the simulated runs
-    failing: int = 0  # of the simulated runs
     generations: int = 0  # of the main search
 
     def see(self, event: SearchEvent) -> None:
@@ -626,12 +623,10 @@ class CampaignCounts:
                 self.health = self.health.counted(event.evaluation, reused=event.reused)
                 if not event.reused:
                     self.outcomes[str(event.evaluation.outcome)] += 1
-                    self.failing += event.evaluation.failing
             case GroupEvaluated():
                 self.health += event.counts.health
                 self.outcomes.update(event.counts.outcomes)
                 self.responsibilities.update(event.counts.responsibilities)
-                self.failing += event.counts.failing
             case CampaignStarted():
                 self.started = event
             case CampaignFinished():
@@ -647,6 +642,7 @@ class CampaignCounts:
             cut_by: ``error`` or ``interrupted`` if that ended the search, because no event reports it; otherwise empty.
         """
         coverage = self.health.coverage
+        zones = sorted({str(key[1]) for key in coverage.requested if key[0] == "zone"})
         return CampaignView(
             node_id=node_id,
             algorithm="" if self.started is None else self.started.algorithm,
@@ -655,15 +651,11 @@ class CampaignCounts:
             asked=None if self.started is None else self.started.generations,
             reason=cut_by or ("" if self.finished is None else self.finished.reason),
             simulated=self.health.simulated,
-            failing=self.failing,
+            failing=self.health.failing,
             reused=self.health.reused,
             outcomes=_by_count(self.outcomes),
             responsibilities=_by_count(self.responsibilities),
-            cells=_rows(coverage, ((f"{int(cell)} {cell.label}", key) for cell, key in zip(Cell, CELLS, strict=True))),
-            steps=_rows(coverage, ((" to ".join(map(str, key[1:])), key) for key in STEPS)),
-            speeds=_rows(coverage, _speed_labels(self.speed_limit)),
-            zones=_rows(coverage, _zone_labels(coverage)),
-            lanes=_rows(coverage, ((str(key[1]), key) for key in LANES if any(map(coverage.requested.get, LANES)))),
+            coverage=coverage.describe(self.speed_limit, zones),
             warnings=tuple(self.health.warnings(acts_in_si=self.acts_in_si)),
         )
 
@@ -674,24 +666,6 @@ def campaign_view(node_id: str, events: Iterable[SearchEvent], **known: Any) -> 
     for event in events:
         counts.see(event)
     return counts.view(node_id)
-
-
-def _rows(coverage: Coverage, labels: Iterable[tuple[str, Key]]) -> tuple[CoverageRow, ...]:
-    counts = coverage.requested, coverage.driven, coverage.reached
-    return tuple(CoverageRow(label, *(count[key] for count in counts)) for label, key in labels)
-
-
-def _speed_labels(speed_limit: float) -> Iterable[tuple[str, Key]]:
-    keys = speed_bins(speed_limit)
-    for number, key in enumerate(keys):
-        top = speed_limit if key == keys[-1] else (number + 1) * SPEED_BIN
-        yield f"{number * SPEED_BIN:g} to {top:g} m/s", key
-
-
-def _zone_labels(coverage: Coverage) -> Iterable[tuple[str, Key]]:
-    """Yield a label and a key for each of the five slots of every zone that an NPC was sent to."""
-    for zone in sorted({str(key[1]) for key in coverage.requested if key[0] == "zone"}):
-        yield from ((f"{zone} {slot}", ("zone", zone, slot)) for slot in SLOTS)
 
 
 def _by_count(counts: Mapping[str, int]) -> tuple[tuple[str, int], ...]:

@@ -85,7 +85,7 @@ def test_everything_in_words_is_there_without_scripts(page):
     for finding in real_report().findings:
         for part in (finding.id, finding.headline, finding.yaml, finding.command, finding.node_id):
             assert part in words
-    assert "Steps on the ring" in words
+    assert "Runs by responsibility" in words
     assert any(f"{who} responsible" in words for who in ("ego", "both"))
 
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.report.page import campaign_article, finding_article, finding_list, instruction_table, render_page
-from pytest_pafot.report.page_data import CampaignView, CoverageRow, Report
+from pytest_pafot.report.page_data import CampaignView, Report
 from pytest_pafot.report.views import shrink_view
 from tests.helpers.traces import trace_of, vehicle
 from tests.report.builders import TEST, scenario, view_of
@@ -31,9 +31,6 @@ def hand_made_finding():
 
 
 def hand_made_campaign():
-    counts = [(label, 9 - number, 8 - number, 7 - number) for number, label in enumerate("12345678")]
-    rows = tuple(CoverageRow(label=label, requested=a, driven=b, reached=c) for label, a, b, c in counts)
-    never = CoverageRow(label="8 to 7", requested=1, driven=0, reached=0)
     return CampaignView(
         node_id=f"{TEST}[search]",
         algorithm="pafot",
@@ -46,9 +43,7 @@ def hand_made_campaign():
         reused=1,
         outcomes=(("safe", 7), ("collision", 1)),
         responsibilities=(("none", 7), ("ego", 1)),
-        cells=rows[:3],
-        steps=rows * 2 + rows[:7] + (never,),
-        speeds=rows[:2],
+        coverage="reached 3/8 cells; requested 8/8",
         warnings=("few NPCs reached their cell",),
     )  # fmt: skip
 
