@@ -19,7 +19,6 @@ from importlib.resources import files
 from itertools import islice
 from pathlib import Path
 from string import Template
-from textwrap import dedent
 from types import MappingProxyType
 from typing import Any
 from urllib.parse import quote
@@ -29,16 +28,13 @@ from pytest_pafot.campaign.options import is_page_file
 from pytest_pafot.corpus.layout import SUFFIX
 from pytest_pafot.findings.finding import JUDGED_OTHERWISE
 from pytest_pafot.findings.severity import Severity
-from pytest_pafot.model.grid import Cell
 from pytest_pafot.report.animation import AnimationError, animate
 from pytest_pafot.report.page_data import (
     CampaignView,
     CheckView,
     Errors,
     FindingView,
-    InstructionView,
     Report,
-    ShrinkView,
 )
 from pytest_pafot.support.errors import flag
 from pytest_pafot.support.files import write_whole
@@ -79,9 +75,9 @@ def columns(*names: str) -> str:
     return "".join(f'<th scope="col">{name}</th>' for name in names)
 
 
-def row(name: str, *cells: object, attributes: str = "") -> str:
+def row(name: str, *cells: object) -> str:
     """Build a row of an HTML table. The name and the cells are HTML already, so they are not escaped."""
-    return f'<tr{attributes}><th scope="row">{name}</th>{"".join(f"<td>{cell}</td>" for cell in cells)}</tr>'
+    return f'<tr><th scope="row">{name}</th>{"".join(f"<td>{cell}</td>" for cell in cells)}</tr>'
 
 
 # The page's text on findings without a script: their list, and an article on each with a place for its picture.
@@ -199,9 +195,9 @@ def finding_article(finding: FindingView, index: int) -> str:
     """Return the HTML article on one finding, with an empty place for its picture."""
     claim = f'<p class="assertion"><code>{text(finding.assertion)}</code></p>' if finding.assertion else ""
     who, *tags = _tags(finding)
-    tags += [each for each in (finding.prevention, finding.perception, finding.traffic) if each]
+    tags += [finding.traffic] if finding.traffic else []
     mark = f'<span aria-hidden="true">{SYMBOLS.get(_who(finding), "?")}</span>'
-    words = text(dedent(finding.explanation).strip())
+    words = text(finding.explanation.strip())
     parts = [
         f'<article id="finding-{index}" data-index="{index}" tabindex="-1" aria-labelledby="headline-{index}">',
         f'<header><p class="id">{text(finding.id)}</p><h2 id="headline-{index}">{text(finding.headline)}</h2>',
@@ -212,8 +208,6 @@ def finding_article(finding: FindingView, index: int) -> str:
         "".join(f'<p class="sentence">{text(each)}</p>' for each in finding.sentences),
         '<div class="player"></div>' if finding.times else '<p class="empty">There is no run to draw.</p>',
         f'<section><h3>What happened</h3><pre class="explanation">{words}</pre></section>' if words else "",
-        "" if finding.shrink is None else _shrink_section(finding.shrink),
-        f"<details><summary>Instructions as a table</summary>{instruction_table(finding.instructions)}</details>",
         _keep_section(finding) if finding.yaml else "",
         "</article>",
     ]
@@ -264,66 +258,6 @@ def _tags(finding: FindingView) -> list[str]:
     tags += [plural(finding.runs, "run")] if finding.runs else []
     tags += [] if finding.generation is None else [f"first in generation {finding.generation}"]
     return [*tags, finding.label] if finding.label else tags
-
-
-def _shrink_section(shrink: ShrinkView) -> str:
-    notes = "".join(f'<p class="note">{text(note)}</p>' for note in shrink.notes)
-    if shrink.original == shrink.shrunk:
-        return f"<section><h3>Nothing simpler found in {plural(shrink.rollouts, 'run')}</h3>{notes}</section>"
-    chains = ("".join(f"<div>{text(chain)}</div>" for chain in each) for each in (shrink.original, shrink.shrunk))
-    rows = (
-        row("NPCs", shrink.original_npcs, shrink.shrunk_npcs),
-        row("instructions", shrink.original_instructions, shrink.shrunk_instructions),
-        row("chains", *chains, attributes=' class="chains"'),
-    )
-    sizes = table(f"<th></th>{columns('as found', 'shrunk')}", rows)
-    title = f"Shrunk in {plural(shrink.rollouts, 'run')}"
-    return f'<section><h3>{title}</h3>{notes}<div class="scroll">{sizes}</div></section>'
-
-
-def instruction_table(instructions: Iterable[InstructionView]) -> str:
-    """Return an HTML table of the NPCs' instructions, and whether the NPCs carried them out."""
-    instructions = tuple(instructions)
-    is_crossed, is_in_lanes = any(told.zone for told in instructions), any(told.lane for told in instructions)
-    places = "cell or lane" if not is_crossed else "cell, lane or zone" if is_in_lanes else "cell or zone"
-    rows = []
-    for told, is_several in _folded(instructions):
-        reached = "not reached" if told.arrived is None else f"at {told.arrived:.1f} s"
-        reached = "-" if told.lane == "keep" else reached
-        since = f"{told.start:.1f} to {told.end:.1f}" if is_several else f"{told.start:.1f}"
-        cells = since, _goal(told), f"{told.speed:.1f}", reached if told.started else "not begun"
-        rows.append(row(f"NPC {told.npc}", *cells, attributes="" if told.started else " class=unstarted"))
-    head = columns("NPC", "from [s]", places, "speed [m/s]", "reached")
-    return f'<div class="scroll">{table(head, rows)}</div>'
-
-
-def _folded(instructions: Sequence[InstructionView]) -> list[tuple[InstructionView, bool]]:
-    """Return the instructions with equal ones in a row as one, and whether each of them is several in the chain.
-
-    Equal changes of lanes in a row are several changes.
-    """
-    folded: list[tuple[InstructionView, bool]] = []
-    for told in instructions:
-        last = folded[-1][0] if folded else None
-        if last is None or told.lane in ("left", "right") or _asks(told) != _asks(last):
-            folded.append((told, False))
-        else:
-            arrived = told.arrived if last.arrived is None else last.arrived
-            folded[-1] = (replace(last, end=told.end, arrived=arrived), True)
-    return folded
-
-
-def _asks(told: InstructionView) -> tuple[object, ...]:
-    return told.npc, told.started, told.requested, told.cell, told.speed, told.lane, told.zone, told.words
-
-
-def _goal(told: InstructionView) -> str:
-    if told.zone:
-        return text(f"{told.zone} {told.words}")
-    if told.lane:
-        return text(told.words)
-    names = [f"{cell} {Cell(cell).label}" for cell in (told.cell, told.requested)]
-    return names[0] if told.requested == told.cell else f"{names[0]} (requested {names[1]})"
 
 
 # The page's text on a search.
@@ -623,7 +557,7 @@ def _as_row(finding: FindingView) -> FindingView:
     check = None if finding.check is None else replace(finding.check, values=(), broken=())
     road = replace(finding.road, lanes=(), shapes=())
     nothing: dict[str, Any] = dict.fromkeys(("vehicles", "times", "instructions", "grid"), ())
-    return replace(finding, explanation="", yaml="", shrink=None, check=check, road=road, **nothing)
+    return replace(finding, explanation="", yaml="", check=check, road=road, **nothing)
 
 
 def _rank(finding: FindingView) -> tuple[Any, ...]:

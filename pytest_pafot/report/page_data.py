@@ -216,23 +216,6 @@ class CheckView:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ShrinkView:
-    """The result of shrinking: the chains before and after it, one line per NPC, their sizes, and the number of runs.
-
-    ``notes`` are sentences such as "any speed from 3 to 11 m/s still collides".
-    """
-
-    original: tuple[str, ...]
-    shrunk: tuple[str, ...]
-    original_npcs: int
-    shrunk_npcs: int
-    original_instructions: int
-    shrunk_instructions: int
-    rollouts: int
-    notes: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class FindingView:
     """One finding, as the report page shows it.
 
@@ -253,9 +236,6 @@ class FindingView:
         instructions: instructions to all NPCs, ordered by NPC and gene.
         yaml, path: text and path of its file; empty for a run without a file.
         check: the check that failed; None if something else failed.
-        prevention: which reference drivers would have prevented the failure and which not; empty if none would
-            have failed.
-        perception: which imperfections of the ADS's perception the failure needs; empty for perfect sight.
         traffic: how the NPCs drive; empty for the paper's traffic.
         grid: poses of the eight cells at each frame of a bent road, None for a cell without a lane. Empty if all NPCs
             cross, because these use no cells.
@@ -285,10 +265,7 @@ class FindingView:
     sentences: tuple[str, ...] = ()
     assertion: str = ""
     check: CheckView | None = None
-    prevention: str = ""
-    perception: str = ""
     traffic: str = ""
-    shrink: ShrinkView | None = None
     grid: tuple[tuple[Pose | None, ...], ...] = ()
     plans: tuple[PlanView, ...] = ()
 

@@ -11,6 +11,7 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
+from textwrap import dedent
 from typing import Any
 
 import numpy as np
@@ -22,12 +23,10 @@ from pytest_pafot.criticality import Encounters, Passage, gap, passages, time_ad
 from pytest_pafot.criticality.asked import Asked, asked
 from pytest_pafot.criticality.signals import jerk
 from pytest_pafot.findings.finding import Expect, Finding
-from pytest_pafot.findings.shrink import blocks, instructions
 from pytest_pafot.model.driving_style import AMPLE, Traffic
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.scenario import (
     PAPER_SPEED_LIMIT,
-    Chromosome,
     CrossingInstruction,
     LaneInstruction,
     Manoeuvre,
@@ -49,13 +48,12 @@ from pytest_pafot.report.page_data import (
     PlanView,
     Pose,
     RoadView,
-    ShrinkView,
     VehicleView,
     Window,
     ZoneView,
     gap_to,
 )
-from pytest_pafot.report.terminal import prevention_text, speed_sentences
+from pytest_pafot.report.terminal import effort_lines, simplified_lines
 from pytest_pafot.searching.events import (
     CampaignFinished,
     CampaignStarted,
@@ -283,12 +281,13 @@ def finding_view(
     sentences = () if trace is None else expect.sentences_on(Run(trace))
     explanation = "" if trace is None else _explanation(expect.known_of(Run(trace)), sentences)
     first, _, rest = explanation.partition("\n")
+    told = [(rest if check is None else explanation) or expect.message, *simplified_lines(finding)]
     view = FindingView(
         id=finding.id,
         node_id=node_id,
         test=finding.test,
         headline=headline or first or expect.message or expect.failure,
-        explanation=(rest if check is None else explanation) or expect.message,
+        explanation="\n".join(filter(None, [*told, *effort_lines(finding)])),
         sentences=sentences,
         assertion=_assertion(expect),
         responsibility=expect.responsibility,
@@ -300,14 +299,8 @@ def finding_view(
         event=EventView(kind=str(expect.outcome), time=expect.time),
         yaml=text_of(finding),
         command=f"pytest {shlex.quote(node_id)}",
-        prevention=prevention_text(expect),
-        perception="" if finding.perception is None else finding.perception.sentence,
         traffic=finding.scenario.traffic.described,
     )
-    if finding.shrunk is not None:
-        original, rollouts = finding.original or finding.scenario, finding.shrunk.rollouts
-        shrink = shrink_view(original, finding.scenario, rollouts=rollouts, notes=speed_sentences(finding))
-        view = replace(view, shrink=shrink)
     return view if trace is None else _with_run(view, trace, clearance, check)
 
 
@@ -347,7 +340,8 @@ def run_view(trace: Trace, clearance: float = CLEARANCE) -> FindingView:
 
 def _explanation(run: Run, sentences: Sequence[str]) -> str:
     """Return the explanation of a run without ``sentences``, which the page shows elsewhere, above the picture."""
-    return "\n".join(line for line in run.explain().splitlines() if line.strip() not in sentences)
+    first, *lines = (line for line in run.explain().splitlines() if line.strip() not in sentences)
+    return first + "\n" + dedent("\n".join(lines))
 
 
 def _assertion(expect: Expect) -> str:
@@ -398,27 +392,6 @@ def _plans(run: Run) -> tuple[PlanView, ...]:
             line = np.stack(along_and_across(trace, *line.T), axis=-1)
         views.append(PlanView(time=round(tick / trace.physics_hz, 3), line=_points(line)))
     return tuple(views)
-
-
-def shrink_view(original: Scenario, shrunk: Scenario, *, rollouts: int, notes: Iterable[str] = ()) -> ShrinkView:
-    """Describe a scenario before and after shrinking.
-
-    Args:
-        original: the scenario as it was found.
-        shrunk: the scenario after shrinking.
-        rollouts: the number of runs that shrinking took.
-        notes: sentences on the NPC speeds at which the scenario still fails.
-    """
-    return ShrinkView(
-        original=tuple(map(_chain_text, original.npcs)),
-        shrunk=tuple(map(_chain_text, shrunk.npcs)),
-        original_npcs=len(original.npcs),
-        shrunk_npcs=len(shrunk.npcs),
-        original_instructions=instructions(original),
-        shrunk_instructions=instructions(shrunk),
-        rollouts=rollouts,
-        notes=tuple(notes),
-    )
 
 
 def frame_ticks(trace: Trace) -> list[int]:
@@ -573,24 +546,6 @@ def _numbers(values: FloatArray, digits: int) -> Numbers:
     """Round values to a number of digits. NaN and infinity become None, and -0.0 becomes 0.0."""
     rounded = np.round(values, digits) + 0.0
     return tuple(float(value) if np.isfinite(value) else None for value in rounded)
-
-
-def _chain_text(chain: Chromosome) -> str:
-    """Write one NPC's instructions in a line, such as ``1 front-left 25.0 m/s x2, 2 front 8.0 m/s``.
-
-    An instruction that is repeated appears once, with the number of repetitions. Repeated changes of lanes do not
-    extend each other but add up: ``3 times one lane left 8.0 m/s``.
-    """
-    if isinstance(chain[0], CrossingInstruction):
-        return f"{chain[0].goal}, {chain[0].speed:.1f} m/s"
-    if isinstance(chain[0], Manoeuvre):
-        return f"{chain[0].speed:.1f} m/s {chain[0].goal}"
-    texts = []
-    for start, end in blocks(chain):
-        text, times = f"{chain[start].goal} {chain[start].speed:.1f} m/s", end - start
-        changes_lanes = getattr(chain[start], "lane", "keep") != "keep"
-        texts.append(text if times == 1 else f"{times} times {text}" if changes_lanes else f"{text} x{times}")
-    return ", ".join(texts)
 
 
 # The data that the report page shows of a search, counted from the search's events.

@@ -306,7 +306,7 @@ def test_long_words_do_not_widen_a_narrow_page(browser, tmp_path):
     word = "x" * 300
     finding = replace(
         real_report().findings[0], headline=word, node_id=word, label=word, explanation=word, yaml=word, path=word,
-        command=word, prevention=word,
+        command=word,
     )  # fmt: skip
     campaign = replace(real_report().campaigns[0], node_id=word, warnings=(word,), outcomes=((word, 1),))
     report = Report(title=word, facts=((word, word),), command=word, findings=(finding,), campaigns=(campaign,))
