@@ -73,8 +73,8 @@ class FindingRecord:
             `fixed`, `better`, `as before` or `worse`. Null if the policy draws none.
         flaky: what differed when it was run again, as in the file; null if nothing did.
         unshrunk: that no time was left to confirm a new finding, or to shrink it fully; otherwise empty.
-        breadth: how many neighbours of a new finding fail in the same way: `failing`, `of`, and `share`, the size of
-            their steps as a share of the full ones, which `full` neighbours had. Null if that was not examined.
+        breadth: how many neighbours of a new finding fail in the same way: `failing`, and `of`. Null if that was not
+            examined.
         answers: how many decisions depend on the vehicle of a new finding, when they are made again beside the run:
             `npc`; `since`, when the danger began, or if no decision was due after that, when the last one was made [s];
             `decisions` from then to the failure, and `depending`; `unseen`, true if it was in no observation;

@@ -143,13 +143,13 @@ def test_the_order_is_total(one, two, three):
 @given(st.permutations(range(10)))
 def test_findings_are_ranked_by_responsibility_then_severity_then_breadth(order):
     small = replace(JERK, value=900.0, margin=-0.1)
-    edge = Breadth(failing=40, of=40, full=40, share=0.5)
+    edge = Breadth(failing=0, of=40)
     ranked = [
-        ("both", HIT, Breadth(failing=2, of=4, full=4)), ("both", HIT, Breadth(failing=1, of=3, full=3)),
+        ("both", HIT, Breadth(failing=2, of=4)), ("both", HIT, Breadth(failing=1, of=3)),
         ("both", HIT, edge),
         ("ego", replace(HIT, value=3.0), None), ("npc", replace(HIT, value=30.0), None),
         ("none", replace(JERK, margin=-0.8), None), ("ego", JERK, None), ("none", small, None),
-        ("none", None, Breadth(failing=1, of=40, full=40)), ("none", None, None),
+        ("none", None, Breadth(failing=1, of=40)), ("none", None, None),
     ]  # fmt: skip
     assert sorted((ranked[index] for index in order), key=lambda each: Severity.worst_first(*each)) == ranked
 
