@@ -254,7 +254,6 @@ def _tags(finding: FindingView) -> list[str]:
     tags = [WHO.get(_who(finding), finding.responsibility)]
     if finding.check is not None and finding.responsibility != "none":
         tags.append(f"{WHO.get(finding.responsibility, finding.responsibility)} for the collision")
-    tags += [] if finding.severity is None else [finding.severity.further]
     tags += [plural(finding.runs, "run")] if finding.runs else []
     tags += [] if finding.generation is None else [f"first in generation {finding.generation}"]
     return [*tags, finding.label] if finding.label else tags

@@ -1,7 +1,7 @@
 """The summary of a CI job is short, and only this plugin's own text in it is markup."""
 
 import re
-from dataclasses import replace
+from dataclasses import asdict, replace
 
 from hypothesis import given
 from hypothesis import strategies as st
@@ -62,11 +62,11 @@ def test_findings_are_counted_and_listed_with_replay_command():
 
 
 def hits(speed):
-    return Severity(kind="collision", value=speed, unit="m/s").data()
+    return asdict(Severity(kind="collision", value=speed, unit="m/s"))
 
 
 def test_worst_finding_comes_first_in_each_group():
-    jerk = Severity(kind="check", value=15.1, unit="m/s^3", margin=-0.755, name="jerk").data()
+    jerk = asdict(Severity(kind="check", value=15.1, unit="m/s^3", margin=-0.755, name="jerk"))
     findings = [
         finding("a", severity=jerk, responsible="ego"),
         finding("b", severity=hits(3.0), responsible="both"),
@@ -78,8 +78,6 @@ def test_worst_finding_comes_first_in_each_group():
     text = markdown(SessionRecord(findings=findings))
     listed = re.findall(r"corpus/(\w)\.pafot", text)
     assert "".join(listed) == "ebdacf"
-    assert "collision after 5.4 s; delta-v 4.9 m/s\n" in text
-    assert "collision after 5.4 s; by 15.1 m/s^3\n" in text
     assert "collision after 5.4 s; worse: hits at 12.1 m/s, 8.0 before\n" in text
 
 
