@@ -15,7 +15,7 @@ from dataclasses import asdict, dataclass, field
 from types import MappingProxyType
 from typing import Any, Self
 
-from pytest_pafot.campaign.events import ELSEWHERE, NEW, NO_WORSE, PASSES, Find, SearchSummary
+from pytest_pafot.campaign.events import ELSEWHERE, NEW, NO_WORSE, PASSES, PASSING, Find, SearchSummary, passing
 from pytest_pafot.findings.finding import JUDGED_OTHERWISE, NEARBY, Finding, portable
 from pytest_pafot.findings.neighbours import Breadth
 from pytest_pafot.findings.severity import Severity, worsening
@@ -406,7 +406,8 @@ def _rank(finding: FindingRecord) -> tuple[Any, ...]:
 def _finding_lines(finding: FindingRecord) -> Iterator[str]:
     """Yield two lines on a finding: its test and its description, then the command that replays it."""
     elsewhere = f"{plain(finding.elsewhere)} fails in the same way" if finding.elsewhere else ""
-    told = [plain(finding.headline or elsewhere or finding.detail)]
+    passes = passing(finding.neighbours, finding.searched) if finding.status in (PASSES, *PASSING) else ""
+    told = [passes, plain(finding.headline or elsewhere or finding.detail)]
     if finding.severity is not None and finding.severity_before is not None:
         worse = worsening(Severity(**finding.severity), Severity(**finding.severity_before))
         told += [f"worse: {plain(worse)}"] if worse else []
