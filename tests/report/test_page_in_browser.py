@@ -488,16 +488,6 @@ def test_text_is_readable_in_light_and_dark_scheme(opened, scheme):
     assert {name: value for name, value in marks.items() if value < 3} == {}
 
 
-def test_the_theme_button_overrides_the_preference(opened):
-    page = opened(media=[("prefers-color-scheme", "light")])
-    themes = []
-    for _ in range(3):
-        page.evaluate("document.getElementById('theme').click()")
-        themes.append((page.evaluate("document.documentElement.dataset.theme || 'system'"),
-                       luminance(page.evaluate("getComputedStyle(document.body).backgroundColor")) < 0.1))  # fmt: skip
-    assert themes == [("light", False), ("dark", True), ("system", False)]
-
-
 def test_with_reduced_motion_play_moves_in_steps(opened):
     page = opened(media=[("prefers-reduced-motion", "reduce")])
     page.press("Home")

@@ -1,4 +1,4 @@
-// Assembles the page: the selected finding, links, keys, theme, copying.
+// Assembles the page: the selected finding, links, keys, copying.
 
 const report = JSON.parse(document.getElementById("data").textContent);
 const articles = [...document.querySelectorAll("#articles > article")];
@@ -126,32 +126,6 @@ function toggleKeys() {
   document.getElementById("keys").setAttribute("aria-expanded", String(!list.hidden));
 }
 
-const THEMES = ["system", "light", "dark"];
-
-function stored(name, value) {
-  // Browsers may refuse storage to pages from files and frames; the choice then lasts as long as the page.
-  try {
-    if (value === undefined) return localStorage.getItem(name);
-    localStorage.setItem(name, value);
-  } catch (error) {
-    if (!(error instanceof DOMException)) throw error;
-  }
-  return null;
-}
-
-function setTheme(theme) {
-  if (theme === "system") delete document.documentElement.dataset.theme;
-  else document.documentElement.dataset.theme = theme;
-  document.getElementById("theme").textContent = `Theme: ${theme}`;
-}
-
-function nextTheme() {
-  const now = document.documentElement.dataset.theme || "system";
-  const next = THEMES[(THEMES.indexOf(now) + 1) % THEMES.length];
-  setTheme(next);
-  stored("pafot-theme", next);
-}
-
 async function copy(button) {
   const kind = button.dataset.copy;
   const source = kind === "pre" ? button.closest(".yaml").querySelector("pre") : button.parentElement.querySelector("code");
@@ -185,9 +159,6 @@ if (filter) {
     field.addEventListener("keydown", (event) => { if (event.key === "Escape") { clearFilter(); links[current].focus(); } });
   }
 }
-const theme = stored("pafot-theme");
-setTheme(THEMES.includes(theme) ? theme : "system");
-document.getElementById("theme").addEventListener("click", nextTheme);
 document.getElementById("keys").addEventListener("click", toggleKeys);
 document.addEventListener("keydown", onKey);
 for (const button of document.querySelectorAll("button.copy")) button.addEventListener("click", () => copy(button));
