@@ -432,6 +432,11 @@ def test_several_searches_are_folded_and_one_is_open(grouped, page):
     assert grouped.evaluate(is_open) == [True, False]
 
 
+def test_mark_of_the_event_has_the_colour_of_its_line(page):
+    colour = "getComputedStyle(document.querySelector('article.current .charts .{}')).{}"
+    assert page.evaluate(colour.format("event-mark", "fill")) == page.evaluate(colour.format("event", "stroke"))
+
+
 def test_there_are_curves_of_acceleration_and_jerk(page):
     titles = page.evaluate(ALL.format(selector="article.current .charts tspan.strong", what="each.textContent"))
     assert titles[-2:] == ["acceleration", "jerk, peak of each frame"]
