@@ -157,7 +157,7 @@ FILE_TEXTS: Mapping[str, str] = {
     "tried.",
     "shrunk.speeds": "For each instruction, by `npc` and by the `gene` with which it begins, the speeds from `low` to "
     "`high` [m/s] at which the scenario still fails. Not all speeds between them were tried.",
-    "neighbours": "How many of the [neighbours](../explanation/findings.md#how-broad-it-is) with full steps failed in "
+    "neighbours": "How many of the [neighbours](../explanation/findings.md#how-broad-it-is) failed in "
     "the same way when the scenario was found: `failing`, `of`. A replay that passes runs the more of them, the fewer "
     "failed.",
     "rate": "How often [a policy that draws random numbers](../guide/random-policies.md) fails in the scenario: "
@@ -457,7 +457,7 @@ def _example() -> Finding:
         ),
         original=Scenario(npcs=(as_found,), seed=7),
         shrunk=Shrunk(rollouts=41, speeds=(SpeedInterval(npc=0, gene=1, low=0.0, high=13.8),)),
-        neighbours=Breadth(failing=28, of=40, full=40),
+        neighbours=Breadth(failing=28, of=40),
         found=Found(
             seed=1234,
             generation=17,

@@ -44,7 +44,7 @@ STORIES = (
     Story(
         "constant-speed",
         "test_never_at_fault_in_a_collision[constant-speed-search]",
-        ("--pafot-runs=80", "--pafot-seed=4"),  # finds what the README's first search finds
+        ("--pafot-runs=80", "--pafot-seed=8"),  # finds what the README's first search finds
     ),
     Story("fiss", "test_fiss_is_never_at_fault_in_a_collision[search]", ("--pafot-runs=80", "--pafot-seed=1")),
 )

@@ -64,6 +64,13 @@ DONE, ALL_RUN = "all generations done", "all runs done"
 """The reasons for which a search ends that ran to its end."""
 
 
+def passing(neighbours: int, searched: int) -> str:
+    """Say what passes: a saved scenario, a number of its neighbours, and a number of runs of the search of its test."""
+    others = f", and so {'does' if neighbours == 1 else 'do'} {plural(neighbours, 'neighbour')}" if neighbours else ""
+    runs = f"; no such failure in {plural(searched, 'run')} of the search" if searched else ""
+    return f"{PASSES}{others}{runs}"
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Find:
     """A finding as this session saw it, new or replayed: all that the controller needs for terminal and summary.
@@ -152,12 +159,7 @@ class Find:
     @property
     def driven(self) -> str:
         """The runs of a replay that passes, and of the search of its test; empty for any other replay."""
-        if self.label not in PASSING:
-            return ""
-        verb = "does" if self.neighbours == 1 else "do"
-        others = f", and so {verb} {plural(self.neighbours, 'neighbour')}" if self.neighbours else ""
-        searched = f"; no such failure in {plural(self.searched, 'run')} of the search" if self.searched else ""
-        return f"{PASSES}{others}{searched}"
+        return passing(self.neighbours, self.searched) if self.label in PASSING else ""
 
     @property
     def remark(self) -> str:

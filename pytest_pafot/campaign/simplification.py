@@ -257,7 +257,7 @@ class Simplification:
                 breadth = self._breadth(kept)
                 find = replace(find, breadth=breadth)
                 if breadth is not None:
-                    labelled = replace(kept.finding, neighbours=breadth.at_full_steps)
+                    labelled = replace(kept.finding, neighbours=breadth)
                     kept = self.store.rewritten(kept, labelled)
                 self._report(replace(kept, find=find, is_new=False))
                 if found is not None:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from datetime import date
 from pathlib import Path
 from typing import Any
@@ -79,7 +79,7 @@ class Row:
     def data(self) -> dict[str, Any]:
         """The row as plain data, for programs."""
         return data_of(self.saved) | {
-            "severity": None if self.severity is None else self.severity.data(),
+            "severity": None if self.severity is None else asdict(self.severity),
             "requirements": list(self.traced.requirements),
             "owner": self.traced.owner,
             "state": self.state,

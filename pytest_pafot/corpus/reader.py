@@ -422,7 +422,7 @@ def _xfail(field: Field) -> Acceptance:
 def _neighbours(field: Field) -> Breadth:
     fields = field.mapping(Keys(("failing", "of")))
     of = fields["of"].whole(1, MOST_NEIGHBOURS)
-    return Breadth(failing=fields["failing"].whole(0, of), of=of, full=of)
+    return Breadth(failing=fields["failing"].whole(0, of), of=of)
 
 
 def _rate(field: Field) -> FailureRate:

@@ -505,7 +505,7 @@ MOST_SEVERE = 1e9
 def _severity(data: Any) -> Severity | None:
     """Return the severity in the results; None if they have none, or something else."""
     try:
-        severity = Severity.of_data(data)
+        severity = Severity(**data)
         texts, numbers = (severity.kind, severity.unit, severity.name), (severity.value, severity.margin)
         is_right = all(isinstance(each, str) for each in texts) and all(
             each is None or (isinstance(each, (int, float)) and abs(each) < MOST_SEVERE) for each in numbers

@@ -32,8 +32,6 @@ from pytest_pafot.model.scenario import (
     Step,
 )
 
-SHARES = (1.0, 0.5, 0.25, 0.125)
-"""The shares of the steps below with which neighbours are made. If no neighbour fails, a smaller share is used."""
 SPEED = 1.5
 """The largest step of a single speed [m/s]."""
 ALL_SPEEDS, DURATION = 0.1, 0.1
@@ -66,31 +64,21 @@ class Breadth:
     Attributes:
         failing: the number of neighbours that fail the same way.
         of: the number of neighbours.
-        share: the share of the full steps with which the neighbours were made. It is below 1 if none of the neighbours
-            with larger steps failed.
-        full: the number of neighbours with the full steps.
     """
 
     failing: int
     of: int
-    share: float = 1.0
-    full: int
 
     @property
     def rank(self) -> float:
-        """A number that is larger for a broader failure: the share of neighbours that fail at full steps."""
-        return self.failing / self.of if self.share == 1 else 0.0
-
-    @property
-    def at_full_steps(self) -> Breadth:
-        """The numbers of neighbours with the full steps, as a file stores them."""
-        return Breadth(failing=self.failing if self.share == 1 else 0, of=self.full, full=self.full)
+        """A number that is larger for a broader failure: the share of neighbours that fail."""
+        return self.failing / self.of
 
     @property
     def word(self) -> Literal["broad", "narrow", "knife edge"]:
         """How broad the failure is, in a word.
 
-        It is broad if most of the neighbours with the full steps fail, narrow if fewer do, and a knife edge if none do.
+        It is broad if most of the neighbours fail, narrow if fewer do, and a knife edge if none do.
         """
         if self.rank == 0:
             return "knife edge"
@@ -106,7 +94,7 @@ class Breadth:
         how = {
             "broad": "most similar scenarios fail the same way",
             "narrow": "some similar scenarios fail the same way, but not most",
-            "knife edge": f"{'only almost equal' if self.failing else 'no similar'} scenarios fail the same way",
+            "knife edge": "no similar scenarios fail the same way",
         }
         return f"{self.word}: {how[self.word]}"
 
@@ -147,34 +135,23 @@ def breadth_of(
         limits: what the world allows.
         ahead, expect: as for :func:`~pytest_pafot.findings.shrink.shrink`.
     """
-    known: Breadth | None = None
-    for share in SHARES:
-        drawn = list(islice(neighbours(scenario, share, limits), 2 * number))
-        told: list[bool] = []
-        for index, each in enumerate(drawn):
-            expect(drawn[index + ahead - 1 : index + ahead] if index else drawn[:ahead], index > 0)
-            answer = fails(each)
-            if answer is None:
-                continue
-            told.append(answer)
-            failing, passing = told.count(True), told.count(False)
-            # With smaller steps, the first one that fails says all. Otherwise all that are left cannot change the word.
-            is_clear = failing > 0 if share < 1 else 2 * failing > number or (failing > 0 and 2 * passing >= number)
-            if is_clear or len(told) == number:
-                break
-        if not told:
-            return known
-        full = len(told) if known is None else known.full
-        known = Breadth(failing=sum(told), of=len(told), share=share, full=full)
-        if known.failing:
-            return known
-    return known
+    drawn, told = list(islice(neighbours(scenario, 1.0, limits), 2 * number)), list[bool]()
+    for index, each in enumerate(drawn):
+        expect(drawn[index + ahead - 1 : index + ahead] if index else drawn[:ahead], index > 0)
+        answer = fails(each)
+        if answer is None:
+            continue
+        told.append(answer)
+        failing, passing = told.count(True), told.count(False)
+        if len(told) == number or 2 * failing > number or (failing > 0 and 2 * passing >= number):
+            break  # all that are left cannot change the word
+    return Breadth(failing=sum(told), of=len(told)) if told else None
 
 
 def neighbours(scenario: Scenario, share: float, limits: Limits) -> Iterator[Scenario]:
     """Yield different neighbours of a scenario, until hardly any more are drawn.
 
-    ``share`` is the size of the steps as a share of the full ones, such as those of :data:`SHARES`, or :data:`WIDE`.
+    ``share`` is the size of the steps as a share of those of this module: 1, or :data:`WIDE`.
 
     Each neighbour differs in one of four ways: in the speed of each instruction a little; in all speeds by the same
     factor; in one instruction, after which the cells of others are repaired where they no longer fit; or in the start
@@ -323,7 +300,7 @@ class _Neighbour:
 
     def _changed(self, gene: Gene) -> Gene:
         """Return a gene with a cell or a lane beside its own; with smaller steps, or at a zone, only moved."""
-        if self.share < 1 or isinstance(gene, ALONE):
+        if isinstance(gene, ALONE):
             return self._moved(gene)
         if isinstance(gene, LaneInstruction):
             others = [lane for lane in SHIFTS if lane != gene.lane]

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import total_ordering
 from types import MappingProxyType
-from typing import Any, ClassVar, Literal, Self
+from typing import ClassVar, Literal
 
 from pytest_pafot.findings.finding import Expect
 from pytest_pafot.findings.neighbours import Breadth
@@ -43,11 +43,6 @@ class Severity:
     name: str = ""
 
     @property
-    def delta_v(self) -> float | None:
-        """The change of each vehicle's velocity if both have equal mass and stay together [m/s]; None for a check."""
-        return None if self.kind == "check" or self.value is None else round(self.value / 2, 6)
-
-    @property
     def figure(self) -> str:
         """The value in short, without its unit."""
         if self.value is None:
@@ -59,25 +54,9 @@ class Severity:
         figure = f"{self.figure} {self.unit}".rstrip()
         return f"hits at {figure}" if self.kind == "collision" else f"breaks {self.name} by {figure}"
 
-    @property
-    def further(self) -> str:
-        """The figure that the headline leaves out: a collision's delta-v, or by how much a check's bound is broken."""
-        if self.delta_v is not None:
-            return f"delta-v {self.delta_v:.1f} m/s"
-        return self.figure if self.value is None else f"by {self.figure} {self.unit}".rstrip()
-
     def is_fault(self, responsible: str) -> bool:
         """Return whether the failure is a collision that the ego is responsible for, alone or with the NPC."""
         return self.kind == "collision" and responsible in ("ego", "both")
-
-    def data(self) -> dict[str, Any]:
-        """Return the fields and the delta-v as plain data, for programs."""
-        return {**asdict(self), "delta_v": self.delta_v}
-
-    @classmethod
-    def of_data(cls, data: Mapping[str, Any]) -> Self:
-        """Return the severity from the result of :meth:`data`."""
-        return cls(**{name: value for name, value in data.items() if name != "delta_v"})
 
     @property
     def figures(self) -> tuple[int, float, float]:

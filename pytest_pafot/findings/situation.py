@@ -11,7 +11,7 @@ ways meet.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol, Self
+from typing import Self
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -58,24 +58,6 @@ APPROACH = 3.0
 """A time to a zone uses the highest speed of these last seconds [s], because an ego that gives way slows down."""
 LEAST_SPEED = 0.1
 """The lowest speed that is assumed for a vehicle's time to a zone [m/s]; a standing vehicle would never arrive."""
-
-
-class Arising(Protocol):
-    """The interface of both kinds of situations, :class:`Situation` and :class:`ZoneSituation`."""
-
-    @property
-    def npc(self) -> int:
-        """The NPC's index in the scenario."""
-
-    @property
-    def time(self) -> float:
-        """The time of the situation [s]."""
-
-    def distances(self, trace: Trace) -> FloatArray:
-        """Return how far a run is from the situation at each tick, in multiples of the tolerances."""
-
-    def nearest_in(self, trace: Trace) -> Self:
-        """Return the moment at which a run was nearest to the situation."""
 
 
 def situation_of(run: Run, failure: Failure, time: float) -> Situation | ZoneSituation | None:
@@ -276,7 +258,7 @@ def _highest(speeds: FloatArray, trace: Trace, seconds: float) -> FloatArray:
     return np.asarray(sliding_window_view(np.pad(speeds, (ticks, 0)), ticks + 1).max(axis=1))
 
 
-def seconds_after(situation: Arising | None, run: Run) -> float | None:
+def seconds_after(situation: Situation | ZoneSituation | None, run: Run) -> float | None:
     """Return how long a run continued after a situation first came up [s]; None if it never did, or that is unknown."""
     if situation is None or not _can_be_compared(situation, run.trace):
         return None
@@ -284,7 +266,7 @@ def seconds_after(situation: Arising | None, run: Run) -> float | None:
     return run.duration - float(came_up[0]) / run.trace.physics_hz if came_up.size else None
 
 
-def missed(situation: Arising | None, run: Run) -> str:
+def missed(situation: Situation | ZoneSituation | None, run: Run) -> str:
     """Return a sentence that a situation did not come up in a run, and how near the run was; empty if it came up.
 
     The text is also empty if the situation is unknown.
@@ -298,7 +280,7 @@ def missed(situation: Arising | None, run: Run) -> str:
     )
 
 
-def _can_be_compared(situation: Arising, trace: Trace) -> bool:
+def _can_be_compared(situation: Situation | ZoneSituation, trace: Trace) -> bool:
     """Return whether a run has finite positions, and its NPC crosses if and only if the situation is at a zone."""
     crosses = bool(trace.zones) and trace.zones[situation.npc] is not None
     return bool(np.isfinite(trace.states).all()) and isinstance(situation, ZoneSituation) == crosses

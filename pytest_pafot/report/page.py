@@ -19,7 +19,6 @@ from importlib.resources import files
 from itertools import islice
 from pathlib import Path
 from string import Template
-from textwrap import dedent
 from types import MappingProxyType
 from typing import Any
 from urllib.parse import quote
@@ -29,19 +28,13 @@ from pytest_pafot.campaign.options import is_page_file
 from pytest_pafot.corpus.layout import SUFFIX
 from pytest_pafot.findings.finding import JUDGED_OTHERWISE
 from pytest_pafot.findings.severity import Severity
-from pytest_pafot.model.grid import Cell
-from pytest_pafot.model.scenario import SLOTS
 from pytest_pafot.report.animation import AnimationError, animate
 from pytest_pafot.report.page_data import (
     CampaignView,
     CheckView,
-    CoverageRow,
     Errors,
     FindingView,
-    GenerationView,
-    InstructionView,
     Report,
-    ShrinkView,
 )
 from pytest_pafot.support.errors import flag
 from pytest_pafot.support.files import write_whole
@@ -72,11 +65,6 @@ def copyable(command: str) -> str:
     )
 
 
-def details(summary: str, body: str) -> str:
-    """Return HTML that is folded under a summary until the reader opens it."""
-    return f"<details><summary>{summary}</summary>{body}</details>"
-
-
 def table(head: str, rows: Iterable[str]) -> str:
     """Build an HTML table from its head, made by :func:`columns`, and its rows, made by :func:`row`."""
     return f"<table><thead><tr>{head}</tr></thead><tbody>{''.join(rows)}</tbody></table>"
@@ -87,9 +75,9 @@ def columns(*names: str) -> str:
     return "".join(f'<th scope="col">{name}</th>' for name in names)
 
 
-def row(name: str, *cells: object, attributes: str = "") -> str:
+def row(name: str, *cells: object) -> str:
     """Build a row of an HTML table. The name and the cells are HTML already, so they are not escaped."""
-    return f'<tr{attributes}><th scope="row">{name}</th>{"".join(f"<td>{cell}</td>" for cell in cells)}</tr>'
+    return f'<tr><th scope="row">{name}</th>{"".join(f"<td>{cell}</td>" for cell in cells)}</tr>'
 
 
 # The page's text on findings without a script: their list, and an article on each with a place for its picture.
@@ -104,9 +92,6 @@ WHO = {
     "none": "nobody responsible",
     "check": "failed check",
 }
-
-SAVE_RUN = '<p class="save"><button type="button" class="save-run" hidden>Save the run as CSV</button></p>'
-"""A button that saves a run. It is hidden until the page's script finds that it can save files."""
 
 
 def finding_keys(findings: Iterable[FindingView]) -> tuple[str, ...]:
@@ -210,9 +195,9 @@ def finding_article(finding: FindingView, index: int) -> str:
     """Return the HTML article on one finding, with an empty place for its picture."""
     claim = f'<p class="assertion"><code>{text(finding.assertion)}</code></p>' if finding.assertion else ""
     who, *tags = _tags(finding)
-    tags += [each for each in (finding.prevention, finding.perception, finding.traffic) if each]
+    tags += [finding.traffic] if finding.traffic else []
     mark = f'<span aria-hidden="true">{SYMBOLS.get(_who(finding), "?")}</span>'
-    words = text(dedent(finding.explanation).strip())
+    words = text(finding.explanation.strip())
     parts = [
         f'<article id="finding-{index}" data-index="{index}" tabindex="-1" aria-labelledby="headline-{index}">',
         f'<header><p class="id">{text(finding.id)}</p><h2 id="headline-{index}">{text(finding.headline)}</h2>',
@@ -223,8 +208,6 @@ def finding_article(finding: FindingView, index: int) -> str:
         "".join(f'<p class="sentence">{text(each)}</p>' for each in finding.sentences),
         '<div class="player"></div>' if finding.times else '<p class="empty">There is no run to draw.</p>',
         f'<section><h3>What happened</h3><pre class="explanation">{words}</pre></section>' if words else "",
-        "" if finding.shrink is None else _shrink_section(finding.shrink),
-        details("Instructions as a table", instruction_table(finding.instructions)),
         _keep_section(finding) if finding.yaml else "",
         "</article>",
     ]
@@ -232,10 +215,10 @@ def finding_article(finding: FindingView, index: int) -> str:
 
 
 def _keep_section(finding: FindingView) -> str:
-    """Return the HTML of a finding's command, if any, of a button that saves its run, and of the text of its file."""
+    """Return the HTML of a finding's command, if any, and of the text of its file."""
     command = f"<h3>Run it again</h3>{copyable(finding.command)}" if finding.command else ""
     return (
-        f'<section class="keep">{command}{SAVE_RUN if finding.drive else ""}'
+        f'<section class="keep">{command}'
         f'<div class="yaml"><div class="bar"><h4>{text(finding.path or finding.id + SUFFIX)}</h4>'
         '<button type="button" class="copy" data-copy="pre">Copy the file</button></div>'
         f'<pre tabindex="0" aria-label="The file of this finding">{text(finding.yaml)}</pre></div></section>'
@@ -271,73 +254,12 @@ def _tags(finding: FindingView) -> list[str]:
     tags = [WHO.get(_who(finding), finding.responsibility)]
     if finding.check is not None and finding.responsibility != "none":
         tags.append(f"{WHO.get(finding.responsibility, finding.responsibility)} for the collision")
-    tags += [] if finding.severity is None else [finding.severity.further]
     tags += [plural(finding.runs, "run")] if finding.runs else []
     tags += [] if finding.generation is None else [f"first in generation {finding.generation}"]
     return [*tags, finding.label] if finding.label else tags
 
 
-def _shrink_section(shrink: ShrinkView) -> str:
-    notes = "".join(f'<p class="note">{text(note)}</p>' for note in shrink.notes)
-    if shrink.original == shrink.shrunk:
-        return f"<section><h3>Nothing simpler found in {plural(shrink.rollouts, 'run')}</h3>{notes}</section>"
-    chains = ("".join(f"<div>{text(chain)}</div>" for chain in each) for each in (shrink.original, shrink.shrunk))
-    rows = (
-        row("NPCs", shrink.original_npcs, shrink.shrunk_npcs),
-        row("instructions", shrink.original_instructions, shrink.shrunk_instructions),
-        row("chains", *chains, attributes=' class="chains"'),
-    )
-    sizes = table(f"<th></th>{columns('as found', 'shrunk')}", rows)
-    title = f"Shrunk in {plural(shrink.rollouts, 'run')}"
-    return f'<section><h3>{title}</h3>{notes}<div class="scroll">{sizes}</div></section>'
-
-
-def instruction_table(instructions: Iterable[InstructionView]) -> str:
-    """Return an HTML table of the NPCs' instructions, and whether the NPCs carried them out."""
-    instructions = tuple(instructions)
-    is_crossed, is_in_lanes = any(told.zone for told in instructions), any(told.lane for told in instructions)
-    places = "cell or lane" if not is_crossed else "cell, lane or zone" if is_in_lanes else "cell or zone"
-    rows = []
-    for told, is_several in _folded(instructions):
-        reached = "not reached" if told.arrived is None else f"at {told.arrived:.1f} s"
-        reached = "-" if told.lane == "keep" else reached
-        since = f"{told.start:.1f} to {told.end:.1f}" if is_several else f"{told.start:.1f}"
-        cells = since, _goal(told), f"{told.speed:.1f}", reached if told.started else "not begun"
-        rows.append(row(f"NPC {told.npc}", *cells, attributes="" if told.started else " class=unstarted"))
-    head = columns("NPC", "from [s]", places, "speed [m/s]", "reached")
-    return f'<div class="scroll">{table(head, rows)}</div>'
-
-
-def _folded(instructions: Sequence[InstructionView]) -> list[tuple[InstructionView, bool]]:
-    """Return the instructions with equal ones in a row as one, and whether each of them is several in the chain.
-
-    Equal changes of lanes in a row are several changes.
-    """
-    folded: list[tuple[InstructionView, bool]] = []
-    for told in instructions:
-        last = folded[-1][0] if folded else None
-        if last is None or told.lane in ("left", "right") or _asks(told) != _asks(last):
-            folded.append((told, False))
-        else:
-            arrived = told.arrived if last.arrived is None else last.arrived
-            folded[-1] = (replace(last, end=told.end, arrived=arrived), True)
-    return folded
-
-
-def _asks(told: InstructionView) -> tuple[object, ...]:
-    return told.npc, told.started, told.requested, told.cell, told.speed, told.lane, told.zone, told.words
-
-
-def _goal(told: InstructionView) -> str:
-    if told.zone:
-        return text(f"{told.zone} {told.words}")
-    if told.lane:
-        return text(told.words)
-    names = [f"{cell} {Cell(cell).label}" for cell in (told.cell, told.requested)]
-    return names[0] if told.requested == told.cell else f"{names[0]} (requested {names[1]})"
-
-
-# The page's text on a search without a script: figures, tables and coverage, with a place for its curve.
+# The page's text on a search.
 
 ENDS = {
     "": "early",
@@ -351,116 +273,51 @@ ENDS = {
 
 
 def campaign_article(view: CampaignView, index: int, *, is_open: bool = True) -> str:
-    """Return the HTML article on one search: its figures, a place for its fitness curve, and its coverage.
-
-    The reader can fold it; ``is_open`` is False if it is folded at first.
-    """
-    finished, end = len(view.generations), ENDS.get(view.reason, view.reason)
+    """Return the HTML article on one search; ``is_open`` is False if it is folded until the reader opens it."""
+    finished, end = view.generations, ENDS.get(view.reason, view.reason)
     figures = (
         ("algorithm", view.algorithm),
         ("seed", view.seed),
         ("generations", finished if view.asked in (None, finished) else f"{finished} of {view.asked}"),
         ("runs", view.simulated),
         ("not run again", view.reused),
+        ("coverage", view.coverage),
         ("ended", end),
     )
-    failing = sum(each.failing for each in view.generations)
-    folded = f"{plural(view.simulated, 'run')}, {failing} failing in its generations"
+    folded = f"{plural(view.simulated, 'run')}, {view.failing} failing"
     folded += f", {plural(len(view.warnings), 'warning')}" if view.warnings else ""
     folded += f", ended {end}" if view.reason in ("error", "interrupted") else ""
     warnings = "".join(f'<p class="warning"><b>Warning</b> {text(warning)}</p>' for warning in view.warnings)
     judged = sum(count for _, count in view.responsibilities)
-    is_on_grid = not (view.zones or view.lanes) or any(each.requested for each in view.cells)
-    goals = ["cell", *(["its lane"] if view.lanes else []), *(["its zone"] if view.zones else [])]
     return (
-        f'<article class="campaign" data-campaign="{index}" aria-labelledby="campaign-{index}">'
+        f'<article class="campaign" aria-labelledby="campaign-{index}">'
         f"<details{' open' if is_open else ''}>"
         f'<summary><h3 id="campaign-{index}" class="id">{text(view.node_id)}</h3>'
-        f'<span class="meta">{text(folded)}</span></summary>{facts(figures)}{warnings}<div class="fitness"></div>'
-        f"{details('Generations as a table', _generation_table(view.generations))}"
+        f'<span class="meta">{text(folded)}</span></summary>{facts(figures)}{warnings}'
         f'<div class="columns">{_counts("Runs by outcome", view.outcomes, view.simulated)}'
-        f"{_counts('Runs by responsibility', view.responsibilities, judged)}</div>"
-        "<h4>Coverage: instructions requested, driven and reached</h4>"
-        '<p class="note">Requested: in the scenarios that the search requested. Driven: as far as the runs got, '
-        f"after repair. Reached: the NPC arrived in its {' or '.join(goals)}.</p>"
-        f'<div class="columns">{_coverage("Cells", "cell", view.cells) if is_on_grid else ""}'
-        f"{_coverage('Lanes', 'lane', view.lanes) if view.lanes else ''}"
-        f"{_coverage('Target speeds', 'speed', view.speeds)}"
-        f"{_ring(view.steps) if is_on_grid else ''}{_slots(view.zones) if view.zones else ''}</div></details></article>"
+        f"{_counts('Runs by responsibility', view.responsibilities, judged)}</div></details></article>"
     )
-
-
-def _generation_table(generations: Iterable[GenerationView]) -> str:
-    head = columns("generation", "best fitness", "mean fitness", "failing", "")
-    rows = []
-    for each in generations:
-        best, mean = ("-" if value is None else f"{value:.3f}" for value in (each.best, each.mean))
-        remarks = ["random population after a restart"] if each.restarted else []
-        if each.local_best is not None:
-            result = "improved the incumbent" if each.local_replaced else "found nothing better"
-            remarks.append(f"local search {result}")
-        rows.append(row(str(each.generation), best, mean, f"{each.failing} of {each.population}", ", ".join(remarks)))
-    return f'<div class="scroll tall">{table(head, rows)}</div>'
 
 
 def _counts(title: str, counts: Iterable[tuple[str, int]], total: int) -> str:
-    rows = "".join(row(text(name.replace("_", " ")), count, _bars(total, driven=count)) for name, count in counts)
-    return f"<div><h4>{title}</h4><table><tbody>{rows}</tbody></table></div>" if rows else ""
-
-
-def _coverage(title: str, what: str, rows: Sequence[CoverageRow]) -> str:
-    top = max((each.requested for each in rows), default=0)
-    body = []
-    for each in rows:
-        bars = _bars(top, requested=each.requested, driven=each.driven, reached=each.reached)
-        body.append(row(text(each.label), each.requested, each.driven, each.reached, bars))
-    return f"<div><h4>{title}</h4>{table(columns(what, 'requested', 'driven', 'reached', ''), body)}</div>"
-
-
-def _ring(steps: Sequence[CoverageRow]) -> str:
-    """Return an HTML table with a row per cell: how often an NPC in it stayed, stepped clockwise, or anticlockwise."""
-    body = [
-        f'<tr><th scope="row">{int(cell)} {cell.label}</th>{"".join(map(_step, steps[3 * cell - 3 : 3 * cell]))}</tr>'
-        for cell in Cell
-    ]
-    grid = table(columns("from", "hold", "clockwise", "anticlockwise"), body)
-    return f'<div><h4>Steps on the ring <span class="unit">driven / requested, reached</span></h4>{grid}</div>'
-
-
-def _slots(rows: Sequence[CoverageRow]) -> str:
-    """Return an HTML table with a row per zone: how often NPCs were sent to each of the zone's slots."""
-    zones: dict[str, list[CoverageRow]] = {}
-    for each in rows:
-        zones.setdefault(each.label.partition(" ")[0], []).append(each)
-    body = [row(text(zone), *map(_figures, slots)) for zone, slots in zones.items()]
-    figures = '<span class="unit">driven / requested, reached</span>'
-    return f"<div><h4>Slots at zones {figures}</h4>{table(columns('zone', *SLOTS), body)}</div>"
-
-
-def _step(step: CoverageRow) -> str:
-    return f"<td>{_figures(step)}</td>" if step.driven else f'<td class="never">{_figures(step)}</td>'
-
-
-def _figures(step: CoverageRow) -> str:
-    never = "" if step.driven else ' <span class="flag">never</span>'
-    return f"{step.driven} / {step.requested}, {step.reached}{never}"
-
-
-def _bars(top: int, **values: int) -> str:
-    """Draw a bar for each value, one below the other. A bar of the value ``top`` fills the width."""
-    bars = "".join(
-        f'<svg class="meter {kind}" viewBox="0 0 100 4" preserveAspectRatio="none">'
-        f'<rect width="{100 * value / top if top else 0:.1f}" height="4"/></svg>'
-        for kind, value in values.items()
+    """Return an HTML table of counts, each with a bar; a bar of the count ``total`` fills the width."""
+    rows = "".join(
+        row(
+            text(name.replace("_", " ")),
+            count,
+            '<svg class="meter" viewBox="0 0 100 4" preserveAspectRatio="none" aria-hidden="true">'
+            f'<rect width="{100 * count / total if total else 0:.1f}" height="4"/></svg>',
+        )
+        for name, count in counts
     )
-    return f'<span class="bars" aria-hidden="true">{bars}</span>'
+    return f"<div><h4>{title}</h4><table><tbody>{rows}</tbody></table></div>" if rows else ""
 
 
 # The report as one self-contained HTML page: it needs no network, no library and no other file.
 
 ASSETS = "pytest_pafot.report.assets"
 STYLE = "page.css"
-SCRIPTS = ("dom.js", "scene.js", "charts.js", "player.js", "table.js", "campaign.js", "main.js")
+SCRIPTS = ("dom.js", "scene.js", "charts.js", "player.js", "main.js")
 """The page's scripts, in the order in which they run. Each uses what the earlier scripts define."""
 
 FRAME_HEIGHT = 1010
@@ -484,8 +341,6 @@ def render_page(report: Report, *, embedded: bool = False) -> str:
     policy = f"default-src 'none'; style-src {content_hash(style)}; script-src {content_hash(script)}"
     kind = "embedded" if embedded else "whole"
     is_open = len(report.campaigns) == 1 and not embedded
-    if embedded:  # A sandboxed frame may not save files.
-        report = replace(report, findings=tuple(replace(finding, drive=None) for finding in report.findings))
     # Failures without a finding, with the text that pytest shows for them.
     ended = {view.node_id: "The search ended with an error." for view in report.campaigns if view.reason == "error"}
     errors = "".join(
@@ -518,7 +373,7 @@ def render_page(report: Report, *, embedded: bool = False) -> str:
 def render_frame(report: Report) -> str:
     """Return an ``<iframe>`` that holds the report's page, for a row of pytest-html or the output of a notebook.
 
-    The frame may run its own scripts. Everything else, such as saving files, is forbidden to it.
+    The frame may run its own scripts. Everything else is forbidden to it.
     """
     page = render_page(report, embedded=True)
     has_curve = any(finding.check is not None and finding.check.values for finding in report.findings)
@@ -549,7 +404,7 @@ def _nothing_found(report: Report) -> str:
         return "No findings, but an error stopped something before its end."
     if report.is_interrupted or ends & {"", "interrupted"}:
         return "No findings before the interrupt. The scenarios that had not run by then are untested."
-    if any(row.failing for view in report.campaigns for row in view.generations):
+    if any(view.failing for view in report.campaigns):
         return "No new findings. Some runs failed, but saved scenarios already cover these failures."
     if "time" in ends:
         return "No findings before time ran out. The property held in every run that was evaluated by then."
@@ -701,7 +556,7 @@ def _as_row(finding: FindingView) -> FindingView:
     check = None if finding.check is None else replace(finding.check, values=(), broken=())
     road = replace(finding.road, lanes=(), shapes=())
     nothing: dict[str, Any] = dict.fromkeys(("vehicles", "times", "instructions", "grid"), ())
-    return replace(finding, explanation="", yaml="", drive=None, shrink=None, check=check, road=road, **nothing)
+    return replace(finding, explanation="", yaml="", check=check, road=road, **nothing)
 
 
 def _rank(finding: FindingView) -> tuple[Any, ...]:

@@ -216,36 +216,6 @@ class CheckView:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class DriveView:
-    """All states of all vehicles at each tick, without loss.
-
-    Attributes:
-        physics_hz: ticks per second.
-        states: the states as packed by :func:`~pytest_pafot.report.views.drive_view`.
-    """
-
-    physics_hz: int
-    states: str
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ShrinkView:
-    """The result of shrinking: the chains before and after it, one line per NPC, their sizes, and the number of runs.
-
-    ``notes`` are sentences such as "any speed from 3 to 11 m/s still collides".
-    """
-
-    original: tuple[str, ...]
-    shrunk: tuple[str, ...]
-    original_npcs: int
-    shrunk_npcs: int
-    original_instructions: int
-    shrunk_instructions: int
-    rollouts: int
-    notes: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class FindingView:
     """One finding, as the report page shows it.
 
@@ -266,11 +236,7 @@ class FindingView:
         instructions: instructions to all NPCs, ordered by NPC and gene.
         yaml, path: text and path of its file; empty for a run without a file.
         check: the check that failed; None if something else failed.
-        prevention: which reference drivers would have prevented the failure and which not; empty if none would
-            have failed.
-        perception: which imperfections of the ADS's perception the failure needs; empty for perfect sight.
         traffic: how the NPCs drive; empty for the paper's traffic.
-        drive: all states of the run, which the page can save as a table; None without a recorded run or without a file.
         grid: poses of the eight cells at each frame of a bent road, None for a cell without a lane. Empty if all NPCs
             cross, because these use no cells.
         plans: the plan of each decision, in order; empty if the ADS returned no plan.
@@ -299,11 +265,7 @@ class FindingView:
     sentences: tuple[str, ...] = ()
     assertion: str = ""
     check: CheckView | None = None
-    prevention: str = ""
-    perception: str = ""
     traffic: str = ""
-    shrink: ShrinkView | None = None
-    drive: DriveView | None = None
     grid: tuple[tuple[Pose | None, ...], ...] = ()
     plans: tuple[PlanView, ...] = ()
 
@@ -333,79 +295,33 @@ class FindingView:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class GenerationView:
-    """One generation of the main search.
-
-    Attributes:
-        best, mean: highest and mean fitness of the population's runs, without those that are not eligible.
-        failing: number of the population's runs in which the test failed.
-        restarted: True if the population was sampled at random after a restart.
-        local_best: fitness of the best scenario of the local search after this generation; None without one.
-        local_replaced: True if that scenario replaced the incumbent.
-    """
-
-    generation: int
-    best: float | None
-    mean: float | None
-    failing: int
-    population: int
-    restarted: bool = False
-    local_best: float | None = None
-    local_replaced: bool = False
-
-
-@dataclass(frozen=True, slots=True)
-class CoverageRow:
-    """The counts of one kind of instruction in the simulated scenarios of a search, such as those for one cell.
-
-    Attributes:
-        label: the kind of instruction in words.
-        requested: number of instructions in the scenarios as the search made them.
-        driven: number of instructions that were driven after the repair, as far as the runs got.
-        reached: number of driven instructions whose cell, lane or zone the NPC reached.
-    """
-
-    label: str
-    requested: int
-    driven: int
-    reached: int
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class CampaignView:
-    """The course and the figures of a search, as the report page shows them.
+    """The figures of a search, as the report page shows them.
 
     Attributes:
-        generations: the finished generations in order.
+        generations: number of finished generations of the main search.
         asked: number of requested generations; None if it was not limited.
         reason: why the search ended, including ``error`` and ``interrupted``.
-        simulated: number of scenarios that were run.
+        simulated, failing: number of scenarios that were run, and of those in which the test failed.
         reused: number of scenarios that were not run, since their result was known from an earlier run.
         outcomes, responsibilities: number of simulated runs by outcome, and by who was responsible.
-        cells: eight rows, cell 1 first.
-        steps: twenty-four rows, three for each cell: staying in it, one step clockwise, one step anticlockwise.
-        speeds: a row per bin of target speeds, slowest first.
+        coverage: how many of all cells, steps and speeds were reached and requested, in words.
         warnings: warnings about the search's health.
-        zones: five rows for each zone that NPCs were sent to, one per slot; empty if no NPC crosses.
-        lanes: three rows: keep the lane, change to the left, change to the right; empty if no NPC is in lanes.
     """
 
     node_id: str
     algorithm: str
     seed: int
-    generations: tuple[GenerationView, ...]
+    generations: int
     asked: int | None
     reason: str
     simulated: int
+    failing: int
     reused: int
     outcomes: tuple[tuple[str, int], ...]
     responsibilities: tuple[tuple[str, int], ...]
-    cells: tuple[CoverageRow, ...]
-    steps: tuple[CoverageRow, ...]
-    speeds: tuple[CoverageRow, ...]
+    coverage: str
     warnings: tuple[str, ...] = ()
-    zones: tuple[CoverageRow, ...] = ()
-    lanes: tuple[CoverageRow, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

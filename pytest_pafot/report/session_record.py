@@ -15,7 +15,7 @@ from dataclasses import asdict, dataclass, field
 from types import MappingProxyType
 from typing import Any, Self
 
-from pytest_pafot.campaign.events import ELSEWHERE, NEW, NO_WORSE, PASSES, Find, SearchSummary
+from pytest_pafot.campaign.events import ELSEWHERE, NEW, NO_WORSE, PASSES, PASSING, Find, SearchSummary, passing
 from pytest_pafot.findings.finding import JUDGED_OTHERWISE, NEARBY, Finding, portable
 from pytest_pafot.findings.neighbours import Breadth
 from pytest_pafot.findings.severity import Severity, worsening
@@ -73,8 +73,8 @@ class FindingRecord:
             `fixed`, `better`, `as before` or `worse`. Null if the policy draws none.
         flaky: what differed when it was run again, as in the file; null if nothing did.
         unshrunk: that no time was left to confirm a new finding, or to shrink it fully; otherwise empty.
-        breadth: how many neighbours of a new finding fail in the same way: `failing`, `of`, and `share`, the size of
-            their steps as a share of the full ones, which `full` neighbours had. Null if that was not examined.
+        breadth: how many neighbours of a new finding fail in the same way: `failing`, and `of`. Null if that was not
+            examined.
         answers: how many decisions depend on the vehicle of a new finding, when they are made again beside the run:
             `npc`; `since`, when the danger began, or if no decision was due after that, when the last one was made [s];
             `decisions` from then to the failure, and `depending`; `unseen`, true if it was in no observation;
@@ -91,8 +91,8 @@ class FindingRecord:
         elsewhere: id of the finding that the search of its test shows in this session, and that fails in the same way,
             if `status` is `still failing elsewhere`; otherwise empty.
         severity: how bad the failure is now: `kind`, which is `collision` or `check`; `value`, the closing speed at the
-            impact [m/s], or by how much the check is broken [`unit`], null if it measured no number; `delta_v` of a
-            collision, for equal masses [m/s]; `margin` and `name` of a check. Null if it passes or has no measure.
+            impact [m/s], or by how much the check is broken [`unit`], null if it measured no number; `margin` and
+            `name` of a check. Null if it passes or has no measure.
         severity_before: the same for the reference in this scenario, if it fails as well; otherwise null.
         xfail: `reason`, `until` (null for no end) and `flaky` (true if it may pass as well) of an accepted failure;
             otherwise null.
@@ -184,8 +184,8 @@ class FindingRecord:
             answers=None if find.answers is None else asdict(find.answers),
             moment=None if find.moment is None else asdict(find.moment),
             neighbours=find.neighbours,
-            severity=None if find.severity is None else find.severity.data(),
-            severity_before=None if find.severity_before is None else find.severity_before.data(),
+            severity=None if find.severity is None else asdict(find.severity),
+            severity_before=None if find.severity_before is None else asdict(find.severity_before),
             xfail=None if finding.xfail is None else accepted,
         )
 
@@ -398,7 +398,7 @@ def _search_lines(record: SessionRecord) -> Iterator[str]:
 
 def _rank(finding: FindingRecord) -> tuple[Any, ...]:
     """Return the key that sorts findings of one group: the worst first, then those with the most runs."""
-    severity = None if finding.severity is None else Severity.of_data(finding.severity)
+    severity = None if finding.severity is None else Severity(**finding.severity)
     breadth = None if finding.breadth is None else Breadth(**finding.breadth)
     return *Severity.worst_first(finding.responsible, severity, breadth), -finding.runs, finding.node_id
 
@@ -406,12 +406,11 @@ def _rank(finding: FindingRecord) -> tuple[Any, ...]:
 def _finding_lines(finding: FindingRecord) -> Iterator[str]:
     """Yield two lines on a finding: its test and its description, then the command that replays it."""
     elsewhere = f"{plain(finding.elsewhere)} fails in the same way" if finding.elsewhere else ""
-    told = [plain(finding.headline or elsewhere or finding.detail)]
-    if finding.severity is not None:
-        severity = Severity.of_data(finding.severity)
-        before = None if finding.severity_before is None else Severity.of_data(finding.severity_before)
-        worse = "" if before is None else worsening(severity, before)
-        told.append(f"worse: {plain(worse)}" if worse else plain(severity.further))
+    passes = passing(finding.neighbours, finding.searched) if finding.status in (PASSES, *PASSING) else ""
+    told = [passes, plain(finding.headline or elsewhere or finding.detail)]
+    if finding.severity is not None and finding.severity_before is not None:
+        worse = worsening(Severity(**finding.severity), Severity(**finding.severity_before))
+        told += [f"worse: {plain(worse)}"] if worse else []
     told += [f"flaky: {plain(finding.flaky)}"] if finding.flaky else []
     told += [plain(finding.unshrunk)] if finding.unshrunk else []
     told += [] if finding.breadth is None else [str(Breadth(**finding.breadth))]

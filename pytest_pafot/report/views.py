@@ -5,14 +5,13 @@ A finding is built from its file and from the trace of one of its runs; a search
 
 from __future__ import annotations
 
-import base64
 import math
 import shlex
-import zlib
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
+from textwrap import dedent
 from typing import Any
 
 import numpy as np
@@ -24,13 +23,10 @@ from pytest_pafot.criticality import Encounters, Passage, gap, passages, time_ad
 from pytest_pafot.criticality.asked import Asked, asked
 from pytest_pafot.criticality.signals import jerk
 from pytest_pafot.findings.finding import Expect, Finding
-from pytest_pafot.findings.shrink import blocks, instructions
 from pytest_pafot.model.driving_style import AMPLE, Traffic
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.scenario import (
     PAPER_SPEED_LIMIT,
-    SLOTS,
-    Chromosome,
     CrossingInstruction,
     LaneInstruction,
     Manoeuvre,
@@ -43,11 +39,8 @@ from pytest_pafot.oracle.run import Run, arrival, crossing_text, lane_text
 from pytest_pafot.report.page_data import (
     CampaignView,
     CheckView,
-    CoverageRow,
-    DriveView,
     EventView,
     FindingView,
-    GenerationView,
     InstructionView,
     LaneView,
     Numbers,
@@ -55,24 +48,20 @@ from pytest_pafot.report.page_data import (
     PlanView,
     Pose,
     RoadView,
-    ShrinkView,
     VehicleView,
     Window,
     ZoneView,
     gap_to,
 )
-from pytest_pafot.report.terminal import prevention_text, speed_sentences
-from pytest_pafot.searching.evaluation import Evaluation
+from pytest_pafot.report.terminal import effort_lines, simplified_lines
 from pytest_pafot.searching.events import (
     CampaignFinished,
     CampaignStarted,
     Evaluated,
     GenerationFinished,
     GroupEvaluated,
-    LocalSearchFinished,
-    Restarted,
 )
-from pytest_pafot.searching.health import CELLS, LANES, SPEED_BIN, STEPS, Coverage, Health, Key, speed_bins
+from pytest_pafot.searching.health import Health
 from pytest_pafot.world.kernel.driver import following_gap
 from pytest_pafot.world.limits import CLEARANCE
 from pytest_pafot.world.roads.route import wrapped
@@ -292,12 +281,13 @@ def finding_view(
     sentences = () if trace is None else expect.sentences_on(Run(trace))
     explanation = "" if trace is None else _explanation(expect.known_of(Run(trace)), sentences)
     first, _, rest = explanation.partition("\n")
+    told = [(rest if check is None else explanation) or expect.message, *simplified_lines(finding)]
     view = FindingView(
         id=finding.id,
         node_id=node_id,
         test=finding.test,
         headline=headline or first or expect.message or expect.failure,
-        explanation=(rest if check is None else explanation) or expect.message,
+        explanation="\n".join(filter(None, [*told, *effort_lines(finding)])),
         sentences=sentences,
         assertion=_assertion(expect),
         responsibility=expect.responsibility,
@@ -309,36 +299,15 @@ def finding_view(
         event=EventView(kind=str(expect.outcome), time=expect.time),
         yaml=text_of(finding),
         command=f"pytest {shlex.quote(node_id)}",
-        prevention=prevention_text(expect),
-        perception="" if finding.perception is None else finding.perception.sentence,
         traffic=finding.scenario.traffic.described,
     )
-    if finding.shrunk is not None:
-        original, rollouts = finding.original or finding.scenario, finding.shrunk.rollouts
-        shrink = shrink_view(original, finding.scenario, rollouts=rollouts, notes=speed_sentences(finding))
-        view = replace(view, shrink=shrink)
-    return view if trace is None else replace(_with_run(view, trace, clearance, check), drive=drive_view(trace))
+    return view if trace is None else _with_run(view, trace, clearance, check)
 
 
 def with_neighbours(view: FindingView, find: Find) -> FindingView:
     """Return a view with what the neighbours of the finding say, and with what the ADS answers to."""
     explanation = "\n".join(filter(None, [view.explanation, *find.on_decisions]))
     return replace(view, breadth=find.breadth, explanation=explanation)
-
-
-def drive_view(trace: Trace) -> DriveView:
-    """Pack all states of a run without loss, in half the space that a compressed table of them would take.
-
-    The packing has five steps. Write a series of float64 for each column of each vehicle. Read the bits of each number
-    as an integer and take second differences, which are small for even motion. Store the lowest bytes of all numbers
-    first, then the second lowest and so on, so that similar bytes are adjacent. Compress with zlib. Encode in base64.
-    """
-    changes = trace.states.transpose(1, 2, 0).astype("<f8", order="C").view("<i8")
-    for _ in range(2):
-        changes = np.diff(changes, axis=-1, prepend=0)  # overflow wraps around, and so do the sums that undo it
-    planes = changes.astype("<i8", order="C").reshape(-1, 1).view(np.uint8).T
-    packed = zlib.compress(planes.tobytes(), zlib.Z_BEST_COMPRESSION)
-    return DriveView(physics_hz=trace.physics_hz, states=base64.b64encode(packed).decode())
 
 
 def run_view(trace: Trace, clearance: float = CLEARANCE) -> FindingView:
@@ -371,7 +340,8 @@ def run_view(trace: Trace, clearance: float = CLEARANCE) -> FindingView:
 
 def _explanation(run: Run, sentences: Sequence[str]) -> str:
     """Return the explanation of a run without ``sentences``, which the page shows elsewhere, above the picture."""
-    return "\n".join(line for line in run.explain().splitlines() if line.strip() not in sentences)
+    first, *lines = (line for line in run.explain().splitlines() if line.strip() not in sentences)
+    return first + "\n" + dedent("\n".join(lines))
 
 
 def _assertion(expect: Expect) -> str:
@@ -422,27 +392,6 @@ def _plans(run: Run) -> tuple[PlanView, ...]:
             line = np.stack(along_and_across(trace, *line.T), axis=-1)
         views.append(PlanView(time=round(tick / trace.physics_hz, 3), line=_points(line)))
     return tuple(views)
-
-
-def shrink_view(original: Scenario, shrunk: Scenario, *, rollouts: int, notes: Iterable[str] = ()) -> ShrinkView:
-    """Describe a scenario before and after shrinking.
-
-    Args:
-        original: the scenario as it was found.
-        shrunk: the scenario after shrinking.
-        rollouts: the number of runs that shrinking took.
-        notes: sentences on the NPC speeds at which the scenario still fails.
-    """
-    return ShrinkView(
-        original=tuple(map(_chain_text, original.npcs)),
-        shrunk=tuple(map(_chain_text, shrunk.npcs)),
-        original_npcs=len(original.npcs),
-        shrunk_npcs=len(shrunk.npcs),
-        original_instructions=instructions(original),
-        shrunk_instructions=instructions(shrunk),
-        rollouts=rollouts,
-        notes=tuple(notes),
-    )
 
 
 def frame_ticks(trace: Trace) -> list[int]:
@@ -599,71 +548,24 @@ def _numbers(values: FloatArray, digits: int) -> Numbers:
     return tuple(float(value) if np.isfinite(value) else None for value in rounded)
 
 
-def _chain_text(chain: Chromosome) -> str:
-    """Write one NPC's instructions in a line, such as ``1 front-left 25.0 m/s x2, 2 front 8.0 m/s``.
-
-    An instruction that is repeated appears once, with the number of repetitions. Repeated changes of lanes do not
-    extend each other but add up: ``3 times one lane left 8.0 m/s``.
-    """
-    if isinstance(chain[0], CrossingInstruction):
-        return f"{chain[0].goal}, {chain[0].speed:.1f} m/s"
-    if isinstance(chain[0], Manoeuvre):
-        return f"{chain[0].speed:.1f} m/s {chain[0].goal}"
-    texts = []
-    for start, end in blocks(chain):
-        text, times = f"{chain[start].goal} {chain[start].speed:.1f} m/s", end - start
-        changes_lanes = getattr(chain[start], "lane", "keep") != "keep"
-        texts.append(text if times == 1 else f"{times} times {text}" if changes_lanes else f"{text} x{times}")
-    return ", ".join(texts)
-
-
 # The data that the report page shows of a search, counted from the search's events.
-
-
-@dataclass(slots=True)
-class _Generation:
-    """The counts of one generation."""
-
-    population: int = 0
-    failing: int = 0
-    fitness: list[float] = field(default_factory=list)  # of the eligible runs, without infinite ones
-
-    def add(self, evaluation: Evaluation) -> None:
-        is_measured = evaluation.eligible and math.isfinite(evaluation.fitness)
-        self.add_others(1, evaluation.failing, [evaluation.fitness] if is_measured else [])
-
-    def add_others(self, runs: int, failing: int, fitness: Iterable[float]) -> None:
-        self.population, self.failing = self.population + runs, self.failing + failing
-        self.fitness.extend(fitness)
-
-    def view(self, generation: int, is_restarted: bool) -> GenerationView:
-        return GenerationView(
-            generation=generation,
-            best=round(max(self.fitness), 4) if self.fitness else None,
-            mean=round(sum(self.fitness) / len(self.fitness), 4) if self.fitness else None,
-            failing=self.failing,
-            population=self.population,
-            restarted=is_restarted,
-        )
 
 
 @dataclass(slots=True)
 class CampaignCounts:
     """Everything that the report page shows of a search, counted from its events as they happen.
 
-    It grows by one small value for each generation, because a search may have hundreds of thousands of events.
+    It does not grow, because a search may have hundreds of thousands of events.
     """
 
-    speed_limit: float = PAPER_SPEED_LIMIT  # the highest target speed [m/s], which determines the number of speed bins
+    speed_limit: float = PAPER_SPEED_LIMIT  # the highest target speed [m/s]
     acts_in_si: bool = True  # False if the ADS's actions are those of an environment
     responsibilities: Counter[str] = field(default_factory=Counter)  # number of runs by who was responsible
     started: CampaignStarted | None = None
     finished: CampaignFinished | None = None
     health: Health = field(default_factory=Health)
     outcomes: Counter[str] = field(default_factory=Counter)  # of the simulated runs
-    generations: dict[int, GenerationView] = field(default_factory=dict)  # of the main search
-    _restarts: set[int] = field(default_factory=set)
-    _generation: _Generation = field(default_factory=_Generation)  # the present one
+    generations: int = 0  # of the main search
 
     def see(self, event: SearchEvent) -> None:
         """Count an event."""
@@ -676,30 +578,16 @@ class CampaignCounts:
                 self.health = self.health.counted(event.evaluation, reused=event.reused)
                 if not event.reused:
                     self.outcomes[str(event.evaluation.outcome)] += 1
-                if event.local_generation == 0:
-                    self._generation.add(event.evaluation)
             case GroupEvaluated():
                 self.health += event.counts.health
                 self.outcomes.update(event.counts.outcomes)
                 self.responsibilities.update(event.counts.responsibilities)
-                self._generation.add_others(event.runs, event.counts.failing, event.counts.fitness)
             case CampaignStarted():
                 self.started = event
             case CampaignFinished():
                 self.finished = event
             case GenerationFinished(local_generation=0):
-                counted, self._generation = self._generation, _Generation()
-                if event.is_whole:  # otherwise the events of its runs have shown it
-                    counted = _Generation()
-                    for each in event.population:
-                        counted.add(each)
-                self.generations[event.generation] = counted.view(event.generation, event.generation in self._restarts)
-            case Restarted():
-                self._restarts.add(event.generation)
-            case LocalSearchFinished() if event.generation in self.generations:
-                best = round(event.best.fitness, 4) if math.isfinite(event.best.fitness) else None
-                view = self.generations[event.generation]
-                self.generations[event.generation] = replace(view, local_best=best, local_replaced=event.replaced)
+                self.generations += 1
 
     def view(self, node_id: str, *, cut_by: str = "") -> CampaignView:
         """Return the view of the search so far. A search that was cut short has a view, too.
@@ -709,22 +597,20 @@ class CampaignCounts:
             cut_by: ``error`` or ``interrupted`` if that ended the search, because no event reports it; otherwise empty.
         """
         coverage = self.health.coverage
+        zones = sorted({str(key[1]) for key in coverage.requested if key[0] == "zone"})
         return CampaignView(
             node_id=node_id,
             algorithm="" if self.started is None else self.started.algorithm,
             seed=0 if self.started is None else self.started.seed,
-            generations=tuple(self.generations[generation] for generation in sorted(self.generations)),
+            generations=self.generations,
             asked=None if self.started is None else self.started.generations,
             reason=cut_by or ("" if self.finished is None else self.finished.reason),
             simulated=self.health.simulated,
+            failing=self.health.failing,
             reused=self.health.reused,
             outcomes=_by_count(self.outcomes),
             responsibilities=_by_count(self.responsibilities),
-            cells=_rows(coverage, ((f"{int(cell)} {cell.label}", key) for cell, key in zip(Cell, CELLS, strict=True))),
-            steps=_rows(coverage, ((" to ".join(map(str, key[1:])), key) for key in STEPS)),
-            speeds=_rows(coverage, _speed_labels(self.speed_limit)),
-            zones=_rows(coverage, _zone_labels(coverage)),
-            lanes=_rows(coverage, ((str(key[1]), key) for key in LANES if any(map(coverage.requested.get, LANES)))),
+            coverage=coverage.describe(self.speed_limit, zones),
             warnings=tuple(self.health.warnings(acts_in_si=self.acts_in_si)),
         )
 
@@ -735,24 +621,6 @@ def campaign_view(node_id: str, events: Iterable[SearchEvent], **known: Any) -> 
     for event in events:
         counts.see(event)
     return counts.view(node_id)
-
-
-def _rows(coverage: Coverage, labels: Iterable[tuple[str, Key]]) -> tuple[CoverageRow, ...]:
-    counts = coverage.requested, coverage.driven, coverage.reached
-    return tuple(CoverageRow(label, *(count[key] for count in counts)) for label, key in labels)
-
-
-def _speed_labels(speed_limit: float) -> Iterable[tuple[str, Key]]:
-    keys = speed_bins(speed_limit)
-    for number, key in enumerate(keys):
-        top = speed_limit if key == keys[-1] else (number + 1) * SPEED_BIN
-        yield f"{number * SPEED_BIN:g} to {top:g} m/s", key
-
-
-def _zone_labels(coverage: Coverage) -> Iterable[tuple[str, Key]]:
-    """Yield a label and a key for each of the five slots of every zone that an NPC was sent to."""
-    for zone in sorted({str(key[1]) for key in coverage.requested if key[0] == "zone"}):
-        yield from ((f"{zone} {slot}", ("zone", zone, slot)) for slot in SLOTS)
 
 
 def _by_count(counts: Mapping[str, int]) -> tuple[tuple[str, int], ...]:

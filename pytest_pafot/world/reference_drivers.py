@@ -262,8 +262,9 @@ class CarefulHuman(ReferenceDriver):
     before it increases the gap to a new vehicle ahead; afterwards it reacts to that vehicle at once.
 
     The 0.75 s are also the time in which the foot moves back from the brake to the accelerator. Until then, the driver
-    does not speed up. What begins to matter or to be a danger in that time is answered as soon as it is perceived. The
-    regulation, in which only one vehicle comes in, says nothing about this.
+    does not speed up. What begins to matter or to be a danger in that time is answered as soon as it is perceived, and
+    so is a vehicle that becomes a danger while the driver moves the foot, or brakes gently, for it. The regulation, in
+    which one vehicle comes in and the driver brakes once, says nothing about this.
     """
 
     brakes_from: float = math.inf
@@ -286,12 +287,15 @@ class CarefulHuman(ReferenceDriver):
             noticed = self.held(f"noticed {index}", leader is not None)
             critical = leader is not None and leader.is_critical
             danger = self.held(f"danger {index}", critical)
+            follow = 0.0 if leader is None else self.follow(ego.speed, leader)
+            slowing = self.held(f"slowing {index}", follow <= -BRAKES)
             if leader is None:
                 continue
             is_over &= leader.closing <= 0 and not critical
             if danger >= EMERGENCY.perception - EPSILON:
-                self.brakes_from = min(self.brakes_from, self.now + (DELAY if foot < danger else 0.0))
-            follow = self.follow(ego.speed, leader)
+                # A foot that was moved for this vehicle before it became a danger is not moved again.
+                is_at_brake = foot >= danger or slowing >= EMERGENCY.perception + DELAY - EPSILON
+                self.brakes_from = min(self.brakes_from, self.now + (0.0 if is_at_brake else DELAY))
             if noticed >= EMERGENCY.perception + (DELAY if foot < noticed else 0.0) - EPSILON or noticed == self.now:
                 calm = min(calm, follow)
             elif noticed >= EMERGENCY.perception - EPSILON and follow < 0:

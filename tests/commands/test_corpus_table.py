@@ -27,7 +27,7 @@ AHEAD = {"outcome": Outcome.SAFE, "time": 5.9, "cell": None, "side": None, "resp
 
 def finding(id_, broad=None, test="test_it.py::test_x", xfail=None, **expect):
     """Return a finding; ``broad`` is how many of forty neighbours fail, and ``xfail`` the fields of its acceptance."""
-    breadth = None if broad is None else Breadth(failing=broad, of=40, full=40)
+    breadth = None if broad is None else Breadth(failing=broad, of=40)
     return plain_finding(
         id=id_, test=test, expect=replace(plain_finding().expect, **expect), neighbours=breadth, **(xfail or {})
     )

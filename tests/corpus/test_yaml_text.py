@@ -81,7 +81,7 @@ def test_what_is_accepted_as_flaky_says_so_in_its_line():
 
 def test_speed_and_breadth_are_written_as_labels():
     finding = plain_finding(
-        expect=replace(plain_finding().expect, closing_speed=7.533), neighbours=Breadth(failing=28, of=40, full=40)
+        expect=replace(plain_finding().expect, closing_speed=7.533), neighbours=Breadth(failing=28, of=40)
     )
     assert "side: front, closing_speed: 7.533, responsibility" in text_of(finding).replace("\n        ", "")
     assert '\nneighbours: {failing: 28, of: 40}\n# xfail: "reason"\n' in text_of(finding)

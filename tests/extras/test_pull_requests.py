@@ -52,8 +52,7 @@ class TestAPullRequest:
             "1 search, 150 runs; repeat with `--pafot-runs=150 --pafot-seed=5`.\n"
             f"A run counts as a failure only if `{against}` passes it.\n\n"
             "**New**\n\n"
-            f"- `test_safety.py::test_never_at_fault`: {find.headline}; delta-v {find.severity['delta_v']:.1f} m/s; "
-            f"{Breadth(**find.breadth)}\n"
+            f"- `test_safety.py::test_never_at_fault`: {find.headline}; {Breadth(**find.breadth)}\n"
             f"  <br>`python -m pytest {file}`\n"
         )
         assert find.headline.startswith("collision after ")

@@ -28,7 +28,7 @@ from pytest_pafot.support.traced import Traced
 
 TODAY = date(2026, 11, 25)
 TEST = "test_it.py::test_x"
-HIT = {"kind": "collision", "value": 9.8, "unit": "m/s", "margin": None, "name": "", "delta_v": 4.9}
+HIT = {"kind": "collision", "value": 9.8, "unit": "m/s", "margin": None, "name": ""}
 
 
 PASSED = ("passes", "fixed", "still failing elsewhere", "drifted", "flaky")

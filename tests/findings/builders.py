@@ -221,7 +221,7 @@ def rates():
 
 def breadths():
     counts = st.tuples(st.integers(1, 1000), st.floats(0, 1))
-    return counts.map(lambda each: Breadth(failing=int(each[0] * each[1]), of=each[0], full=each[0]))
+    return counts.map(lambda each: Breadth(failing=int(each[0] * each[1]), of=each[0]))
 
 
 @st.composite

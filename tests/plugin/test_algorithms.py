@@ -63,7 +63,7 @@ def test_a_find_without_cells_is_on_the_page(project):
     project.write(TEST.format("random-manoeuvre"))
     project.run("--pafot-report=page.html", generations=6)
     page = (project.path / "page.html").read_text()
-    assert re.search(r"<td>(keep|into|from|out of) [a-z0-9 ]*ego", page)
+    assert re.search(r'"words":"(keep|into|from|out of) [a-z0-9 ]*ego', page)
     assert '"lane": "' in page or '"lane":"' in page
 
 

@@ -35,8 +35,7 @@ def labelled(contents, record):
     """Return the contents of the one file of a finding with the label that says how broad the finding is."""
     ((name, text),) = contents.items()
     breadth = record["breadth"]
-    failing = breadth["failing"] if breadth["share"] == 1 else 0
-    label = f"neighbours: {{failing: {failing}, of: {breadth['full']}}}"
+    label = f"neighbours: {{failing: {breadth['failing']}, of: {breadth['of']}}}"
     return {name: text.replace('# xfail: "reason"', f'{label}\n# xfail: "reason"')}
 
 

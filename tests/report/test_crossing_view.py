@@ -10,9 +10,9 @@ import pytest_pafot as pafot
 from pytest_pafot.model.scenario import CrossingInstruction, Scenario
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.report import animation, notebook
-from pytest_pafot.report.page import instruction_table, render_frame, render_page
+from pytest_pafot.report.page import render_frame, render_page
 from pytest_pafot.report.page_data import Report
-from pytest_pafot.report.views import run_view, shrink_view
+from pytest_pafot.report.views import run_view
 from tests.helpers.browser import Browser, find_chromium
 from tests.helpers.crossing_traces import CROSSES, MERGES, ZONES, junction_trace
 from tests.helpers.picture import picture_at
@@ -105,27 +105,6 @@ def test_instructions_are_in_words():
     assert (crosses.cell, crosses.requested, crosses.arrived) == (0, 0, 5.6)
     assert merges.words.startswith("from the right, ")
     assert (ahead.zone, ahead.slot, ahead.words) == ("", "", "")
-
-
-def test_the_table_of_instructions_has_zones_beside_cells():
-    table = instruction_table(mixed().instructions)
-    assert "cell or zone" in table
-    assert "<td>o3&gt;o1 from the left, 0.5 s after the ego leaves</td><td>10.0</td><td>at 5.6 s</td>" in table
-    assert "<td>2 front</td>" in table
-    assert "cell or lane" in instruction_table(mixed().instructions[2:])
-
-
-def test_shrunk_instructions_are_in_words():
-    def scenario(*told):
-        return Scenario(npcs=[[CrossingInstruction(*each)] for each in told])
-
-    before, after = scenario(("a>b", -1.0, 8.0, "hold"), ("c>d", 0.0, 7.0)), scenario(("c>d", 0.0, 7.0))
-    view = shrink_view(before, after, rollouts=3)
-    assert view.original == (
-        "a>b 1 s before the ego enters, holds at the line, 8.0 m/s",
-        "c>d together with the ego, 7.0 m/s",
-    )
-    assert view.shrunk == view.original[1:]
 
 
 def test_where_all_cross_there_is_no_grid():

@@ -9,11 +9,12 @@ import pytest
 
 from pytest_pafot.attribution.takeovers import Avoidance, Escape
 from pytest_pafot.criticality import gap, ttc
+from pytest_pafot.findings.shrink import Shrunk, SpeedInterval
 from pytest_pafot.findings.signature import Failure
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.trace import ACCELERATION, Outcome, X, Y
 from pytest_pafot.oracle.run import Run
-from pytest_pafot.report.views import finding_view, frame_ticks, shrink_view
+from pytest_pafot.report.views import finding_view, frame_ticks
 from tests.helpers.tables import table
 from tests.helpers.traces import collision_at, straight_lanes, trace_of, vehicle
 from tests.report.builders import (
@@ -137,7 +138,7 @@ def test_reference_drivers_are_listed_with_their_results():
     trace = cut_in_trace()
     finding = finding_of(trace)
     finding = replace(finding, expect=replace(finding.expect, reference_drivers={"idm-aeb": "fails"}))
-    assert finding_view(trace, finding, node_id="n").prevention == "not preventable by idm-aeb (fails too)"
+    assert finding_view(trace, finding, node_id="n").explanation.endswith("\nnot preventable by idm-aeb (fails too)")
 
 
 def test_avoidance_is_above_picture_and_duty_in_explanation():
@@ -182,12 +183,13 @@ def test_unseen_finding_has_instructions_but_no_frames():
     assert not any(row.started for row in view.instructions)
 
 
-def test_a_shrunk_scenario_is_told_beside_the_original():
-    shrunk = shrink_view(CUT_IN, scenario([(2, 8.0), (2, 8.0)]), rollouts=41, notes=["any speed from 3 to 11 m/s"])
-    assert (shrunk.original_npcs, shrunk.shrunk_npcs) == (2, 1)
-    assert (shrunk.original_instructions, shrunk.shrunk_instructions) == (3, 1)
-    assert shrunk.original == ("1 front-left 25.0 m/s, 2 front 8.0 m/s", "4 right 20.0 m/s x2")
-    assert shrunk.shrunk == ("2 front 8.0 m/s x2",)
+def test_shrinking_is_told_as_in_the_terminal():
+    trace = cut_in_trace()
+    shrunk = Shrunk(rollouts=41, is_minimal=True, speeds=(SpeedInterval(npc=0, gene=0, low=3.0, high=11.0),))
+    finding = replace(finding_of(trace), original=scenario([(2, 8.0)] * 2, [(4, 20.0)]), shrunk=shrunk)
+    told = finding_view(trace, finding, node_id="n").explanation
+    assert "\nshrunk     from " in told
+    assert "\nshrunk in  41 runs\nstill      NPC 0 from 0 s " in told
 
 
 def test_view_has_recorded_acceleration_and_largest_jerk():

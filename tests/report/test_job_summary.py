@@ -1,7 +1,7 @@
 """The summary of a CI job is short, and only this plugin's own text in it is markup."""
 
 import re
-from dataclasses import replace
+from dataclasses import asdict, replace
 
 from hypothesis import given
 from hypothesis import strategies as st
@@ -34,7 +34,11 @@ def test_unrelated_session_has_no_job_summary():
 def test_findings_are_counted_and_listed_with_replay_command():
     record = SessionRecord(
         searches=[search(finds=["a"])],
-        findings=[finding("c", "fixed", headline=""), finding("b", "still failing"), finding()],
+        findings=[
+            finding("c", "fixed", headline="", neighbours=10, searched=40),
+            finding("b", "still failing"),
+            finding(),
+        ],
     )
     assert (
         markdown(record)
@@ -55,18 +59,18 @@ def test_findings_are_counted_and_listed_with_replay_command():
 
 **Fixed**
 
-- `test_it.py::x`
+- `test_it.py::x`: passes, and so do 10 neighbours; no such failure in 40 runs of the search
   <br>`python -m pytest corpus/c.pafot.yaml`
 """
     )
 
 
 def hits(speed):
-    return Severity(kind="collision", value=speed, unit="m/s").data()
+    return asdict(Severity(kind="collision", value=speed, unit="m/s"))
 
 
 def test_worst_finding_comes_first_in_each_group():
-    jerk = Severity(kind="check", value=15.1, unit="m/s^3", margin=-0.755, name="jerk").data()
+    jerk = asdict(Severity(kind="check", value=15.1, unit="m/s^3", margin=-0.755, name="jerk"))
     findings = [
         finding("a", severity=jerk, responsible="ego"),
         finding("b", severity=hits(3.0), responsible="both"),
@@ -78,8 +82,6 @@ def test_worst_finding_comes_first_in_each_group():
     text = markdown(SessionRecord(findings=findings))
     listed = re.findall(r"corpus/(\w)\.pafot", text)
     assert "".join(listed) == "ebdacf"
-    assert "collision after 5.4 s; delta-v 4.9 m/s\n" in text
-    assert "collision after 5.4 s; by 15.1 m/s^3\n" in text
     assert "collision after 5.4 s; worse: hits at 12.1 m/s, 8.0 before\n" in text
 
 

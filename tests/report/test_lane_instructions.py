@@ -7,10 +7,9 @@ import pytest
 
 from pytest_pafot.findings.shrink import Shrunk, SpeedInterval
 from pytest_pafot.model.scenario import LaneInstruction, PositionInstruction, Scenario
-from pytest_pafot.report.page import instruction_table, render_page
+from pytest_pafot.report.page import render_page
 from pytest_pafot.report.page_data import Report
 from pytest_pafot.report.terminal import speed_sentences
-from pytest_pafot.report.views import shrink_view
 from tests.findings.builders import plain_finding
 from tests.helpers.browser import Browser, find_chromium
 from tests.helpers.picture import DrawnCell, instruction_at, picture_at
@@ -58,28 +57,12 @@ def test_target_outside_of_the_road_is_not_drawn():
     assert picture_at(view, 1.0).targets == (None, None)
 
 
-def test_the_table_says_where_to_in_words(view):
-    table = instruction_table(view.instructions)
-    assert '<th scope="col">cell or lane</th>' in table
-    assert "<td>from the left into the ego&#x27;s lane</td><td>25.0</td><td>at 2.0 s</td>" in table
-    assert "<td>keep the ego&#x27;s lane</td><td>8.0</td><td>-</td>" in table
-    assert "<td>out of the ego&#x27;s lane to the left</td><td>8.0</td><td>not reached</td>" in table
-    assert "<td>2 front</td><td>20.0</td><td>at 0.0 s</td>" in table
-
-
-def test_the_table_says_which_change_was_requested():
+def test_an_instruction_says_which_change_was_requested():
     trace = cut_in()
     asked = replace(trace.scenario, npcs=((LaneInstruction("left", 25.0), *IN_LANES[1:]), ON_GRID))
     stayed = replace(trace.scenario, npcs=((LaneInstruction("keep", 25.0), *IN_LANES[1:]), ON_GRID))
     first = view_of(replace(trace, scenario=asked, executed=stayed)).instructions[0]
     assert first.words == "keep the lane left of the ego (requested one lane left)"
-
-
-def test_repeated_changes_of_lanes_are_counted_as_changes():
-    thrice = Scenario(npcs=((LaneInstruction("left", 8.0),) * 3 + (LaneInstruction("keep", 8.0),) * 2, ON_GRID[:1] * 2))
-    (lanes, grid) = shrink_view(thrice, thrice, rollouts=1).original
-    assert lanes == "3 times one lane left 8.0 m/s, keep lane 8.0 m/s x2"
-    assert grid == "2 front 20.0 m/s x2"
 
 
 def test_speeds_that_still_fail_name_the_lane():

@@ -15,9 +15,8 @@ from hypothesis import strategies as st
 
 from pytest_pafot.report.page import render_frame, render_page
 from pytest_pafot.report.page_data import CampaignView, FindingView, Report
-from pytest_pafot.report.views import shrink_view
 from tests.helpers.traces import trace_of, vehicle
-from tests.report.builders import CUT_IN, HOSTILE, cut_in_trace, real_report, scenario, values_of, view_of
+from tests.report.builders import HOSTILE, cut_in_trace, real_report, scenario, values_of, view_of
 
 
 class Reader(HTMLParser):
@@ -85,7 +84,7 @@ def test_everything_in_words_is_there_without_scripts(page):
     for finding in real_report().findings:
         for part in (finding.id, finding.headline, finding.yaml, finding.command, finding.node_id):
             assert part in words
-    assert "Steps on the ring" in words
+    assert "Runs by responsibility" in words
     assert any(f"{who} responsible" in words for who in ("ego", "both"))
 
 
@@ -99,7 +98,7 @@ def page_that_says(text):
     """Return a page that contains a text everywhere a report can."""
     finding = replace(
         real_report().findings[0], id=text, headline=text, explanation=text, yaml=text, node_id=text, command=text,
-        label=text, path=text, responsibility=text, prevention=text, test=text,
+        label=text, path=text, responsibility=text, test=text,
     )  # fmt: skip
     campaign = replace(real_report().campaigns[0], node_id=text, warnings=(text,), outcomes=((text, 1),))
     return render_page(
@@ -183,14 +182,6 @@ def test_every_kind_of_view_renders_whatever_it_holds():
         render_page(Report(title="t", findings=(finding,), campaigns=(campaign,)))
 
     check()
-
-
-def test_unsimplified_finding_says_so_without_a_table():
-    same = shrink_view(CUT_IN, CUT_IN, rollouts=41, notes=["any speed from 3 to 11 m/s still fails"])
-    page = render_page(Report(title="t", findings=(replace(view_of(cut_in_trace()), shrink=same),)))
-    assert "Nothing simpler found in 41 runs" in page
-    assert "any speed from 3 to 11 m/s still fails" in page
-    assert "as found" not in page
 
 
 def test_list_names_tests_only_for_several_tests():

@@ -123,6 +123,13 @@ class TestCarefulHuman:
         assert perceived < first(rows, lambda gap, speed, a: a < -4.0) < perceived + 0.2
         assert first(drive(CarefulHuman(), both[1]), lambda gap, speed, a: a < 0) > perceived + 0.7
 
+    def test_careful_human_brakes_hard_at_once_for_vehicle_for_which_it_already_moved_its_foot(self):
+        """The vehicle becomes a danger 0.8 s after it has come in, while the foot is on its way."""
+        rows = drive(CarefulHuman(), cut_in(45.0, 5.0, begins=1.0))
+        brakes = first(rows, lambda gap, speed, a: a < 0)
+        assert brakes == pytest.approx(1.0 + 0.375 / 2.0 + 0.4 + 0.75, abs=2.5 / HZ)
+        assert first(rows, lambda gap, speed, a: a < -4.1) < brakes + 0.6
+
     def test_careful_human_does_not_speed_up_until_foot_is_off_the_brake(self):
         rows = drive(CarefulHuman(), lambda time: leader(10.0, 19.0)(time) if time < 3.0 else car(1000.0))
         brakes = [time for time, *_, a in rows if a <= -0.5]

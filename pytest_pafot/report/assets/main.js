@@ -1,4 +1,4 @@
-// Assembles the page: the selected finding, links, keys, theme, copying.
+// Assembles the page: the selected finding, links, keys, copying.
 
 const report = JSON.parse(document.getElementById("data").textContent);
 const articles = [...document.querySelectorAll("#articles > article")];
@@ -126,32 +126,6 @@ function toggleKeys() {
   document.getElementById("keys").setAttribute("aria-expanded", String(!list.hidden));
 }
 
-const THEMES = ["system", "light", "dark"];
-
-function stored(name, value) {
-  // Browsers may refuse storage to pages from files and frames; the choice then lasts as long as the page.
-  try {
-    if (value === undefined) return localStorage.getItem(name);
-    localStorage.setItem(name, value);
-  } catch (error) {
-    if (!(error instanceof DOMException)) throw error;
-  }
-  return null;
-}
-
-function setTheme(theme) {
-  if (theme === "system") delete document.documentElement.dataset.theme;
-  else document.documentElement.dataset.theme = theme;
-  document.getElementById("theme").textContent = `Theme: ${theme}`;
-}
-
-function nextTheme() {
-  const now = document.documentElement.dataset.theme || "system";
-  const next = THEMES[(THEMES.indexOf(now) + 1) % THEMES.length];
-  setTheme(next);
-  stored("pafot-theme", next);
-}
-
 async function copy(button) {
   const kind = button.dataset.copy;
   const source = kind === "pre" ? button.closest(".yaml").querySelector("pre") : button.parentElement.querySelector("code");
@@ -176,14 +150,6 @@ async function copied(source) {
   }
 }
 
-async function saveRun(button) {
-  const finding = report.findings[button.closest("article").dataset.index];
-  const address = URL.createObjectURL(new Blob([await tableOf(finding)], { type: "text/csv" }));
-  html("a", { href: address, download: `${finding.id}.csv` }).click();
-  announce(`Saved as ${finding.id}.csv`);
-  setTimeout(() => URL.revokeObjectURL(address), 10000);  // Some browsers read it only after the click.
-}
-
 const filter = document.getElementById("filter");
 const outcome = document.getElementById("outcome");
 if (filter) {
@@ -193,16 +159,9 @@ if (filter) {
     field.addEventListener("keydown", (event) => { if (event.key === "Escape") { clearFilter(); links[current].focus(); } });
   }
 }
-const theme = stored("pafot-theme");
-setTheme(THEMES.includes(theme) ? theme : "system");
-document.getElementById("theme").addEventListener("click", nextTheme);
 document.getElementById("keys").addEventListener("click", toggleKeys);
 document.addEventListener("keydown", onKey);
 for (const button of document.querySelectorAll("button.copy")) button.addEventListener("click", () => copy(button));
-for (const button of document.querySelectorAll("button.save-run")) {
-  button.hidden = !("DecompressionStream" in window);
-  button.addEventListener("click", () => saveRun(button));
-}
 addEventListener("hashchange", () => {
   const { index, time } = readLink();
   if (index < 0) return;
@@ -210,6 +169,3 @@ addEventListener("hashchange", () => {
 });
 const link = readLink();
 show(link.index < 0 ? 0 : link.index, link.index < 0 ? null : link.time);
-report.campaigns.forEach((campaign, index) => {
-  mountCampaign(campaign, document.querySelector(`article[data-campaign="${index}"] .fitness`));
-});
