@@ -2,6 +2,7 @@
 
 import random
 from dataclasses import replace
+from itertools import count
 
 import pytest
 
@@ -14,7 +15,7 @@ from pytest_pafot.corpus.reader import load
 from pytest_pafot.corpus.saved import saved_in
 from pytest_pafot.corpus.writer import rewrite
 from pytest_pafot.findings.failure_rate import FailureRate
-from pytest_pafot.findings.shrink import Shrunk
+from pytest_pafot.findings.shrink import OutOfBudget, Shrunk
 
 SHORT = {"genes": 2, "gene_seconds": 2, "npcs": 2, "ego_lane": 1, "ego_speed": 22, "replay_neighbours": 0}
 NODE_ID = "test_it.py::test_brakes"
@@ -137,6 +138,26 @@ def test_a_finding_that_is_again_as_it_was_found_has_the_rate_of_that_scenario(t
     assert saved[-1].original == finding.scenario
     assert saved[-1].rate.failing <= 6
     assert finding.rate.failing >= 10
+
+
+def test_a_later_session_goes_on_measuring_how_often_a_finding_fails(tmp_path, monkeypatch):
+    def session(name):
+        options = SHORT | {"shrink_rollouts": 40, "neighbours": 0, "stop_after": 1, "runs": 40}
+        resume, corpus = str(tmp_path / f"{name} states"), str(tmp_path / name)
+        result = pafot.explore(Brakes, holds=never_brakes, node_id=NODE_ID, corpus=corpus, resume=resume, **options)
+        return result.summary.shrink_runs, result.told[0].file.read_text()
+
+    def cut(turn, now):
+        turn.is_over = next(attempts) >= 150
+        if turn.is_over:
+            raise OutOfBudget
+
+    attempts = count()
+    runs, text = session("whole")
+    with monkeypatch.context() as patch:
+        patch.setattr("pytest_pafot.campaign.simplification._Turn.check", cut)
+        assert session("parts")[0] == 20 + 150
+    assert session("parts") == (runs - 150, text)
 
 
 def test_a_file_whose_rate_is_of_many_runs_is_shrunk(tmp_path):
