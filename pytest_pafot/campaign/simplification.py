@@ -12,13 +12,13 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import nullcontext, suppress
 from dataclasses import dataclass, field, replace
 from functools import cache, partial
-from itertools import chain, count, islice
+from itertools import count, islice
 from typing import Any, TypeVar
 
 from pytest_pafot.campaign.events import ENDED_OTHERWISE, FindTold, SearchEvent
 from pytest_pafot.campaign.harness import Harness, begins_alike, limits_of, refusals
 from pytest_pafot.campaign.moments import braked_for, moment_of, text_of
-from pytest_pafot.campaign.state import Shown, State, lose
+from pytest_pafot.campaign.state import Answer, Shown, State, lose
 from pytest_pafot.campaign.store import Store
 from pytest_pafot.campaign.verdict import Verdict, headline
 from pytest_pafot.campaign.workers import Workers
@@ -36,7 +36,15 @@ from pytest_pafot.findings.decisions import (
     vehicle_of,
     window,
 )
-from pytest_pafot.findings.failure_rate import ENOUGH, FEW_RUNS, MANY_RUNS, FailureRate, with_other_seed
+from pytest_pafot.findings.failure_rate import (
+    ENOUGH,
+    FEW_RUNS,
+    KNOWN_RUNS,
+    MANY_RUNS,
+    SURE_ODDS,
+    FailureRate,
+    with_other_seed,
+)
 from pytest_pafot.findings.finding import Expect, Perceived, ending, of_failure
 from pytest_pafot.findings.neighbours import Breadth, breadth_of
 from pytest_pafot.findings.shrink import Likely, OutOfBudget, Shrunk, Start, shrink, sort_key
@@ -111,8 +119,8 @@ One run is for the verdict on the shrunk scenario. The others are for reference 
 is not called.
 """
 
-RUNS_TO_COMPARE = 3 * MANY_RUNS
-"""The number of runs to conclude that compare rates: of the finding, of what is simplest, and of that once more."""
+RUNS_TO_COMPARE = KNOWN_RUNS + MANY_RUNS
+"""The number of runs to conclude that compare rates: of what is simplest, and of that once more for its file."""
 
 
 @dataclass(slots=True, kw_only=True)
@@ -191,6 +199,8 @@ class Simplification:
     shrink_decisions: int = field(default=0, init=False)
     neighbour_decisions: int = field(default=0, init=False)
     notes: list[str] = field(default_factory=list, init=False)
+    # how often a policy that draws random numbers fails in the scenario as found of the finding that is shrunk now
+    _known: FailureRate | None = field(default=None, init=False)
     # what the ego did in the failing scenarios of the finding that is shrunk now
     _actions: dict[Scenario, tuple[Any, ...]] = field(default_factory=dict, init=False)
 
@@ -464,10 +474,10 @@ class Simplification:
             return False
         run, verdict, differs = self._run_again(scenario, kept)
         before = rate = kept.finding.rate
-        if before is not None and not differs and scenario not in (found, kept.finding.scenario):
-            simplest = self._failing_as_often(kept, before, scenario)
+        if self._known is not None and not differs and scenario not in (found, kept.finding.scenario):
+            simplest = self._failing_as_often(kept, self._known, scenario)
             if simplest is None:
-                differs = f"what is simpler does not fail as often as in {before} runs"
+                differs = f"what is simpler does not fail as often as in {self._known} runs"
             else:
                 if simplest != scenario:
                     shrunk = replace(shrunk, is_minimal=False, speeds=())
@@ -502,27 +512,42 @@ class Simplification:
         asked, best = 0, found
         self._actions = {} if kept.run is None else {driven(kept.run): kept.run.trace.actions}
 
-        def attempt(candidate: Scenario, *, is_limited: bool = True) -> Scenario | None:
-            nonlocal asked, best
+        def answer(ids: tuple[str, ...], doing: str, work: Callable[[], Answer]) -> Answer:
+            nonlocal asked
             # Shrinking asks the same questions in the same order, so an earlier session's answers serve as a prefix.
-            if asked < len(answers) and answers[asked][0] != candidate.id:
+            if asked < len(answers) and answers[asked][0] not in ids:
                 del answers[asked:]  # They are from a session with other settings, which made other attempts.
             if asked == len(answers):
                 began = self.state.clock()
                 turn.check(began)
-                self.tell(f"shrinking {kept.find.id}, run {asked + 1} of {rollouts}")
+                self.tell(doing)
                 try:
                     with runs_end_in(turn.until - turn.to_conclude - began):
-                        most = self._most(kept, best) if is_limited else None
-                        shown = self._shown(kept, candidate, top_speed, asked, most)
+                        _, shown = given = work()
                 except OutOfTime:
                     turn.is_over = True
                     raise OutOfBudget from None
-                answers.append((candidate.id, shown))
+                answers.append(given)
                 turn.took(self.state.clock() - began, None if shown is None else self._confirming(shown[0]))
                 self.after_attempt()
-            _, shown = answers[asked]
             asked += 1
+            return answers[asked - 1]
+
+        def fails(number: int) -> bool:
+            other = found if kept.find.is_flaky else with_other_seed(found, number)
+            ids = f"{other.id} passes", f"{other.id} fails"
+            doing = f"measuring how often {kept.find.id} fails"
+            return answer(ids, doing, lambda: (ids[self._fails(other)], None))[0] == ids[True]
+
+        def attempt(candidate: Scenario, *, is_limited: bool = True) -> Scenario | None:
+            nonlocal best
+
+            def work() -> Answer:
+                most = self._most(kept, best) if is_limited else None
+                return candidate.id, self._shown(kept, candidate, top_speed, asked, most)
+
+            number = asked + 1 - (0 if self._known is None else KNOWN_RUNS)
+            _, shown = answer((candidate.id,), f"shrinking {kept.find.id}, run {number} of {rollouts}", work)
             if shown is None:
                 return None
             scenario, starts[scenario] = shown
@@ -533,6 +558,12 @@ class Simplification:
             if asked == len(answers):  # What an earlier session has answered is not run again.
                 self._expect(candidates, more)
 
+        self._known = None
+        try:
+            if rollouts and kept.finding.rate is not None:  # As found: else many small losses would add up.
+                self._known = FailureRate(failing=sum(map(fails, range(1, KNOWN_RUNS + 1))), runs=KNOWN_RUNS)
+        except OutOfBudget:
+            rollouts = 0
         if rollouts == 0:
             return found, Shrunk(rollouts=0, is_minimal=False)
         return shrink(
@@ -632,19 +663,18 @@ class Simplification:
         show it about as often, and stays as long as it is, because other runs of it may fail later.
         """
         __tracebackhide__ = True
-        rate, shows = kept.finding.rate, partial(self._showing, kept.find.id, candidate, most)
-        if rate is None or not kept.find.is_flaky:
+        known, shows = self._known, partial(self._showing, kept.find.id, candidate, most)
+        if known is None or not kept.find.is_flaky:
             run = shows()
             if run is None:
                 return None
-            shown = driven(run) if rate is None else candidate
+            shown = driven(run) if known is None else candidate
             self._actions[shown] = run.trace.actions
-            if rate is None:
+            if known is None:
                 return shown, starts_of(run, top_speed)
             # With other seeds in each attempt: simple scenarios would else be fitted to a few seeds.
-            others = self._outcomes(kept, candidate, MANY_RUNS + 1 + attempt * FEW_RUNS)
-            is_as_often = rate.is_as_often(chain([True], others))
-            return (candidate, starts_of(run, top_speed)) if is_as_often else None
+            others = self._outcomes(kept, candidate, KNOWN_RUNS + 1 + attempt * FEW_RUNS)
+            return (candidate, starts_of(run, top_speed)) if known.is_as_often(others) else None
         failing: list[Run] = []
 
         def outcomes() -> Iterator[bool]:
@@ -653,49 +683,46 @@ class Simplification:
                 failing.extend([] if run is None else [run])
                 yield run is not None
 
-        return (candidate, starts_of(failing[0], top_speed)) if rate.is_as_often(outcomes()) else None
+        return (candidate, starts_of(failing[0], top_speed)) if known.is_as_often(outcomes()) else None
 
     def _outcomes(self, kept: FindTold, scenario: Scenario, first: int = 1) -> Iterator[bool]:
         """Run a scenario with one other seed after another, or again and again, and yield whether each run fails."""
         for number in count(first):
-            self._check_time()
             self.runs += 1
-            other = scenario if kept.find.is_flaky else with_other_seed(scenario, number)
-            run = self.workers.run(other, afresh=True)
-            yield self.workers.judge(run).failed
+            yield self._fails(scenario if kept.find.is_flaky else with_other_seed(scenario, number))
 
-    def _failing_as_often(self, kept: FindTold, rate: FailureRate, simplest: Scenario) -> Scenario | None:
-        """Return the simplest scenario on the way to ``simplest`` that does not fail more rarely than the finding.
+    def _fails(self, scenario: Scenario) -> bool:
+        self._check_time()
+        return self.workers.judge(self.workers.run(scenario, afresh=True)).failed
 
-        Return None if there is none. ``rate`` is how often the finding fails.
+    def _failing_as_often(self, kept: FindTold, known: FailureRate, simplest: Scenario) -> Scenario | None:
+        """Return the simplest scenario found on the way to ``simplest`` that fails about as often as the finding.
 
-        Each step of shrinking was chosen by a few runs, so among many candidates some were only lucky. The result is
-        therefore compared again, in more runs with other seeds. If it fails more rarely, the steps are bisected, as if
-        each failed at most as often as the one before it.
+        Return None if there is none. ``known`` is how often the finding fails.
+
+        Each step of shrinking was chosen by few runs, so among many candidates some were only lucky. The result is
+        therefore compared again, in more runs with seeds by which nothing was chosen. If it fails more rarely, steps
+        before it are tried at growing distances, and the last distance is bisected.
         """
         answers, steps = self.state.answers[kept.find.id], list[Scenario]()
         for _, shown in answers:
             if shown is not None and (not steps or sort_key(shown[0]) < sort_key(steps[-1])):
                 steps.append(shown[0])
         steps = steps[: steps.index(simplest) + 1]  # Later answers are from measuring the speeds at which it fails.
-        further = islice(self._outcomes(kept, kept.finding.scenario, rate.runs + 1), max(0, MANY_RUNS - rate.runs))
-        before = FailureRate(failing=rate.failing + sum(further), runs=max(rate.runs, MANY_RUNS))
-        unused = MANY_RUNS + 1 + len(answers) * FEW_RUNS  # the first seed with which no attempt was chosen
-        good, last = -1, len(steps) - 1  # -1 is the finding itself
-        middle = last
-        while good < last:
+        unused = count(KNOWN_RUNS + 1 + len(answers) * FEW_RUNS, KNOWN_RUNS)  # the first seeds of each
+        good, bad, back = -1, len(steps), 1  # -1 is the finding itself
+        while good < bad - 1:
             self.tell(f"comparing how often {kept.find.id} fails")
+            middle = max(bad - back, 0) if good < 0 else (good + bad) // 2
             try:
-                failing = sum(islice(self._outcomes(kept, steps[middle], unused), MANY_RUNS))
+                outcomes = self._outcomes(kept, steps[middle], next(unused))
+                is_as_often = known.is_as_often(outcomes, KNOWN_RUNS, SURE_ODDS)
             except OutOfTime:
                 if good < 0:
                     raise
                 break  # What was good so far is simpler than the finding.
-            if before.change(FailureRate(failing=failing, runs=MANY_RUNS)) in ("better", "fixed"):
-                last = middle - 1
-            else:
-                good = middle
-            middle = (good + last + 1) // 2
+            good, bad = (middle, bad) if is_as_often else (good, middle)
+            back *= 2
         return None if good < 0 else steps[good]
 
     def _rate(self, kept: FindTold, scenario: Scenario) -> FailureRate:

@@ -17,6 +17,9 @@ from pytest_pafot.support.proportions import CONFIDENCE, interval, percent, rare
 FEW_RUNS, MANY_RUNS = 20, 60
 """The number of runs for a rate, and the number if fewer than :data:`ENOUGH` of the first runs fail."""
 
+KNOWN_RUNS = 200
+"""The number of runs of a finding with which simpler scenarios are compared, and the largest number for the result."""
+
 ENOUGH = 3
 """The number of failures with which the runs that no longer fail can be told from luck."""
 
@@ -27,8 +30,11 @@ of all runs fail."""
 MOST_CLEAN = 300
 """The largest number of runs of one replay."""
 
-ODDS = math.log(9)
-"""The logarithm of the odds, 9 to 1, at which a simpler scenario is given up."""
+RARER = 0.8
+"""The share of a rate from which on a simpler scenario fails clearly more rarely."""
+
+ODDS, SURE_ODDS = math.log(9), math.log(30)
+"""The logarithms of the odds at which a simpler scenario is given up or accepted, 9 to 1, and the result, 30 to 1."""
 
 Change = Literal["fixed", "better", "as before", "worse"]
 
@@ -91,23 +97,25 @@ class FailureRate:
         }.get(change, f"{change}, {now.in_general}, by chance with p = {chance:.2g}")
         return f"fails in {now} {what}, {self} when it was found: {sure}"
 
-    def is_as_often(self, outcomes: Iterable[bool]) -> bool:
+    def is_as_often(self, outcomes: Iterable[bool], most: int = FEW_RUNS, odds: float = ODDS) -> bool:
         """Return whether a simpler scenario, of which ``outcomes`` says which runs fail, fails about as often.
 
-        It does if that is likelier than that it fails half as often, and than that it passes half as often. The runs
-        end early if one of these is nine times as likely, so a scenario that never fails takes two to ten runs.
+        It does if that is likelier than each of three others: that it fails half as often, that its rate is
+        :data:`RARER` of this one, and that it passes a quarter as often. The runs end before ``most`` if the logarithm
+        of the odds for one of these, or against all, reaches ``odds``. So a scenario that never fails takes three to
+        eight runs. This rate is taken as known, so it must be of many runs.
         """
         share = min(self.failing / self.runs, 0.9)  # one run that passes must not decide
         if not share:
             return True  # too rare to compare
-        others = [share / 2, (1 + share) / 2] if share < 0.9 else [share / 2]
-        odds = [0.0 for _ in others]
-        for fails in islice(outcomes, FEW_RUNS):
+        others = [share / 2, share * RARER] + ([(3 + share) / 4] if share < 0.9 else [])
+        totals = [0.0 for _ in others]
+        for fails in islice(outcomes, most):
             steps = [math.log(share / other if fails else (1 - share) / (1 - other)) for other in others]
-            odds = [sum(each) for each in zip(odds, steps, strict=True)]
-            if min(odds) <= -ODDS:
+            totals = [sum(each) for each in zip(totals, steps, strict=True)]
+            if abs(min(totals)) >= odds:
                 break
-        return min(odds) > 0
+        return min(totals) > 0
 
 
 def with_other_seed(scenario: Scenario, number: int) -> Scenario:

@@ -79,6 +79,9 @@ class Checks:
                 in_environment = f"{option.variable}=0 is in the environment"
                 place = in_environment if os.environ.get(option.variable) else f"{option.key} is 0 in the settings"
                 messages.send(item, "note", {"text": f"no search ran: {place}"})
+            if item.config.getoption(BY_NAME["resume"].key) is not None:
+                text = f"{flag('resume')}: no search went on, and nothing was shrunk; {flag('runs', 1)} does that"
+                messages.send(item, "note", {"text": f"{text}, {flag('generations', 0)} does not"})
             pytest.skip(f"{IDLE}: {flag('generations', 0)}")
 
     @pytest.hookimpl(wrapper=True)

@@ -2,6 +2,7 @@
 
 import random
 from dataclasses import replace
+from itertools import count
 
 import pytest
 
@@ -9,10 +10,12 @@ import pytest_pafot as pafot
 from pytest_pafot.campaign.explore import replays_of, request_of
 from pytest_pafot.campaign.later_shrinking import shrink_saved
 from pytest_pafot.campaign.search_session import prepared
+from pytest_pafot.campaign.simplification import Simplification
 from pytest_pafot.corpus.reader import load
 from pytest_pafot.corpus.saved import saved_in
 from pytest_pafot.corpus.writer import rewrite
 from pytest_pafot.findings.failure_rate import FailureRate
+from pytest_pafot.findings.shrink import OutOfBudget, Shrunk
 
 SHORT = {"genes": 2, "gene_seconds": 2, "npcs": 2, "ego_lane": 1, "ego_speed": 22, "replay_neighbours": 0}
 NODE_ID = "test_it.py::test_brakes"
@@ -94,19 +97,67 @@ def test_a_finding_that_does_not_repeat_has_a_rate_too_and_is_shrunk_by_it(tmp_p
 class BrakesForTwo:
     """A policy that brakes in most runs if it sees two others, and seldom if it sees one."""
 
+    draw = staticmethod(random.random)
+
     def __init__(self):
-        self.drawn = random.random()
+        self.drawn = self.draw()
 
     def __call__(self, seen):
-        return (-3.0 if self.drawn < (0.7 if len(seen.others) > 1 else 0.05) else 0.0), 0.0
+        return (-3.0 if self.drawn < (0.6 if len(seen.others) > 1 else 0.05) else 0.0), 0.0
 
 
 def test_what_few_lucky_runs_have_kept_is_taken_back_but_no_more(tmp_path, monkeypatch):
-    monkeypatch.setattr(FailureRate, "is_as_often", lambda rate, outcomes: any(outcomes))
+    is_as_often = FailureRate.is_as_often
+
+    def lucky(rate, outcomes, *of_the_result):
+        return is_as_often(rate, outcomes, *of_the_result) if of_the_result else any(outcomes)
+
+    monkeypatch.setattr(FailureRate, "is_as_often", lucky)
     finding = found(BrakesForTwo, tmp_path).finding
     assert len(finding.scenario.npcs) == 2
     assert finding.original is not None
     assert finding.rate.failing >= 10
+
+
+def test_a_finding_that_is_again_as_it_was_found_has_the_rate_of_that_scenario(tmp_path, monkeypatch):
+    """Its first turn ended with a simpler scenario in the file, which fails more rarely."""
+
+    def shrunk(work, kept, found, turn):
+        saved.append(kept.finding)
+        turn.attempts, turn.is_over = 1, kept.finding.original is None
+        work._known, work.state.answers[kept.find.id] = kept.finding.rate, []
+        return replace(found, npcs=found.npcs[:1], seed=len(saved)), Shrunk(rollouts=1)
+
+    def compared(work, kept, known, simplest):
+        return simplest if kept.finding.original is None else None
+
+    saved = []
+    monkeypatch.setattr(Simplification, "_shrunk", shrunk)
+    monkeypatch.setattr(Simplification, "_failing_as_often", compared)
+    finding = found(type("Unrepeatable", (BrakesForTwo,), {"draw": OWN.random}), tmp_path).finding
+    assert saved[-1].original == finding.scenario
+    assert saved[-1].rate.failing <= 6
+    assert finding.rate.failing >= 10
+
+
+def test_a_later_session_goes_on_measuring_how_often_a_finding_fails(tmp_path, monkeypatch):
+    def session(name):
+        options = SHORT | {"shrink_rollouts": 40, "neighbours": 0, "stop_after": 1, "runs": 40}
+        resume, corpus = str(tmp_path / f"{name} states"), str(tmp_path / name)
+        result = pafot.explore(Brakes, holds=never_brakes, node_id=NODE_ID, corpus=corpus, resume=resume, **options)
+        return result.summary.shrink_runs, result.told[0].file.read_text()
+
+    def cut(turn, now):
+        turn.is_over = next(attempts) >= 150
+        if turn.is_over:
+            raise OutOfBudget
+
+    attempts = count()
+    runs, text = session("whole")
+    with monkeypatch.context() as patch:
+        patch.setattr("pytest_pafot.campaign.simplification._Turn.check", cut)
+        assert session("parts")[0] == 20 + 150
+    assert session("parts") == (runs - 150, text)
 
 
 def test_a_file_whose_rate_is_of_many_runs_is_shrunk(tmp_path):

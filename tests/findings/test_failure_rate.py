@@ -6,7 +6,15 @@ import random
 
 import pytest
 
-from pytest_pafot.findings.failure_rate import MAX_SEED, FailureRate, with_other_seed
+from pytest_pafot.findings.failure_rate import (
+    FEW_RUNS,
+    KNOWN_RUNS,
+    MAX_SEED,
+    ODDS,
+    SURE_ODDS,
+    FailureRate,
+    with_other_seed,
+)
 from pytest_pafot.support.proportions import rarer
 from tests.findings.builders import plain_finding
 
@@ -52,22 +60,26 @@ def test_a_sentence_says_how_sure_a_change_is():
     assert rate(14, 20).compared(rate(13, 20), "runs").endswith(": as before, 95 %: 40.8 to 84.6 %")
 
 
-def test_a_simpler_scenario_must_fail_about_as_often():
+@pytest.mark.parametrize(("most", "odds"), [(FEW_RUNS, ODDS), (KNOWN_RUNS, SURE_ODDS)], ids=["a step", "the result"])
+def test_a_simpler_scenario_must_fail_about_as_often(most, odds):
     draw = random.Random(1)
 
     def kept(then, share):
-        return sum(then.is_as_often(draw.random() < share for _ in itertools.count()) for _ in range(200)) / 200
+        outcomes = (draw.random() < share for _ in itertools.count())
+        return sum(rate(then, 200).is_as_often(outcomes, most, odds) for _ in range(200)) / 200
 
-    assert kept(rate(10, 20), 0.5) > 0.7
-    assert kept(rate(10, 20), 0.2) < 0.15
-    assert kept(rate(10, 20), 0.8) < 0.15
-    assert kept(rate(20, 20), 1.0) == 1.0
-    assert kept(rate(20, 20), 0.3) < 0.05
+    is_result = most == KNOWN_RUNS
+    assert kept(140, 0.7) > (0.8 if is_result else 0.5)
+    assert kept(140, 0.56) < (0.15 if is_result else 0.3)
+    assert kept(100, 0.25) < 0.05
+    assert kept(100, 0.8) < 0.2
+    assert kept(200, 1.0) == 1.0
+    assert kept(200, 0.3) < 0.05
 
 
 def test_what_never_fails_is_left_after_few_runs():
     asked = iter([False] * 30)
-    assert not rate(20, 20).is_as_often(asked)
+    assert not rate(200, 200).is_as_often(asked)
     assert len(list(asked)) == 28
 
 

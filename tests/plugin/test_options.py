@@ -240,3 +240,10 @@ def test_no_search_because_of_a_variable_or_a_setting_is_told(project, monkeypat
     told = "  note: no search ran: PAFOT_GENERATIONS=0 is in the environment"
     assert told in project.run(generations=None).outlines
     assert told not in project.run(generations=0).outlines
+
+
+def test_a_session_that_only_replays_says_that_it_continues_no_other(project):
+    project.write("@pafot.search(SHORT)\ndef test_it(run):\n    pass\n")
+    told = "--pafot-resume: no search went on, and nothing was shrunk; --pafot-runs=1 does that, --pafot-generations=0"
+    assert told in " ".join(line.strip() for line in project.run("--pafot-resume=states", generations=0).outlines)
+    assert "--pafot-resume" not in project.run(generations=0).stdout.str()
