@@ -115,9 +115,3 @@ def register(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
         monkeypatch.setattr(metadata, "entry_points", lambda *, group: entries if group == named else ())
 
     return put
-
-
-@pytest.hookimpl(trylast=True)
-def pytest_unconfigure() -> None:
-    """Let the interpreter collect all garbage at its end."""
-    gc.unfreeze()
