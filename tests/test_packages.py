@@ -14,8 +14,17 @@ ROOT = Path(__file__).parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 TARGET = re.compile(r'\]\(([^)\s]+)\)|(?:src|srcset)="([^"]+)"')
-SETUP = runpy.run_path(str(ROOT / "setup.py"))
-long_description = SETUP["long_description"]
+
+
+@pytest.fixture(scope="module")
+def setup():
+    """Return the names of the script, which imports setuptools and Cython."""
+    return runpy.run_path(str(ROOT / "setup.py"))
+
+
+@pytest.fixture
+def long_description(setup):
+    return setup["long_description"]
 
 
 @pytest.fixture
@@ -32,7 +41,7 @@ def fences(text):
     return re.findall(r"^```.*?^```$", text, re.DOTALL | re.MULTILINE)
 
 
-def test_readme_links_lead_into_the_versioned_repository():
+def test_readme_links_lead_into_the_versioned_repository(long_description):
     shown = long_description(README, "https://host.test/owner/name", "1.2.3")
     assert len(targets(shown)) == len(targets(README))
     for before, after in zip(targets(README), targets(shown), strict=True):
@@ -41,7 +50,7 @@ def test_readme_links_lead_into_the_versioned_repository():
         assert (ROOT / before.partition("#")[0]).exists()
 
 
-def test_readme_without_address_loses_links_but_no_text():
+def test_readme_without_address_loses_links_but_no_text(long_description):
     shown = long_description(README, None, "1.2.3")
     assert targets(shown) == []
     assert "<picture>" not in shown
@@ -49,7 +58,7 @@ def test_readme_without_address_loses_links_but_no_text():
     assert "a torch module, an ONNX file or a program in any language needs one\nline. Vehicle classes" in shown
 
 
-def test_absolute_and_internal_links_stay_unchanged():
+def test_absolute_and_internal_links_stay_unchanged(long_description):
     kept = "[a](https://host.test/b) [c](#d) [e](mailto:f@host.test)"
     assert long_description(kept, None, "1") == kept
     assert long_description(kept, "https://host.test/owner/name", "1") == kept
@@ -172,7 +181,7 @@ def test_release_check_extracts_the_files_from_readme(check):
 
 
 @pytest.mark.skipif(os.name != "posix", reason="needs locks of POSIX")
-def test_two_builds_in_one_folder_are_serialized(tmp_path, monkeypatch):
+def test_two_builds_in_one_folder_are_serialized(setup, tmp_path, monkeypatch):
     import fcntl
 
     def is_free():
@@ -185,7 +194,7 @@ def test_two_builds_in_one_folder_are_serialized(tmp_path, monkeypatch):
 
     monkeypatch.chdir(tmp_path)
     for failure in (None, RuntimeError):
-        with suppress(RuntimeError), SETUP["one_build_at_a_time"]():
+        with suppress(RuntimeError), setup["one_build_at_a_time"]():
             assert not is_free()
             if failure:
                 raise failure

@@ -137,6 +137,9 @@ def _not_fetched(collected: Collected) -> Iterator[tuple[str, tuple[str, bool]]]
                 why = f"expected the folder of saved scenarios, received only {file.name}; unpack or fetch it"
                 yield relative(place, top), (why, True)
     empty = [str(root) for root in sorted(corpora) if root.is_relative_to(top) and not files_below(root)]
+    above = Path(os.path.realpath(top))
+    if not any(map(os.path.lexists, (each / ".git" for each in (above, *above.parents)))):
+        empty = []  # no repository, which git would take some milliseconds of each session to say
     why = "git tracks it, but it is not in this checkout; restore it, or commit that it is gone"
     with suppress(RequestError):  # no git, or no repository
         for path in git(top, "ls-files", "-z", "--", *empty).split("\0") if empty else ():

@@ -24,6 +24,7 @@ from typing import NamedTuple
 import _pytest._code.code
 import _pytest.assertion.rewrite
 import _pytest.fixtures
+import pluggy._manager
 import pytest
 
 from pytest_pafot import __main__
@@ -155,6 +156,8 @@ def quick_sessions(monkeypatch):
     """Cache what is the same in all sessions of this process: looking it up takes a third of a short session."""
     monkeypatch.setattr(metadata, "distributions", lambda **which: iter(_installed()))
     monkeypatch.setattr(_pytest.fixtures, "dir", _names_of_fixtures, raising=False)
+    monkeypatch.setattr(pluggy._manager, "dir", _names_of_hooks, raising=False)
+    monkeypatch.setattr(pluggy._manager, "_static_hook_attr", _hook, raising=False)
     monkeypatch.setattr(_pytest.assertion.rewrite, "_rewrite_test", _rewritten)
     monkeypatch.setattr(_pytest._code.code, "getstatementrange_ast", _statement_range)
     monkeypatch.setattr(sys, "dont_write_bytecode", True)  # rewritten code is already in KNOWN_CODE
@@ -186,6 +189,28 @@ def _names_of_fixtures(plugin):
 @functools.cache
 def _fixtures_in(source):
     return [name for name in dir(source) if isinstance(inspect.getattr_static(source, name), FIXTURE)]
+
+
+def _names_of_hooks(plugin):
+    source = plugin if isinstance(plugin, types.ModuleType) else type(plugin)
+    return _hooks_in(source) if _is_shared(source) else dir(plugin)
+
+
+@functools.cache
+def _hooks_in(source):
+    return [name for name in dir(source) if name.startswith("pytest_")]
+
+
+HOOK = getattr(pluggy._manager, "_static_hook_attr", None)
+
+
+def _hook(plugin, name):
+    return _hook_in(plugin, name) if isinstance(plugin, types.ModuleType) and _is_shared(plugin) else HOOK(plugin, name)
+
+
+@functools.cache
+def _hook_in(module, name):
+    return HOOK(module, name)
 
 
 KNOWN_CODE = {}
