@@ -292,10 +292,12 @@ class CarefulHuman(ReferenceDriver):
             if leader is None:
                 continue
             is_over &= leader.closing <= 0 and not critical
-            if danger >= EMERGENCY.perception - EPSILON:
+            # The rules count the step to the first tick of a danger, too, in which the leader braked already.
+            if danger + self.step >= EMERGENCY.perception - EPSILON:
                 # A foot that was moved for this vehicle before it became a danger is not moved again.
                 is_at_brake = foot >= danger or slowing >= EMERGENCY.perception + DELAY - EPSILON
-                self.brakes_from = min(self.brakes_from, self.now + (0.0 if is_at_brake else DELAY))
+                perceived = max(self.now, self.now - danger + EMERGENCY.perception)
+                self.brakes_from = min(self.brakes_from, perceived + (0.0 if is_at_brake else DELAY))
             if noticed >= EMERGENCY.perception + (DELAY if foot < noticed else 0.0) - EPSILON or noticed == self.now:
                 calm = min(calm, follow)
             elif noticed >= EMERGENCY.perception - EPSILON and follow < 0:

@@ -99,6 +99,18 @@ class TestCarefulHuman:
         rows = drive(CarefulHuman(), leader(38.0, 22.0, brakes_at=0.2, braking=8.0))
         assert first(rows, lambda gap, speed, a: a < -4.1) == pytest.approx(0.2 + 1.15, abs=3 / HZ)
 
+    @pytest.mark.parametrize(("ticks", "is_answered"), [(5, False), (6, True)])
+    def test_careful_human_answers_hard_braking_that_lasts_for_the_time_of_perception(self, ticks, is_answered):
+        """As the rules count, 6 ticks of hard braking at 15 Hz are 0.4 s, whatever the leader does afterwards."""
+
+        def ahead(time):
+            since = max(time - 1.0, 0.0)
+            braked = min(since, ticks / 15)
+            return car(5.0 + 38.0 + 20.0 * time - 10.0 * braked * (since - braked / 2), speed=20.0 - 10.0 * braked)
+
+        rows = drive(CarefulHuman(), ahead, hz=15)
+        assert (min(a for *_, a in rows) < -4.1) == is_answered
+
     def test_careful_human_that_already_braked_answers_braking_leader_sooner(self):
         rows = drive(CarefulHuman(), leader(36.0, 20.0, brakes_at=0.2, braking=8.0))
         assert first(rows, lambda gap, speed, a: a < -4.1) == pytest.approx(0.2 + 0.4, abs=4 / HZ)
