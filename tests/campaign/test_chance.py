@@ -94,6 +94,13 @@ def test_a_finding_that_does_not_repeat_has_a_rate_too_and_is_shrunk_by_it(tmp_p
     assert told.finding.original is not None
 
 
+def test_a_finding_that_only_highway_envs_own_environment_does_not_show_has_no_rate(tmp_path, monkeypatch):
+    monkeypatch.setattr("pytest_pafot.campaign.workers._difference_in_gym", lambda run, workers: "safe for 4.0 s")
+    told = found(Brakes, tmp_path)
+    assert told.find.difference == "in highway-env's own environment: safe for 4.0 s"
+    assert told.finding.rate is None
+
+
 class BrakesForTwo:
     """A policy that brakes in most runs if it sees two others, and seldom if it sees one."""
 
