@@ -149,7 +149,7 @@ def test_a_finding_that_is_again_as_it_was_found_has_the_rate_of_that_scenario(t
 
 def test_a_later_session_goes_on_measuring_how_often_a_finding_fails(tmp_path, monkeypatch):
     def session(name):
-        options = SHORT | {"shrink_rollouts": 40, "neighbours": 0, "stop_after": 1, "runs": 40}
+        options = SHORT | {"shrink_rollouts": 5, "neighbours": 0, "stop_after": 1, "runs": 40}
         resume, corpus = str(tmp_path / f"{name} states"), str(tmp_path / name)
         result = pafot.explore(Brakes, holds=never_brakes, node_id=NODE_ID, corpus=corpus, resume=resume, **options)
         return result.summary.shrink_runs, result.told[0].file.read_text()
