@@ -439,9 +439,12 @@ class FindTold:
 
     @property
     def is_random(self) -> bool:
-        """True if the policy draws random numbers, so that the finding has a rate: its runs differ, or have drawn."""
+        """True if the policy draws random numbers, so that the finding has a rate: its runs differ, or have drawn.
+
+        If it is flaky for another reason, the same seed gives the same run here, and no rate can be measured.
+        """
         is_other = self.find.difference.startswith((NOT_REPEATED, ENDED_OTHERWISE))
-        has_drawn = self.run is not None and (self.run.trace.drew or is_other)
+        has_drawn = self.run is not None and (is_other or (self.run.trace.drew and not self.find.is_flaky))
         return (self.finding.rate is not None or has_drawn) and not self.find.is_timed
 
 
