@@ -10,6 +10,7 @@ from pytest_pafot.campaign.options import Settings
 from pytest_pafot.campaign.request import build_space, checked_request
 from pytest_pafot.corpus.layout import files_below
 from pytest_pafot.searching import SearchSpace
+from pytest_pafot.world.guard.own_worlds import base_world
 
 FILES = files_below(others())
 
@@ -66,7 +67,7 @@ class Unchecked:
 def test_a_world_that_checks_nothing_gets_the_kinds_of_instructions_that_its_space_has():
     world = Unchecked()
     request = checked_request({"ads": lambda: 1, "world": world}, Settings(algorithm="distinct", seed=0))
-    begun, _ = begun_with(OTHERS, SearchSpace(instructions="cells"), world, request)
+    begun, _ = begun_with(OTHERS, SearchSpace(instructions="cells"), base_world(world), request)
     assert {type(gene) for scenario in begun.first for chain in scenario.npcs for gene in chain} == {
         pafot.PositionInstruction
     }
