@@ -193,9 +193,9 @@ def found():
 def project(request, pytester, monkeypatch, found):
     """Return a project whose sessions omit slow steps unless a test requests them.
 
-    Findings are saved without neighbours, without shrinking, without reference drivers, and without a second run in
-    highway-env's own environment. Tests of several processes have whole sessions: what one process does, the others
-    must do as well.
+    Findings are saved without neighbours, without shrinking, without reference drivers, without a second run in
+    highway-env's own environment, and in CI without isolation. Tests of several processes have whole sessions: what one
+    process does, the others must do as well.
     """
     quick_sessions(monkeypatch)
     if not request.node.get_closest_marker("processes"):
@@ -224,6 +224,7 @@ def omit_slow_steps(monkeypatch):
     monkeypatch.setattr(workers, "_difference_in_gym", lambda run, workers: "")
     monkeypatch.setattr(Harness, "reference_outcomes", lambda self, run, verdict, failed: {})
     monkeypatch.setenv("PAFOT_SHRINK_ROLLOUTS", "0")
+    monkeypatch.setenv("PAFOT_ISOLATE", "0")
 
 
 @pytest.fixture

@@ -27,7 +27,6 @@ def suite(project, monkeypatch):
     for name in FILES:
         project.write(MENDED, name=name)
     monkeypatch.setenv("CI", "1")
-    monkeypatch.setenv("PAFOT_ISOLATE", "0")  # what is replayed where does not depend on it
     assert len(project.files) == 10
     return project
 
