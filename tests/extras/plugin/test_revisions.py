@@ -14,7 +14,7 @@ import pytest
 
 from pytest_pafot.corpus.reader import load
 from pytest_pafot.execution.pool import ProcessLostError
-from pytest_pafot.extras.revisions.revision import PROCESS
+from pytest_pafot.extras.revisions.revision import PROCESS, _may_count
 from pytest_pafot.extras.revisions.revision_policy import RevisionPolicy
 from tests.helpers.processes import begun
 from tests.helpers.tables import table
@@ -106,19 +106,30 @@ UNNAMED = {"train.py": "LATE = 1\n"}
 OTHER_TEST = {"test_other.py": "def test_other():\n    pass\n"}
 
 
+@table(
+    ("name", "may_count"),
+    [
+        ("README.md", False),
+        ("test_other.py", False),
+        ("train.py", True),  # a policy may import a module by a computed name, and start any file as a program
+        ("run-planner", True),
+        ("map.png", True),  # native code may open it
+        ("pkg/late.py", True),
+        ("conftest.py", True),
+    ],
+)
+def test_only_documents_and_tests_are_no_part_of_a_policy(tmp_path, name, may_count):
+    assert _may_count(tmp_path, name) is may_count
+
+
 @pytest.mark.parametrize(
     ("changes", "is_same"),
     [
         ({"README.md": "New."}, True),
         (OTHER_TEST, True),
-        (UNNAMED, False),  # a policy may import a module by a computed name, and start any file as a program
-        ({"run-planner": "exec python train.py\n"}, False),
-        ({"map.png": "native code may open it"}, False),
-        ({"test_it.py": "# It may set the policy up.\n"}, False),
+        (UNNAMED, False),
         ({"net.bin": "native code may open it"}, False),
-        ({"pkg/late.py": "LATE = 1\n"}, False),
-        ({"test_it.py": "Adapter = type('Adapter', (Adapter,), {})\n"}, False),
-        ({"conftest.py": ""}, False),
+        ({"test_it.py": "# It may set the policy up.\n"}, False),
     ],
 )
 def test_same_policy_is_not_searched_unless_a_change_may_matter(
