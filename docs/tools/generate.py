@@ -145,9 +145,6 @@ FILE_TEXTS: Mapping[str, str] = {
     "Where ways meet, the times to the zone `npc_enters` and `ego_enters` [s] replace `ahead` and "
     "`lane`.",
     "expect.avoided_by": "The last decision from which `braking` [m/s^2] avoids the collision, and its `time` [s].",
-    "expect.escaped_by": "How a `driver` that takes over at `time` avoids a collision for which the ego is excused: "
-    "its hardest `braking` [m/s^2], and `braking_from` when it brakes [s]; and what the rules would require: "
-    "`required` [m/s^2] from `due` on [s].",
     "perception": "The arguments of [`pafot.Perception`](ads.md), if the ADS saw imperfectly, and `needed`: the "
     "imperfections without which the test passes. A replay uses the sight that the test gives now, and reports a "
     "difference.",

@@ -710,7 +710,7 @@ class Conflict:
         seen, pursuit = change.seen, self._pursuit(by_ego=True, goes_on=self._end - tick <= SOON * self._hz)
         if min(self._gap(tick), self._gap(max(self._onset, tick))) <= 0:
             return self._excused_behind(tick, (crossed,), pursuit, change)
-        late = crossed, self._had_no_time(0, tick, seen, CUT_OFF)
+        late = crossed, Fact(What.HAD_NO_TIME, 0, self._at(tick))
         at_once = tick + round(AT_ONCE * self._hz) + math.ceil(HARD_SECONDS * self._hz)
         is_close = self._gap(tick) < BLOCKED * self._frame.speed[0, tick]
         if is_close and self._npc_braked_hard(tick, min(at_once, self._end)):
@@ -857,7 +857,7 @@ class Conflict:
             since = pursuit.avoided_from(self._tailing_since, FOLLOWING)
         if since is not None:
             return self._unanswered(self._start, close, self._answer(0, since, self._start), "leader-unanswered")
-        late = close, self._had_no_time(0, self._start, self._before)
+        late = close, Fact(What.HAD_NO_TIME, 0, self._at(self._start))
         found = self._excused_behind(self._start, late, pursuit, seen=self._before)
         return self._unless_avoidable(found, self._start, pursuit)
 
@@ -1044,7 +1044,7 @@ class Conflict:
         counted = self._pursuit(by_ego=False).avoided_from(since, FOLLOWING)
         if counted is not None:
             return self._attributed("both", stop.begin, (braked, self._answer(npc, counted, counted)), fault)
-        return self._attributed("ego", stop.begin, (braked, self._had_no_time(npc, since, since)), fault)
+        return self._attributed("ego", stop.begin, (braked, Fact(What.HAD_NO_TIME, npc, self._at(since))), fault)
 
     # The facts of reasons.
 
@@ -1106,11 +1106,6 @@ class Conflict:
         peak = float(braking(self._trace)[stop.begin : stop.end + 1].max())
         what = What.BRAKED_ON if stop.had_reason else What.BRAKED_FOR_NOTHING
         return Fact(what, 0, self._at(stop.begin), braking_m_per_s2=peak)
-
-    def _had_no_time(self, vehicle: int, tick: int, since: int, response: Braking = FOLLOWING) -> Fact:
-        """Return the fact that a vehicle had too little time for the proper response from the tick ``since`` on."""
-        due, rate = self._at(since + round(response.delay * self._hz)), response.deceleration
-        return Fact(What.HAD_NO_TIME, vehicle, self._at(tick), due_s=due, braking_m_per_s2=rate)
 
     def _answer(self, vehicle: int, since: int, danger: int, response: Braking = FOLLOWING) -> Fact:
         """Return the fact that tells what the follower should have done, and what it did instead.

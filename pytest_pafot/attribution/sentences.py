@@ -8,7 +8,6 @@ from __future__ import annotations
 from enum import Enum
 from typing import NamedTuple, Protocol
 
-from pytest_pafot.attribution.avoidance import HARDEST
 from pytest_pafot.model.crossings import Zone
 from pytest_pafot.model.trace import Trace
 from pytest_pafot.support.text import capitalised
@@ -99,8 +98,7 @@ class Fact(NamedTuple):
         time_s: time at which the event happened or began [s].
         later_s: time at which the other vehicle did the same, if both crossed a line or both entered a zone; time at
             which a vehicle that should have waited set off [s].
-        due_s: latest time at which the vehicle should have begun to brake hard [s]; None if that does not help. For a
-            vehicle that had too little time, the time from which on braking would have been the proper response.
+        due_s: latest time at which the vehicle should have begun to brake hard [s]; None if that does not help.
         gap_m: gap between the boxes along the road [m]; positive if the vehicle is ahead of the other, negative if it
             is behind, 0 side by side.
         asked_m: gap that the rules require [m].
@@ -108,8 +106,7 @@ class Fact(NamedTuple):
         faster_m_per_s: speed of the other minus speed of the vehicle [m/s]. The sentence does not mention it if
             ``leader_m_per_s2`` is not 0.
         leader_m_per_s2: hardest braking of the NPC, if it was ahead and braked visibly [m/s^2].
-        braking_m_per_s2: hardest braking of the vehicle [m/s^2]; if it should have braked, its braking at that time; if
-            it had too little time, the required braking unless there is an emergency.
+        braking_m_per_s2: hardest braking of the vehicle [m/s^2]; if it should have braked, its braking at that time.
         lasting_s: time for which the vehicle stood before the impact [s].
         lane: lane that the vehicle moved into; None if it has no number.
         zone: zone that the vehicle entered.
@@ -305,25 +302,3 @@ def _entered(fact: Fact) -> str:
 def avoidance_sentence(time: float, braking: float) -> str:
     """Return the sentence that braking at a rate [m/s^2] from a time [s] on avoids the collision."""
     return f"Braking at {braking:.0f} m/s^2 from {time:.1f} s on avoids the collision."
-
-
-def escape_sentences(
-    time: float, driver: str, braking: float, braking_from: float, due: float, required: float
-) -> tuple[str, ...]:
-    """Return the sentences on a driver that takes over from an excused ego and avoids the collision.
-
-    The driver takes over at a time [s], and brakes at up to a rate [m/s^2] from another time on. The rules require
-    braking at the rate ``required`` from the time ``due`` on, and harder braking only in an emergency.
-    """
-    avoids = f"{driver}, taking over at {time:.1f} s, avoids it"
-    if not braking:
-        return (f"{avoids} without braking.",)
-    limits = [f"only from {due:.1f} s on"] if braking_from < due - 0.05 else []
-    if braking > HARDEST + 0.05:
-        limits.append(f"no harder than {HARDEST:.1f} m/s^2")
-    elif braking > required + 0.05:
-        limits.append(f"no harder than {required:.1f} m/s^2 unless in an emergency")
-    needed = (
-        f"The rules require braking {', and '.join(limits)}." if limits else "It needs no more than the rules require."
-    )
-    return f"{avoids}: it brakes at up to {braking:.1f} m/s^2 from {braking_from:.1f} s on.", needed

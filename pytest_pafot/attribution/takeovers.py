@@ -2,23 +2,19 @@
 
 from __future__ import annotations
 
-from bisect import bisect_left, bisect_right
-from collections.abc import Callable, Sequence
+from bisect import bisect_left
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from pytest_pafot.attribution.manoeuvres import braking
 from pytest_pafot.attribution.responses import FOLLOWING
-from pytest_pafot.attribution.responsibility import Fault, rss_rule
-from pytest_pafot.attribution.sentences import BRAKES, What, avoidance_sentence, escape_sentences
+from pytest_pafot.attribution.responsibility import Fault
+from pytest_pafot.attribution.sentences import avoidance_sentence
 from pytest_pafot.criticality.boxes import depth
 from pytest_pafot.criticality.measures import Encounters
 from pytest_pafot.model.trace import LANE, SPEED, Outcome, Trace
-
-DRIVER = "careful-human"
-"""The reference driver that takes over from an excused ego, in worlds that declare it."""
 
 STEADY_BRAKING = "steady-braking"
 """The driver that brakes with 6 m/s^2 down to a standstill, and keeps its lane."""
@@ -62,12 +58,12 @@ If it can be called only with some names, its attribute ``drivers`` has them. If
 """
 
 
-def drivers_of(take_over: TakeOver) -> tuple[str, ...]:
-    """Return the names with which a function may be called: those that it declares, or that its world declares."""
+def _may_brake(take_over: TakeOver) -> bool:
+    """Return whether ``steady-braking`` can take over: unless the function, or its world, declares other drivers."""
     world: Any = getattr(take_over, "__self__", None)  # of a bound method
     if hasattr(world, "reference_drivers"):
-        return (*world.reference_drivers, *getattr(world, "takes_over", ()))
-    return tuple(getattr(take_over, "drivers", (DRIVER, STEADY_BRAKING)))
+        return STEADY_BRAKING in (*world.reference_drivers, *getattr(world, "takes_over", ()))
+    return STEADY_BRAKING in getattr(take_over, "drivers", (STEADY_BRAKING,))
 
 
 def _lasting(take_over: TakeOver, seconds: float) -> TakeOver | None:
@@ -78,15 +74,6 @@ def _lasting(take_over: TakeOver, seconds: float) -> TakeOver | None:
         return longer
     lasting: Callable[[float], TakeOver | None] = getattr(take_over, "lasting", lambda seconds: None)
     return lasting(seconds)
-
-
-def relief_of(drivers: Sequence[str]) -> str | None:
-    """Return the driver that takes over from an excused ego: ``careful-human`` if it is there, else the first.
-
-    None if there is no reference driver; ``steady-braking`` is none, because it does not look at the traffic.
-    """
-    looking = [name for name in drivers if name != STEADY_BRAKING]
-    return DRIVER if DRIVER in looking else next(iter(looking), None)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -123,7 +110,7 @@ def avoidance(trace: Trace, fault: Fault | None, take_over: TakeOver) -> Avoidan
         take_over: function that simulates the run again with a driver that takes over, see
             :meth:`pytest_pafot.world.built_in.BuiltInWorld.take_over`.
     """
-    if trace.collision is None or fault not in ANSWERED_BY_BRAKING or STEADY_BRAKING not in drivers_of(take_over):
+    if trace.collision is None or fault not in ANSWERED_BY_BRAKING or not _may_brake(take_over):
         return None
     first, ticks = max(trace.ticks - round(SCANNED * trace.physics_hz), 0), trace.decision_ticks
     for tick in reversed(ticks[bisect_left(ticks, first) : bisect_left(ticks, trace.ticks)]):
@@ -131,7 +118,7 @@ def avoidance(trace: Trace, fault: Fault | None, take_over: TakeOver) -> Avoidan
         if not repeats(taken, trace, tick):
             return None
         # Driving on takes another run, so it is done only after braking that helps as far as the run goes.
-        driven = _driven_on(taken, trace, tick, take_over, STEADY_BRAKING) if brakes_untouched(taken, tick) else None
+        driven = _driven_on(taken, trace, tick, take_over) if brakes_untouched(taken, tick) else None
         if driven is not None and (driven is taken or brakes_untouched(driven, tick)):
             return Avoidance(time=round(tick / trace.physics_hz, 3), braking=FOLLOWING.deceleration)
     return None
@@ -147,8 +134,8 @@ def brakes_untouched(trace: Trace, tick: int) -> bool:
     return bool(is_braking.all() and (lane == lane[0]).all() and not (depths > TOUCHING).any())
 
 
-def _driven_on(taken: Trace, trace: Trace, tick: int, take_over: TakeOver, driver: str) -> Trace | None:
-    """Return the run in which a driver takes over at a tick, to beyond the 12 s after it; None if it ends before.
+def _driven_on(taken: Trace, trace: Trace, tick: int, take_over: TakeOver) -> Trace | None:
+    """Return the run in which braking takes over at a tick, to beyond the 12 s after it; None if it ends before.
 
     ``taken`` is that run as long as the world makes it, and ``trace`` is the run of the ego. If ``taken`` ends before
     without an event, it is simulated again and lasts longer, if the world can go on.
@@ -161,7 +148,7 @@ def _driven_on(taken: Trace, trace: Trace, tick: int, take_over: TakeOver, drive
     longer = None
     if taken.outcome not in (Outcome.COLLISION, *UNSAID):
         longer = _lasting(take_over, (until + LEEWAY) / trace.physics_hz)
-    driven = None if longer is None else longer(trace, tick, driver)
+    driven = None if longer is None else longer(trace, tick, STEADY_BRAKING)
     is_longer = driven is not None and driven.ticks > until and repeats(driven, taken, taken.ticks)
     return driven if is_longer else None
 
@@ -170,70 +157,3 @@ def repeats(taken: Trace, trace: Trace, tick: int) -> bool:
     """Return whether a run in which a driver takes over at a tick is the same as the recorded run up to that tick."""
     repeated, recorded = taken.states[: tick + 1], trace.states[: tick + 1]
     return repeated.shape == recorded.shape and bool((np.abs(repeated - recorded) <= ROUNDING).all())
-
-
-# The excuse "too little time to respond", put to the test: a driver takes over at that time, in simulation.
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Escape:
-    """A driver took over and avoided a collision for which the rules left the ego too little time.
-
-    Attributes:
-        time: time of the ego's decision at which the driver takes over [s], to milliseconds.
-        driver: name of the reference driver.
-        braking: the driver's hardest deceleration until the time of the impact [m/s^2], to three digits.
-        braking_from: time at which the driver begins to brake [s]; ``time`` if it does not brake.
-        due: time from which on the rules require braking [s].
-        required: deceleration that the rules require unless there is an emergency [m/s^2].
-    """
-
-    time: float
-    driver: str
-    braking: float
-    braking_from: float
-    due: float
-    required: float
-
-    @property
-    def sentences(self) -> tuple[str, ...]:
-        """The sentences that say what the driver does, and in what the rules require less."""
-        return escape_sentences(self.time, self.driver, self.braking, self.braking_from, self.due, self.required)
-
-
-def escape(trace: Trace, take_over: TakeOver) -> Escape | None:
-    """Return how a driver avoids a collision for which the rules left the ego too little time.
-
-    The driver takes over at the ego's last decision up to the time that the verdict names. It avoids the collision if
-    it touches no vehicle in the 12 s after that, and no two NPCs touch. A run that ends before is driven on.
-
-    Args:
-        trace: trace of the run.
-        take_over: function that simulates the run again with a driver that takes over, see
-            :meth:`pytest_pafot.world.built_in.BuiltInWorld.take_over`.
-
-    Returns:
-        The escape; None if the verdict is a different one, if the driver does not avoid the collision, if its run ends
-        before and the world cannot go on, and if a repetition of the run differs from the trace.
-    """
-    facts = rss_rule(trace).facts
-    excuse = next((fact for fact in facts if fact.what is What.HAD_NO_TIME and fact.vehicle == 0), None)
-    driver = relief_of(drivers_of(take_over))
-    if excuse is None or excuse.due_s is None or driver is None:
-        return None
-    hz, ticks = trace.physics_hz, trace.decision_ticks
-    tick = ticks[bisect_right(ticks, min(round(excuse.time_s * hz), trace.ticks - 1)) - 1]
-    taken = take_over(trace, tick, driver)
-    if not repeats(taken, trace, tick) or _driven_on(taken, trace, tick, take_over, driver) is None:
-        return None
-    slowed = braking(taken)[tick + 1 : trace.ticks + 1]
-    brakes = np.flatnonzero(slowed >= BRAKES)
-    begins = tick + int(brakes[0]) if brakes.size else tick
-    return Escape(
-        time=round(tick / hz, 3),
-        driver=driver,
-        braking=round(float(slowed.max()), 3) if brakes.size else 0.0,
-        braking_from=round(begins / hz, 3),
-        due=round(excuse.due_s, 3),
-        required=excuse.braking_m_per_s2,
-    )

@@ -13,7 +13,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from pytest_pafot.attribution.takeovers import Avoidance, Escape, avoidance
+from pytest_pafot.attribution.takeovers import Avoidance, avoidance
 from pytest_pafot.campaign.request import AgainstError, Request
 from pytest_pafot.campaign.verdict import Test, Verdict, judge, no_skip, reference_outcomes, skips
 from pytest_pafot.execution.crash_records import CrashRecord, Leftover, left_by
@@ -227,10 +227,6 @@ class Harness:
         if run.take_over is None or failure is None or failure.check is not None or verdict.severity is None:
             return None
         return avoidance(run.trace, run.attribution.fault, run.take_over)
-
-    def escape(self, run: Run, verdict: Verdict) -> Escape | None:
-        """Find by simulation how a reference driver avoids a collision for which the rules excuse the ego; or None."""
-        return None if run.take_over is None or verdict.severity is None else run.escape
 
     def judge_trace(self, world: BaseWorld, trace: Trace) -> Verdict:
         """Return the verdict on a trace that was made in ``world``."""

@@ -807,7 +807,6 @@ class Simplification:
                 verdict.failure,
                 reference_drivers=outcomes,
                 avoided_by=avoided,
-                escaped_by=self._claimed(lambda: harness.escape(run, verdict)),
                 against=before.expect.against,
                 root=str(harness.root),
             ),

@@ -11,7 +11,6 @@ import numpy as np
 
 from pytest_pafot.attribution.manoeuvres import DRIFTING
 from pytest_pafot.attribution.responsibility import Fault, frame_of
-from pytest_pafot.attribution.sentences import What
 from pytest_pafot.findings.finding import Expect
 from pytest_pafot.model.trace import HEADING, LANE, SPEED, Trace, X, Y
 from pytest_pafot.oracle.run import Run
@@ -180,11 +179,9 @@ def deciding(run: Run, expect: Expect) -> int | None:
     if attribution.fault in NEEDLESS:
         return at(attribution.time or 0.0)
     facts = [fact.in_full for fact in attribution.facts if not fact.vehicle]
-    due = [fact.due_s for fact in facts if fact.due_s is not None and fact.what is not What.HAD_NO_TIME]
+    due = [fact.due_s for fact in facts if fact.due_s is not None]
     if expect.avoided_by is not None:
         due = [expect.avoided_by.time]
-    elif expect.escaped_by is not None:
-        due = [expect.escaped_by.time]
     return at(max(due)) if due else None
 
 

@@ -17,7 +17,7 @@ import numpy as np
 
 from pytest_pafot.attribution.mistakes import Manoeuvre, Mistake, manoeuvre_before, mistake_of
 from pytest_pafot.attribution.responsibility import Fault, Responsibility
-from pytest_pafot.attribution.takeovers import Avoidance, Escape
+from pytest_pafot.attribution.takeovers import Avoidance
 from pytest_pafot.findings.failure_rate import FailureRate
 from pytest_pafot.findings.neighbours import Breadth
 from pytest_pafot.findings.shrink import Shrunk
@@ -126,8 +126,6 @@ class Expect:
         npc_manoeuvre, ego_manoeuvre: manoeuvres shortly before the collision.
         reference_drivers: outcome of each reference driver in the ego's place; empty if the comparison makes no sense.
         avoided_by: the last decision from which braking avoids the collision in simulation; None if there is none.
-        escaped_by: how a reference driver avoids a collision for which the rules left the ego too little time; None if
-            it does not, and for any other failure.
         against: the reference that passed the scenario, such as ``module:factory`` or ``rev:main (1a2b3c4)``; empty
             without a reference, or if it has no such name.
         traceback: traceback of an ADS that raised. It and ``message`` have no addresses, process ids and temporary
@@ -154,7 +152,6 @@ class Expect:
     situation: Situation | ZoneSituation | None = None
     reference_drivers: Mapping[str, ReferenceOutcome] = field(default_factory=dict)
     avoided_by: Avoidance | None = None
-    escaped_by: Escape | None = None
     against: str = ""
     traceback: str = ""
 
@@ -213,10 +210,9 @@ class Expect:
     def sentences_on(self, run: Run) -> tuple[str, ...]:
         """Return the sentences that explain a run; if it has this collision, also how a simulation avoids it."""
         known = self.known_of(run)
-        told = known.sentences
-        if known.avoided_by is not None:
-            return told[0], known.avoided_by.sentence, told[-1]
-        return (*told[:-1], *self.escaped_by.sentences, told[-1]) if self.escaped_by and self.is_of(run) else told
+        if known.avoided_by is None:
+            return known.sentences
+        return known.sentences[0], known.avoided_by.sentence, known.sentences[-1]
 
     @classmethod
     def of(
@@ -226,7 +222,6 @@ class Expect:
         *,
         reference_drivers: Mapping[str, ReferenceOutcome] | None = None,
         avoided_by: Avoidance | None = None,
-        escaped_by: Escape | None = None,
         against: str = "",
         root: str = "",
     ) -> Expect:
@@ -266,7 +261,6 @@ class Expect:
             ego_manoeuvre=None if hit is None else manoeuvre_before(trace, 0, hit.tick),
             reference_drivers=dict(reference_drivers or {}),
             avoided_by=avoided_by,
-            escaped_by=escaped_by,
             against=against,
             traceback=text,
         )

@@ -38,7 +38,7 @@ SLOW_DECISION = "SlowDecision"
 
 _OF_COLLISIONS = frozenset(
     {"collision", "responsibility", "attribution", "outcome", "second_opinion", "preventable_by", "reference_drivers",
-     "escape", "sentences", "explain"}
+     "sentences", "explain"}
 )  # fmt: skip
 """Attributes of a run that concern the collision: an assertion that uses one is about the collision."""
 

@@ -17,7 +17,7 @@ import numpy.typing as npt
 from pytest_pafot import criticality
 from pytest_pafot.attribution.responsibility import Attribution, position_rule, rss_rule
 from pytest_pafot.attribution.sentences import due_by, responsible_sentence
-from pytest_pafot.attribution.takeovers import Avoidance, Escape, TakeOver, escape
+from pytest_pafot.attribution.takeovers import Avoidance, TakeOver
 from pytest_pafot.criticality import Passage, passages
 from pytest_pafot.criticality.asked import Asked, asked
 from pytest_pafot.criticality.signals import (
@@ -418,21 +418,6 @@ class Run(Shown):
                 if not isinstance(trace, Trace):
                     raise TypeError(f"expected a pafot.Trace, received {trace!r:.100}")
             yield name, Run(trace, world=self.world, driver=name)
-
-    @cached_property
-    def escape(self) -> Escape | None:
-        """The way out of the collision by a reference driver, if the rules say that the ego had too little time.
-
-        The driver is simulated, and takes over at the time that the verdict names. It is ``careful-human``, or the
-        world's first driver. None for any other run, if the driver does not avoid the collision, and if the world
-        cannot drive it on for 12 s.
-
-        Raises:
-            NoReferenceDriversError: for a run that was made without its world, or in one without these drivers.
-        """
-        if self.take_over is None:
-            raise _no_world("escape", "take_over=world.take_over")
-        return escape(self.trace, self.take_over)
 
     # The moment that the run is about.
 

@@ -431,11 +431,12 @@ class SearchMessages:
         where = [] if corpus is None else [f"{flag('corpus')}={corpus}"]
         shrink = command("pytest_pafot", "corpus", "shrink", kept.find.path, *(["--", *where] if where else []))
         is_due = bool(kept.find.unshrunk) and self.settings.resume is None and not os.environ.get(OF_SEARCH)
+        avoided = kept.finding.expect.avoided_by
         section = terminal.find_section(
             kept.find,
             explanation="" if explanation.partition("\n")[0] in message_of(kept.exception) else explanation,
             content=kept.content,
-            first=[] if kept.is_new else terminal.avoided_lines(kept.finding),
+            first=[] if avoided is None or kept.is_new else [avoided.sentence],
             details=details,
             advice=advice,
             shrink=shrink if is_due and kept.find.path else "",

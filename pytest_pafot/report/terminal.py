@@ -163,12 +163,6 @@ def find_section(
     return "\n".join(fitted)
 
 
-def avoided_lines(finding: Finding) -> list[str]:
-    """Return the sentences on what avoids a new finding's collision in simulation."""
-    avoided, escaped = finding.expect.avoided_by, finding.expect.escaped_by
-    return [*([] if avoided is None else [avoided.sentence]), *([] if escaped is None else escaped.sentences)]
-
-
 def simplified_lines(finding: Finding) -> list[str]:
     """Describe how a new finding shrank, who does not prevent it, and which imperfect perception it needs."""
     lines: list[str] = []

@@ -272,20 +272,6 @@ def test_avoided_by_requires_a_time_and_a_braking(path, avoided, field):
 
 
 @table(
-    ("escaped", "field"),
-    [
-        ("careful-human", ""),
-        ("{time: 9.8, driver: idm-aeb, braking: 6.0, braking_from: 9.9}", ""),
-        ("{time: 9.8, driver: 3, braking: 6.0, braking_from: 9.9, due: 11.0, required: 3.0}", ".driver"),
-        ("{time: 9.8, driver: idm-aeb, braking: 6.0, braking_from: -1.0, due: 11.0, required: 3.0}", ".braking_from"),
-    ],
-)
-def test_escaped_by_requires_a_driver_its_braking_and_times(path, escaped, field):
-    error = fault(path, swapped(DRIVERS, f"{DRIVERS}, escaped_by: {escaped}"))
-    assert (error.line, error.field) == (14, f"expect.escaped_by{field}")
-
-
-@table(
     ("situation", "field"),
     [
         ("none", ""),

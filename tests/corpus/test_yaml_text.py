@@ -6,7 +6,7 @@ import pytest
 import yaml
 from hypothesis import given, settings
 
-from pytest_pafot.attribution.takeovers import Avoidance, Escape
+from pytest_pafot.attribution.takeovers import Avoidance
 from pytest_pafot.corpus.reader import load, parsed
 from pytest_pafot.corpus.writer import text_of, write
 from pytest_pafot.corpus.yaml_document import parse
@@ -141,13 +141,6 @@ def test_avoidance_contains_its_time_and_braking():
     avoided = Avoidance(time=9.8, braking=6.0)
     text = text_of(plain_finding(expect=replace(plain_finding().expect, avoided_by=avoided)))
     assert "avoided_by: {time: 9.8, braking: 6.0}}\n" in text
-
-
-def test_escape_contains_driver_braking_and_when_it_was_due():
-    escape = Escape(time=9.8, driver="careful-human", braking=7.6, braking_from=10.1, due=11.0, required=3.0)
-    text = text_of(plain_finding(expect=replace(plain_finding().expect, escaped_by=escape)))
-    written = "time: 9.8, driver: careful-human, braking: 7.6, braking_from: 10.1, due: 11.0, required: 3.0"
-    assert f"escaped_by: {{{written}}}" in " ".join(text.split())
 
 
 def test_failed_property_without_collision_names_its_worst_moment():

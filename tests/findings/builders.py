@@ -6,7 +6,7 @@ from typing import get_args
 from hypothesis import strategies as st
 
 from pytest_pafot.attribution.mistakes import LANE_CHANGES, Manoeuvre
-from pytest_pafot.attribution.takeovers import Avoidance, Escape
+from pytest_pafot.attribution.takeovers import Avoidance
 from pytest_pafot.corpus.reader import LIMITS, WORLDS
 from pytest_pafot.findings.failure_rate import MOST_CLEAN, FailureRate
 from pytest_pafot.findings.finding import MAX_KEY, MAX_NUMBER, Bounded, Expect, Finding, Found, Perceived
@@ -153,12 +153,6 @@ def avoidances():
     return st.builds(Avoidance, time=st.floats(0, 1e6), braking=st.floats(0, 1e3))
 
 
-def escapes():
-    times = st.floats(0, 1e6)
-    rates = st.floats(0, 1e3)
-    return st.builds(Escape, time=times, driver=texts(), braking=rates, braking_from=times, due=times, required=rates)
-
-
 @st.composite
 def expectations(draw, npcs):
     outcome = draw(st.sampled_from([outcome for outcome in Outcome if outcome is not Outcome.INVALID]))
@@ -184,7 +178,6 @@ def expectations(draw, npcs):
         ego_manoeuvre=draw(st.sampled_from([None, *get_args(Manoeuvre)])),
         reference_drivers=draw(st.dictionaries(keys(), st.sampled_from(get_args(ReferenceOutcome)), max_size=3)),
         avoided_by=draw(st.none() | avoidances()),
-        escaped_by=draw(st.none() | escapes()),
         against=draw(texts()),
         traceback=draw(texts()),
     )

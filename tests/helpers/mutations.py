@@ -195,7 +195,7 @@ def _plain(text: str) -> Any:
     return text
 
 
-PARTS = ("check", "situation", "avoided_by", "escaped_by")
+PARTS = ("check", "situation", "avoided_by")
 """The fields of an expectation that are themselves values with several fields."""
 
 

@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from pytest_pafot.attribution.takeovers import Avoidance, Escape
+from pytest_pafot.attribution.takeovers import Avoidance
 from pytest_pafot.criticality import gap, ttc
 from pytest_pafot.findings.shrink import Shrunk, SpeedInterval
 from pytest_pafot.findings.signature import Failure
@@ -155,18 +155,6 @@ def test_avoidance_is_above_picture_and_duty_in_explanation():
     assert view.sentences == (first, "Braking at 6 m/s^2 from 1.2 s on avoids the collision.", "NPC 0 is responsible.")
     assert first not in view.explanation
     assert all(each in view.explanation for each in others[:-1])
-
-
-def test_escape_follows_the_excuse_that_it_tests():
-    trace = rear_trace()
-    finding = finding_of(trace)
-    escape = Escape(time=1.0, driver="<mine>", braking=7.0, braking_from=1.2, due=2.0, required=3.0)
-    expect = replace(finding.expect, escaped_by=escape)
-    escaped, other = (replace(finding, expect=each) for each in (expect, replace(expect, time=expect.time + 0.1)))
-    *excuse, responsible = Run(trace).sentences
-    assert finding_view(trace, escaped, node_id="n").sentences == (*excuse, *escape.sentences, responsible)
-    assert finding_view(trace, other, node_id="n").sentences == (*excuse, responsible)  # it is from a different run
-    assert escape.sentences[0].startswith("<mine>, taking over at 1.0 s, avoids it")
 
 
 def test_the_command_survives_a_shell():
