@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Generator, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, NamedTuple, Self, TypeVar
 
 from pytest_pafot.campaign.verdict import Verdict
 from pytest_pafot.corpus.layout import SEARCH_PART, name_without
@@ -455,3 +455,22 @@ SearchEvent = SearchStarted | Judged | FindTold | Progress | SearchSummary | Eve
 
 Listener = Callable[[SearchEvent], None]
 """A function that receives the events of a search, one by one in their order."""
+
+
+class Phase(NamedTuple):
+    """The work that goes on after the runs of a search, and the id of the finding that it is about."""
+
+    text: str
+    of: str = ""
+
+
+class Note(NamedTuple):
+    """What could not be found out about a finding, for the summary."""
+
+    text: str
+
+
+ResultT = TypeVar("ResultT")
+
+Refining = Generator[SearchEvent | Phase | Note, None, ResultT]
+"""A part of the work after the runs of a search: it yields what becomes of the findings, and returns a result."""

@@ -196,16 +196,14 @@ class Harness:
         __tracebackhide__ = True
         return judge(run, self.test, blame=self.request.blame, test_file=self.test_file)
 
-    def reference_outcomes(
-        self, run: Run, verdict: Verdict, failed: Callable[[DriverError], None]
-    ) -> dict[str, ReferenceOutcome]:
+    def reference_outcomes(self, run: Run, verdict: Verdict) -> tuple[dict[str, ReferenceOutcome], list[DriverError]]:
         """Return how each reference driver fares in the ego's place in a failed run; empty if the ADS itself failed.
 
-        A driver that the world cannot simulate is left out, and its error is given to ``failed``.
+        A driver that the world cannot simulate is left out, and its error is among the errors.
         """
+        outcomes, errors = dict[str, ReferenceOutcome](), list[DriverError]()
         if verdict.is_ads or run.world is None:
-            return {}
-        outcomes: dict[str, ReferenceOutcome] = {}
+            return outcomes, errors
         for name in run.world.reference_drivers:
             blame = self.request.blame
             try:
@@ -213,8 +211,8 @@ class Harness:
                     reference_outcomes(run, self.test, blame=blame, test_file=self.test_file, names=[name])
                 )
             except DriverError as error:
-                failed(error)
-        return outcomes
+                errors.append(error)
+        return outcomes, errors
 
     @property
     def against_name(self) -> str:

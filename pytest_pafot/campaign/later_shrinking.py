@@ -1,15 +1,14 @@
-"""The simplification of a saved finding in a later session: all that a search does to it after its last run."""
+"""Refining a saved finding in a later session, as a search does after its last run."""
 
 from __future__ import annotations
 
 import math
-from collections import deque
-from collections.abc import Callable, Iterable
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
-from pytest_pafot.campaign.events import Find, FindTold, SearchEvent
+from pytest_pafot.campaign.events import Find, FindTold, Note, Phase
+from pytest_pafot.campaign.refine.steps import refine
 from pytest_pafot.campaign.search_session import Prepared
-from pytest_pafot.campaign.simplification import Simplification
 from pytest_pafot.campaign.store import UNCONFIRMED
 from pytest_pafot.campaign.verdict import headline
 from pytest_pafot.corpus.saved import Saved
@@ -37,17 +36,16 @@ class Later:
     notes: tuple[str, ...] = ()
 
 
-def shrink_saved(
-    parts: Prepared, saved: Saved, *, path: str, until: float = math.inf, tell: Callable[[str], None]
-) -> Later:
+def shrink_saved(parts: Prepared, saved: Saved, *, path: str, until: float = math.inf) -> Iterator[Phase | Later]:
     """Shrink the scenario of a file further, from what it is now, and try drivers and neighbours in the result.
+
+    Yield the work that goes on, often, and at last the result.
 
     Args:
         parts: the parts of a search in the world of the file.
         saved: the file, with a finding that is expected to give the same run each time.
         path: the path of the file, for reports.
         until: the time at which it must end [s], or infinity.
-        tell: is called often, with a text on the current work.
     """
     __tracebackhide__ = True
     state, workers, store, before = parts.state, parts.workers, parts.store, saved.finding
@@ -60,7 +58,8 @@ def shrink_saved(
     failure = verdict.failure if verdict.failed else None
     if failure is None or verdict.exception is None or of_failure(run, failure) != before.signature:
         now = headline(run, verdict) if verdict.failed else ending(run)
-        return Later(told=f"it does not fail as the file says: {now}", is_refused=True)
+        yield Later(told=f"it does not fail as the file says: {now}", is_refused=True)
+        return
     sight = sight_of(harness.ads)
     start = replace(
         before,
@@ -75,32 +74,22 @@ def shrink_saved(
         id=saved.id, node_id=harness.saved_node_id(saved.id), path=path, unshrunk=UNCONFIRMED, severity=verdict.severity
     )
     store.is_holding = False
-    workers.until = until
     store.findings[saved.id] = FindTold(
         finding=start, find=find, origin="", exception=verdict.exception, run=run, is_new=False
     )
     state.finds[of_failure(run, failure)] = saved.id
-    work = Simplification(
-        state=state,
-        workers=workers,
-        store=store,
-        send=_drop,
-        tell=tell,
-        until=until,
-    )
-    work.run_all("")
+    notes = list[str]()
+    for event in refine(state, workers, store, until=until):
+        if isinstance(event, Phase):
+            yield event
+        elif isinstance(event, Note) and event.text not in notes:
+            notes.append(event.text)
     kept = store.findings[saved.id]
-    others = (f"found saved-{id_}: {each.find.headline}" for id_, each in store.findings.items() if each is not kept)
-    notes = (*work.notes, *others)
+    notes += (f"found saved-{id_}: {each.find.headline}" for id_, each in store.findings.items() if each is not kept)
+    later = _compared(before, kept, state.shrink_runs)
     if kept.find.is_flaky:
-        told = f"it is flaky: {kept.find.difference}"
-        return Later(told=told, is_refused=True, notes=notes)
-    return replace(_compared(before, kept, work.runs), notes=notes)
-
-
-def _drop(happened: Iterable[SearchEvent]) -> None:
-    """Let happen what is reported to nobody."""
-    deque(happened, maxlen=0)
+        later = Later(told=f"it is flaky: {kept.find.difference}", is_refused=True)
+    yield replace(later, notes=tuple(notes))
 
 
 def _compared(before: Finding, kept: FindTold, runs: int) -> Later:

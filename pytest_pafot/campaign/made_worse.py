@@ -12,7 +12,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from itertools import islice
 
-from pytest_pafot.campaign.events import FindTold, Paired, SearchEvent
+from pytest_pafot.campaign.events import FindTold, Paired, Phase, Refining, SearchEvent
 from pytest_pafot.campaign.state import State, lose
 from pytest_pafot.campaign.store import Store
 from pytest_pafot.campaign.workers import Workers
@@ -50,11 +50,11 @@ class MadeWorse:
     def __post_init__(self) -> None:
         self.paired = Paired(most=self.most)
 
-    def compare(self, space: SearchSpace) -> Iterator[SearchEvent | str]:
+    def compare(self, space: SearchSpace) -> Refining[None]:
         """Drive random scenarios with both policies, and dismiss the findings if the new one does not fail more often.
 
-        Yield texts on the current work, and what becomes of the findings. The scenarios depend only on the seed of the
-        search, and are judged in their order. So the result is the same with any number of processes.
+        The scenarios depend only on the seed of the search, and are judged in their order. So the result is the same
+        with any number of processes.
         """
         __tracebackhide__ = True
         # Numbers that follow those of a generation, so no generation of the search draws the same.
@@ -65,7 +65,7 @@ class MadeWorse:
             while ahead := list(islice(drawn, AHEAD)):
                 runner.announce(ahead)
                 for scenario in ahead:
-                    yield f"comparing in random scenario {self.paired.runs + 1} of {self.most}"
+                    yield Phase(f"comparing in random scenario {self.paired.runs + 1} of {self.most}", "comparison")
                     with runs_end_in(self.until - self.state.clock()):
                         new, old = yield from self._fail(scenario)
                     self.paired = self.paired.with_run(new=new, old=old)

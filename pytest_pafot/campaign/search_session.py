@@ -22,6 +22,8 @@ from pytest_pafot.campaign.events import (
     DONE,
     FindTold,
     Listener,
+    Note,
+    Phase,
     SearchEvent,
     SearchStarted,
     SearchSummary,
@@ -29,11 +31,11 @@ from pytest_pafot.campaign.events import (
 from pytest_pafot.campaign.harness import Harness, refusals
 from pytest_pafot.campaign.made_worse import MadeWorse
 from pytest_pafot.campaign.options import FULL, LOCAL, PROFILES
+from pytest_pafot.campaign.refine.steps import refine
 from pytest_pafot.campaign.replays import Replays
 from pytest_pafot.campaign.request import build_space
 from pytest_pafot.campaign.search import saved_as, search
 from pytest_pafot.campaign.setup_fault import SetupFaultError
-from pytest_pafot.campaign.simplification import Simplification
 from pytest_pafot.campaign.state import State, agreed, lose
 from pytest_pafot.campaign.state_file import FLAG, StateFile, state_path
 from pytest_pafot.campaign.store import Store
@@ -225,7 +227,6 @@ class SearchSession:
     shrinks_later: bool = False  # True if the command ``corpus shrink`` can shrink its findings, which needs the test
     driver_notes: list[str] = field(default_factory=list)  # notes on drivers of the world that failed
     process_notes: list[str] = field(default_factory=list)  # notes on processes for the summary
-    _work: Simplification | None = field(init=False, default=None)  # of a search that came to its end
     _worse: MadeWorse | None = field(init=False, default=None)  # of a search with findings and a reference
     _manners: dict[str, Manner] = field(init=False, default_factory=dict)  # of the saved scenarios, by id
 
@@ -259,9 +260,16 @@ class SearchSession:
         """The reasons for an end that leave enough runs to warn of their health."""
         return DONE, ALL_RUN, self.limit.flag
 
-    def _send(self, happened: Iterable[SearchEvent]) -> None:
+    def _send(self, happened: Iterable[SearchEvent | Phase | Note]) -> None:
         for event in happened:
-            self.listener(event)
+            match event:
+                case Phase():
+                    self._send(self.watch.progress(*event))
+                case Note():  # such as on a driver that no finding can be tried with
+                    if event.text not in self.driver_notes:
+                        self.driver_notes.append(event.text)
+                case _:
+                    self.listener(event)
 
     def run(self) -> SearchResult:
         """Replay saved scenarios, search, simplify the findings, and report a summary.
@@ -304,9 +312,8 @@ class SearchSession:
                     most=harness.request.settings.pairs,
                     until=now + (self.limit.until - now) / 2,
                 )
-                for event in self._worse.compare(state.space):
-                    self._send(self.watch.progress(event, "comparison") if isinstance(event, str) else [event])
-            self._simplify(reason)
+                self._send(self._worse.compare(state.space))
+            self._refine(reason)
         except SetupFaultError as error:
             reason, fault = "error", error
             self._send(store.withdraw())
@@ -335,30 +342,22 @@ class SearchSession:
             is_vacuous=state.health.vacuous or bool(state.broken),
         )
 
-    def _simplify(self, reason: str) -> None:
+    def _refine(self, reason: str) -> None:
         """Shrink the findings, and look at their neighbours and at decisions."""
         __tracebackhide__ = True
         state = self.state
-        work = self._work = Simplification(
-            state=state,
-            workers=self.workers,
-            store=self.store,
-            send=self._send,
-            tell=lambda phase: self._send(self.watch.progress(phase, work.current)),
-            until=self.limit.until,
-            after_attempt=lambda: state.offer(self.store, work.finished),
-        )
+        way_on = "" if state.file is None else f"; {flag('resume')} goes on"
+        steps = refine(state, self.workers, self.store, until=self.limit.until, way_on=way_on)
         try:
-            with GENERATORS.held():
-                work.run_all(f"; {flag('resume')} goes on" if state.file is not None else "")
+            with GENERATORS.held(), closing(steps):
+                self._send(steps)
                 if self._worse is not None:
                     self._send(self._worse.conclude())
                 if reason in self._ends_with_warnings:
                     with suppress(OutOfTime), runs_end_in(self.limit.until - state.clock()):
                         state.impure = self.workers.impure()
-        finally:  # Even after Ctrl-C, findings that were simplified must not be simplified again.
-            self.driver_notes += work.notes
-            state.write(self.store, work.finished)
+        finally:  # Even after Ctrl-C, findings that were refined must not be refined again.
+            state.write(self.store)
 
     def _retried(self, leftover: Leftover, left: Sequence[Leftover]) -> Retried:
         """Run the scenarios again in which a process of an earlier session died; return the result.
@@ -544,10 +543,6 @@ class SearchSession:
     def _summary(self, reason: str) -> SearchSummary:
         settings, state, health = self.harness.request.settings, self.state, self.state.health
         budget, generations = state.budget(settings)
-        work = self._work
-        shrink_decisions, neighbour_decisions = (
-            (0, 0) if work is None else (work.shrink_decisions, work.neighbour_decisions)
-        )
         is_cut = reason == self.limit.flag and self.state.file is None
         cut = [f"cut by {reason}: the same seed may find other scenarios next time"] * is_cut
         finds = [kept.find for kept in self.store.findings.values()]
@@ -590,12 +585,12 @@ class SearchSession:
             failing=state.verdicts["failed"],
             finds=tuple(replace(find, repeats=state.repeats[find.id]) for find in finds),
             unsaved={id_: 1 + state.repeats[id_] for id_ in self.store.unsaved},
-            shrink_runs=0 if work is None else work.runs,
-            neighbour_runs=0 if work is None else work.neighbour_runs,
-            decisions=self.workers.decisions - shrink_decisions - neighbour_decisions,
+            shrink_runs=state.shrink_runs,
+            neighbour_runs=state.neighbour_runs,
+            decisions=self.workers.decisions - state.shrink_decisions - state.neighbour_decisions,
             confirm_decisions=self.workers.confirm_decisions,
-            shrink_decisions=shrink_decisions,
-            neighbour_decisions=neighbour_decisions,
+            shrink_decisions=state.shrink_decisions,
+            neighbour_decisions=state.neighbour_decisions,
             reused_decisions=self.workers.runner.reused,
             known=dict(state.known + state.found_before(self.store)),
             unlike=self._unlike(),

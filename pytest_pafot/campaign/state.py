@@ -6,7 +6,7 @@ import json
 import sys
 import time
 from collections import Counter
-from collections.abc import Callable, Collection, Generator, Iterable, Mapping
+from collections.abc import Callable, Generator, Iterable, Mapping
 from dataclasses import asdict, dataclass, field, fields, is_dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -23,7 +23,7 @@ from pytest_pafot.corpus.layout import link_below
 from pytest_pafot.corpus.saved import refusal
 from pytest_pafot.execution.scenario_pool import LostRun, expectation
 from pytest_pafot.findings.finding import Manner
-from pytest_pafot.findings.shrink import Start
+from pytest_pafot.findings.shrink import Shown
 from pytest_pafot.findings.signature import CHECK_FAILED, Signature
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.oracle.run import Run
@@ -42,12 +42,6 @@ from pytest_pafot.world.driving.perception import sight_of
 
 COUNTED_AT_ONCE = 16
 """The number of evaluations after which their health is counted: then it takes less time than for each alone."""
-
-Shown = tuple[Scenario, tuple[Start, ...]] | None
-"""The result of an attempt to shrink a finding: the scenario as driven, and the ego's state at each gene's start.
-
-None if the run does not show the finding.
-"""
 
 Answer = tuple[str, Shown]
 """An attempt to shrink a finding: the id of the candidate, and the result of its run."""
@@ -161,6 +155,11 @@ class State:
     failures: dict[Signature, str] = field(init=False, default_factory=dict)  # ids by failures that this session showed
     # results of the attempts to shrink each finding so far, by the id of the finding
     answers: dict[str, list[Answer]] = field(init=False, default_factory=dict)
+    refined: set[str] = field(init=False, default_factory=set)  # ids of findings for which no step is left to do
+    shrink_runs: int = field(init=False, default=0)  # number of attempts to shrink findings, and of runs for rates
+    shrink_decisions: int = field(init=False, default=0)  # that the ADS made in these
+    neighbour_runs: int = field(init=False, default=0)  # number of runs of neighbours, and of the ADS beside a run
+    neighbour_decisions: int = field(init=False, default=0)  # that the ADS made in these
     uncounted: list[events.Evaluated] = field(init=False, default_factory=list)
     generation: int = field(init=False, default=0)  # generation of the main search, from 0
     finished: events.CampaignFinished | None = field(init=False, default=None)  # the last event of the plan
@@ -260,33 +259,33 @@ class State:
         self.repeats = Counter({each.id: each.repeats for each in earlier.earlier})
         self.done_before, self.generation = (runs, generations), generations
 
-    def offer(self, store: Store, simplified: Collection[str] = ()) -> None:
+    def offer(self, store: Store) -> None:
         """Write the state, unless it was written shortly before: a session that is killed loses little."""
         if self.file is not None and self.file.is_due:
-            self._write(self.file, store, simplified)
+            self._write(self.file, store)
 
-    def write(self, store: Store, simplified: Collection[str] = ()) -> None:
-        """Write the state at the end of a session; ``simplified`` are the ids of findings that are fully shrunk."""
+    def write(self, store: Store) -> None:
+        """Write the state at the end of a session."""
         if self.file is not None and self.finished is not None:
-            self._write(self.file, store, simplified)
+            self._write(self.file, store)
 
-    def _write(self, file: StateFile, store: Store, simplified: Collection[str]) -> None:
+    def _write(self, file: StateFile, store: Store) -> None:
         if self.plan is not None:
-            file.write(self.plan.checkpoint(), self.stored(store, simplified))
+            file.write(self.plan.checkpoint(), self.stored(store))
 
     def close(self) -> None:
         """Release the file for other sessions."""
         if self.file is not None:
             self.file.release()
 
-    def stored(self, store: Store, simplified: Collection[str]) -> State:
+    def stored(self, store: Store) -> State:
         """Return what the file has to say of this state."""
         findings = store.findings
         found = {each.id: each.found for each in self.earlier}
         for id_, each in findings.items():  # the scenario as found, before shrinking
             finding = each.finding
             found[id_] = (finding.original or finding.scenario, finding.found.generation, each.number)
-        due = self.postponed | {id_ for id_, each in findings.items() if each.is_firm and id_ not in simplified}
+        due = self.postponed | {id_ for id_, each in findings.items() if each.is_firm and id_ not in self.refined}
         finds = (
             EarlierFind(
                 id=id_,

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 from pytest_pafot.campaign.events import Progress, SearchEvent
 from pytest_pafot.campaign.options import Settings
-from pytest_pafot.campaign.simplification import rollouts_for
+from pytest_pafot.campaign.refine.simplest import rollouts_for
 from pytest_pafot.campaign.state import State
 from pytest_pafot.campaign.store import Store
 from pytest_pafot.campaign.workers import Workers

@@ -296,7 +296,7 @@ class Workers:
     is_steered_by_checks: bool = True  # as in :class:`Reader`
     clock: Callable[[], float] = time.monotonic  # returns the seconds since some fixed moment
     counted_decisions: int = 0  # number of decisions of the ADS in runs that others judged, and beside runs
-    until: float = math.inf  # the time at which confirming findings ends [s]
+    until: float = math.inf  # the time at which the work on findings ends [s]
     confirm_decisions: int = 0  # the number of decisions of the ADS that confirmed findings
     confirm_seconds: float = 0.0  # the time that this took [s]
     pace: float = 0.0  # the longest time to confirm one second of a run so far [s]

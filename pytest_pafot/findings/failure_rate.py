@@ -6,9 +6,8 @@ Source: Wald, "Sequential tests of statistical hypotheses", Annals of Mathematic
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import islice
 from typing import Literal
 
 from pytest_pafot.model.scenario import MAX_SEED, Scenario
@@ -97,8 +96,10 @@ class FailureRate:
         }.get(change, f"{change}, {now.in_general}, by chance with p = {chance:.2g}")
         return f"fails in {now} {what}, {self} when it was found: {sure}"
 
-    def is_as_often(self, outcomes: Iterable[bool], most: int = FEW_RUNS, odds: float = ODDS) -> bool:
-        """Return whether a simpler scenario, of which ``outcomes`` says which runs fail, fails about as often.
+    def is_as_often(self, outcomes: Sequence[bool], most: int = FEW_RUNS, odds: float = ODDS) -> bool | None:
+        """Return whether a simpler scenario, of which each outcome says whether a run fails, fails about as often.
+
+        Return None if more runs are needed to say so.
 
         It does if that is likelier than each of three others: that it fails half as often, that its rate is
         :data:`RARER` of this one, and that it passes a quarter as often. The runs end before ``most`` if the logarithm
@@ -110,13 +111,11 @@ class FailureRate:
         if not share:
             return True  # too rare to compare
         others = [share / 2, share * RARER] + ([(3 + share) / 4] if share < 0.9 else [])
-        totals = [0.0 for _ in others]
-        for fails in islice(outcomes, most):
-            steps = [math.log(share / other if fails else (1 - share) / (1 - other)) for other in others]
-            totals = [sum(each) for each in zip(totals, steps, strict=True)]
-            if abs(min(totals)) >= odds:
-                break
-        return min(totals) > 0
+        steps = [
+            (math.log((1 - share) / (1 - other)), math.log(share / other)) for other in others
+        ]  # of a run that passes, and of one that fails
+        least = min(sum(each[fails] for fails in outcomes) for each in steps)
+        return least > 0 if len(outcomes) >= most or abs(least) >= odds else None
 
 
 def with_other_seed(scenario: Scenario, number: int) -> Scenario:

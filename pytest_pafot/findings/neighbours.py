@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import math
 import random
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain as in_turn
 from itertools import islice, zip_longest
 from typing import Literal
 
-from pytest_pafot.findings.shrink import Expecting
+from pytest_pafot.findings.shrink import Ahead
 from pytest_pafot.model.scenario import (
     ALONE,
     FARTHEST,
@@ -115,30 +115,23 @@ class Limits:
 
 
 def breadth_of(
-    scenario: Scenario,
-    number: int,
-    *,
-    fails: Callable[[Scenario], bool | None],
-    limits: Limits,
-    ahead: int = 0,
-    expect: Expecting = lambda scenarios, more: None,
-) -> Breadth | None:
+    scenario: Scenario, number: int, limits: Limits, ahead: int = 0
+) -> Generator[tuple[Scenario, Ahead], bool | None, Breadth | None]:
     """Return how many of a number of neighbours fail, of fewer if there are not as many; None if there are none.
 
-    No more of them are run than it takes to know :attr:`Breadth.word`.
+    No more of them are asked for than it takes to know :attr:`Breadth.word`: each is yielded, with what is ahead, and
+    whether it fails in the same way is sent; None if its run is that of the finding, so that it is no neighbour.
 
     Args:
         scenario: the scenario of a finding.
         number: the largest number of neighbours.
-        fails: runs a scenario, and returns whether it fails in the same way; None if its run is that of the finding, so
-            that it is no neighbour.
         limits: what the world allows.
-        ahead, expect: as for :func:`~pytest_pafot.findings.shrink.shrink`.
+        ahead: the number of neighbours that are announced before the first of them is asked for.
     """
     drawn, told = list(islice(neighbours(scenario, 1.0, limits), 2 * number)), list[bool]()
     for index, each in enumerate(drawn):
-        expect(drawn[index + ahead - 1 : index + ahead] if index else drawn[:ahead], index > 0)
-        answer = fails(each)
+        next_ones = drawn[index + ahead - 1 : index + ahead] if index else drawn[:ahead]
+        answer = yield each, Ahead(next_ones, more=index > 0)
         if answer is None:
             continue
         told.append(answer)

@@ -5,19 +5,19 @@ MacIver and Donaldson, "Test-case reduction via test-case generation" (ECOOP 202
 one gate before each run, and passes that are repeated until none of them helps. Small scenarios are also tried
 directly, because single steps often do not lead to them.
 
-This module does not simulate: its caller passes a function that runs a scenario and says whether it still fails.
+This module does not simulate: :func:`shrink` yields questions about candidates, and its caller sends the answers.
 """
 
 from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import lru_cache, partial
 from itertools import combinations, islice, pairwise, permutations, product, zip_longest
-from typing import Any
+from typing import Any, NamedTuple, TypeVar
 
 from pytest_pafot.model.driving_style import PAPERS, Traffic
 from pytest_pafot.model.grid import Cell, cell_at
@@ -47,21 +47,47 @@ from pytest_pafot.model.scenario import (
 )
 from pytest_pafot.support.text import plural
 
-Attempt = Callable[[Scenario], Scenario | None]
-"""A function that runs a scenario; it returns the scenario as driven if it fails in the same way, otherwise None."""
-
 Start = tuple[int, float]
 """The ego's lane and speed [m/s] when a gene begins."""
 
-Expecting = Callable[[Sequence[Scenario], bool], None]
-"""A function that is told of the next scenarios, and whether they are more of them; otherwise earlier ones that were
-not run are dropped."""
+Shown = tuple[Scenario, tuple[Start, ...]] | None
+"""The answer to an attempt: the scenario as driven, and the start of each gene, empty if unknown.
 
-Starts = Callable[[Scenario], Sequence[Start]]
-"""A function that returns the start of each gene of a failing scenario as driven; empty if unknown."""
+None if the run does not fail in the same way.
+"""
 
-Likely = Callable[[Scenario, Scenario], bool]
-"""A function that returns whether a small scenario may fail in the same way, given the simplest failing one so far."""
+
+class Attempt(NamedTuple):
+    """The question whether a candidate fails in the same way, which is answered with a run.
+
+    ``best`` is the simplest failing scenario so far; None when only the speeds of the result are still measured.
+    """
+
+    candidate: Scenario
+    best: Scenario | None
+
+
+class Likely(NamedTuple):
+    """The question whether a small scenario is likely to fail in the same way, which is answered with a bool."""
+
+    candidate: Scenario
+    best: Scenario
+
+
+class Ahead(NamedTuple):
+    """The next candidates to be attempted if the ones before them do not fail, so that they can run at the same time.
+
+    Unless there are ``more`` of them, earlier ones that were not attempted will not be. Nothing is answered.
+    """
+
+    candidates: Sequence[Scenario]
+    more: bool
+
+
+ResultT = TypeVar("ResultT")
+
+Asking = Generator[Attempt | Likely | Ahead, Any, ResultT]
+"""A part of shrinking that yields questions, is sent their answers, and returns a result."""
 
 Candidates = Iterator[Scenario | None]
 """The scenarios that a pass tries; None stands for a change that gives no valid scenario."""
@@ -213,128 +239,137 @@ def size_of(scenario: Scenario, longest_run: float = math.inf) -> str:
 
 def shrink(
     scenario: Scenario,
-    attempt: Attempt,
     *,
     rollouts: int,
     top_speed: float = MAX_SPEED,
-    starts: Starts = lambda scenario: (),
     plain: Start | None = None,
     plain_seconds: float | None = None,
     ahead: int = 0,
-    expect: Expecting = lambda candidates, more: None,
-    likely: Likely | None = None,
-    measure: Attempt | None = None,
-) -> tuple[Scenario, Shrunk]:
+    asks_likely: bool = False,
+    measures_again: bool = False,
+) -> Asking[tuple[Scenario, Shrunk]]:
     """Return the simplest scenario found that fails in the same way as ``scenario``, as driven, with the statistics.
+
+    No candidate is attempted twice, and equal answers lead to the same questions in the same order. To end the search
+    early, throw :class:`OutOfBudget` into this generator, at each attempt from then on.
 
     Args:
         scenario: failing scenario, as driven.
-        attempt: runs a scenario. It is never called twice with the same scenario, and equal results lead to the same
-            order of calls. To end the search early, it must raise :class:`OutOfBudget` in this call and all later ones.
-        rollouts: largest number of calls of ``attempt``.
+        rollouts: largest number of attempts.
         top_speed: highest speed of any instruction [m/s].
-        starts: returns the ego's lane and speed at the start of each gene, so that the scenario can begin later.
         plain: preferred start of the ego; None for no preference.
         plain_seconds: preferred duration of a gene [s]; None for no preference.
-        ahead: number of candidates that ``expect`` is told of before ``attempt`` is called with the first of them.
-        expect: is told of candidates that ``attempt`` will be called with if the ones before them do not fail, so that
-            they can be run at the same time. It changes nothing in the result.
-        likely: returns whether a small scenario is worth a call of ``attempt``; None if all are. Equal arguments must
-            have equal results.
-        measure: runs a scenario in place of ``attempt`` when only the speeds of the result are still measured, and may
-            accept what ``attempt`` has refused; None for ``attempt``.
+        ahead: number of candidates to be announced before the first of them is attempted. It changes nothing in the
+            result.
+        asks_likely: True if small scenarios are attempted only if they are :class:`Likely` to fail.
+        measures_again: True if candidates that do not fail are attempted again when only speeds are still measured.
     """
     top = int(min(top_speed, MAX_SPEED) * SPEED_STEPS_PER_MPS + 1e-6)
     slowest = min(_tenths(gene) for chain in scenario.npcs for gene in chain)
     low = min(round(scenario.traffic.least_speed(top_speed) * SPEED_STEPS_PER_MPS), slowest)
     gate = _Gate(
-        best=scenario, attempt=attempt, rollouts=rollouts // FIRST_PART, low=low, top=top, tried={scenario: scenario},
-        ahead=ahead, expect=expect,
+        best=scenario, rollouts=rollouts // FIRST_PART, low=low, top=top, tried={scenario: scenario},
+        ahead=ahead if ahead > 1 else 0,
     )  # fmt: skip
     intervals: list[SpeedInterval] = []
     is_minimal = False
     plainer: Pass = partial(_plainer_start, plain=plain)
     longer: Pass = partial(_plainer_duration, seconds=plain_seconds)
-    deletions: tuple[Pass, ...] = (plainer, longer, *PASSES, partial(_later, starts=starts))
+    deletions: tuple[Pass, ...] = (plainer, longer, *PASSES, partial(_later, starts=gate.starts))
     with suppress(OutOfBudget):
-        gate.exhausts(_ending)  # first, because a run that does not fail lasts as long as its scenario
-        gate.exhausts(_alone)
-    small = partial(_small, found=gate.best, plain=plain or (scenario.ego_lane, scenario.ego_speed), likely=likely)
+        yield from gate.exhausts(_ending)  # first, because a run that does not fail lasts as long as its scenario
+        yield from gate.exhausts(_alone)
+    small = partial(
+        _small, found=gate.best, plain=plain or (scenario.ego_lane, scenario.ego_speed), is_limited=asks_likely
+    )
     with suppress(OutOfBudget):
-        gate.exhausts(plainer)
-        gate.exhausts(small)
+        yield from gate.exhausts(plainer)
+        yield from gate.exhausts(small, asks_likely=asks_likely)
     gate.rollouts = rollouts - min(FOR_SPEEDS, rollouts // 5)
     with suppress(OutOfBudget):
-        while sum(map(gate.exhausts, deletions)) or gate.exhausts(small) or gate.exhausts(_two_steps):
-            pass  # Every round applies each deletion; the expensive passes run only when deletions find nothing more.
-        is_minimal = True
+        while not is_minimal:
+            is_simpler = False
+            for each in deletions:
+                is_simpler |= yield from gate.exhausts(each)
+            # The expensive passes run only when deletions find nothing more.
+            is_simpler = is_simpler or (yield from gate.exhausts(small, asks_likely=asks_likely))
+            is_minimal = not (is_simpler or (yield from gate.exhausts(_two_steps)))
     gate.rollouts = rollouts
     with suppress(OutOfBudget):
-        gate.exhausts(_papers_traffic)  # only once, even if the passes used up their budget: they do not start again
-        if measure is not None:
-            gate.attempt, gate.tried = measure, {each: same for each, same in gate.tried.items() if same is not None}
-        intervals.extend(_intervals(gate))
+        # only once, even if the passes used up their budget: they do not start again
+        yield from gate.exhausts(_papers_traffic)
+        gate.is_measuring = True
+        if measures_again:
+            gate.tried = {each: same for each, same in gate.tried.items() if same is not None}
+        yield from _intervals(gate, intervals)
     return gate.best, Shrunk(rollouts=gate.spent, is_minimal=is_minimal, speeds=tuple(intervals))
 
 
 @dataclass(slots=True, kw_only=True)
 class _Gate:
-    """The only place that runs candidates: a candidate must be valid, simpler than the best, and not tried before.
+    """The only place that attempts candidates: one must be valid, simpler than the best, and not tried before.
 
     Two scenarios are equal if their canonical texts are equal: speeds in tenths, cells from 1 to 8.
     """
 
     best: Scenario
-    attempt: Attempt
     rollouts: int
     low: int
     top: int
     tried: dict[Scenario, Scenario | None]
     ahead: int
-    expect: Expecting
     spent: int = 0
+    is_measuring: bool = False  # True when only the speeds of the best are still measured
+    starts: dict[Scenario, tuple[Start, ...]] = field(default_factory=dict)  # of failing scenarios as driven
 
-    def simplifies(self, candidate: Scenario | None) -> bool:
+    def simplifies(self, candidate: Scenario | None) -> Asking[bool]:
         """Return whether a candidate fails in the same way and is simpler; if so, it becomes the best."""
         if candidate is None or sort_key(candidate) >= sort_key(self.best):
             return False
-        driven = self.driven(candidate)
+        driven = yield from self.driven(candidate)
         if driven is None or sort_key(driven) >= sort_key(self.best):
             return False
         self.best = driven
         return True
 
-    def exhausts(self, candidates: Pass) -> bool:
+    def exhausts(self, candidates: Pass, *, asks_likely: bool = False) -> Asking[bool]:
         """Repeat a pass until it finds no simpler scenario; return whether it found any."""
         found, skipped = False, 0
         while True:
-            rest = islice(candidates(self.best), skipped, None)
-            for index, candidate in enumerate(self._foretold(rest), skipped):
-                if self.simplifies(candidate):
-                    found, skipped = True, index  # Those before it just failed, so they are tried again last.
-                    break
-            else:
-                if not skipped:
-                    return found
-                skipped = 0
+            place = yield from self._first(candidates(self.best), skipped, asks_likely=asks_likely)
+            if place is None and not skipped:
+                return found
+            # Those before the one that helped just failed, so they are tried again last.
+            found, skipped = found or place is not None, place or 0
 
-    def _foretold(self, candidates: Candidates) -> Candidates:
-        """Yield the candidates, and tell ``expect`` which of them will be run if the ones before them do not fail."""
-        if self.ahead < 2:
-            yield from candidates
-            return
-        self.expect((), False)
-        read, told = deque[Scenario | None](), set[Scenario]()
+    def _first(self, candidates: Candidates, skipped: int, *, asks_likely: bool) -> Asking[int | None]:
+        """Return the place of the first candidate, after a number of them, that simplifies; None if none does.
+
+        Candidates that will be attempted if the ones before them do not fail are announced.
+        """
+        place, read, told = -1, deque[tuple[int, Scenario | None]](), set[Scenario | None]()
+        if self.ahead:
+            yield Ahead((), more=False)
         for candidate in candidates:
-            read.append(candidate)
-            is_left = self.spent + len(told) < self.rollouts
+            if asks_likely and (candidate is None or not (yield Likely(candidate, self.best))):
+                continue
+            place += 1
+            if place < skipped:
+                continue
+            read.append((place, candidate))
+            is_left = self.ahead and self.spent + len(told) < self.rollouts
             if is_left and candidate is not None and candidate not in told and self._would_run(candidate):
                 told.add(candidate)
-                self.expect((candidate,), True)
-            while len(told) >= self.ahead:
-                yield (first := read.popleft())
-                told -= {first}
-        yield from read
+                yield Ahead((candidate,), more=True)
+            while read and len(told) >= self.ahead:
+                number, first = read.popleft()
+                if (yield from self.simplifies(first)):
+                    return number
+                told.discard(first)
+        for number, first in read:
+            if (yield from self.simplifies(first)):
+                return number
+        return None
 
     def _would_run(self, candidate: Scenario) -> bool:
         is_new = candidate not in self.tried and self._is_allowed(candidate)
@@ -343,7 +378,7 @@ class _Gate:
     def _is_allowed(self, candidate: Scenario) -> bool:
         return all(self.low <= _tenths(gene) <= self.top for chain in candidate.npcs for gene in chain)
 
-    def driven(self, candidate: Scenario) -> Scenario | None:
+    def driven(self, candidate: Scenario) -> Asking[Scenario | None]:
         """Return the candidate as driven if it fails in the same way, otherwise None.
 
         Raises:
@@ -354,10 +389,12 @@ class _Gate:
         if candidate not in self.tried:
             if self.spent >= self.rollouts:
                 raise OutOfBudget
-            driven = self.tried[candidate] = self.attempt(candidate)
+            shown: Shown = yield Attempt(candidate, None if self.is_measuring else self.best)
             self.spent += 1  # counted after the attempt, which may itself raise OutOfBudget
-            if driven is not None:
-                self.tried[driven] = driven  # repair does not change a driven scenario
+            self.tried[candidate] = None
+            if shown is not None:
+                driven, self.starts[driven] = shown
+                self.tried[candidate] = self.tried[driven] = driven  # repair does not change a driven scenario
         return self.tried[candidate]
 
 
@@ -411,9 +448,9 @@ def _shorter(scenario: Scenario) -> Candidates:
         yield _valid(scenario, tuple(cut))
 
 
-def _later(scenario: Scenario, starts: Starts) -> Candidates:
+def _later(scenario: Scenario, starts: Mapping[Scenario, Sequence[Start]]) -> Candidates:
     """Start at a later gene, with the ego's lane and speed at the start of that gene; the latest gene first."""
-    for gene, (lane, speed) in reversed(list(enumerate(starts(scenario)))[1:]):
+    for gene, (lane, speed) in reversed(list(enumerate(starts.get(scenario, ())))[1:]):
         npcs = tuple(chain[gene:] for chain in scenario.npcs if len(chain) > gene)
         yield _valid(replace(scenario, ego_lane=lane, ego_speed=speed), npcs)
 
@@ -551,11 +588,11 @@ PASSES: tuple[Pass, ...] = (*STRUCTURE, _plainer_manoeuvres, _plainer_slots, _ro
 """All passes; the first ones shorten runs most. The passes are repeated until none finds a simpler scenario."""
 
 
-def _small(scenario: Scenario, found: Scenario, plain: Start, likely: Likely | None) -> Candidates:
+def _small(scenario: Scenario, found: Scenario, plain: Start, *, is_limited: bool) -> Candidates:
     """Try one NPC with one or two instructions, or two NPCs with one each, at the ego's preferred and present starts.
 
-    There are thousands of them, of which very few fail. With ``likely``, only those are tried that have fewer NPCs or
-    instructions than the scenario and are likely to fail: the passes find those of the same size, too.
+    There are thousands of them, of which very few fail. With ``is_limited``, only some of those are tried that have
+    fewer NPCs or instructions than the scenario: the passes find those of the same size, too.
 
     They are on the grid; if the scenario has NPCs in lanes, every second one has NPCs in lanes instead. If the scenario
     has NPCs that cross, try one NPC that crosses in a zone of the scenario.
@@ -568,11 +605,11 @@ def _small(scenario: Scenario, found: Scenario, plain: Start, likely: Likely | N
     by_kind = [_small_ones(targets, length) for targets in ((SHIFTS, tuple(Cell)) if in_lanes else (tuple(Cell),))]
     in_turn = (each for several in zip_longest(*by_kind) for each in several if each)
     small = _small_crossings(found) if found.crossings else in_turn
-    if likely is None:
+    if not is_limited:
         yield from (_valid(begin, npcs) for (its_size, npcs), begin in product(small, begins) if its_size <= size)
         return
     fewer = (_valid(begin, npcs) for (its_size, npcs), begin in product(small, begins) if its_size < size)
-    yield from (each for each in islice(fewer, MOST_SMALL) if each is not None and likely(each, scenario))
+    yield from islice(fewer, MOST_SMALL)
 
 
 def _small_crossings(found: Scenario) -> Sequence[Sized]:
@@ -605,32 +642,32 @@ def _two_steps(scenario: Scenario) -> Candidates:
             yield from simplified(first)
 
 
-def _intervals(gate: _Gate) -> Iterator[SpeedInterval]:
-    """Yield for every instruction the lowest and highest speed found at which the scenario still fails."""
+def _intervals(gate: _Gate, intervals: list[SpeedInterval]) -> Asking[None]:
+    """Add for every instruction the lowest and highest speed found at which the scenario still fails."""
     scenario = gate.best
     for npc, start, end, speed in _all_blocks(scenario):
 
-        def fails(change: int, npc: int = npc, start: int = start, end: int = end, speed: int = speed) -> bool:
+        def fails(change: int, npc: int = npc, start: int = start, end: int = end, speed: int = speed) -> Asking[bool]:
             candidate = _with_speed(scenario, npc, start, end, speed + change)
-            return candidate is not None and gate.driven(candidate) is not None
+            return candidate is not None and (yield from gate.driven(candidate)) is not None
 
-        down = _furthest(fails, -1, most=speed)
-        up = _furthest(fails, 1, most=max(gate.top - speed, 0))
-        yield SpeedInterval(npc=npc, gene=start, low=_mps(speed - down), high=_mps(speed + up))
+        down = yield from _furthest(fails, -1, most=speed)
+        up = yield from _furthest(fails, 1, most=max(gate.top - speed, 0))
+        intervals.append(SpeedInterval(npc=npc, gene=start, low=_mps(speed - down), high=_mps(speed + up)))
 
 
-def _furthest(holds: Callable[[int], bool], direction: int, most: int) -> int:
+def _furthest(holds: Callable[[int], Asking[bool]], direction: int, most: int) -> Asking[int]:
     """Return the largest number of steps found, at most ``most``, for which ``holds`` is true; it is true for 0.
 
     The number doubles while ``holds`` is true, and is bisected after that, so the number of calls grows with the
     logarithm of ``most``.
     """
     good, bad = 0, min(ONE, most)
-    while bad > good and holds(direction * bad):
+    while bad > good and (yield from holds(direction * bad)):
         good, bad = bad, min(2 * bad, most)
     while bad - good > 1:
         middle = (good + bad) // 2
-        good, bad = (middle, bad) if holds(direction * middle) else (good, middle)
+        good, bad = (middle, bad) if (yield from holds(direction * middle)) else (good, middle)
     return good
 
 

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import argparse
 import time
-from collections.abc import Callable
 from dataclasses import asdict, replace
 from functools import partial
 from typing import TYPE_CHECKING
@@ -40,7 +39,8 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 def run_shrink(item: pytest.Function, request: Request, saved: Saved) -> None:
     """Shrink the saved scenario of an item; fail the item if the scenario does not fail as its file says."""
     __tracebackhide__ = True
-    from pytest_pafot.campaign.later_shrinking import shrink_saved  # noqa: PLC0415  (imports the simulation)
+    from pytest_pafot.campaign.events import Progress  # noqa: PLC0415  (imports the simulation)
+    from pytest_pafot.campaign.later_shrinking import Later, shrink_saved  # noqa: PLC0415
     from pytest_pafot.campaign.replays import Replays  # noqa: PLC0415
     from pytest_pafot.campaign.request import build_space  # noqa: PLC0415
     from pytest_pafot.campaign.search_session import prepared  # noqa: PLC0415
@@ -61,7 +61,24 @@ def run_shrink(item: pytest.Function, request: Request, saved: Saved) -> None:
     now = time.monotonic()
     limit = time_limit(request.settings, now=now, began=item.config.stash[SHARED].began, left=1)
     with prepared(harness, space=space, wants_each=False) as parts:
-        later = shrink_saved(parts, saved, path=path, until=limit.until, tell=_telling(item, saved.id))
+        told_at = now
+        for event in shrink_saved(parts, saved, path=path, until=limit.until):
+            if isinstance(event, Later):
+                later = event
+            elif (time_now := time.monotonic()) - told_at >= item.config.stash[SHARED].progress_seconds:
+                told_at = time_now
+                progress = Progress(
+                    node_id=item.nodeid,
+                    generation=0,
+                    generations=None,
+                    runs=0,
+                    failing=0,
+                    finds=0,
+                    seconds=told_at - now,
+                    phase=event.text,
+                    of=event.of,
+                )
+                messages.send(item, "progress", asdict(progress))
     for note in later.notes:
         messages.send(item, "note", {"text": note})
     told = f"{visible(path)}: {later.told}"
@@ -73,31 +90,3 @@ def run_shrink(item: pytest.Function, request: Request, saved: Saved) -> None:
         except CorpusWriteError as error:
             raise RequestError(str(error)) from None
     messages.send(item, "done", {"text": told})
-
-
-def _telling(item: pytest.Item, find_id: str) -> Callable[[str], None]:
-    """Return a function that reports the work that goes on, not more often than the terminal wants."""
-    from pytest_pafot.campaign.events import Progress  # noqa: PLC0415
-
-    told_at = began = time.monotonic()
-
-    def tell(phase: str) -> None:
-        nonlocal told_at
-        now = time.monotonic()
-        if now - told_at < item.config.stash[SHARED].progress_seconds:
-            return
-        told_at = now
-        progress = Progress(
-            node_id=item.nodeid,
-            generation=0,
-            generations=None,
-            runs=0,
-            failing=0,
-            finds=0,
-            seconds=now - began,
-            phase=phase,
-            of=find_id,
-        )
-        messages.send(item, "progress", asdict(progress))
-
-    return tell

@@ -32,9 +32,10 @@ from pathlib import Path
 from example_ads import defects
 from pytest_pafot import Highway, Run, Scenario
 from pytest_pafot.attribution.responsibility import is_ego_responsible
-from pytest_pafot.campaign.simplification import ROLLOUTS, ROLLOUTS_IN_KERNEL, driven, starts_of
+from pytest_pafot.campaign.refine.runs import driven
+from pytest_pafot.campaign.refine.simplest import ROLLOUTS, ROLLOUTS_IN_KERNEL, starts_of
 from pytest_pafot.findings.finding import of_failure
-from pytest_pafot.findings.shrink import Shrunk, Start, shrink, size_of, sort_key
+from pytest_pafot.findings.shrink import Shrunk, Start, size_of, sort_key
 from pytest_pafot.findings.signature import Signature
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.scenario import (
@@ -49,6 +50,7 @@ from pytest_pafot.model.scenario import (
 )
 from tests.benchmarks.command import as_they_end, options, print_head, seeds_of
 from tests.benchmarks.positive_controls import NOT_RUN_COLLISION, factory_of, searched
+from tests.helpers.shrinking import shrink
 
 ROUND_SPEEDS = (0.0, 5.0, 10.0, 15.0, 20.0, 25.0)
 SIZES = ("NPCs", "instructions", "moves", "NPCs in lanes", "genes", "genes of all NPCs")

@@ -39,10 +39,10 @@ import numpy as np
 from highway_env.vehicle.behavior import IDMVehicle
 
 from pytest_pafot import Highway, PositionInstruction, Run, Scenario, Trace, World, explore
-from pytest_pafot.campaign.simplification import ROLLOUTS, driven
+from pytest_pafot.campaign.refine.runs import driven
+from pytest_pafot.campaign.refine.simplest import ROLLOUTS
 from pytest_pafot.execution.runner import DecisionCache
 from pytest_pafot.extras.training import random_scenarios
-from pytest_pafot.findings.shrink import shrink
 from pytest_pafot.model.trace import FloatArray, Outcome
 from pytest_pafot.searching import (
     Evaluation,
@@ -60,6 +60,7 @@ from tests.benchmarks.positive_controls import holds
 from tests.helpers.campaigns import run_campaign
 from tests.helpers.gym_loop import drive, make_env, place, si_actions
 from tests.helpers.interpreted import InterpretedWorld
+from tests.helpers.shrinking import shrink
 
 SCENARIO = Scenario(
     npcs=(

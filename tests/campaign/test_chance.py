@@ -9,12 +9,13 @@ import pytest
 import pytest_pafot as pafot
 from pytest_pafot.campaign.explore import replays_of, request_of
 from pytest_pafot.campaign.later_shrinking import shrink_saved
+from pytest_pafot.campaign.refine import confirming, simplest, steps
+from pytest_pafot.campaign.refine.simplest import Simplest
 from pytest_pafot.campaign.search_session import prepared
-from pytest_pafot.campaign.simplification import Simplification
 from pytest_pafot.corpus.reader import load
 from pytest_pafot.corpus.saved import saved_in
 from pytest_pafot.corpus.writer import rewrite
-from pytest_pafot.findings.failure_rate import FailureRate
+from pytest_pafot.findings.failure_rate import FEW_RUNS, ODDS, FailureRate
 from pytest_pafot.findings.shrink import OutOfBudget, Shrunk
 
 SHORT = {"genes": 2, "gene_seconds": 2, "npcs": 2, "ego_lane": 1, "ego_speed": 22, "replay_neighbours": 0}
@@ -95,8 +96,12 @@ def test_a_finding_that_does_not_repeat_has_a_rate_too_and_is_shrunk_by_it(tmp_p
 
 
 def test_a_finding_that_does_not_repeat_stays_as_it_was_found_if_it_is_too_rare_to_compare(tmp_path, monkeypatch):
-    monkeypatch.setattr(Simplification, "_rate", lambda work, kept, scenario: FailureRate(failing=1, runs=60))
-    monkeypatch.setattr(Simplification, "_fails", lambda work, scenario: False)  # in the runs that are to be compared
+    def seldom(*given):
+        return FailureRate(failing=1, runs=60)
+        yield
+
+    monkeypatch.setattr(steps, "failure_rate", seldom)
+    monkeypatch.setattr(simplest, "fails", lambda *given: False)  # in the runs that are to be compared
     told = found(Unrepeatable, tmp_path)
     assert told.finding.flaky
     assert told.finding.original is None
@@ -126,7 +131,8 @@ def test_what_few_lucky_runs_have_kept_is_taken_back_but_no_more(tmp_path, monke
     is_as_often = FailureRate.is_as_often
 
     def lucky(rate, outcomes, *of_the_result):
-        return is_as_often(rate, outcomes, *of_the_result) if of_the_result else any(outcomes)
+        is_step = of_the_result == (FEW_RUNS, ODDS)
+        return any(outcomes) or None if is_step else is_as_often(rate, outcomes, *of_the_result)
 
     monkeypatch.setattr(FailureRate, "is_as_often", lucky)
     finding = found(BrakesForTwo, tmp_path).finding
@@ -135,21 +141,28 @@ def test_what_few_lucky_runs_have_kept_is_taken_back_but_no_more(tmp_path, monke
     assert finding.rate.failing >= 10
 
 
+def first_npc(sighting, scenario, *, is_cut, rollouts=1):
+    shrunk = Shrunk(rollouts=rollouts)
+    return Simplest(scenario=scenario, shrunk=shrunk, as_found=sighting.finding.rate, attempts=1, is_cut=is_cut)
+
+
 def test_a_finding_that_is_again_as_it_was_found_has_the_rate_of_that_scenario(tmp_path, monkeypatch):
     """Its first turn ended with a simpler scenario in the file, which fails more rarely."""
 
-    def shrunk(work, kept, found, turn):
-        saved.append(kept.finding)
-        turn.attempts, turn.is_over = 1, kept.finding.original is None
-        work._known, work.state.answers[kept.find.id] = kept.finding.rate, []
-        return replace(found, npcs=found.npcs[:1], seed=len(saved)), Shrunk(rollouts=1)
+    def simplest_of(sighting, original, state, *rest):
+        saved.append(sighting.finding)
+        state.answers[sighting.find.id] = []
+        scenario = replace(original, npcs=original.npcs[:1], seed=len(saved))
+        return first_npc(sighting, scenario, is_cut=sighting.finding.original is None)
+        yield
 
-    def compared(work, kept, known, simplest):
-        return simplest if kept.finding.original is None else None
+    def compared(sighting, as_found, simplest, *rest):
+        return simplest if sighting.finding.original is None else None
+        yield
 
     saved = []
-    monkeypatch.setattr(Simplification, "_shrunk", shrunk)
-    monkeypatch.setattr(Simplification, "_failing_as_often", compared)
+    monkeypatch.setattr(steps, "simplest_of", simplest_of)
+    monkeypatch.setattr(confirming, "_failing_as_often", compared)
     finding = found(type("Unrepeatable", (BrakesForTwo,), {"draw": OWN.random}), tmp_path).finding
     assert saved[-1].original == finding.scenario
     assert saved[-1].rate.failing <= 6
@@ -157,18 +170,20 @@ def test_a_finding_that_is_again_as_it_was_found_has_the_rate_of_that_scenario(t
 
 
 def test_a_finding_whose_time_ended_at_nothing_that_fails_as_often_is_not_done(tmp_path, monkeypatch):
-    def shrunk(work, kept, found, turn):
-        turns.append(turn)
-        turn.attempts, turn.is_over = 1, len(turns) == 1
-        work._known, work.state.answers[kept.find.id] = kept.finding.rate, []
-        return replace(found, npcs=found.npcs[:1]), Shrunk(rollouts=len(turns))
+    def simplest_of(sighting, original, state, *rest):
+        turns.append(1)
+        state.answers[sighting.find.id] = []
+        scenario = replace(original, npcs=original.npcs[:1])
+        return first_npc(sighting, scenario, is_cut=len(turns) == 1, rollouts=len(turns))
+        yield
 
-    def compared(work, kept, known, simplest):
+    def compared(sighting, as_found, simplest, *rest):
         return None if len(turns) == 1 else simplest
+        yield
 
     turns = []
-    monkeypatch.setattr(Simplification, "_shrunk", shrunk)
-    monkeypatch.setattr(Simplification, "_failing_as_often", compared)
+    monkeypatch.setattr(steps, "simplest_of", simplest_of)
+    monkeypatch.setattr(confirming, "_failing_as_often", compared)
     finding = found(Brakes, tmp_path).finding
     assert (len(finding.scenario.npcs), finding.shrunk.rollouts) == (1, 2)
 
@@ -188,7 +203,7 @@ def test_a_later_session_goes_on_measuring_how_often_a_finding_fails(tmp_path, m
     attempts = count()
     runs, text = session("whole")
     with monkeypatch.context() as patch:
-        patch.setattr("pytest_pafot.campaign.simplification._Turn.check", cut)
+        patch.setattr("pytest_pafot.campaign.refine.simplest.Turn.check", cut)
         assert session("parts")[0] == 20 + 150
     assert session("parts") == (runs - 150, text)
 
@@ -198,7 +213,7 @@ def test_a_file_whose_rate_is_of_many_runs_is_shrunk(tmp_path):
     rewrite(told.file, replace(load(told.file), rate=FailureRate(failing=60, runs=100)))
     replays, saved = saved_with(Brakes, tmp_path, shrink_rollouts=40, neighbours=0)
     with prepared(replays.harness) as parts:
-        later = shrink_saved(parts, saved, path="", tell=lambda text: None)
+        *_, later = shrink_saved(parts, saved, path="")
     assert len(later.finding.scenario.npcs) == 1
 
 

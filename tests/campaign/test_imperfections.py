@@ -3,7 +3,7 @@
 import pytest
 
 import pytest_pafot as pafot
-from pytest_pafot.campaign.simplification import needed_imperfections
+from pytest_pafot.campaign.refine.drivers import needed_imperfections
 from pytest_pafot.corpus.reader import load
 from pytest_pafot.model.sight import Sight
 from tests.helpers.perceiving import Careful, Debouncing, GhostFiltering, Oblivious

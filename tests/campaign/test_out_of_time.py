@@ -12,8 +12,9 @@ import pytest
 
 import pytest_pafot as pafot
 from example_ads import constant_speed
-from pytest_pafot.campaign import explore, search_session, simplification, state_file, watch, workers
+from pytest_pafot.campaign import explore, search_session, state_file, watch, workers
 from pytest_pafot.campaign.events import FindTold, Progress
+from pytest_pafot.campaign.refine.simplest import Turn
 from pytest_pafot.execution import runner
 from pytest_pafot.execution.scenario_pool import CapturedOutput
 from pytest_pafot.findings.shrink import OutOfBudget
@@ -391,7 +392,7 @@ def test_what_was_shrunk_before_a_run_is_cut_is_saved(clock, monkeypatch):
 
         return decide
 
-    for module in ("search", "workers", "simplification"):
+    for module in ("search", "workers", "refine.steps", "refine.simplest"):
         monkeypatch.setattr(f"pytest_pafot.campaign.{module}.runs_end_in", runs_end_in)
     options = SHORT | {"runs": 1000, "stop_after": 1, "max_time": 240, "shrink_rollouts": 300}
     result = pafot.explore(slow, holds=fails_in_three_ways, corpus="corpus", **options)
@@ -401,7 +402,7 @@ def test_what_was_shrunk_before_a_run_is_cut_is_saved(clock, monkeypatch):
 
 
 def test_time_is_kept_for_a_run_that_another_process_made_in_advance():
-    turn = simplification._Turn(until=100.0)
+    turn = Turn(until=100.0)
     turn.took(0.0, confirming=10.0)
     turn.check(74.0)
     with pytest.raises(OutOfBudget):
@@ -409,7 +410,7 @@ def test_time_is_kept_for_a_run_that_another_process_made_in_advance():
 
 
 def test_time_is_kept_for_the_runs_that_compare_rates():
-    turn = simplification._Turn(until=1000.0, runs_to_compare=180)
+    turn = Turn(until=1000.0, runs_to_compare=180)
     turn.took(20.0, confirming=4.0)  # it takes many runs of 2 s each
     turn.check(609.0)
     with pytest.raises(OutOfBudget):

@@ -9,11 +9,12 @@ from hypothesis import strategies as st
 from pytest_pafot.corpus.reader import parsed
 from pytest_pafot.corpus.writer import text_of
 from pytest_pafot.execution.crash_records import CrashRecord, leftovers
-from pytest_pafot.findings.shrink import shrink, size_of, sort_key
+from pytest_pafot.findings.shrink import size_of, sort_key
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.scenario import SHIFTS, LaneInstruction, PositionInstruction, Scenario
 from pytest_pafot.support.errors import CorpusError
 from tests.findings.builders import plain_finding
+from tests.helpers.shrinking import shrink
 
 PATH = "front-2-1f3a9c.pafot.yaml"
 

@@ -10,7 +10,7 @@ import pytest
 import pytest_pafot as pafot
 from pytest_pafot.attribution.takeovers import Avoidance
 from pytest_pafot.campaign.events import FindTold
-from pytest_pafot.campaign.moments import braked_for, moment_of, text_of
+from pytest_pafot.campaign.refine.moment import _braked_for, _moment_of, _text_of
 from pytest_pafot.findings.decisions import (
     Answers,
     Moment,
@@ -95,7 +95,7 @@ def test_decisions_that_hardly_differ_are_the_same(action, other, expected):
     ],
 )
 def test_each_kind_of_action_has_its_words(action, other, text):
-    assert text_of(action, other) == text
+    assert _text_of(action, other) == text
 
 
 def test_answers_are_told_in_one_line():
@@ -154,6 +154,25 @@ def test_a_moment_is_told_in_one_line():
     assert str(other) == "3.0 s, the first that differs: 1; the reference 0"
 
 
+def returned(steps):
+    """Return the result of a generator of which nothing else is of interest."""
+    try:
+        while True:
+            next(steps)
+    except StopIteration as done:
+        return done.value
+
+
+def asking(ask):
+    """Return what asks a policy by a function of a question."""
+
+    def asks(npc, question):
+        return ask(question)
+        yield
+
+    return asks
+
+
 @pytest.mark.parametrize("factory", [Listing, pafot.Perception(Listing, latency=0.2)], ids=["perfect", "late"])
 def test_a_policy_decides_beside_its_run_with_a_vehicle_hidden(factory):
     trace = WORLD.rollout(SCENARIO, factory)
@@ -200,7 +219,7 @@ def test_a_vehicle_is_found_by_its_id_among_ghosts_in_any_order():
         assert whole.answers == list(trace.actions)
         hidden = asked(factory, trace, question=Question(number=number, instead=changed(whole.at, 0, None)))
         assert hidden.answers[number] == without_it.answers[number]
-        moment = moment_of(trace, 0, number, whole, without_it, lambda _: None)
+        moment = returned(_moment_of(trace, 0, number, whole, without_it, asking(lambda _: None)))
         ego, other = trace.states[trace.decision_ticks[number], :2]
         boxes = [(state[2], *size) for state, size in zip((ego, other), trace.sizes, strict=False)]
         assert moment.seen == placed(*(other - ego)[[0, 1, 3]], *boxes)
@@ -217,7 +236,7 @@ def test_a_moment_of_an_environments_policy_says_only_where_it_is_known_to_see(s
     whole, without_it = (
         asked(factory, trace, npc=npc, world=world, check=int, question=Question(number=number)) for npc in (None, 0)
     )
-    moment = moment_of(trace, 0, number, whole, without_it, lambda _: None, factory.sight)
+    moment = returned(_moment_of(trace, 0, number, whole, without_it, asking(lambda _: None), factory.sight))
     assert bool(moment.seen) is is_told
 
 
@@ -285,10 +304,8 @@ def test_a_changed_observation_differs_in_that_vehicle_alone():
 def moment_at(number, factory, trace):
     whole, without_it = (asked(factory, trace, npc=npc, question=Question(number=number)) for npc in (None, 0))
 
-    def ask(instead):
-        return asked(factory, trace, question=Question(number=number, instead=instead))
-
-    return moment_of(trace, 0, number, whole, without_it, ask)
+    ask = asking(lambda question: asked(factory, trace, question=question))
+    return returned(_moment_of(trace, 0, number, whole, without_it, ask))
 
 
 def on_the_last_but_one(seen, observation):
@@ -343,7 +360,7 @@ def test_a_policy_that_decides_otherwise_before_the_moment_is_not_asked(factory,
     for _ in range(2):
         clear()
         asides.append(asked(factory, trace, question=Question(number=number)))
-    moment = moment_of(trace, 0, number, *asides, lambda _: asked(factory, trace))
+    moment = returned(_moment_of(trace, 0, number, *asides, asking(lambda _: asked(factory, trace))))
     assert moment.action
     assert (moment.hidden, moment.otherwise) == (None, None)
 
@@ -382,11 +399,9 @@ def test_a_vehicle_that_masks_another_is_the_one_that_the_lack_of_braking_depend
     number = 5
     whole, without_it = (asked(Trusting, trace, npc=npc, question=Question(number=number)) for npc in (None, 1))
 
-    def ask(instead):
-        return asked(Trusting, trace, question=Question(number=number, instead=instead))
-
-    assert braked_for(number, whole, {1: without_it}, ask, is_needless=False) == 1
-    assert braked_for(number, whole, {1: without_it}, ask, is_needless=True) is None
+    ask = asking(lambda question: asked(Trusting, trace, question=question))
+    assert returned(_braked_for(number, whole, {1: without_it}, ask, is_needless=False)) == 1
+    assert returned(_braked_for(number, whole, {1: without_it}, ask, is_needless=True)) is None
 
 
 def crash(ads):
@@ -439,7 +454,7 @@ def test_an_ego_that_brakes_too_softly_has_the_last_decision_that_avoids_it_too(
     run = crash(lambda: lambda seen: (-2.0 if seen.time >= 3.0 else 0.0, 0.0))
     number = deciding(run, expecting(run, avoided_by=Avoidance(time=4.0, braking=6.0)))
     assert number / run.trace.ads_hz == 4.0
-    assert text_of(run.trace.actions[number]) == "acceleration -2.0 m/s^2"
+    assert _text_of(run.trace.actions[number]) == "acceleration -2.0 m/s^2"
 
 
 def to_lanes(*plan):

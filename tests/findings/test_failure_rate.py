@@ -1,6 +1,5 @@
 """How often a policy fails that draws random numbers, and what a change of that means."""
 
-import itertools
 import math
 import random
 
@@ -60,13 +59,20 @@ def test_a_sentence_says_how_sure_a_change_is():
     assert rate(14, 20).compared(rate(13, 20), "runs").endswith(": as before, 95 %: 40.8 to 84.6 %")
 
 
+def compared(then, fails, *options):
+    """Return whether a scenario fails as often, and the number of runs that it took to say so."""
+    outcomes = []
+    while (answer := then.is_as_often(outcomes, *options)) is None:
+        outcomes.append(fails())
+    return answer, len(outcomes)
+
+
 @pytest.mark.parametrize(("most", "odds"), [(FEW_RUNS, ODDS), (KNOWN_RUNS, SURE_ODDS)], ids=["a step", "the result"])
 def test_a_simpler_scenario_must_fail_about_as_often(most, odds):
     draw = random.Random(1)
 
     def kept(then, share):
-        outcomes = (draw.random() < share for _ in itertools.count())
-        return sum(rate(then, 200).is_as_often(outcomes, most, odds) for _ in range(200)) / 200
+        return sum(compared(rate(then, 200), lambda: draw.random() < share, most, odds)[0] for _ in range(200)) / 200
 
     is_result = most == KNOWN_RUNS
     assert kept(140, 0.7) > (0.8 if is_result else 0.5)
@@ -79,9 +85,7 @@ def test_a_simpler_scenario_must_fail_about_as_often(most, odds):
 
 @pytest.mark.parametrize(("failing", "runs"), [(200, 2), (180, 2), (80, 8), (30, 20), (1, 20)])
 def test_what_never_fails_is_left_the_sooner_the_more_often_the_finding_fails(failing, runs):
-    asked = iter([False] * 30)
-    assert not rate(failing, 200).is_as_often(asked)
-    assert len(list(asked)) == 30 - runs
+    assert compared(rate(failing, 200), lambda: False) == (False, runs)
 
 
 def test_other_seeds_change_only_the_seed():

@@ -157,6 +157,15 @@ def test_neighbours_do_not_depend_on_the_hash_seed():
     assert told == {f"{[each.id for each in around(ON_GRID, 5)]}\n"}
 
 
+def breadth_by(fails, scenario, number, **given):
+    asking, answer = breadth_of(scenario, number, limits(**given)), None
+    try:
+        while True:
+            answer = fails(asking.send(answer)[0])
+    except StopIteration as done:
+        return done.value
+
+
 def breadth(fails, number=40, scenario=ON_GRID):
     ran = []
 
@@ -164,7 +173,7 @@ def breadth(fails, number=40, scenario=ON_GRID):
         ran.append(each)
         return fails(each)
 
-    return breadth_of(scenario, number, fails=runs, limits=limits()), ran
+    return breadth_by(runs, scenario, number), ran
 
 
 def test_breadth_counts_the_neighbours_that_fail_until_its_word_is_clear():
@@ -200,7 +209,7 @@ def test_fewer_neighbours_count_if_there_are_no_more():
     found, ran = breadth(lambda each: each.ego_speed > 8, number=10_000, scenario=AT_A_ZONE)
     assert 100 < found.of == len(ran) < 10_000
     assert 0 < found.failing < found.of
-    assert breadth_of(ON_GRID, 9, fails=lambda each: True, limits=limits(fits=lambda each: False)) is None
+    assert breadth_by(lambda each: True, ON_GRID, 9, fits=lambda each: False) is None
 
 
 def test_runs_that_are_the_findings_own_are_no_neighbours():
@@ -252,7 +261,7 @@ def test_neighbours_of_a_real_finding_fail_around_it():
     several = around(scenario, 20)
     for each in several:
         world.check_fits(each)
-    found = breadth_of(scenario, 20, fails=fails, limits=limits())
+    found = breadth_by(fails, scenario, 20)
     assert found.failing > 5
 
 

@@ -6,10 +6,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pytest_pafot.findings.shrink import instructions, shrink, size_of, sort_key
+from pytest_pafot.findings.shrink import instructions, size_of, sort_key
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.scenario import CrossingInstruction, PositionInstruction, Scenario, ScenarioError
 from tests.helpers.crossings import junction
+from tests.helpers.shrinking import shrink
 from tests.helpers.tables import table
 
 JUNCTION = junction()

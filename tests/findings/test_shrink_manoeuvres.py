@@ -7,9 +7,10 @@ from dataclasses import replace
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pytest_pafot.findings.shrink import instructions, shrink, sort_key
+from pytest_pafot.findings.shrink import instructions, sort_key
 from pytest_pafot.model.scenario import Manoeuvre, PositionInstruction, Scenario, Step
 from pytest_pafot.strategies import manoeuvres
+from tests.helpers.shrinking import shrink
 from tests.helpers.tables import table
 
 BUSY = Manoeuvre(

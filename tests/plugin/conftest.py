@@ -222,7 +222,7 @@ def project(request, pytester, monkeypatch, found):
 
 def omit_slow_steps(monkeypatch):
     monkeypatch.setattr(workers, "_difference_in_gym", lambda run, workers: "")
-    monkeypatch.setattr(Harness, "reference_outcomes", lambda self, run, verdict, failed: {})
+    monkeypatch.setattr(Harness, "reference_outcomes", lambda self, run, verdict: ({}, []))
     monkeypatch.setenv("PAFOT_SHRINK_ROLLOUTS", "0")
     monkeypatch.setenv("PAFOT_ISOLATE", "0")
 

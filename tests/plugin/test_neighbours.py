@@ -6,6 +6,7 @@ from contextlib import contextmanager
 import pytest
 
 from pytest_pafot.findings.neighbours import Breadth
+from pytest_pafot.findings.shrink import Ahead
 
 COLLIDES = """
 @pafot.search(SHORT, stop_after=1)
@@ -79,7 +80,7 @@ def test_the_number_may_be_argument_or_ini_key(project, source, monkeypatch):
 
 
 def test_neighbours_that_the_time_does_not_allow_are_not_counted_in_part(collides, monkeypatch):
-    monkeypatch.setattr("pytest_pafot.campaign.simplification.breadth_of", ends)
+    monkeypatch.setattr("pytest_pafot.campaign.refine.breadth.breadth_of", ends)
     result, record, contents = run(collides, "--pafot-neighbours=8")
     assert record["breadth"] is None
     assert len(contents) == 1
@@ -113,8 +114,9 @@ def test_a_world_that_raises_in_a_neighbour_loses_no_finding(project):
     result.stdout.fnmatch_lines([f"*no neighbours of saved-{record['id']}: IndexError: not at *"])
 
 
-def ends(scenario, number, *, fails, **_):
-    assert fails(scenario) is None  # it is the finding's own run
+def ends(scenario, *_):
+    answer = yield scenario, Ahead((), more=False)
+    assert answer is None  # it is the finding's own run
     from pytest_pafot.support.errors import OutOfTime
 
     raise OutOfTime
@@ -218,7 +220,7 @@ def test_the_conditions_of_the_moment_are_told_also_if_the_policy_is_isolated(pr
 
 
 def test_no_conditions_are_told_of_a_policy_that_decides_otherwise_when_it_is_asked(project, monkeypatch):
-    monkeypatch.setattr("pytest_pafot.campaign.simplification.Conditions", lambda *_: Otherwise())
+    monkeypatch.setattr("pytest_pafot.campaign.refine.moment.Conditions", lambda *_: Otherwise())
     project.write(READS)
     moment = run(project, "--pafot-neighbours=8", "--pafot-shrink-rollouts=0", generations=20)[1]["moment"]
     assert moment["action"]

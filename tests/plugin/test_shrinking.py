@@ -8,10 +8,10 @@ import pytest
 from highway_env.vehicle.behavior import IDMVehicle
 
 import pytest_pafot as pafot
-import pytest_pafot.campaign.simplification
+import pytest_pafot.campaign.refine.simplest
 import pytest_pafot.world.engines.gym_replay  # pytester forgets modules that a run imports; reading them is slow
 from example_ads import constant_speed
-from pytest_pafot.campaign.simplification import ROLLOUTS, ROLLOUTS_IN_KERNEL, _Turn, rollouts_for, starts_of
+from pytest_pafot.campaign.refine.simplest import ROLLOUTS, ROLLOUTS_IN_KERNEL, Turn, rollouts_for, starts_of
 from pytest_pafot.corpus.reader import load
 from pytest_pafot.findings.failure_rate import FailureRate
 from pytest_pafot.findings.shrink import OutOfBudget, sort_key
@@ -198,7 +198,7 @@ def test_finding_cut_again_says_so_despite_replay(project, monkeypatch):
         turn.is_over = True
         raise OutOfBudget
 
-    monkeypatch.setattr(_Turn, "check", check)
+    monkeypatch.setattr(Turn, "check", check)
     project.write("@pafot.search(SHORT, stop_after=1)\ndef test_fails(run):\n    assert run.scenario.id == ''\n")
     for _ in range(2):
         result = run(project, "--pafot-resume=states", "--pafot-json=out.json")
@@ -210,7 +210,7 @@ def test_finding_cut_again_says_so_despite_replay(project, monkeypatch):
 def test_simplification_unfit_for_the_road_is_skipped(monkeypatch):
     """From the second gene on, the ego would start in the outer lane, which has no room for six NPCs around it."""
     starts = ((1, 22.0), (0, 22.0), (0, 22.0))
-    monkeypatch.setattr(pytest_pafot.campaign.simplification, "starts_of", lambda run, top_speed: starts)
+    monkeypatch.setattr(pytest_pafot.campaign.refine.simplest, "starts_of", lambda run, top_speed: starts)
 
     def holds(run):
         assert len(run.scenario.npcs) < 6 or min(map(len, run.scenario.npcs)) < 2

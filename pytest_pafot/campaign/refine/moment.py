@@ -1,0 +1,307 @@
+"""The moment of a finding: what a policy that is asked again says of the decision that could have avoided it."""
+
+from __future__ import annotations
+
+import pickle
+from collections.abc import Callable, Mapping
+from contextlib import nullcontext
+from dataclasses import is_dataclass, replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from pytest_pafot.campaign.events import FindTold, Phase, Refining
+from pytest_pafot.campaign.harness import refusals
+from pytest_pafot.campaign.refine.runs import check_time
+from pytest_pafot.campaign.state import State
+from pytest_pafot.campaign.store import Store
+from pytest_pafot.campaign.workers import Workers
+from pytest_pafot.execution.runner import call_apart, runner_for
+from pytest_pafot.findings.decisions import (
+    HARDER,
+    NEEDLESS,
+    PARTS,
+    Answers,
+    Moment,
+    braking_of,
+    counted,
+    deciding,
+    differ,
+    is_si,
+    parts_of,
+    placed,
+    seen_of,
+    told_parts,
+    vehicle_of,
+    window,
+)
+from pytest_pafot.model.sight import Sight
+from pytest_pafot.model.trace import Trace
+from pytest_pafot.oracle.run import Run
+from pytest_pafot.support.errors import RequestError
+from pytest_pafot.support.source_files import source_files
+from pytest_pafot.world import codec
+from pytest_pafot.world.driving.ads import is_vehicle_class, wants_env
+from pytest_pafot.world.driving.conditions import Conditions
+from pytest_pafot.world.driving.perception import sight_of, without
+from pytest_pafot.world.driving.shadow import Aside, Question, beside, changed
+from pytest_pafot.world.guard.own_worlds import rollout_of
+from pytest_pafot.world.kernel.action import checked_si_action, possible_acceleration, possible_steering
+from pytest_pafot.world.kernel.observation import Observation
+
+Ask = Callable[..., Refining[Aside | None]]
+"""A function that asks a fresh policy beside a run; None if nothing can be hidden or changed in an observation.
+
+Its arguments are an NPC that is hidden in the whole run, or None, and a question about one decision, or None.
+"""
+
+MANY = 1_000_000
+"""More lanes than there are, for actions that a run has checked before."""
+
+LITTLE = {"acceleration": HARDER, "steering": 0.05}
+"""The least differences of an acceleration [m/s^2] and a steering angle [rad] with which a decision is another one."""
+POSSIBLE = {"acceleration": possible_acceleration, "steering": possible_steering}
+"""The parts of a planner's decision with limits, and the functions that limit them to what an ego can do."""
+
+
+def with_moment(sighting: FindTold, state: State, workers: Workers, store: Store) -> Refining[FindTold]:
+    """Return a finding with how many decisions depend on its vehicle, and the last that could have avoided the failure.
+
+    The finding's run is driven again by its recorded actions. Fresh policies decide beside it, with all that the policy
+    saw and without a vehicle. Nothing can be hidden from a vehicle class, which reads the road itself, from a policy
+    that has the environment, or in a world that is not built in. Nothing is said of a policy that decides otherwise
+    when it sees the same.
+    """
+    harness, run = workers.harness, sighting.run
+    if run is None or is_vehicle_class(harness.ads) or wants_env(harness.ads) or not codec.is_built_in(harness.world):
+        return sighting
+    moment = None if harness.against is None else _first_difference(run.trace, state, workers)
+    ask = partial(_asked, sighting, run.trace, state, workers)
+    answers, moment = yield from _on_vehicles(sighting, run, moment, sight_of(harness.ads), ask)
+    return replace(sighting, find=replace(sighting.find, answers=answers, moment=moment))
+
+
+def with_conditions(sighting: FindTold, state: State, workers: Workers, store: Store) -> Refining[FindTold]:
+    """Return a finding with the conditions that a fresh policy evaluates in its moment, if it decides as the run's."""
+    harness, moment, run = workers.harness, sighting.find.moment, sighting.run
+    conditions = None if moment is None else Conditions(source_files(harness.ads), harness.root)
+    if moment is None or run is None or not conditions:
+        return sighting
+    trace = run.trace
+    times = [round(tick / trace.physics_hz, 3) for tick in trace.decision_ticks]
+    number = times.index(moment.time)
+    question = Question(number=number, conditions=conditions)
+    aside = yield from _asked(sighting, trace, state, workers, None, question)
+    if aside is None or any(differ(each, aside.of(at)) for at, each in enumerate(trace.actions[: number + 1])):
+        return sighting
+    moment = replace(moment, conditions=tuple(aside.conditions))
+    return replace(sighting, find=replace(sighting.find, moment=moment))
+
+
+def _on_vehicles(
+    sighting: FindTold, run: Run, moment: Moment | None, sight: Sight | None, ask: Ask
+) -> Refining[tuple[Answers | None, Moment | None]]:
+    """Return how many decisions depend on the vehicle of a failure, and the moment, unless there is one already."""
+    expect, trace = sighting.finding.expect, run.trace
+    npc = vehicle_of(run, expect)
+    if npc is None or not trace.actions:
+        return None, moment
+    number = None if moment is not None else deciding(run, expect)
+    question = None if number is None else Question(number=number)
+    without_it = yield from ask(npc, question)
+    if without_it is None:
+        return None, moment
+    whole = yield from ask(None, question)
+    if whole is None or any(differ(action, whole.of(each)) for each, action in enumerate(trace.actions)):
+        return None, None
+    numbers, since = counted(trace, *window(run, expect))
+    others = [each for each in range(len(run.scenario.npcs)) if each != npc]
+    answers = Answers(
+        npc=npc,
+        since=round(since, 3),
+        decisions=len(numbers),
+        depending=sum(differ(whole.of(each), without_it.of(each)) for each in numbers),
+        unseen=bool(whole.seen) and whole.seen[: numbers.stop] == without_it.seen[: numbers.stop],
+    )
+    if not answers.depending:
+        # Another vehicle may mask it: without that one the policy brakes harder, without this one hardest of all.
+        braked = max(braking_of(whole.of(each)) for each in numbers)
+        for other in others:
+            aside = yield from ask(other, None)
+            hardest = max((braking_of(aside.of(each)) for each in numbers), default=0.0) if aside else 0.0
+            if hardest >= braked + HARDER and hardest > answers.masked:
+                answers = replace(answers, masking=other, masked=round(hardest, 3))
+    if number is not None:
+        moment = yield from _moment_of(trace, npc, number, whole, without_it, ask, sight)
+        if moment.hidden == "" and expect.check is None and run.attribution.fault != "entered-lane":
+            asides = {}
+            for other in others:
+                aside = yield from ask(other, question)
+                if aside is not None:
+                    asides[other] = aside
+            about = yield from _braked_for(number, whole, asides, ask, is_needless=run.attribution.fault in NEEDLESS)
+            if about is not None:
+                moment = yield from _moment_of(trace, about, number, whole, asides[about], ask, sight)
+    return answers, moment
+
+
+def _first_difference(trace: Trace, state: State, workers: Workers) -> Moment | None:
+    """Return the first decision that differs from the one of the reference in the same scenario."""
+    harness, isolate = workers.harness, workers.harness.request.settings.isolate
+    check_time(workers)
+    state.neighbour_runs += 1
+    with harness.reference_runner(harness.job(), workers.record, isolate=isolate) or nullcontext() as runner:
+        run = None if runner is None else harness.run_reference(runner, trace.scenario)[0]
+    workers.record.clear()
+    for number, actions in enumerate(zip(trace.actions, () if run is None else run.trace.actions, strict=False)):
+        if differ(*actions):
+            time = round(trace.decision_ticks[number] / trace.physics_hz, 3)
+            own, other = _text_of(*actions), _text_of(*actions[::-1])
+            return Moment(time=time, npc=None, action=own, reference=other)
+    return None
+
+
+def _asked(
+    sighting: FindTold, trace: Trace, state: State, workers: Workers, npc: int | None, question: Question | None
+) -> Refining[Aside | None]:
+    """Drive a finding by its recorded actions, and return what a policy decides beside the run: see :data:`Ask`."""
+    check_time(workers)
+    yield Phase(f"asking the policy of {trace.executed.id} again", sighting.find.id)
+    state.neighbour_runs += 1
+    from pytest_pafot.world.driving.policy import checked_action  # noqa: PLC0415  (it needs highway-env, helps do not)
+
+    harness, record, scenario = workers.harness, workers.record, trace.executed
+    space, isolate = harness.world.action_space, harness.request.settings.isolate
+    check = partial(checked_si_action, lanes=MANY) if space is None else partial(checked_action, space=space)
+    # A planner with perfect sight sees everybody.
+    aside = Aside(is_noted=space is not None or sight_of(harness.ads) is not None)
+    job = replace(harness.job(), ads=beside(harness.ads, trace.actions, check, aside, question))
+    job = job if npc is None else replace(job, ads=without(job.ads, npc))
+    try:
+        with refusals():
+            if isolate:  # the other process notes what is decided in a copy
+                aside = call_apart(job, scenario, lambda *run: (rollout_of(job.world)(*run), aside)[1])
+                return aside
+            with runner_for(job, record, isolate=False) as runner:
+                runner.run(scenario, afresh=True)
+                return aside
+    except RequestError:
+        return None
+    finally:
+        workers.counted_decisions += aside.asked  # not by the runner of the search
+        record.clear()
+
+
+def _moment_of(
+    trace: Trace, npc: int, number: int, whole: Aside, without_it: Aside, ask: Ask, sight: Sight | None = None
+) -> Refining[Moment]:
+    """Return what a policy saw, answered and would have answered at a decision.
+
+    ``sight`` is the policy's sight; None for perfect sight.
+    """
+    seen, action = whole.at, whole.of(number)
+    is_planner = isinstance(seen, Observation)
+    where = ""
+    if is_planner and npc in seen.ids:
+        ego, other = seen.ego, seen.others[seen.ids.index(npc)]
+        boxes = ((each.heading, each.length, each.width) for each in (ego, other))
+        where = placed(other.x - ego.x, other.y - ego.y, other.speed - ego.speed, *boxes)
+    elif is_planner or pickle.dumps(seen) == pickle.dumps(without_it.at):
+        where = "nowhere"
+    elif sight is None or sight.is_exact:  # otherwise only the environment knows where it seemed to be
+        where = seen_of(trace, npc, number)
+    hidden = otherwise = None
+    tries = [] if is_planner else [("", without_it.at)]
+    if is_planner and npc in seen.ids:
+        tries = [(words, changed(seen, npc, by)) for words, by in _changes(seen, npc)]
+    for words, instead in tries:
+        aside = yield from ask(None, Question(number=number, instead=instead))
+        # Only a policy that decides as the run's until there says what the run's would answer: one that keeps state
+        # in a module or a class still has that of other runs.
+        if aside is None or any(differ(each, aside.of(before)) for before, each in enumerate(trace.actions[:number])):
+            hidden = otherwise = None
+            break
+        answer = aside.of(number)
+        if not words:
+            hidden = _text_of(answer, action) if differ(action, answer) else ""
+            otherwise = "" if is_planner else None
+        elif _is_other(action, answer):
+            otherwise = f"{words} {_text_of(answer, action)}"
+            break
+    time = round(trace.decision_ticks[number] / trace.physics_hz, 3)
+    return Moment(time=time, npc=npc, seen=where, action=_text_of(action), hidden=hidden, otherwise=otherwise)
+
+
+def _braked_for(
+    number: int, whole: Aside, others: Mapping[int, Aside], ask: Ask, *, is_needless: bool
+) -> Refining[int | None]:
+    """Return the vehicle on which it depends most that a policy brakes at a decision, or does not; None if on none.
+
+    Each vehicle is hidden in this one decision. ``others`` has the decisions of a policy without each of them, and
+    ``is_needless`` is whether the policy should not have braked. Of another policy than a planner it is not known how
+    much it brakes, so that there any other decision counts, and only if it should not have braked.
+    """
+    action, found, largest = whole.of(number), None, 0.0
+    for npc, without_it in others.items():
+        aside = yield from ask(None, Question(number=number, instead=without_it.at))
+        if aside is None or aside.of(number) is None:
+            continue
+        answer = aside.of(number)
+        change = (braking_of(answer) - braking_of(action)) * (-1.0 if is_needless else 1.0)
+        if is_needless and not isinstance(whole.at, Observation) and differ(action, answer):
+            change = HARDER
+        if change >= HARDER and change > largest:
+            found, largest = npc, change
+    return found
+
+
+def _is_other(action: Any, other: Any) -> bool:
+    """Return whether an action is another decision, and not a little more or less of the same."""
+    if type(action) is not type(other) or not (is_si(action) or is_dataclass(action)):
+        return differ(action, other)
+    here, there = parts_of(action), parts_of(other)
+
+    def is_little(name: str) -> bool:
+        if name not in LITTLE or here[name] is None or there[name] is None:
+            return False
+        return abs(POSSIBLE[name](here[name]) - POSSIBLE[name](there[name])) < LITTLE[name]
+
+    return not all(is_little(name) for name in told_parts(action, other))
+
+
+def _changes(seen: Observation, npc: int) -> list[tuple[str, tuple[float, float, float] | None]]:
+    """Return what is tried of a vehicle, the smallest first: words, and additions to x, y and speed; None hides it."""
+    other = seen.others[seen.ids.index(npc)]
+    gap = other.x - seen.ego.x
+    found: list[tuple[float, str, tuple[float, float, float] | None]] = [(0.0, "", None)]
+    away, outwards = (1.0 if gap >= 0 else -1.0), (1.0 if other.y >= seen.ego.y else -1.0)
+    for size in (0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0):
+        found.append((size, f"{size:g} m further away", (away * size, 0.0, 0.0)))
+        if size < abs(gap):
+            found.append((size, f"{size:g} m nearer", (-away * size, 0.0, 0.0)))
+    for size in (0.25, 0.5, 1.0, 2.0, 4.0):
+        found.append((4 * size, f"{size:g} m further to the side", (0.0, outwards * size, 0.0)))
+        found.append((4 * size, f"{size:g} m less to the side", (0.0, -outwards * size, 0.0)))
+    for size in (0.5, 1.0, 2.0, 4.0, 8.0, 16.0):
+        found.append((2 * size, f"{size:g} m/s faster", (0.0, 0.0, size)))
+        if size <= other.speed:
+            found.append((2 * size, f"{size:g} m/s slower", (0.0, 0.0, -size)))
+    return [(words, by) for _, words, by in sorted(found, key=lambda each: each[0])]
+
+
+def _text_of(action: Any, other: Any = None) -> str:
+    """Describe an action; of a planner's, the parts in which it differs from another action, or from defaults."""
+    if action is None:
+        return "no decision"
+    if not (is_si(action) or is_dataclass(action)):
+        return f"{action.tolist() if isinstance(action, (np.ndarray, np.generic)) else action!r}"[:80]
+    parts, shown = parts_of(action), []
+    for name in told_parts(action, other):
+        least, form = PARTS.get(name, (0.0, "{}"))
+        if parts[name] is None or (other is None and name == "steering" and abs(parts[name]) < least):
+            continue
+        value, driven = form.format(parts[name]), form.format(POSSIBLE.get(name, lambda same: same)(parts[name]))
+        limit = f", limited to {driven.split()[0]}" if driven != value else ""
+        shown.append(f"{name.replace('_', ' ')} {value}{limit}")
+    return ", ".join(shown)

@@ -1,0 +1,124 @@
+"""The runs with which findings are refined: of other scenarios, with other seeds, and what they show."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import count, islice
+
+from pytest_pafot.campaign.events import FindTold, Phase, Refining
+from pytest_pafot.campaign.harness import limits_of
+from pytest_pafot.campaign.state import State, lose
+from pytest_pafot.campaign.store import Store
+from pytest_pafot.campaign.verdict import Verdict
+from pytest_pafot.campaign.workers import Workers
+from pytest_pafot.execution.pool import ProcessLostError
+from pytest_pafot.findings.failure_rate import ENOUGH, FEW_RUNS, MANY_RUNS, ODDS, FailureRate, with_other_seed
+from pytest_pafot.findings.finding import of_failure
+from pytest_pafot.findings.shrink import Ahead
+from pytest_pafot.findings.signature import Signature
+from pytest_pafot.model.scenario import Scenario, ScenarioError
+from pytest_pafot.oracle.run import Run
+from pytest_pafot.support.errors import OutOfTime
+
+BATCH = 16
+"""The number of candidates that an ADS that decides for many runs at once drives in one batch."""
+
+
+def showing(
+    sighting: FindTold, scenario: Scenario, state: State, workers: Workers, store: Store, most: int | None = None
+) -> Refining[Run | None]:
+    """Run a scenario; return the run if it shows the failure of a finding in fewer than ``most`` decisions."""
+    __tracebackhide__ = True
+    if scenario in state.fatal:
+        return None
+    try:
+        workers.harness.world.check_fits(scenario)
+        for afresh in (False, True):
+            run = workers.run(scenario, afresh=afresh, most=most)
+            if most is not None and len(run.trace.actions) >= most:  # what ended it is no failure of the ADS
+                workers.record.clear()
+                return None
+            if not shows(sighting, run, workers.judge(run, driven(run)), state):
+                return None
+            if workers.runner.is_alone:  # A batch may mix up its rows, and a replay runs it alone.
+                break
+    except ScenarioError:  # For example, it begins in an outer lane, next to which there are too few cells.
+        return None
+    except ProcessLostError as error:
+        yield from lose(error, state, workers, store)
+        return None
+    return run
+
+
+def shows(sighting: FindTold, run: Run, verdict: Verdict, state: State) -> bool:
+    """Return whether a run shows the failure of a finding, and by the same fault, so its name still fits."""
+    shown = of_failure(run, verdict.failure) if verdict.failed and verdict.failure is not None else None
+    return shown is not None and is_same(shown, signature_of(sighting, state))
+
+
+def signature_of(sighting: FindTold, state: State) -> Signature:
+    """Return the signature that a finding had when it was found."""
+    return next(signature for signature, id_ in state.finds.items() if id_ == sighting.find.id)
+
+
+def is_same(shown: Signature, found: Signature) -> bool:
+    """Return whether two failures are the same, by the same fault."""
+    return (shown, shown.fault) == (found, found.fault)
+
+
+def driven(run: Run) -> Scenario:
+    """Return the scenario of a run without the genes that the run did not reach. The run stays the same."""
+    scenario = run.scenario
+    return scenario.truncated(max(1, min(scenario.genes, int(run.duration / scenario.gene_seconds - 1e-9) + 1)))
+
+
+def number_ahead(workers: Workers) -> int:
+    """Return the number of runs that are made at the same time: in other processes, or in one batch."""
+    return BATCH if workers.runner.decides_for_many else workers.harness.request.settings.workers
+
+
+def announce(ahead: Ahead, state: State, workers: Workers) -> None:
+    """Let scenarios be run in advance, if they can be run at all, and if more than one is run at the same time."""
+    if number_ahead(workers) < 2:
+        return
+    fits = limits_of(workers.harness.world).fits
+    workers.runner.announce(
+        [each for each in ahead.candidates if fits(each) and each not in state.fatal], more=ahead.more
+    )
+
+
+def check_time(workers: Workers) -> None:
+    """Raise OutOfTime if the time for the work on findings is over."""
+    if workers.clock() >= workers.until:
+        raise OutOfTime
+
+
+def failure_rate(sighting: FindTold, scenario: Scenario, state: State, workers: Workers) -> Refining[FailureRate]:
+    """Return how often the policy fails in a scenario of a finding."""
+    yield Phase(f"measuring how often {sighting.find.id} fails", sighting.find.id)
+    several = outcomes(sighting, scenario, state, workers)
+    failing, runs = sum(islice(several, FEW_RUNS)), FEW_RUNS
+    if failing < ENOUGH:
+        failing, runs = failing + sum(islice(several, MANY_RUNS - FEW_RUNS)), MANY_RUNS
+    return FailureRate(failing=failing, runs=runs)
+
+
+def outcomes(sighting: FindTold, scenario: Scenario, state: State, workers: Workers, first: int = 1) -> Iterator[bool]:
+    """Run a scenario with one other seed after another, or again and again, and yield whether each run fails."""
+    for number in count(first):
+        state.shrink_runs += 1
+        yield fails(scenario if sighting.find.is_flaky else with_other_seed(scenario, number), workers)
+
+
+def fails(scenario: Scenario, workers: Workers) -> bool:
+    """Return whether the test fails in a run of a scenario."""
+    check_time(workers)
+    return workers.judge(workers.run(scenario, afresh=True)).failed
+
+
+def is_as_often(as_found: FailureRate, several: Iterator[bool], most: int = FEW_RUNS, odds: float = ODDS) -> bool:
+    """Make as many runs of a simpler scenario as it takes to say whether it fails about as often as the finding."""
+    so_far = list[bool]()
+    while (answer := as_found.is_as_often(so_far, most, odds)) is None:
+        so_far.append(next(several))
+    return answer

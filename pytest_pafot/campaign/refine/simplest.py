@@ -1,0 +1,299 @@
+"""The simplest scenario that shows the failure of a finding, by runs of ever simpler ones."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache, partial
+from typing import Any
+
+from pytest_pafot.campaign.events import FindTold, Phase, Refining
+from pytest_pafot.campaign.harness import Harness
+from pytest_pafot.campaign.refine.runs import (
+    announce,
+    driven,
+    fails,
+    is_as_often,
+    is_same,
+    number_ahead,
+    outcomes,
+    showing,
+    signature_of,
+)
+from pytest_pafot.campaign.state import Answer, State
+from pytest_pafot.campaign.store import Store
+from pytest_pafot.campaign.workers import Workers
+from pytest_pafot.findings.failure_rate import FEW_RUNS, KNOWN_RUNS, MANY_RUNS, FailureRate, with_other_seed
+from pytest_pafot.findings.finding import of_failure
+from pytest_pafot.findings.shrink import Ahead, Attempt, Likely, OutOfBudget, Shown, Shrunk, Start, shrink
+from pytest_pafot.findings.signature import Failure
+from pytest_pafot.model.scenario import Scenario, ScenarioError
+from pytest_pafot.model.trace import LANE, SPEED, Trace
+from pytest_pafot.oracle.run import Run
+from pytest_pafot.support.errors import OutOfTime
+from pytest_pafot.world import codec
+from pytest_pafot.world.driving.shadow import repeating
+from pytest_pafot.world.guard.hang_guard import runs_end_in
+
+ROLLOUTS, ROLLOUTS_IN_KERNEL = 300, 3000
+"""The default limits of the runs that shrink one finding.
+
+The larger limit is for an ADS that is a vehicle class of highway-env, because the kernel runs it quickly.
+"""
+
+LATER = 2.0
+"""The time by which a simpler candidate may collide later than the simplest failing scenario so far [s].
+
+A candidate that does not fail would else be driven to the end of its scenario. Of 950 candidates that were kept without
+this limit, 8 collided later, and all runs together had a third more decisions.
+"""
+
+RUNS_TO_CONCLUDE = 3
+"""The approximate time for the work after shrinking, except confirmation, as a number of runs.
+
+One run is for the verdict on the shrunk scenario. The others are for reference drivers, which are fast because the ADS
+is not called.
+"""
+
+RUNS_TO_COMPARE = KNOWN_RUNS + MANY_RUNS
+"""The number of runs to conclude that compare rates: of what is simplest, and of that once more for its file."""
+
+
+@dataclass(slots=True, kw_only=True)
+class Turn:
+    """The share of the remaining time in which one finding is shrunk.
+
+    Attributes:
+        until: the time at which the share ends [s], or infinity.
+        runs_to_compare: the number of runs that compare rates at the end.
+        to_conclude: the estimated time of the work after shrinking [s].
+        attempts: the number of attempts to shrink so far.
+        seconds: the time that the attempts have taken [s].
+        is_over: True if shrinking was stopped because no time was left.
+    """
+
+    until: float
+    runs_to_compare: int = 0
+    to_conclude: float = 0.0
+    attempts: int = 0
+    seconds: float = 0.0
+    is_over: bool = False
+
+    def check(self, now: float) -> None:
+        """Raise OutOfBudget if no time is left for another attempt and the work after it, and in all later calls."""
+        mean = self.seconds / max(self.attempts, 1)
+        self.is_over = self.is_over or now + mean + self.to_conclude >= self.until
+        if self.is_over:
+            raise OutOfBudget
+
+    def took(self, seconds: float, confirming: float | None) -> None:
+        """Record an attempt that took some time [s].
+
+        If the attempt is the simplest failing scenario so far, ``confirming`` is the time to confirm it [s]; else None.
+        """
+        self.attempts += 1
+        self.seconds += seconds
+        if confirming is not None:
+            # It is confirmed by two runs. One that another process made in advance took no time here, and an attempt
+            # takes many where rates are compared.
+            run = confirming / 2 if self.runs_to_compare else max(seconds, confirming / 2)
+            self.to_conclude = (RUNS_TO_CONCLUDE + self.runs_to_compare) * run + confirming
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Simplest:
+    """The simplest scenario that shows the failure of a finding.
+
+    Attributes:
+        scenario, shrunk: the scenario as driven, and the statistics of shrinking.
+        as_found: how often the finding fails, with which simpler scenarios were compared; None if they were not.
+        rate: how often the scenario itself fails; None if that is not by chance, or not known yet.
+        attempts: the number of attempts, without those of earlier turns and sessions.
+        is_cut: True if no time was left for further attempts.
+    """
+
+    scenario: Scenario
+    shrunk: Shrunk
+    as_found: FailureRate | None = None
+    rate: FailureRate | None = None
+    attempts: int = 0
+    is_cut: bool = False
+
+
+def simplest_of(
+    sighting: FindTold, original: Scenario, state: State, workers: Workers, store: Store, turn_ends: float
+) -> Refining[Simplest]:
+    """Shrink the scenario of a finding as it was found, until a time at which the turn of the finding ends [s]."""
+    __tracebackhide__ = True
+    harness, space, id_, is_flaky = workers.harness, state.space, sighting.find.id, sighting.find.is_flaky
+    turn = Turn(until=turn_ends, runs_to_compare=RUNS_TO_COMPARE if sighting.finding.rate else 0)
+    answers = state.answers.setdefault(id_, [])
+    asked, rollouts, top_speed = 0, rollouts_for(harness), harness.world.speed_limit
+    as_found: FailureRate | None = None
+    repeats = _repeats_collision(sighting, harness)
+    # What the ego did in failing scenarios. One that an earlier session has driven is driven again.
+    actions = {} if sighting.run is None else {driven(sighting.run): sighting.run.trace.actions}
+
+    def actions_in(scenario: Scenario) -> tuple[Any, ...]:
+        if scenario not in actions:
+            actions[scenario] = workers.rerun(scenario).trace.actions
+        return actions[scenario]
+
+    def answered(ids: tuple[str, ...], work: Refining[Answer]) -> Refining[Answer]:
+        nonlocal asked
+        # Shrinking asks the same questions in the same order, so an earlier session's answers serve as a prefix.
+        if asked < len(answers) and answers[asked][0] not in ids:
+            del answers[asked:]  # They are from a session with other settings, which made other attempts.
+        if asked == len(answers):
+            began = workers.clock()
+            turn.check(began)
+            try:
+                with runs_end_in(turn.until - turn.to_conclude - began):
+                    _, shown = given = yield from work
+            except OutOfTime:
+                turn.is_over = True
+                raise OutOfBudget from None
+            answers.append(given)
+            turn.took(workers.clock() - began, None if shown is None else _seconds_to_confirm(shown[0], workers))
+            state.offer(store)
+        asked += 1
+        return answers[asked - 1]
+
+    def outcome(scenario: Scenario, texts: tuple[str, str]) -> Refining[Answer]:
+        yield Phase(f"measuring how often {id_} fails", id_)
+        return texts[fails(scenario, workers)], None
+
+    def attempt(candidate: Scenario, best: Scenario | None) -> Refining[Answer]:
+        number = asked + 1 - (0 if as_found is None else KNOWN_RUNS)
+        yield Phase(f"shrinking {id_}, run {number} of {rollouts}", id_)
+        most = None
+        if best is not None and repeats is not None:  # in how many decisions it must fail
+            most = len(actions_in(best)) + round(LATER * repeats.ads_hz)
+        show = partial(showing, sighting, candidate, state, workers, store, most)
+        if as_found is None or not is_flaky:
+            run = yield from show()
+            if run is None:
+                return candidate.id, None
+            scenario = driven(run) if as_found is None else candidate  # other runs of it may fail later
+            actions[scenario] = run.trace.actions
+            # With other seeds in each attempt: simple scenarios would else be fitted to a few seeds.
+            first = KNOWN_RUNS + 1 + asked * FEW_RUNS
+            others = outcomes(sighting, candidate, state, workers, first)
+            is_good = as_found is None or is_as_often(as_found, others)
+            return candidate.id, (scenario, starts_of(run, top_speed)) if is_good else None
+        failing, so_far = list[Run](), list[bool]()
+        while (answer := as_found.is_as_often(so_far)) is None:
+            run = yield from show()
+            failing += [] if run is None else [run]
+            so_far.append(run is not None)
+        return candidate.id, (candidate, starts_of(failing[0], top_speed)) if answer else None
+
+    try:
+        if rollouts and sighting.finding.rate is not None:  # As found: else many small losses would add up.
+            failing = 0
+            for number in range(1, KNOWN_RUNS + 1):
+                other = original if is_flaky else with_other_seed(original, number)
+                texts = f"{other.id} passes", f"{other.id} fails"
+                failing += (yield from answered(texts, outcome(other, texts)))[0] == texts[True]
+            as_found = FailureRate(failing=failing, runs=KNOWN_RUNS)
+            if is_flaky and not failing:
+                rollouts = 0  # Simpler scenarios cannot be compared with it, and none need fail at its seed.
+    except OutOfBudget:
+        rollouts = 0
+    scenario, shrunk = original, Shrunk(rollouts=0, is_minimal=False)
+    if rollouts:
+        is_likely = None if repeats is None else _likely(sighting, turn, state, workers, actions_in)
+        asking = shrink(
+            original,
+            rollouts=rollouts,
+            top_speed=top_speed,
+            plain=None if space is None else (space.ego_lane, space.ego_speed),  # the default start
+            plain_seconds=None if space is None else space.gene_seconds,
+            ahead=number_ahead(workers),
+            asks_likely=is_likely is not None,
+            measures_again=repeats is not None,
+        )
+        try:
+            question = next(asking)
+            while True:
+                reply: Shown | bool = None
+                try:
+                    match question:
+                        case Attempt(candidate, best):
+                            _, reply = yield from answered((candidate.id,), attempt(candidate, best))
+                        case Likely(candidate, simplest) if is_likely is not None:
+                            reply = is_likely(candidate, simplest)
+                        case Ahead() if asked == len(answers):  # What is answered is not run again.
+                            announce(question, state, workers)
+                except OutOfBudget as over:
+                    question = asking.throw(over)
+                else:
+                    question = asking.send(reply)
+        except StopIteration as done:
+            scenario, shrunk = done.value
+    return Simplest(scenario=scenario, shrunk=shrunk, as_found=as_found, attempts=turn.attempts, is_cut=turn.is_over)
+
+
+def _repeats_collision(sighting: FindTold, harness: Harness) -> Trace | None:
+    """Return the run of a collision that another run with the same decisions of the ADS repeats here; else None."""
+    is_sure = not sighting.find.is_flaky and sighting.finding.rate is None
+    is_here = is_sure and codec.is_built_in(harness.world)
+    trace = None if sighting.run is None else sighting.run.trace
+    is_one = is_here and trace is not None and trace.collision is not None and bool(trace.actions)
+    return trace if is_one else None
+
+
+def _likely(
+    sighting: FindTold, turn: Turn, state: State, workers: Workers, actions_in: Callable[[Scenario], tuple[Any, ...]]
+) -> Callable[[Scenario, Scenario], bool] | None:
+    """Return a function that says whether a small scenario is likely to fail, without a decision of the ADS.
+
+    It is likely if an ego that repeats its decisions in a failing scenario collides in the same way. That was so in 27
+    of 35 small scenarios that failed, and in 225 of 4,333 that did not. Return None if all small scenarios must be run:
+    the world's ``rollout`` does not accept decisions.
+    """
+    harness, found = workers.harness, signature_of(sighting, state)
+    if not harness.world.is_resumable:
+        return None
+    failure = Failure(kind=found.failure, assertion=found.assertion)
+    rollout: Callable[..., Trace] = harness.world.rollout  # which accepts decisions: the world is resumable
+
+    @cache
+    def likely(candidate: Scenario, best: Scenario) -> bool:
+        try:
+            did = actions_in(best)
+        except OutOfTime:
+            turn.is_over = True
+            raise OutOfBudget from None
+        try:
+            trace = rollout(candidate, repeating(did[-1]), decisions=did)
+        except ScenarioError:
+            return False
+        return trace.collision is not None and is_same(of_failure(harness.seen(trace), failure), found)
+
+    return likely
+
+
+def _seconds_to_confirm(scenario: Scenario, workers: Workers) -> float:
+    """Return the estimated time to confirm a scenario [s], from the slowest confirmation so far."""
+    return workers.pace * min(scenario.seconds, workers.harness.world.longest_run)
+
+
+def rollouts_for(harness: Harness) -> int:
+    """Return the largest number of runs to shrink one finding: as the user set it, or by how fast the ADS is."""
+    given = harness.request.settings.shrink_rollouts
+    if given is not None:
+        return given
+    return ROLLOUTS_IN_KERNEL if harness.world.runs_in_kernel(harness.ads) else ROLLOUTS
+
+
+def starts_of(run: Run, top_speed: float) -> tuple[Start, ...]:
+    """Return the ego's lane and speed at the beginning of each gene that the run reached; empty if it left the road.
+
+    The speed [m/s] is at most ``top_speed``, which is the highest start speed of an ego.
+    """
+    trace = run.trace
+    rows = trace.ego[: trace.ticks : round(run.scenario.gene_seconds * trace.physics_hz)]
+    if trace.track is not None or (rows[:, LANE] < 0).any():
+        return ()  # on a road that is not straight, a later start would be on a different part of the road
+    return tuple((int(row[LANE]), float(min(max(round(row[SPEED], 1), 0.0), top_speed))) for row in rows)
