@@ -68,9 +68,9 @@ from pytest_pafot.searching.events import (
     CampaignStarted,
     Evaluated,
     GenerationFinished,
-    GroupEvaluated,
     LocalSearchFinished,
     Restarted,
+    RunsEvaluated,
 )
 from pytest_pafot.searching.health import CELLS, LANES, SPEED_BIN, STEPS, Coverage, Health, Key, speed_bins
 from pytest_pafot.world.kernel.driver import following_gap
@@ -678,7 +678,7 @@ class CampaignCounts:
                     self.outcomes[str(event.evaluation.outcome)] += 1
                 if event.local_generation == 0:
                     self._generation.add(event.evaluation)
-            case GroupEvaluated():
+            case RunsEvaluated():
                 self.health += event.counts.health
                 self.outcomes.update(event.counts.outcomes)
                 self.responsibilities.update(event.counts.responsibilities)
