@@ -59,7 +59,7 @@ class GenerationFinished:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NewBest:
-    """A generation, or a local search at its end, produced the best scenario since the last restart, or of its block."""
+    """A generation, or a local search at its end, produced the best scenario since the last restart or in its block."""
 
     generation: int
     local_generation: int

@@ -171,7 +171,10 @@ class Plan(Generic[StateT]):
                 cache.restore(resumed.remembered)
         except ValueError as error:
             raise CheckpointError(f"remembered: {error}") from None
-        self.block = Block(self.algorithm, started.seed, resumed.state, begun=resumed.begun, cache=cache)
+        state: Any = resumed.state
+        if length is not None and resumed.sums.evaluated != (right := state.proposed + len(resumed.begun)):
+            raise CheckpointError(f"sums: expected {right} evaluated scenarios, received {resumed.sums.evaluated}")
+        self.block = Block(self.algorithm, started.seed, state, begun=resumed.begun, cache=cache)
         """The block that is under way."""
 
     @property
