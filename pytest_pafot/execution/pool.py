@@ -72,8 +72,8 @@ takes the first bytes of the text for a very large length. Without a limit it wo
 """
 
 Work: TypeAlias = Callable[..., ResultT]
-"""The function that runs a task in a process of the pool. Its arguments are the task, and a function that sends something
-before the answer: the finished share of the task as a float, or anything else."""
+"""The function that runs a task in a process of the pool. Its arguments are the task, and a function that sends what it
+says before its answer: the finished share of the task as a float, or anything else."""
 
 
 class ProcessLostError(Exception, Generic[TaskT]):

@@ -84,9 +84,7 @@ def test_runs_that_nobody_wants_one_by_one_are_counted_alike(searched, monkeypat
 
 
 @pytest.mark.parametrize("wants_each", [True, False])
-def test_a_search_goes_on_inside_of_a_block_that_another_process_has_driven(
-    searched, tmp_path, monkeypatch, wants_each
-):
+def test_a_search_goes_on_inside_of_a_block_that_another_process_drove(searched, tmp_path, monkeypatch, wants_each):
     alone, _ = searched("alone", runs=96, seed=7)
     monkeypatch.setattr(explore, "prepared", partial(explore.prepared, wants_each=wants_each))
     given = {"seed": 7, "drives": True, "workers": 2, "resume": str(tmp_path / "states")}
