@@ -408,8 +408,8 @@ class Workers:
 
     def _drives_blocks(self, plan: Plan[Any]) -> bool:
         """Return whether other processes drive blocks from the next one on."""
-        workers = self.harness.request.settings.workers
-        if self.driver is None or plan.length is None or self.runner.decides_for_many:
+        workers, is_apart = self.harness.request.settings.workers, self.harness.request.settings.isolate
+        if self.driver is None or plan.length is None or self.runner.decides_for_many or not (workers > 1 or is_apart):
             return False
         # Long runs are shared better one by one. After deaths, too: then a death costs its run and not its block.
         is_fast = 0 < self.runner.processes.run_seconds < FED_SECONDS * workers

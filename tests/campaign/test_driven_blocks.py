@@ -66,7 +66,7 @@ def searched(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("algorithm", ["distinct", "random"])
 def test_whoever_drives_the_blocks_the_search_is_the_same(searched, algorithm):
-    alone, blocks = searched("alone", algorithm=algorithm)
+    alone, blocks = searched("alone", drives=True, algorithm=algorithm)
     assert not blocks
     assert len(alone["files"]) >= 2
     for count, driven in ((2, [1, 2]), (3, [])):  # fewer whole blocks than processes are not given away
