@@ -327,9 +327,9 @@ def caught_in(verdict: Verdict) -> tuple[str, ...]:
     return tuple({check.name for check in verdict.checks if not check.holds}) if verdict.kind == "passed" else ()
 
 
-FED_SECONDS = 0.004
-"""The mean time of a run, for each process, below which processes drive whole blocks [s]. The session takes about half
-of that for a scenario that it hands to a process, so it cannot give work to more processes one by one."""
+DRIVEN_SECONDS, FED_SECONDS = 0.04, 0.004
+"""The mean time of a run below which processes drive whole blocks [s]: in any case, so that a block takes some seconds,
+and for each process, since the session needs about half of that to hand over one scenario and to take its run."""
 
 AHEAD_ELSEWHERE = 16
 """The number of later blocks of which the workers of an executor run scenarios, since their number is unknown."""
@@ -412,8 +412,8 @@ class Workers:
         if self.driver is None or plan.length is None or self.runner.decides_for_many or not (workers > 1 or is_apart):
             return False
         # Long runs are shared better one by one. After deaths, too: then a death costs its run and not its block.
-        is_fast = 0 < self.runner.processes.run_seconds < FED_SECONDS * workers
-        is_worth_it = bool(self._tasks) or plan.whole_blocks - plan.number >= workers
+        is_fast = 0 < self.runner.processes.run_seconds < max(DRIVEN_SECONDS, FED_SECONDS * workers)
+        is_worth_it = bool(self._tasks) or plan.whole_blocks - plan.number >= 2 * workers
         return is_fast and is_worth_it and len(self._lost) * 8 <= self._driven
 
     def next(self, plan: Plan[Any], fatal: Set[Scenario]) -> Run | Tally | LostRun | None:

@@ -17,7 +17,7 @@ pytestmark = [
 SESSION = os.getpid()
 SPACE = {"npcs": 2, "genes": 3, "gene_seconds": 4, "ego_lane": 1, "ego_speed": 22}
 STOP = 3  # findings, of which the last is in a block of another process
-RUNS = 50  # three blocks and a part of one
+RUNS = 82  # five blocks and a part of one
 
 
 def keep(observation):
@@ -45,7 +45,8 @@ def searched(tmp_path, monkeypatch):
     monkeypatch.setattr(workers, "BlockTask", lambda number, *more: given.append(number) or task(number, *more))
 
     def search(name, *, drives=False, ads=keep, runs=RUNS, **settings):
-        monkeypatch.setattr(workers, "FED_SECONDS", 60.0 if drives else 0.0)
+        monkeypatch.setattr(workers, "DRIVEN_SECONDS", 60.0 if drives else -1.0)
+        monkeypatch.setattr(workers, "FED_SECONDS", 0.0)
         settings = SPACE | {"population": 4, "shrink_rollouts": 0, "neighbours": 0} | settings
         given.clear()
         corpus, own = tmp_path / name, {"node_id": "test_it.py::test_it", "runs": runs}
@@ -69,7 +70,7 @@ def test_whoever_drives_the_blocks_the_search_is_the_same(searched, algorithm):
     alone, blocks = searched("alone", drives=True, algorithm=algorithm)
     assert not blocks
     assert len(alone["files"]) >= 2
-    for count, driven in ((2, [1, 2]), (3, [])):  # fewer whole blocks than processes are not given away
+    for count, driven in ((2, [1, 2, 3, 4]), (3, [])):  # fewer than two blocks for each process are not given away
         assert searched(f"{count}", workers=count, algorithm=algorithm) == (alone, [])
         assert searched(f"{count} driven", drives=True, workers=count, algorithm=algorithm) == (alone, driven)
 
@@ -78,21 +79,21 @@ def test_runs_that_nobody_wants_one_by_one_are_counted_alike(searched, monkeypat
     alone, _ = searched("alone")
     monkeypatch.setattr(explore, "prepared", partial(explore.prepared, wants_each=False))
     driven, blocks = searched("driven", drives=True, workers=2)
-    assert blocks == [1, 2]
+    assert blocks == [1, 2, 3, 4]
     assert driven | {"events": alone["events"]} == alone
     assert {type(each).__name__ for each in driven["events"]} >= {"Evaluated", "RunsEvaluated"}
 
 
 @pytest.mark.parametrize("wants_each", [True, False])
 def test_a_search_goes_on_inside_of_a_block_that_another_process_drove(searched, tmp_path, monkeypatch, wants_each):
-    alone, _ = searched("alone", runs=96, seed=7)
+    alone, _ = searched("alone", runs=144, seed=7)
     monkeypatch.setattr(explore, "prepared", partial(explore.prepared, wants_each=wants_each))
     given = {"seed": 7, "drives": True, "workers": 2, "resume": str(tmp_path / "states")}
-    first, _ = searched("parts", runs=96, stop_after=STOP, **given)
+    first, _ = searched("parts", runs=144, stop_after=STOP, **given)
     done = len(first["rows"])
     assert done > 16
     assert done % 4
-    rest, blocks = searched("parts", runs=96 - done, **given)
+    rest, blocks = searched("parts", runs=144 - done, **given)
     assert blocks
     assert rest["files"] == alone["files"]
     assert rest["counts"] == alone["counts"]
