@@ -19,7 +19,7 @@ from pytest_pafot.campaign.events import NOT_REPEATED, Judged
 from pytest_pafot.campaign.harness import Harness, is_same_run, refusals
 from pytest_pafot.campaign.run_table import columns_of, row_of
 from pytest_pafot.campaign.setup_fault import unit_doubt
-from pytest_pafot.campaign.verdict import Verdict
+from pytest_pafot.campaign.verdict import Verdict, skips
 from pytest_pafot.execution.crash_records import CrashRecord, Leftover
 from pytest_pafot.execution.elsewhere import DrivesElsewhere
 from pytest_pafot.execution.pool import ProcessLostError
@@ -32,6 +32,7 @@ from pytest_pafot.model.trace import Trace
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.searching.evaluation import Evaluation, interaction_of
 from pytest_pafot.searching.events import AlgorithmEvent
+from pytest_pafot.searching.fitness import FitnessError
 from pytest_pafot.searching.health import Health
 from pytest_pafot.searching.plan import Block, Learnt, Plan
 from pytest_pafot.support.errors import OutOfTime
@@ -331,8 +332,8 @@ DRIVEN_SECONDS, FED_SECONDS = 0.04, 0.004
 """The mean time of a run below which processes drive whole blocks [s]: in any case, so that a block takes some seconds,
 and for each process, since the session needs about half of that to hand over one scenario and to take its run."""
 
-AHEAD_ELSEWHERE = 16
-"""The number of later blocks of which the workers of an executor run scenarios, since their number is unknown."""
+AHEAD_ELSEWHERE = 128
+"""The number of scenarios of later blocks that the workers of an executor get, since their own number is unknown."""
 
 PURE_SHARE = 1 / 10
 """The share of the decisions that a pure ADS need not make from which on no further run is made to check that it is."""
@@ -357,6 +358,7 @@ class Workers:
     pace: float = 0.0  # the longest time to confirm one second of a run so far [s]
     _tasks: dict[int, BlockTask] = field(default_factory=dict)  # blocks that other processes drive, by number
     _later: dict[int, Block[Any]] = field(default_factory=dict)  # later blocks as far as other processes have run them
+    _early: dict[Scenario, Verdict] = field(default_factory=dict)  # on runs that this process has not counted yet
     _lost: list[ProcessLostError[Any]] = field(default_factory=list)  # the deaths of processes that drove blocks
     _suspect: ProcessLostError[Any] | None = None  # the last of them, as long as no scenario is known to be the cause
     _driven: int = 0  # number of blocks that other processes have driven
@@ -492,8 +494,9 @@ class Workers:
         processes, workers = self.runner.processes, self.harness.request.settings.workers
         if plan.length is None or self._drives_blocks(plan) or self.runner.decides_for_many:
             return
-        blocks = -(-2 * workers // plan.algorithm(1).population) if processes.in_use > 1 else 0
-        blocks = AHEAD_ELSEWHERE if processes.is_elsewhere else blocks
+        scenarios = AHEAD_ELSEWHERE if processes.is_elsewhere else 2 * workers if processes.in_use > 1 else 0
+        blocks = -(-scenarios // plan.algorithm(1).population)
+        unfit: tuple[type[BaseException], ...] = (FitnessError, *skips())
         self._later = {number: block for number, block in self._later.items() if number > plan.number}
         for number in range(plan.number + 1, plan.number + 1 + blocks):
             block = self._later.get(number)
@@ -501,11 +504,29 @@ class Workers:
                 block = self._later[number] = plan.beginning(number)
                 processes.announce_later(each for each in plan.within(block) if each not in fatal)
             while block.generation // plan.length == number and (runs := processes.arrived(block.drawn)):
-                for tally in runs:
-                    block.take(*pickle.loads(tally.evaluations))  # noqa: S301  (from a process of this session)
+                try:
+                    evaluations = [self._evaluated_early(made) for made in runs]
+                except unfit:  # raised again as soon as the search comes to this run
+                    return
+                for each in evaluations:
+                    block.take(each)
                 block.learn()
                 if block.generation // plan.length == number:
                     processes.announce_later(each for each in plan.within(block) if each not in fatal)
+
+    def _evaluated_early(self, made: Trace | Digest) -> Evaluation:
+        """Return what the algorithm sees of a run that is not requested yet; if nobody has, this process judges it."""
+        if isinstance(made, Digest):
+            evaluation: Evaluation = pickle.loads(made.content.evaluations)[0]  # noqa: S301  (from our own process)
+            return evaluation
+        run, scenario = self.harness.seen(made), made.scenario
+        if scenario not in self._early:
+            self.record.write(scenario)
+            self._early[scenario] = self.judge(run)
+        verdict, signature = self._early[scenario], None
+        if verdict.failed and verdict.failure is not None:
+            signature, _ = failed_as(run, verdict.failure)
+        return self.evaluation(run, verdict, signature)
 
     def run(self, scenario: Scenario, *, afresh: bool = False, most: int | None = None) -> Run:
         """Run a scenario. The caller must call :meth:`judge` next, which also clears the crash record.
@@ -525,6 +546,10 @@ class Workers:
     def judge(self, run: Run, scenario: Scenario | None = None) -> Verdict:
         """Judge the last run. If it fails, the reference is run in ``scenario``, by default in the run's scenario."""
         __tracebackhide__ = True
+        early = self._early.pop(run.trace.scenario, None)
+        if early is not None:
+            self.record.clear()
+            return early
         with self._recorded():
             verdict = self.harness.judge(run)
             if verdict.failed and self.reference is not None:

@@ -477,15 +477,15 @@ class Processes:
         if self._pool is not None:
             self._pool.add_all(self._noted(scenarios))
 
-    def arrived(self, scenarios: Sequence[Scenario]) -> list[Any]:
-        """Return the contents of the digests of scenarios, if other processes have judged all of them; else nothing."""
-        pool, contents = self._pool, list[Any]()
+    def arrived(self, scenarios: Sequence[Scenario]) -> list[Trace | Digest]:
+        """Return the runs of announced scenarios, which can still be taken, if all are there; otherwise nothing."""
+        pool, runs = self._pool, list[Trace | Digest]()
         for scenario in reversed(scenarios):  # the last one is seldom there before the others
-            answer = pool.arrived(scenario) if isinstance(pool, WorkerPool) else None
-            if not (isinstance(answer, tuple) and isinstance(answer[0], Digest)):
+            answer = None if pool is None else pool.arrived(scenario)
+            if not isinstance(answer, tuple):
                 return []
-            contents.append(answer[0].content)
-        return contents[::-1]
+            runs.append(answer[0])
+        return runs[::-1]
 
     def drive(self, task: BlockTask) -> bool:
         """Let a process drive a block by itself; return False if none can."""

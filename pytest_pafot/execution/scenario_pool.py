@@ -194,6 +194,9 @@ class ExecutorPool(Protocol):
     def fetch(self, scenario: Scenario) -> Answer:
         """Wait for the answer to a scenario and return it; each answer can be fetched once."""
 
+    def arrived(self, scenario: Scenario) -> Answer | None:
+        """Return the answer to a scenario, which can still be fetched; None if there is none yet."""
+
     def close(self, *, at_once: bool = False) -> None:
         """Cancel the current tasks."""
 

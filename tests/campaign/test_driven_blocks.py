@@ -7,6 +7,7 @@ from functools import partial
 import pytest
 
 from pytest_pafot.campaign import explore, workers
+from pytest_pafot.execution import runner
 from pytest_pafot.searching import DistinctSearch, RandomSearch
 
 pytestmark = [
@@ -108,3 +109,16 @@ def test_after_a_death_the_session_goes_on_with_the_block(searched, monkeypatch,
     driven, blocks = searched("driven", drives=True, ads=mortal, isolate=True, workers=2)
     assert blocks
     assert driven | {"events": one_by_one["events"]} == one_by_one
+
+
+def speed(trace):
+    return float(trace.states[1:, :, 3].max())
+
+
+def test_runs_of_later_blocks_that_only_the_session_may_judge_are_judged_when_they_come(searched, monkeypatch):
+    monkeypatch.setattr(runner, "DEAR", 0.0)
+    alone, _ = searched("alone", fitness=speed)
+    early, evaluated = [], workers.Workers._evaluated_early
+    monkeypatch.setattr(workers.Workers, "_evaluated_early", lambda *given: early.append(given) or evaluated(*given))
+    assert searched("ahead", workers=3, fitness=speed) == (alone, [])
+    assert early

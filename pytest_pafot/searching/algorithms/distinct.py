@@ -77,10 +77,6 @@ class NicheSearch(GenerationalSearch[GenerationStateT]):
         """Return a scenario that is a variation of one or two parents."""
 
 
-BLOCK = 64
-"""The number of runs after which the search begins anew. Longer blocks found nothing sooner, and with shorter ones
-nothing would be bred. Any process can drive a block by itself."""
-
 SPEED_NICHE = 5.0  # width of a niche in closing speed [m/s]
 FASTEST_NICHE = 5  # index of the last niche, which has no upper end
 
@@ -116,6 +112,7 @@ class DistinctSearch(NicheSearch[DistinctState]):
        and parents are selected in a group by binary tournament on the fitness. A child has one to three mutations.
     3. A run that shows a failure of a known kind (:attr:`~pytest_pafot.searching.Evaluation.kind`) is no longer a
        parent, because the shrinker simplifies such failures.
+    4. The search begins anew after some generations, so that any process can drive such a block by itself.
 
     Attributes:
         population: number of scenarios in a generation.
@@ -125,7 +122,7 @@ class DistinctSearch(NicheSearch[DistinctState]):
 
     name: ClassVar[str] = "distinct"
     batch_population: ClassVar[int] = 64
-    block_runs: ClassVar[int] = BLOCK
+    block_runs: ClassVar[int] = 64  # as good as one population of all runs, also where a margin has to be climbed
 
     population: int = field(default=16, kw_only=True)
     most_mutations: int = field(default=3, kw_only=True)
