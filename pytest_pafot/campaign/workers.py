@@ -61,7 +61,7 @@ def read_ahead(fitness: Callable[[Trace], float] | None, trace: Trace) -> None:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Digested:
+class Digested(Digest):
     """All that a search needs of a run, in the process that has made and judged it.
 
     ``is_enough`` is False if the session must see the run itself, because it failed in a way that is not known.
@@ -115,11 +115,11 @@ class Reader:
     is_steered_by_checks: bool
     has_table: bool
 
-    def __call__(self, trace: Trace) -> Digest | None:
+    def __call__(self, trace: Trace) -> Tally | None:
         """Read a trace; return the tally of the run, or None if the trace must be sent."""
         read_ahead(self.fitness, trace)
         digested = self.digested(trace)
-        return None if digested is None or not digested.is_enough else Digest(Tally.of([digested]))
+        return None if digested is None or not digested.is_enough else Tally.of([digested])
 
     def digested(self, trace: Trace, known: Collection[Signature] = ()) -> Digested | None:
         """Return what a search needs of a run; None if only the session may judge it.
@@ -153,7 +153,7 @@ class Reader:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Tally:
+class Tally(Digest):
     """The counts of consecutive runs that another process has made and judged.
 
     Attributes:
@@ -285,11 +285,11 @@ class Driver:
         """Return a run with what the search needs of it; None if only the session can make or judge it."""
         digested: Digested | None = None
 
-        def read(trace: Trace) -> Digest | None:
+        def read(trace: Trace) -> Digested | None:
             nonlocal digested
             read_ahead(self.reader.fitness, trace)
             digested = self.reader.digested(trace, known)
-            return Digest(digested) if digested is not None and digested.is_enough else None
+            return digested if digested is not None and digested.is_enough else None
 
         try:
             timed = run(scenario, read)
@@ -445,14 +445,13 @@ class Workers:
             return None
         try:
             with self._recorded(), refusals():
-                made = self.runner.made(scenario)
+                made: Any = self.runner.made(scenario)
         except ProcessLostError as error:
             self._suspect = None
             return error
-        if isinstance(made, Digest):
-            tally: Tally = made.content
-            self.counted_decisions += tally.decisions
-            return tally
+        if isinstance(made, Tally):
+            self.counted_decisions += made.decisions
+            return made
         return self.harness.seen(made)
 
     def learn(self, plan: Plan[Any]) -> Sequence[AlgorithmEvent]:
@@ -516,8 +515,8 @@ class Workers:
 
     def _evaluated_early(self, made: Trace | Digest) -> Evaluation:
         """Return what the algorithm sees of a run that is not requested yet; if nobody has, this process judges it."""
-        if isinstance(made, Digest):
-            evaluation: Evaluation = pickle.loads(made.content.evaluations)[0]  # noqa: S301  (from our own process)
+        if isinstance(made, Tally):
+            evaluation: Evaluation = pickle.loads(made.evaluations)[0]  # noqa: S301  (from our own process)
             return evaluation
         run, scenario = self.harness.seen(made), made.scenario
         if scenario not in self._early:

@@ -131,11 +131,10 @@ LEAST_MEMORY = 2 << 30
 LostRun: TypeAlias = ProcessLostError[Scenario]
 
 
-@dataclass(frozen=True, slots=True)
 class Digest:
     """All that a search needs of a run that another process has judged. It replaces the trace, which is far larger."""
 
-    content: Any
+    __slots__ = ()
 
 
 Timed: TypeAlias = tuple[Trace | Digest, CapturedOutput, float]
