@@ -513,7 +513,7 @@ class Workers:
                 if block.generation // plan.length == number:
                     processes.announce_later(each for each in plan.within(block) if each not in fatal)
 
-    def _evaluated_early(self, made: Trace | Digest) -> Evaluation:
+    def _evaluated_early(self, made: Trace | Tally) -> Evaluation:
         """Return what the algorithm sees of a run that is not requested yet; if nobody has, this process judges it."""
         if isinstance(made, Tally):
             evaluation: Evaluation = pickle.loads(made.evaluations)[0]  # noqa: S301  (from our own process)

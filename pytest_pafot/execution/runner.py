@@ -477,9 +477,9 @@ class Processes:
         if self._pool is not None:
             self._pool.add_all(self._noted(scenarios))
 
-    def arrived(self, scenarios: Sequence[Scenario]) -> list[Trace | Digest]:
-        """Return the runs of announced scenarios, which can still be taken, if all are there; otherwise nothing."""
-        pool, runs = self._pool, list[Trace | Digest]()
+    def arrived(self, scenarios: Sequence[Scenario]) -> list[Any]:
+        """Return the runs or digests of announced scenarios, if all are there; they can still be taken."""
+        pool, runs = self._pool, list[Any]()
         for scenario in reversed(scenarios):  # the last one is seldom there before the others
             answer = None if pool is None else pool.arrived(scenario)
             if not isinstance(answer, tuple):
