@@ -328,7 +328,7 @@ def caught_in(verdict: Verdict) -> tuple[str, ...]:
     return tuple({check.name for check in verdict.checks if not check.holds}) if verdict.kind == "passed" else ()
 
 
-DRIVEN_SECONDS, FED_SECONDS = 0.04, 0.004
+DRIVEN_SECONDS, FED_SECONDS = 0.06, 0.004
 """The mean time of a run below which processes drive whole blocks [s]: in any case, so that a block takes some seconds,
 and for each process, since the session needs about half of that to hand over one scenario and to take its run."""
 
@@ -362,6 +362,7 @@ class Workers:
     _lost: list[ProcessLostError[Any]] = field(default_factory=list)  # the deaths of processes that drove blocks
     _suspect: ProcessLostError[Any] | None = None  # the last of them, as long as no scenario is known to be the cause
     _driven: int = 0  # number of blocks that other processes have driven
+    _last: int = 0  # number of the first block that they leave to the session
 
     @property
     def decisions(self) -> int:
@@ -400,8 +401,10 @@ class Workers:
         """
         if plan.length is None or plan.generation % plan.length or plan.block.index or not self._drives_blocks(plan):
             return
-        failures, ahead = frozenset[Signature]().union(*known), 2 * self.harness.request.settings.workers
-        for number in range(plan.number, min(plan.number + ahead, plan.whole_blocks)):
+        failures, workers = frozenset[Signature]().union(*known), self.harness.request.settings.workers
+        if not self._tasks:  # Each process gets as many blocks, and the scenarios of what is left are shared.
+            self._last = plan.whole_blocks - (plan.whole_blocks - plan.number) % workers
+        for number in range(plan.number, min(plan.number + 2 * workers, self._last)):
             if number not in self._tasks:
                 task = BlockTask(number, failures, frozenset(fatal))
                 if not self.runner.processes.drive(task):
