@@ -359,8 +359,8 @@ class Workers:
     _tasks: dict[int, BlockTask] = field(default_factory=dict)  # blocks that other processes drive, by number
     _later: dict[int, Block[Any]] = field(default_factory=dict)  # later blocks as far as other processes have run them
     _early: dict[Scenario, Verdict] = field(default_factory=dict)  # on runs that this process has not counted yet
-    _lost: list[ProcessLostError[Any]] = field(default_factory=list)  # the deaths of processes that drove blocks
-    _suspect: ProcessLostError[Any] | None = None  # the last of them, as long as no scenario is known to be the cause
+    _suspect: ProcessLostError[Any] | None = None  # a death in a block, as long as no scenario is known to be the cause
+    _deaths: int = 0  # number of processes that died while they drove a block
     _driven: int = 0  # number of blocks that other processes have driven
     _last: int = 0  # number of the first block that they leave to the session
 
@@ -419,7 +419,7 @@ class Workers:
         # Long runs are shared better one by one. After deaths, too: then a death costs its run and not its block.
         is_fast = 0 < self.runner.processes.run_seconds < max(DRIVEN_SECONDS, FED_SECONDS * workers)
         is_worth_it = bool(self._tasks) or plan.whole_blocks - plan.number >= 2 * workers
-        return is_fast and is_worth_it and len(self._lost) * 8 <= self._driven
+        return is_fast and is_worth_it and self._deaths * 8 <= self._driven
 
     def next(self, plan: Plan[Any], fatal: Set[Scenario]) -> Run | Tally | LostRun | None:
         """Return what became of the next scenario of a plan, or of the next ones.
@@ -486,15 +486,14 @@ class Workers:
                 said[1].repeat()
             return what
         if isinstance(said, ProcessLostError):
-            self._lost.append(said)
-            self._suspect = said
+            self._suspect, self._deaths = said, self._deaths + 1
         del self._tasks[plan.number]
         return None
 
     def _foresee(self, plan: Plan[Any], fatal: Set[Scenario]) -> None:
         """Let other processes run scenarios of the next blocks, while the last runs of a generation are waited for."""
         processes, workers = self.runner.processes, self.harness.request.settings.workers
-        if plan.length is None or self._drives_blocks(plan) or self.runner.decides_for_many:
+        if plan.length is None or self._tasks or self._drives_blocks(plan) or self.runner.decides_for_many:
             return
         scenarios = AHEAD_ELSEWHERE if processes.is_elsewhere else 2 * workers if processes.in_use > 1 else 0
         blocks = -(-scenarios // plan.algorithm(1).population)
