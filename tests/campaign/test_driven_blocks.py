@@ -1,6 +1,7 @@
 """A search is the same whether the session drives its blocks, scenario by scenario, or other processes drive them."""
 
 import os
+import re
 import sys
 from functools import partial
 
@@ -61,6 +62,7 @@ def searched(tmp_path, monkeypatch):
             "files": texts,
             "counts": counts,
             "failures": summary.failures,
+            "notes": [each for each in summary.process_notes if "in use" not in each],
         }, [*given]
 
     return search
@@ -109,6 +111,26 @@ def test_after_a_death_the_session_goes_on_with_the_block(searched, monkeypatch,
     driven, blocks = searched("driven", drives=True, ads=mortal, isolate=True, workers=2)
     assert blocks
     assert driven | {"events": one_by_one["events"]} == one_by_one
+
+
+def test_a_block_whose_process_was_killed_from_outside_is_driven_again_with_a_note(searched, tmp_path):
+    alone, _ = searched("alone")
+    flag = tmp_path / "flag"
+
+    def killed(observation):
+        """End the process once, after some runs of the session."""
+        if os.getpid() != SESSION and not flag.exists():
+            flag.touch()
+            os._exit(3)
+        return 0.0, 0.0
+
+    found, blocks = searched("killed", drives=True, ads=killed, workers=2)
+    assert flag.exists()
+    assert blocks
+    (note,) = found.pop("notes")
+    assert re.search(r"ended with exit code 3 while it ran block \d of the search, which ran to its end", note)
+    assert alone.pop("notes") == []
+    assert found == alone
 
 
 def speed(trace):
