@@ -39,7 +39,7 @@ from pytest_pafot.campaign.state_file import FLAG, StateFile, state_path
 from pytest_pafot.campaign.store import Store
 from pytest_pafot.campaign.verdict import no_skip, skips
 from pytest_pafot.campaign.watch import LEAST, TimedWatch, TimeLimit, Watch
-from pytest_pafot.campaign.workers import Counting, Reader, Workers, left_out_text
+from pytest_pafot.campaign.workers import Driver, Reader, Workers, left_out_text
 from pytest_pafot.corpus.saved import Saved, saved_in
 from pytest_pafot.execution import scenario_pool
 from pytest_pafot.execution.crash_records import Leftover
@@ -165,11 +165,12 @@ def prepared(
         is_steered_by_checks=is_steered_by_checks,
         has_table=has_table,
     )
-    counting = None if why_here else Counting(read=reader, wants_each=wants_each)
+    can_drive = not why_here and harness.against is None  # only this process runs the reference
+    driver = Driver(reader=reader, wants_each=wants_each) if can_drive else None
     if settings.isolate:  # Isolated processes also make the runs that confirm findings, which the session judges.
         reader = replace(reader, harness=None)
     remark = f"; this process judges all runs, since {why_here}" if why_here else ", which also judge their runs"
-    job = replace(job, read=reader, groups=counting, remark=remark)
+    job = replace(job, read=reader, drive=driver, remark=remark)
     with ExitStack() as stack:
         record = stack.enter_context(harness.recording(job))
         with refusals():
@@ -196,7 +197,7 @@ def prepared(
                 runner=runner,
                 record=record,
                 reference=reference,
-                counting=counting,
+                driver=driver,
                 fitness=fitness,
                 is_steered_by_checks=is_steered_by_checks,
                 clock=state.clock,

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
+import pickle
 import time
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence, Set
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from functools import reduce
 from itertools import chain
 from typing import Any
 
@@ -17,20 +19,22 @@ from pytest_pafot.campaign.events import NOT_REPEATED, Judged
 from pytest_pafot.campaign.harness import Harness, is_same_run, refusals
 from pytest_pafot.campaign.run_table import columns_of, row_of
 from pytest_pafot.campaign.setup_fault import unit_doubt
-from pytest_pafot.campaign.verdict import Verdict
+from pytest_pafot.campaign.verdict import Verdict, skips
 from pytest_pafot.execution.crash_records import CrashRecord, Leftover
 from pytest_pafot.execution.elsewhere import DrivesElsewhere
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.execution.runner import Runner, replay_in_gym_apart
-from pytest_pafot.execution.scenario_pool import Digest, LostRun
+from pytest_pafot.execution.scenario_pool import BlockTask, CapturedOutput, Digest, LostRun, RunRecorded, Said, Timed
 from pytest_pafot.findings.finding import Manner, disagreement, failed_as, message_of
 from pytest_pafot.findings.signature import Signature
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Trace
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.searching.evaluation import Evaluation, interaction_of
+from pytest_pafot.searching.events import AlgorithmEvent
+from pytest_pafot.searching.fitness import FitnessError
 from pytest_pafot.searching.health import Health
-from pytest_pafot.searching.plan import AheadPlan, Drawer, Plan
+from pytest_pafot.searching.plan import Block, Learnt, Plan
 from pytest_pafot.support.errors import OutOfTime
 from pytest_pafot.world.base_world import BaseWorld
 from pytest_pafot.world.driving.ads import is_vehicle_class
@@ -57,12 +61,16 @@ def read_ahead(fitness: Callable[[Trace], float] | None, trace: Trace) -> None:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Passed:
-    """All that a search needs of a run in which nothing new failed, from the process that made and judged the run."""
+class Digested(Digest):
+    """All that a search needs of a run, in the process that has made and judged it.
+
+    ``is_enough`` is False if the session must see the run itself, because it failed in a way that is not known.
+    """
 
     evaluation: Evaluation
     event: Judged
-    signature: Signature | None  # of a failure that the session knows; None if nothing failed
+    is_enough: bool
+    signature: Signature | None  # of a failure that counts
     manner: Manner | None  # of the same failure
     is_at_fault: bool  # see :func:`fails_by_ego`
     decisions: int  # of the ADS
@@ -83,7 +91,7 @@ def fails_by_ego(run: Run, verdict: Verdict) -> bool:
 
 
 UNREMARKABLE = ("passed", "npc", "avoidable", "invalid", "rejected")
-"""The kinds of verdicts for which a digest is enough, as it is for failures that the search knows. All other runs are
+"""The kinds of verdicts for which a tally is enough, as it is for failures that the search knows. All other runs are
 judged in the session, with their traces.
 """
 
@@ -92,34 +100,38 @@ judged in the session, with their traces.
 class Reader:
     """Read the trace of a run in the process that made it, so that the process of the session need not.
 
-    With a harness, that process judges the run, too, and sends a digest if nothing failed, or nothing new. Otherwise it
-    sends the trace, which stores the values that the search will need.
+    With a harness, that process judges the run, too, and sends a tally if nothing failed. Otherwise it sends the trace,
+    which stores the values that the search will need.
 
     Attributes:
         harness: has the test function; None if only the process of the session may call it.
         fitness: the fitness of a trace; None if it is the user's own function, which runs only in the session.
         is_steered_by_checks: True if margins of checks are objectives, in addition to the fitness.
-        has_table: whether the digest has the columns of the run for the table of runs.
-        known: the failures that the session knows, so that no further trace of them must be sent.
+        has_table: whether a tally has the columns of its runs for the table of runs.
     """
 
     harness: Harness | None
     fitness: Callable[[Trace], float] | None
     is_steered_by_checks: bool
     has_table: bool
-    known: set[Signature] = field(default_factory=set)
 
-    def __call__(self, trace: Trace) -> Digest | None:
-        """Read a trace; return its digest, or None if the trace must be sent."""
+    def __call__(self, trace: Trace) -> Tally | None:
+        """Read a trace; return the tally of the run, or None if the trace must be sent."""
         read_ahead(self.fitness, trace)
+        digested = self.digested(trace)
+        return None if digested is None or not digested.is_enough else Tally.of([digested])
+
+    def digested(self, trace: Trace, known: Collection[Signature] = ()) -> Digested | None:
+        """Return what a search needs of a run; None if only the session may judge it.
+
+        Of the ``known`` failures no further trace must be sent.
+        """
         if self.fitness is None or self.harness is None:
             return None
         run = self.harness.seen(trace)
         verdict, signature, manner = self.harness.judge(run), None, None
-        if self.known and verdict.kind == "failed" and verdict.failure is not None and self.harness.against is None:
+        if verdict.failed and verdict.failure is not None:
             signature, manner = failed_as(run, verdict.failure)
-        if verdict.kind not in UNREMARKABLE and signature not in self.known:
-            return None
         event = Judged(
             scenario=trace.scenario,
             executed=trace.executed,
@@ -127,28 +139,27 @@ class Reader:
             known_responsibility=run.responsibility,
             columns=columns_of(run, verdict) if self.has_table else None,
         )
-        return Digest(
-            Passed(
-                evaluation=evaluated(trace, verdict, signature, self.fitness, self.is_steered_by_checks),
-                event=event,
-                signature=signature,
-                manner=manner,
-                is_at_fault=signature is not None and fails_by_ego(run, verdict),
-                decisions=len(trace.actions),
-                caught=caught_in(verdict),
-                doubt=unit_doubt(trace),
-            )
+        return Digested(
+            evaluation=evaluated(trace, verdict, signature, self.fitness, self.is_steered_by_checks),
+            event=event,
+            is_enough=verdict.kind in UNREMARKABLE or (signature is not None and signature in known),
+            signature=signature,
+            manner=manner,
+            is_at_fault=signature is not None and fails_by_ego(run, verdict),
+            decisions=len(trace.actions),
+            caught=caught_in(verdict),
+            doubt=unit_doubt(trace),
         )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Tally:
-    """The counts of consecutive runs that another process has drawn, run and judged.
+class Tally(Digest):
+    """The counts of consecutive runs that another process has made and judged.
 
     Attributes:
         runs, decisions: the numbers of runs, and of decisions of the ADS in them.
-        news: the evaluations that matter to the algorithm.
-        judged: all evaluations with their events, if the listener needs each of them; otherwise None.
+        evaluations: the evaluations, packed, because the session seldom needs each of them.
+        judged: the event of each run, if somebody needs each; otherwise None.
         health: the figures on the search's health.
         verdicts, caught, responsibilities, outcomes: numbers of runs by kind of verdict, check, responsible, outcome.
         failed: numbers of runs by their known failures.
@@ -156,15 +167,15 @@ class Tally:
         fitness: the finite fitness of each eligible run.
         failing: the number of failing runs.
         random: the counts of :class:`~pytest_pafot.campaign.state.RandomRuns`, in the order of its fields.
-        rows: rows for the table of runs.
+        rows: rows for the table of runs, unless ``judged`` has their columns.
         doubt: see :func:`unit_doubt`.
         avoidable: see :class:`~pytest_pafot.campaign.state.State`.
     """
 
     runs: int
     decisions: int
-    news: tuple[Evaluation, ...]
-    judged: tuple[tuple[Evaluation, Judged], ...] | None
+    evaluations: bytes
+    judged: tuple[Judged, ...] | None
     health: Health
     verdicts: Counter[str]
     caught: Counter[str]
@@ -179,76 +190,114 @@ class Tally:
     doubt: str
     avoidable: str
 
-
-@dataclass(slots=True, kw_only=True)
-class Counting:
-    """The drawing and counting of a search's scenarios in the processes that run them.
-
-    Attributes:
-        read: reads and judges each run.
-        wants_each: True if the listener needs each run.
-        drawer: draws the scenarios; None before the search begins.
-        random_runs: the number of random scenarios at the beginning of the search that are counted apart.
-        fatal: scenarios in which a process died; they are not run.
-    """
-
-    read: Reader
-    wants_each: bool
-    drawer: Drawer[Any] | None = None
-    random_runs: float = 0.0
-    fatal: set[Scenario] = field(default_factory=set)
-
-    def scenario(self, generation: int, index: int) -> Scenario | None:
-        """Return the scenario of a place; None if no process may run it."""
-        assert self.drawer is not None  # noqa: S101  (the search has begun)
-        scenario = self.drawer.scenario(generation, index)
-        return None if scenario in self.fatal else scenario
-
-    def learn(self, said: tuple[tuple[Evaluation, ...], frozenset[Signature]]) -> None:
-        """Learn from the next generation, and remember the failures that the session knows by now."""
-        assert self.drawer is not None  # noqa: S101  (the search has begun)
-        news, known = said
-        self.drawer.learn(news)
-        self.read.known.update(known)
-
-    def counted(self, generation: int, start: int, digests: Sequence[Passed]) -> Tally:
-        """Count consecutive runs."""
-        assert self.drawer is not None  # noqa: S101  (the search has begun)
-        drawer, evaluations = self.drawer, [each.evaluation for each in digests]
-        left = max(0.0, self.random_runs - drawer.number(generation, start))
-        at_random = digests[: len(digests) if left >= len(digests) else int(left)]
-        verdicts = [each.event.verdict for each in at_random]
+    @classmethod
+    def of(cls, runs: Sequence[Digested], generation: int | None = None) -> Tally:
+        """Count runs of a generation; without its number, the tally has the event of each run."""
+        evaluations, verdicts = [each.evaluation for each in runs], [each.event.verdict for each in runs]
         valid = [each for each in verdicts if not (each.discarded or each.kind == "invalid")]
-        failed = sum(each.kind in FAILING for each in valid)
-        at_fault = sum(each.is_at_fault for each in at_random)
-        has_rows = digests[0].event.columns is not None and not self.wants_each
-        return Tally(
-            runs=len(digests),
-            decisions=sum(each.decisions for each in digests),
-            news=tuple(each for each in evaluations if drawer.matters(generation, each)),
-            judged=tuple((each.evaluation, each.event) for each in digests) if self.wants_each else None,
-            health=Health.of_runs(len(digests), evaluations),
-            verdicts=Counter(each.event.verdict.kind for each in digests),
-            caught=Counter(name for each in digests for name in each.caught),
-            responsibilities=Counter(each.event.responsibility or "none" for each in digests),
+        failed, at_fault = sum(each.kind in FAILING for each in valid), sum(each.is_at_fault for each in runs)
+        rows: list[dict[str, Any]] = []
+        if generation is not None:
+            rows = [
+                row_of(each.evaluation, generation) | dict(each.event.columns)
+                for each in runs
+                if each.event.columns is not None
+            ]
+        return cls(
+            runs=len(runs),
+            decisions=sum(each.decisions for each in runs),
+            evaluations=pickle.dumps(evaluations),
+            judged=tuple(each.event for each in runs) if generation is None else None,
+            health=Health.of_runs(len(runs), evaluations),
+            verdicts=Counter(each.kind for each in verdicts),
+            caught=Counter(name for each in runs for name in each.caught),
+            responsibilities=Counter(each.event.responsibility or "none" for each in runs),
             outcomes=Counter(str(each.outcome) for each in evaluations),
-            failed=Counter(each.signature for each in digests if each.signature is not None),
+            failed=Counter(each.signature for each in runs if each.signature is not None),
             manners=tuple(
                 {
                     (each.signature, each.manner): (each.signature, each.manner, each.event.executed.id)
-                    for each in reversed(digests)
+                    for each in reversed(runs)
                     if each.signature is not None and each.manner is not None
                 }.values()
             )[::-1],
             fitness=tuple(each.fitness for each in evaluations if each.eligible and math.isfinite(each.fitness)),
             failing=sum(each.failing for each in evaluations),
-            random=(len(at_random), len(valid), at_fault, failed - at_fault),
-            rows=tuple(
-                row_of(each.evaluation, generation) | dict(each.event.columns or {}) for each in digests if has_rows
-            ),
-            doubt=next((each.doubt for each in digests if each.doubt), ""),
-            avoidable=next((each.event.verdict.excused for each in digests if each.event.verdict.excused), ""),
+            random=(len(runs), len(valid), at_fault, failed - at_fault),
+            rows=tuple(rows),
+            doubt=next((each.doubt for each in runs if each.doubt), ""),
+            avoidable=next((each.excused for each in verdicts if each.excused), ""),
         )
+
+
+@dataclass(slots=True, kw_only=True)
+class Driver:
+    """The driving of whole blocks of a search in the processes that run its scenarios.
+
+    Attributes:
+        reader: reads and judges each run.
+        wants_each: True if the listener needs each run.
+        plan: the plan of the search; None before the search begins.
+        random_runs: the number of random scenarios at the beginning of the search that are counted apart.
+    """
+
+    reader: Reader
+    wants_each: bool
+    plan: Plan[Any] | None = None
+    random_runs: float = 0.0
+
+    def __call__(self, task: BlockTask, run: RunRecorded, say: Callable[[Said], object]) -> None:
+        """Drive a block and say what comes of it, until it ends or only the session can go on."""
+        assert self.plan is not None and self.plan.length is not None  # noqa: S101, PT018  (only then there are tasks)
+        block, known = self.plan.beginning(task.number), set(task.known)
+        counted: list[tuple[Digested, CapturedOutput, float]] = []
+
+        def count() -> None:  # the runs since the last one that the session must judge
+            if counted:
+                runs, outputs, seconds = zip(*counted, strict=True)
+                tally = Tally.of(runs, None if self.wants_each else block.generation)
+                say((tally, reduce(CapturedOutput.followed_by, outputs), sum(seconds)))
+                counted.clear()
+
+        for _ in range(self.plan.length):
+            first = block.state.proposed
+            while not block.is_whole:
+                scenario = block.scenario()
+                made = None if scenario in task.fatal else self._made(scenario, known, run)
+                if made is None:
+                    count()
+                    return
+                digested, timed = made
+                block.take(digested.evaluation)
+                if digested.is_enough:
+                    counted.append((digested, *timed[1:]))
+                else:
+                    count()
+                    say(timed)
+                    known |= {each for each in (digested.signature,) if each is not None}
+                if first + block.index == self.random_runs:
+                    count()
+            count()
+            events = block.learn()
+            say((Learnt.packed(block.state, events), CapturedOutput(), 0.0))
+
+    def _made(self, scenario: Scenario, known: Set[Signature], run: RunRecorded) -> tuple[Digested, Timed] | None:
+        """Return a run with what the search needs of it; None if only the session can make or judge it."""
+        digested: Digested | None = None
+
+        def read(trace: Trace) -> Digested | None:
+            nonlocal digested
+            read_ahead(self.reader.fitness, trace)
+            digested = self.reader.digested(trace, known)
+            return digested if digested is not None and digested.is_enough else None
+
+        try:
+            timed = run(scenario, read)
+        except MemoryError:  # The session must not use up its memory in the same way.
+            raise
+        except Exception:  # noqa: BLE001  (the session runs it again, and reports what is raised)
+            return None
+        return None if digested is None else (digested, timed)
 
 
 def evaluated(
@@ -279,6 +328,13 @@ def caught_in(verdict: Verdict) -> tuple[str, ...]:
     return tuple({check.name for check in verdict.checks if not check.holds}) if verdict.kind == "passed" else ()
 
 
+DRIVEN_SECONDS, FED_SECONDS = 0.06, 0.004
+"""The mean time of a run below which processes drive whole blocks [s]: in any case, so that a block takes some seconds,
+and for each process, since the session needs about half of that to hand over one scenario and to take its run."""
+
+AHEAD_ELSEWHERE = 128
+"""The number of scenarios of later blocks that the workers of an executor get, since their own number is unknown."""
+
 PURE_SHARE = 1 / 10
 """The share of the decisions that a pure ADS need not make from which on no further run is made to check that it is."""
 
@@ -291,7 +347,7 @@ class Workers:
     runner: Runner
     record: CrashRecord
     reference: Runner | None = None  # the runner of the reference
-    counting: Counting | None = None  # how other processes draw and count scenarios; None if they do not
+    driver: Driver | None = None  # how other processes drive blocks; None if they cannot
     fitness: Callable[[Trace], float]  # the fitness of a trace; higher is worse for the ego
     is_steered_by_checks: bool = True  # as in :class:`Reader`
     clock: Callable[[], float] = time.monotonic  # returns the seconds since some fixed moment
@@ -300,6 +356,13 @@ class Workers:
     confirm_decisions: int = 0  # the number of decisions of the ADS that confirmed findings
     confirm_seconds: float = 0.0  # the time that this took [s]
     pace: float = 0.0  # the longest time to confirm one second of a run so far [s]
+    _tasks: dict[int, BlockTask] = field(default_factory=dict)  # blocks that other processes drive, by number
+    _later: dict[int, Block[Any]] = field(default_factory=dict)  # later blocks as far as other processes have run them
+    _early: dict[Scenario, Verdict] = field(default_factory=dict)  # on runs that this process has not counted yet
+    _suspect: ProcessLostError[Any] | None = None  # a death in a block, as long as no scenario is known to be the cause
+    _deaths: int = 0  # number of processes that died while they drove a block
+    _driven: int = 0  # number of blocks that other processes have driven
+    _last: int = 0  # number of the first block that they leave to the session
 
     @property
     def decisions(self) -> int:
@@ -324,56 +387,147 @@ class Workers:
                 return trace.scenario.id
         return ""
 
-    def begin(self, plan: Plan[Any], random_runs: float, fatal: set[Scenario]) -> None:
-        """Let other processes draw and count the scenarios of a plan, as soon as they are in use, if that is possible.
+    def begin(self, plan: Plan[Any], random_runs: float) -> None:
+        """Prepare for the blocks of a plan; ``random_runs`` is as in :class:`Driver`."""
+        if self.driver is not None and plan.length is not None:
+            self.driver.plan, self.driver.random_runs = plan, random_runs
+            self.runner.processes.end()  # processes that were started before do not know the plan
 
-        ``random_runs`` and ``fatal`` are as in :class:`Counting`.
+    def give_blocks(self, plan: Plan[Any], fatal: Set[Scenario], known: Iterable[Collection[Signature]]) -> None:
+        """Let other processes drive the next blocks by themselves, if one is about to begin and runs are short.
+
+        Whoever drives a block, it is the same. ``fatal`` are scenarios that nobody must run, ``known`` the failures of
+        which no further run must be sent.
         """
-        if self.counting is not None and isinstance(plan, AheadPlan):
-            self.counting.drawer, self.counting.random_runs, self.counting.fatal = plan.drawer, random_runs, fatal
-            self.runner.begin_groups(plan.drawer, plan.needed)
+        if plan.length is None or plan.generation % plan.length or plan.block.index or not self._drives_blocks(plan):
+            return
+        failures, workers = frozenset[Signature]().union(*known), self.harness.request.settings.workers
+        if not self._tasks:  # Each process gets as many blocks, and the scenarios of what is left are shared.
+            self._last = plan.whole_blocks - (plan.whole_blocks - plan.number) % workers
+        for number in range(plan.number, min(plan.number + 2 * workers, self._last)):
+            if number not in self._tasks:
+                task = BlockTask(number, failures, frozenset(fatal))
+                if not self.runner.processes.drive(task):
+                    return
+                self._tasks[number] = task
 
-    def next(self, plan: Plan[Any], fatal: Set[Scenario]) -> Run | Passed | Tally | LostRun | None:
+    def _drives_blocks(self, plan: Plan[Any]) -> bool:
+        """Return whether other processes drive blocks from the next one on."""
+        workers, is_apart = self.harness.request.settings.workers, self.harness.request.settings.isolate
+        if self.driver is None or plan.length is None or self.runner.decides_for_many or not (workers > 1 or is_apart):
+            return False
+        # Long runs are shared better one by one. After deaths, too: then a death costs its run and not its block.
+        is_fast = 0 < self.runner.processes.run_seconds < max(DRIVEN_SECONDS, FED_SECONDS * workers)
+        is_worth_it = bool(self._tasks) or plan.whole_blocks - plan.number >= 2 * workers
+        return is_fast and is_worth_it and self._deaths * 8 <= self._driven
+
+    def next(self, plan: Plan[Any], fatal: Set[Scenario]) -> Run | Tally | LostRun | None:
         """Return what became of the next scenario of a plan, or of the next ones.
 
-        That is the run, which must be judged next; what the process said that has made and judged the run; the counts
-        of several runs; or how a process died or hung. It is None for a scenario of ``fatal``, which is not run.
+        That is the run, which must be judged next; the tally of runs that another process has made and judged; or how
+        a process died or hung. It is None for a scenario of ``fatal``, which is not run.
 
         Raises:
             OutOfTime: if the time of the search is over before; the scenario then counts nowhere.
             RequestError: as for :meth:`run`.
         """
         __tracebackhide__ = True
-        if self.counting is not None and isinstance(plan, AheadPlan):
-            part = self.runner.counted(plan.generation, plan.index)
-            if part is not None:
-                tally: Tally = part.counted
-                self.counted_decisions += tally.decisions
-                return tally
-        ahead = plan.ahead()
-        if ahead is not None:
-            self.runner.announce((each for each in ahead if each not in fatal), more=plan.is_ahead)
-        scenario = plan.scenario()
+        scenario, said = None, self._said(plan)
+        if isinstance(said, Tally):
+            self.counted_decisions += said.decisions
+            return said
+        if isinstance(said, Trace):
+            scenario = said.scenario
+        else:
+            ahead = plan.ahead()
+            if ahead is not None:
+                self.runner.announce((each for each in ahead if each not in fatal), more=plan.length is not None)
+            self._foresee(plan, fatal)
+            scenario = plan.scenario()
         if scenario in fatal:
             return None
         try:
             with self._recorded(), refusals():
-                made = self.runner.made(scenario)
+                made: Any = self.runner.made(scenario)
         except ProcessLostError as error:
+            self._suspect = None
             return error
-        if isinstance(made, Digest):
-            passed: Passed = made.content
-            self.counted_decisions += passed.decisions
-            return passed
+        if isinstance(made, Tally):
+            self.counted_decisions += made.decisions
+            return made
         return self.harness.seen(made)
 
-    def learn(self, news: Sequence[Evaluation], known: Iterable[Collection[Signature]]) -> None:
-        """Let the processes that draw scenarios learn what the algorithm has learnt, and the failures known by now."""
-        if self.counting is not None and self.counting.drawer is not None:
-            before = self.counting.read.known
-            new = frozenset() if self.counting.wants_each else frozenset().union(*known) - before
-            before.update(new)
-            self.runner.tell((tuple(news), new))
+    def learn(self, plan: Plan[Any]) -> Sequence[AlgorithmEvent]:
+        """Let the algorithm learn from a whole generation, if the process that drives its block has not done so."""
+        number, learnt = plan.number, self._said(plan)
+        plan.block.learnt = learnt if isinstance(learnt, Learnt) else None
+        events = plan.learn()
+        if plan.number != number:
+            if (task := self._tasks.pop(number, None)) is not None:
+                self._driven += 1
+                self.runner.processes.forget(task)
+            if self._suspect is not None:
+                self.runner.processes.recovered.append(self._suspect)
+                self._suspect = None
+        return events
+
+    def _said(self, plan: Plan[Any]) -> Tally | Trace | Learnt | None:
+        """Return what the process says next that drives the block of a plan; None if the session must go on."""
+        task = self._tasks.get(plan.number)
+        if task is None:
+            return None
+        said = self.runner.processes.said(task)
+        if isinstance(said, tuple):
+            what: Tally | Trace | Learnt = said[0]
+            self.runner.processes.count(what.runs if isinstance(what, Tally) else isinstance(what, Trace), said[2])
+            if isinstance(what, Trace):
+                self.runner.processes.ready[what.scenario] = said
+            else:
+                said[1].repeat()
+            return what
+        if isinstance(said, ProcessLostError):
+            self._suspect, self._deaths = said, self._deaths + 1
+        del self._tasks[plan.number]
+        return None
+
+    def _foresee(self, plan: Plan[Any], fatal: Set[Scenario]) -> None:
+        """Let other processes run scenarios of the next blocks, while the last runs of a generation are waited for."""
+        processes, workers = self.runner.processes, self.harness.request.settings.workers
+        if plan.length is None or self._tasks or self._drives_blocks(plan) or self.runner.decides_for_many:
+            return
+        scenarios = AHEAD_ELSEWHERE if processes.is_elsewhere else 2 * workers if processes.in_use > 1 else 0
+        blocks = -(-scenarios // plan.algorithm(1).population)
+        unfit: tuple[type[BaseException], ...] = (FitnessError, *skips())
+        self._later = {number: block for number, block in self._later.items() if number > plan.number}
+        for number in range(plan.number + 1, plan.number + 1 + blocks):
+            block = self._later.get(number)
+            if block is None:
+                block = self._later[number] = plan.beginning(number)
+                processes.announce_later(each for each in plan.within(block) if each not in fatal)
+            while block.generation // plan.length == number and (runs := processes.arrived(block.drawn)):
+                try:
+                    evaluations = [self._evaluated_early(made) for made in runs]
+                except unfit:  # raised again as soon as the search comes to this run
+                    return
+                for each in evaluations:
+                    block.take(each)
+                block.learn()
+                if block.generation // plan.length == number:
+                    processes.announce_later(each for each in plan.within(block) if each not in fatal)
+
+    def _evaluated_early(self, made: Trace | Tally) -> Evaluation:
+        """Return what the algorithm sees of a run that is not requested yet; if nobody has, this process judges it."""
+        if isinstance(made, Tally):
+            evaluation: Evaluation = pickle.loads(made.evaluations)[0]  # noqa: S301  (from our own process)
+            return evaluation
+        run, scenario = self.harness.seen(made), made.scenario
+        if scenario not in self._early:
+            self.record.write(scenario)
+            self._early[scenario] = self.judge(run)
+        verdict, signature = self._early[scenario], None
+        if verdict.failed and verdict.failure is not None:
+            signature, _ = failed_as(run, verdict.failure)
+        return self.evaluation(run, verdict, signature)
 
     def run(self, scenario: Scenario, *, afresh: bool = False, most: int | None = None) -> Run:
         """Run a scenario. The caller must call :meth:`judge` next, which also clears the crash record.
@@ -393,6 +547,10 @@ class Workers:
     def judge(self, run: Run, scenario: Scenario | None = None) -> Verdict:
         """Judge the last run. If it fails, the reference is run in ``scenario``, by default in the run's scenario."""
         __tracebackhide__ = True
+        early = self._early.pop(run.trace.scenario, None)
+        if early is not None:
+            self.record.clear()
+            return early
         with self._recorded():
             verdict = self.harness.judge(run)
             if verdict.failed and self.reference is not None:

@@ -72,8 +72,8 @@ takes the first bytes of the text for a very large length. Without a limit it wo
 """
 
 Work: TypeAlias = Callable[..., ResultT]
-"""The function that runs a task in a process of the pool. Its arguments are the task, and a function that reports the
-finished share of the task."""
+"""The function that runs a task in a process of the pool. Its arguments are the task, and a function that sends what it
+says before its answer: the finished share of the task as a float, or anything else."""
 
 
 class ProcessLostError(Exception, Generic[TaskT]):
@@ -133,7 +133,6 @@ class WorkerPool(Generic[TaskT, ResultT]):
             limit. Beyond the limit, allocations fail. Processes that it starts have the same limit. Only on Linux.
         idle: the longest time that a process waits for a task before it ends by itself [s], or None for no limit.
         ended: a function that is called with the id of each process of the pool that has ended.
-        heard: a function that is called in each process with what :meth:`tell` is given, before its next task.
         clock: a monotonic clock [s].
     """
 
@@ -146,7 +145,6 @@ class WorkerPool(Generic[TaskT, ResultT]):
     memory: int | None = None
     idle: float | None = None
     ended: Callable[[int], None] = lambda pid: None
-    heard: Callable[[Any], object] = repr  # can be pickled, and does nothing
     clock: Callable[[], float] = time.monotonic
 
     def __post_init__(self) -> None:
@@ -159,6 +157,7 @@ class WorkerPool(Generic[TaskT, ResultT]):
         self._looked_at = -math.inf  # when all processes, including silent ones, were last checked
         self._pending: deque[TaskT] = deque()
         self._wanted: set[TaskT] = set()
+        self._said: dict[TaskT, deque[Any]] = {}
         self._answers: dict[TaskT, ResultT | Exception] = {}
         self._suspects: dict[TaskT, ProcessLostError[TaskT]] = {}
 
@@ -174,26 +173,50 @@ class WorkerPool(Generic[TaskT, ResultT]):
         ``tasks`` may be a generator: each task starts as soon as the generator yields it, if a process is free.
         """
         self._pending, self._wanted = deque(), set()
-        self._answers, self._suspects = {}, {}
+        self._said, self._answers, self._suspects = {}, {}, {}
         self.add_all(tasks)
 
     def add_all(self, tasks: Iterable[TaskT]) -> None:
-        """Start some more tasks after all earlier ones."""
+        """Start some more tasks after all earlier ones, unless their answers are still to be fetched."""
         for task in tasks:
-            self.add(task)
+            if task not in self._wanted:
+                self._wanted.add(task)
+                self._pending.append(task)
+            self._send()
 
-    def add(self, task: TaskT) -> None:
-        """Start one more task after all earlier ones, unless its answer is still to be fetched."""
-        if task not in self._wanted:
-            self._wanted.add(task)
-            self._pending.append(task)
+    def add_first(self, tasks: Iterable[TaskT]) -> None:
+        """Start some more tasks before all that were not started yet, unless their answers are still to be fetched."""
+        new = [task for task in tasks if task not in self._wanted]
+        self._wanted.update(new)
+        self._pending.extendleft(reversed(new))
         self._send()
 
-    def tell(self, said: object) -> None:
-        """Let ``heard`` receive a value in each process that exists now, before the next task of that process."""
-        content = pickle.dumps(said)
-        for worker in self._workers:
-            worker.unheard.append(content)
+    def said(self, task: TaskT) -> Any:
+        """Wait for what a task says before its answer, and return it; the answer if it says no more.
+
+        A task is not tried again if its process died in it.
+
+        Raises:
+            OutOfTime: if the time of the search is over; all processes are ended.
+        """
+        while not (self._said.get(task) or task in self._answers or task in self._suspects):
+            self._receive()
+            self._send()
+        if self._said.get(task):
+            return self._said[task].popleft()
+        answer = self._suspects.get(task) or self._answers[task]
+        self.forget(task)
+        return answer
+
+    def arrived(self, task: TaskT) -> ResultT | Exception | None:
+        """Return the answer to a task, which can still be fetched; None if there is none yet."""
+        return self._answers.get(task)
+
+    def forget(self, task: TaskT) -> None:
+        """Forget a task and its answer."""
+        self._wanted.discard(task)
+        for each in (self._said, self._answers, self._suspects):
+            each.pop(task, None)
 
     def fetch(self, task: TaskT) -> ResultT | Exception:
         """Wait for the answer to a task and return it; a task that was not started before is run next.
@@ -273,7 +296,7 @@ class WorkerPool(Generic[TaskT, ResultT]):
                 if idle is not None:  # It ended between two tasks, so no task is the cause.
                     self._remove(idle)
                 others = [worker.connection for worker in self._workers]
-                idle = _Worker(self._context, self.work, self.heard, others, self.grace, self.memory, self.idle)
+                idle = _Worker(self._context, self.work, others, self.grace, self.memory, self.idle)
                 self._workers.append(idle)
         except OSError as error:
             self._fail(task, str(error))
@@ -309,8 +332,10 @@ class WorkerPool(Generic[TaskT, ResultT]):
             heard = worker.hear()
             if heard is not None:
                 is_done, said = heard
-                if is_done and task in self._wanted:
+                if task in self._wanted and is_done:
                     self._answers[task] = said
+                elif task in self._wanted and not isinstance(said, float):
+                    self._said.setdefault(task, deque()).append(said)
                 return
             is_gone = True
         if worker.gave_up.value == EXHAUSTED:
@@ -352,7 +377,6 @@ class _Worker(Generic[TaskT]):
         self,
         context: Any,
         work: Work[Any],
-        heard: Callable[[Any], object],
         others: list[Connection],
         grace: float,
         memory: int | None,
@@ -360,14 +384,13 @@ class _Worker(Generic[TaskT]):
     ) -> None:
         self.task: TaskT | None = None
         self.share = 0.0
-        self.unheard: list[bytes] = []  # what it must receive before its next task
         self.gave_up = context.RawValue("b", 0)  # why it ended itself; 0 if it did not
         self._beats = context.RawValue("Q", 0)
         self.connection, end = context.Pipe()
         self._heard = 0
         self._asked_at: float | None = None
         inherited = [*others, self.connection] if context.get_start_method() == "fork" else []
-        arguments = (work, heard, end, inherited, self._beats, self.gave_up, grace, memory, idle)
+        arguments = (work, end, inherited, self._beats, self.gave_up, grace, memory, idle)
         # A daemon, so that an executor's worker that ends kills it and does not wait for it.
         self.process = context.Process(target=_serve, args=arguments, name="pafot-worker", daemon=True)
         with warnings.catch_warnings(), _no_interrupts(context.get_start_method()):
@@ -391,14 +414,13 @@ class _Worker(Generic[TaskT]):
     def send(self, task: TaskT | None) -> bool:
         """Send a task to the process, or None to end the process; return False if the process has ended."""
         try:
-            self.connection.send_bytes(pickle.dumps((self.unheard, task)))
+            self.connection.send_bytes(pickle.dumps(task))
         except OSError:
             return False
-        self.unheard = []
         return True
 
     def hear(self) -> tuple[bool, Any] | None:
-        """Receive a message of the process: (True, result) or (False, finished share); None if the process ended."""
+        """Receive a message of the process: (True, result) or (False, what it says); None if the process ended."""
         try:
             is_done, said = pickle.loads(self.connection.recv_bytes(LARGEST))  # noqa: S301  (from a child process)
         except (EOFError, OSError):
@@ -408,7 +430,7 @@ class _Worker(Generic[TaskT]):
             is_done, said = True, RuntimeError(f"{expected} {type(error).__name__}: {error}")
         if is_done:
             self.task = None
-        else:
+        elif isinstance(said, float):
             self.share = said
         return is_done, said
 
@@ -448,7 +470,6 @@ def _end_children(pid: int) -> None:
 
 def _serve(
     work: Work[Any],
-    heard: Callable[[Any], object],
     connection: Connection,
     inherited: list[Connection],
     beats: Any,
@@ -462,8 +483,8 @@ def _serve(
     ``beats`` counts the start of the process and each signal that it answers.
     """
 
-    def tell(share: float) -> None:
-        connection.send((False, share))
+    def tell(said: object) -> None:
+        connection.send_bytes(_sendable((False, said)))
 
     def beat(*signalled: object) -> None:
         beats.value += 1
@@ -486,11 +507,9 @@ def _serve(
     resort = LastResort(end=end, grace=grace, end_world=partial(end, WORLD_STUCK))
     with last_resort(resort), suppress(EOFError, OSError):
         while connection.poll(idle):
-            unheard, task = connection.recv()
+            task = connection.recv()
             if task is None:
                 break
-            for content in unheard:
-                heard(pickle.loads(content))  # noqa: S301  (from the session)
             try:
                 said = _sendable((True, work(task, tell)))
             except MemoryError:  # Not sent as an answer: the session would run the task itself and use up its memory.

@@ -86,7 +86,10 @@ class Workers:
     numbers: Iterator[int] = field(default_factory=count)
     has_reference: bool = False
 
-    def begin(self, plan, random_runs, fatal):
+    def begin(self, plan, random_runs):
+        """Do nothing, because there are no other processes."""
+
+    def give_blocks(self, plan, fatal, known):
         """Do nothing, because there are no other processes."""
 
     def next(self, plan, fatal):
@@ -101,8 +104,8 @@ class Workers:
     def evaluation(self, run, verdict, signature):
         return evaluated(run.trace, verdict, signature, lambda trace: 0.0, is_steered_by_checks=True)
 
-    def learn(self, news, known):
-        """Do nothing, because there are no other processes."""
+    def learn(self, plan):
+        return plan.learn()
 
     def is_common(self, scenario):
         """Return whether a scenario fails the reference: every second one does if a process dies."""
