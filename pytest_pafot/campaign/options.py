@@ -222,9 +222,8 @@ class Settings:
     neighbours: int = option(
         "integer",
         "Number of neighbours of each new finding that are run to say how broad the failure is; 0 for none.",
-        "A neighbour differs from the shrunk scenario a little: in speeds, in one instruction, or in the start. If "
-        "none of them fails in the same way, as many with smaller steps are run, up to three times. Neighbours are run "
-        "after all findings are shrunk, of each finding all or none: [how broad a finding "
+        "A neighbour differs from the shrunk scenario a little: in speeds, in one instruction, or in the start. "
+        "Neighbours are run after all findings are shrunk, of each finding all or none: [how broad a finding "
         "is](../explanation/findings.md#how-broad-it-is).",
         default=40,
         most=MOST_NEIGHBOURS,

@@ -562,6 +562,8 @@ class Simplification:
         try:
             if rollouts and kept.finding.rate is not None:  # As found: else many small losses would add up.
                 self._known = FailureRate(failing=sum(map(fails, range(1, KNOWN_RUNS + 1))), runs=KNOWN_RUNS)
+                if kept.find.is_flaky and not self._known.failing:
+                    rollouts = 0  # Simpler scenarios cannot be compared with it, and none need fail at its seed.
         except OutOfBudget:
             rollouts = 0
         if rollouts == 0:

@@ -17,10 +17,6 @@ from pytest_pafot.searching.events import EndReason
 from pytest_pafot.searching.plan import Plan
 from pytest_pafot.support.errors import flag
 
-RUNS_A_NEIGHBOUR = 4
-"""The time for one of a finding's neighbours, as a number of runs: as many are run with smaller steps, up to three
-times."""
-
 RUNS_TO_CONFIRM = 4
 """The time to find and confirm a failure, as a number of runs.
 
@@ -139,7 +135,7 @@ class TimedWatch(Watch):
         settings, firm = harness.request.settings, self.store.firm
         if self.limit.until == math.inf or (firm and state.decides_for_many):
             return self.until
-        to_simplify = RUNS_TO_CONFIRM + rollouts_for(harness) + RUNS_A_NEIGHBOUR * settings.neighbours
+        to_simplify = RUNS_TO_CONFIRM + rollouts_for(harness) + settings.neighbours
         to_compare = 0 if harness.against is None else 2 * settings.pairs
         run_seconds = (state.clock() - self.began) * settings.workers / max(state.runs - self._runs_before, 1)
         return max(self.until, self.limit.until - (firm * to_simplify + to_compare or RUNS_TO_CONFIRM) * run_seconds)

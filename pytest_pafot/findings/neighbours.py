@@ -299,7 +299,7 @@ class _Neighbour:
         return replace(step, after=_within(step.after * longer, LATEST))
 
     def _changed(self, gene: Gene) -> Gene:
-        """Return a gene with a cell or a lane beside its own; with smaller steps, or at a zone, only moved."""
+        """Return a gene with a cell or a lane beside its own; at a zone, only moved."""
         if isinstance(gene, ALONE):
             return self._moved(gene)
         if isinstance(gene, LaneInstruction):

@@ -98,11 +98,6 @@ class RoadStart(NamedTuple):
     physics_hz: int
 
 
-def given_world(world: Any) -> Any:
-    """Return a world as the user gave it."""
-    return world.given if isinstance(world, BaseWorld) else world
-
-
 class BaseWorld(ABC):
     """A world as a search sees it. What a world lacks is as here."""
 

@@ -20,7 +20,7 @@ from pytest_pafot.findings.finding import check_plain
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.support.errors import WorldError
 from pytest_pafot.support.text import differences
-from pytest_pafot.world.base_world import WorldLike, given_world
+from pytest_pafot.world.base_world import WorldLike
 from pytest_pafot.world.guard.own_worlds import base_world
 from pytest_pafot.world.gym_world import LONGEST_RUN, World
 from pytest_pafot.world.highway import Highway
@@ -148,7 +148,7 @@ def described(world: Any) -> dict[str, Any]:
     Raises:
         WorldError: if its environment cannot be used, or a registered world gives data that a file cannot hold.
     """
-    world = given_world(world)
+    world = base_world(world).given
     if is_built_in(world):
         data: dict[str, Any] = world.to_dict()
         return data
@@ -205,7 +205,7 @@ def of_file(data: Mapping[str, Any], scenario: Scenario, own: Any = None) -> Wor
 
 def code_of(world: Any) -> tuple[object, ...]:
     """Return the classes and functions whose code a world runs: its own, its environment's and its wrappers."""
-    world = given_world(world)
+    world = base_world(world).given
     if not isinstance(world, World):
         return (type(world),)
     return type(world), type(world.environment.unwrapped), *(world.wrappers or ())
@@ -244,7 +244,7 @@ def cuts(data: Mapping[str, Any], scenario: Scenario, own: Any) -> list[str]:
 
 def _longest(data: Mapping[str, Any], own: Any) -> float:
     """Return the duration that has as many ticks in the file's world as that of the test's world in its own [s]."""
-    own, config = given_world(own), data.get("config")
+    own, config = base_world(own).given, data.get("config")
     rate = config.get("simulation_frequency") if isinstance(config, Mapping) else data.get("physics_hz")
     try:
         # A road may end before the duration that the test asks for, which its files then hold.

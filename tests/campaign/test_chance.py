@@ -94,6 +94,15 @@ def test_a_finding_that_does_not_repeat_has_a_rate_too_and_is_shrunk_by_it(tmp_p
     assert told.finding.original is not None
 
 
+def test_a_finding_that_does_not_repeat_stays_as_it_was_found_if_it_is_too_rare_to_compare(tmp_path, monkeypatch):
+    monkeypatch.setattr(Simplification, "_rate", lambda work, kept, scenario: FailureRate(failing=1, runs=60))
+    monkeypatch.setattr(Simplification, "_fails", lambda work, scenario: False)  # in the runs that are to be compared
+    told = found(Unrepeatable, tmp_path)
+    assert told.finding.flaky
+    assert told.finding.original is None
+    assert told.finding.rate == FailureRate(failing=1, runs=60)
+
+
 def test_a_finding_that_only_highway_envs_own_environment_does_not_show_has_no_rate(tmp_path, monkeypatch):
     monkeypatch.setattr("pytest_pafot.campaign.workers._difference_in_gym", lambda run, workers: "safe for 4.0 s")
     told = found(Brakes, tmp_path)

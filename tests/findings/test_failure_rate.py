@@ -77,10 +77,11 @@ def test_a_simpler_scenario_must_fail_about_as_often(most, odds):
     assert kept(200, 0.3) < 0.05
 
 
-def test_what_never_fails_is_left_after_few_runs():
+@pytest.mark.parametrize(("failing", "runs"), [(200, 2), (180, 2), (80, 8), (30, 20), (1, 20)])
+def test_what_never_fails_is_left_the_sooner_the_more_often_the_finding_fails(failing, runs):
     asked = iter([False] * 30)
-    assert not rate(200, 200).is_as_often(asked)
-    assert len(list(asked)) == 28
+    assert not rate(failing, 200).is_as_often(asked)
+    assert len(list(asked)) == 30 - runs
 
 
 def test_other_seeds_change_only_the_seed():

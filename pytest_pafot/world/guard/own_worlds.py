@@ -292,8 +292,9 @@ class OwnWorld(BaseWorld):
     @property
     def drivers(self) -> tuple[str, ...]:
         """The names of drivers with which the world declares that its ``take_over`` can be called."""
-        names = (*self._names("reference_drivers"), *self._names("takes_over"))
-        return names if self._runs_alike("take_over") else ()
+        if not self._runs_alike("take_over"):
+            return ()
+        return (*self._names("reference_drivers"), *self._names("takes_over"))
 
     def _names(self, attribute: str) -> tuple[str, ...]:
         return tuple(getattr(self.world, attribute, ()))
