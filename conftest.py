@@ -6,7 +6,7 @@ import os
 import signal
 import sys
 from collections.abc import Callable, Generator
-from importlib import import_module, metadata
+from importlib import metadata
 from pathlib import Path
 
 import pytest
@@ -94,7 +94,6 @@ def pytest_collection() -> Generator[None, object, object]:
     Tests leave little garbage too, so it is collected rarely. Frequent collection would take a sixth of their time.
     """
     gc.disable()
-    import_module("pytest_pafot.world.stock")  # imports highway-env without matplotlib, before a test imports it with
     collected = yield
     gc.freeze()
     atexit.register(gc.unfreeze)  # or libraries report what is left as lost; pytest itself would search it five times

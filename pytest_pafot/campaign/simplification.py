@@ -476,6 +476,8 @@ class Simplification:
         before = rate = kept.finding.rate
         if self._known is not None and not differs and scenario not in (found, kept.finding.scenario):
             simplest = self._failing_as_often(kept, self._known, scenario)
+            if simplest is None and turn.is_over:
+                return False  # Further attempts may lead to a scenario that does; the answers so far are kept.
             if simplest is None:
                 differs = f"what is simpler does not fail as often as in {self._known} runs"
             else:

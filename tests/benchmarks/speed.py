@@ -263,7 +263,7 @@ class TimedHighway(Highway):
     """A road that records how long its runs take."""
 
     spent: list[float] = field(default_factory=list, compare=False)  # processor time of each run [s]
-    guards_ads = True  # as its base class, which states it only for itself
+    guards_ads = True  # in the rollout of its base class
 
     def rollout(self, *args: Any, **more: Any) -> Trace:
         """Run as on any road, and record the time."""

@@ -156,6 +156,23 @@ def test_a_finding_that_is_again_as_it_was_found_has_the_rate_of_that_scenario(t
     assert finding.rate.failing >= 10
 
 
+def test_a_finding_whose_time_ended_at_nothing_that_fails_as_often_is_not_done(tmp_path, monkeypatch):
+    def shrunk(work, kept, found, turn):
+        turns.append(turn)
+        turn.attempts, turn.is_over = 1, len(turns) == 1
+        work._known, work.state.answers[kept.find.id] = kept.finding.rate, []
+        return replace(found, npcs=found.npcs[:1]), Shrunk(rollouts=len(turns))
+
+    def compared(work, kept, known, simplest):
+        return None if len(turns) == 1 else simplest
+
+    turns = []
+    monkeypatch.setattr(Simplification, "_shrunk", shrunk)
+    monkeypatch.setattr(Simplification, "_failing_as_often", compared)
+    finding = found(Brakes, tmp_path).finding
+    assert (len(finding.scenario.npcs), finding.shrunk.rollouts) == (1, 2)
+
+
 def test_a_later_session_goes_on_measuring_how_often_a_finding_fails(tmp_path, monkeypatch):
     def session(name):
         options = SHORT | {"shrink_rollouts": 5, "neighbours": 0, "stop_after": 1, "runs": 40}

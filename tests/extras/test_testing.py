@@ -674,6 +674,7 @@ WRONG = [
     (Weak, "steady-braking brakes with 6 m/s"),
     (Nobody, "rollout_reference runs the declared driver 'nobody'"),
     (Letters, "reference_drivers is a tuple of names"),
+    (type("Unnamed", (Driven,), {"takes_over": None}), "takes_over is a tuple of names, received None"),
     (type("Hourly", (Driven,), {"speed_limit": 96.5}), "speed_limit is in m/s, at most 70, received 96.5"),
     (type("Boundless", (Driven,), {"longest_run": "long"}), "longest_run is a number above 0"),
 ]

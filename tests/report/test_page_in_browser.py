@@ -18,6 +18,7 @@ from tests.report.builders import (
     real_report,
     view_of,
 )
+from tests.report.test_manoeuvre_view import TRACE as MANOEUVRES
 
 CHROMIUM = find_chromium()
 FILES = Path(__file__).parents[1] / "corpus" / "saved"
@@ -86,6 +87,18 @@ def test_plan_at_the_time_shown_is_drawn_ahead_of_the_ego(browser, tmp_path):
     page.press("ArrowLeft")
     assert page.evaluate(TIME) == pytest.approx(0.9)  # the decision at 0.8 s had no plan
     assert not page.evaluate(line)
+    assert page.complaints == []
+    page.close()
+
+
+def test_a_step_of_a_manoeuvre_that_never_began_is_no_instruction_at_the_end(browser, tmp_path):
+    path = tmp_path / "manoeuvre.html"
+    path.write_text(render_page(Report.of(view_of(MANOEUVRES))), encoding="utf-8")
+    page = browser.open(path.as_uri())
+    page.press("End")
+    told = page.evaluate("document.querySelector('article.current .player').textContent")
+    assert "at a gap of 20 m" in told
+    assert "at a gap of 400 m" not in told
     assert page.complaints == []
     page.close()
 

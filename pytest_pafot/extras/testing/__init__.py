@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 import warnings
 from bisect import bisect_right
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, fields, replace
 from functools import partial, wraps
@@ -261,7 +261,8 @@ def _check_members(world: Any) -> None:
     _promise(is_slow, f"speed_limit is in m/s, at most {TOP_SPEED:g}", f"{world.speed_limit:g}")
     for name in ("reference_drivers", "takes_over"):
         names = getattr(world, name, ())
-        are_names = not isinstance(names, str) and all(isinstance(each, str) for each in names)
+        are_several = isinstance(names, Collection) and not isinstance(names, str)
+        are_names = are_several and all(isinstance(each, str) for each in names)
         _promise(are_names, f"{name} is a tuple of names", f"{names!r:.100}")
     has_reference = hasattr(world, "rollout_reference") or not hasattr(world, "reference_drivers")
     _promise(has_reference, "a world with reference_drivers has rollout_reference", "none")

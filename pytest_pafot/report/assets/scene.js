@@ -52,7 +52,9 @@ function nearestLane(road, across) {
 }
 
 function instructionAt(finding, npc, time) {
-  const rows = finding.instructions.filter((row) => row.npc === npc);
+  const all = finding.instructions.filter((row) => row.npc === npc);
+  const started = all.filter((row) => row.started);
+  const rows = started.length ? started : all;  // A world of the user's may not say which began.
   const row = rows.find((each) => time < each.end - 1e-9) || rows[rows.length - 1];
   if (!row) return null;
   if (!row.zone && time >= row.end - 1e-9 && finding.times[finding.times.length - 1] > row.end) {
