@@ -345,7 +345,7 @@ def replays_of(
         check_states(settings.resume, Path.cwd())
     harness = Harness(
         request=request,
-        world=base_world(build_world(request, Highway())),
+        world=build_world(request, Highway()),
         ads=request.ads,
         test=holds,
         test_file=source_file(holds),

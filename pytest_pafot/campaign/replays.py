@@ -109,7 +109,7 @@ class ReplayResult:
 
     @property
     def judged(self) -> tuple[bool | None, str]:
-        """Whether the replay passes, or None if that cannot be decided; and a sentence on how it ended.
+        """True if the replay passes, None if that cannot be decided; and a sentence on how it ended.
 
         A replay fails only by the failure that the file describes: the saved event, or a failure of the same signature.
         A replay passes if the saved situation occurred and the test function accepted the run. Versions of packages are

@@ -213,7 +213,7 @@ def check_names(arguments: Mapping[str, Any], *, place: str = "@pafot.search") -
     raise RequestError(f"{place}({unknown}=...): {expected} one of {', '.join(sorted(known))}, received {unknown!r}")
 
 
-def build_world(request: Request, fixture_world: Any) -> Any:
+def build_world(request: Request, fixture_world: Any) -> BaseWorld:
     """Return the world of a search: the mark's world, or else the fixture's world with the mark's road arguments.
 
     If the mark gives no world but the length of the chains, runs on the fixture's Highway last as long as the chains.
@@ -239,7 +239,7 @@ def build_world(request: Request, fixture_world: Any) -> Any:
             raise request.error(", ".join(request.space), error) from None
         changes["duration"] = space.genes * space.gene_seconds
     try:
-        return replace(fixture_world, **changes) if changes else fixture_world
+        return base_world(replace(fixture_world, **changes) if changes else fixture_world)
     except (TypeError, ValueError) as error:
         raise request.error(f"{', '.join(request.road) or 'genes'}=...", error) from None
 
@@ -324,7 +324,8 @@ def drawn_space(world: Any, given: Mapping[str, Any]) -> dict[str, Any]:
     The other defaults are only for a straight road. The start is random only on a Highway, because an environment
     defines how its ego starts.
     """
-    world, drawn = base_world(world), dict[str, Any]()
+    world = base_world(world)
+    drawn: dict[str, Any] = {}
     if world.has_traffic_styles:
         drawn["traffic"] = given.get("traffic", Traffic().style)
     in_lanes = world.has_lane_instructions and given.get("instructions") != "cells"
@@ -369,15 +370,15 @@ def _crossing_space(world: BaseWorld, given: Mapping[str, Any]) -> dict[str, Any
     return drawn if "npcs" in given else drawn | {"most_npcs": (MOST_CROSSING,)}
 
 
-def _checked_world(request: Request, world: Any, origin: str) -> Any:
-    missing = base_world(world).missing
-    if missing:
+def _checked_world(request: Request, given: Any, origin: str) -> BaseWorld:
+    world = base_world(given)
+    if world.missing:
         raise RequestError(
             f"expected {origin} pafot.Highway(...) or pafot.World(...), or your own world with "
-            f"{', '.join(REQUIRED)}, received {world!r:.100}, which has no {', '.join(missing)}"
-            f"{hint_at_world(world)}"
+            f"{', '.join(REQUIRED)}, received {given!r:.100}, which has no {', '.join(world.missing)}"
+            f"{hint_at_world(given)}"
         )
-    if request.blame == "preventable" and not base_world(world).reference_drivers:
+    if request.blame == "preventable" and not world.reference_drivers:
         raise request.error(
             "blame='preventable'",
             f"expected a world with reference_drivers and rollout_reference(scenario, name), received {world!r:.100}; "

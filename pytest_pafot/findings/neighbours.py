@@ -76,7 +76,7 @@ class Breadth:
 
     @property
     def word(self) -> Literal["broad", "narrow", "knife edge"]:
-        """How broad the failure is, in a word.
+        """The word that says how broad the failure is.
 
         It is broad if most of the neighbours fail, narrow if fewer do, and a knife edge if none do.
         """

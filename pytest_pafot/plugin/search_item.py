@@ -69,7 +69,6 @@ from pytest_pafot.support.source_files import files_line, source_digests
 from pytest_pafot.support.text import plural
 from pytest_pafot.support.versions import installed_versions
 from pytest_pafot.world.guard.hang_guard import runs_end_in
-from pytest_pafot.world.guard.own_worlds import base_world
 
 if TYPE_CHECKING:
     from pytest_pafot.report.views import CampaignCounts
@@ -115,7 +114,7 @@ def harness_of(item: pytest.Function, request: Request, *, writes: bool = True) 
     Raises:
         RequestError: if the value of a fixture cannot be used, or if scenarios would be saved behind a link.
     """
-    world = base_world(build_world(request, item.funcargs[WORLD_FIXTURE]))
+    world = build_world(request, item.funcargs[WORLD_FIXTURE])
     name, root = node_ids.qualified_name(item), item.config.rootpath
     folder = folder_of_test(item.path, name, request.settings.corpus, root)
     against, resume = request.settings.against, request.settings.resume

@@ -153,7 +153,7 @@ class BaseWorld(ABC):
 
     @property
     def unused_roads(self) -> frozenset[Meeting]:
-        """How roads without NPCs meet the ego's way: crossing, joining, oncoming."""
+        """The ways in which roads without NPCs meet the ego's way: crossing, joining, oncoming."""
         return frozenset()
 
     @property

@@ -194,7 +194,7 @@ class OwnWorld(BaseWorld):
 
     @property
     def unused_roads(self) -> frozenset[Meeting]:
-        """How roads without NPCs meet the ego's way, if the world's class itself states it.
+        """The ways in which roads without NPCs meet the ego's way, if the world's class itself states them.
 
         An inherited property is not used: in a derived class, any vehicle may drive on these roads.
         """
