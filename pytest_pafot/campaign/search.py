@@ -17,11 +17,9 @@ from pytest_pafot.campaign.state import State, lose
 from pytest_pafot.campaign.store import UNCONFIRMED, Store
 from pytest_pafot.campaign.verdict import Verdict
 from pytest_pafot.campaign.watch import Watch
-from pytest_pafot.campaign.workers import Tally, Workers, caught_in
+from pytest_pafot.campaign.workers import Tally, Workers, caught_in, unknown
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.findings.finding import failed_as
-from pytest_pafot.model.scenario import Scenario
-from pytest_pafot.model.trace import Outcome
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.searching.evaluation import Evaluation
 from pytest_pafot.searching.events import EndReason, Event, RunsEvaluated
@@ -79,7 +77,7 @@ def search(
                     if done is not None:
                         is_failure = yield from lose(done, state, workers, store)
                         state.verdicts["failed" if is_failure else "common"] += 1
-                    taken = [plan.take(_unknown(plan.scenario()))]
+                    taken = [plan.take(unknown(plan.scenario()))]
             state.decides_for_many = plan.decides_for_many = state.decides_for_many or workers.runner.decides_for_many
             yield from _released(state, store)
             yield from _seen(taken, state, watch)
@@ -163,19 +161,3 @@ def _released(state: State, store: Store) -> Iterator[SearchEvent]:
     """Report the findings that were held back, as soon as two runs differ, which is no fault of the set-up."""
     if store.is_holding and not state.first.is_alike:
         yield from store.release()
-
-
-def _unknown(scenario: Scenario) -> Evaluation:
-    """Return the evaluation of a scenario in which a process died: nothing is known about it."""
-    return Evaluation(
-        scenario=scenario,
-        executed=scenario,
-        fitness=0.0,
-        failing=False,
-        outcome=Outcome.SAFE,
-        duration=0.0,
-        genes_started=0,
-        genes_reached=0,
-        interaction=False,
-        discarded=True,
-    )

@@ -198,8 +198,8 @@ class Store:
 
     def add_lost(self, lost: LostRun, generation: int, number: int) -> FindTold:
         """Save a scenario whose process died or hung. The numbers are as in :meth:`add`."""
-        alone = "" if lost.is_hang else ", also when nothing else ran"
-        text = f"the {lost.who} that ran this scenario {lost.how}{alone}: "
+        again = "" if lost.is_hang else ", also when it was tried again"
+        text = f"the {lost.who} that ran this scenario {lost.how}{again}: "
         text += cause(lost, f"{flag('workers', 1)} finds nothing here; delete the file")
         finding = self._death(lost.task, expectation(lost), self._found(generation), None)
         origin = self._origin(generation, number)

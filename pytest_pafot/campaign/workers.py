@@ -22,13 +22,23 @@ from pytest_pafot.campaign.setup_fault import unit_doubt
 from pytest_pafot.campaign.verdict import Verdict, skips
 from pytest_pafot.execution.crash_records import CrashRecord, Leftover
 from pytest_pafot.execution.elsewhere import DrivesElsewhere
-from pytest_pafot.execution.pool import ProcessLostError
+from pytest_pafot.execution.pool import KILLED, ProcessLostError
 from pytest_pafot.execution.runner import Runner, replay_in_gym_apart
-from pytest_pafot.execution.scenario_pool import BlockTask, CapturedOutput, Digest, LostRun, RunRecorded, Said, Timed
+from pytest_pafot.execution.scenario_pool import (
+    Answer,
+    BlockTask,
+    CapturedOutput,
+    Digest,
+    Job,
+    LostRun,
+    Said,
+    pool_for,
+    run_recorded,
+)
 from pytest_pafot.findings.finding import Manner, disagreement, failed_as, message_of
 from pytest_pafot.findings.signature import Signature
 from pytest_pafot.model.scenario import Scenario
-from pytest_pafot.model.trace import Trace
+from pytest_pafot.model.trace import Outcome, Trace
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.searching.evaluation import Evaluation, interaction_of
 from pytest_pafot.searching.events import AlgorithmEvent
@@ -64,12 +74,12 @@ def read_ahead(fitness: Callable[[Trace], float] | None, trace: Trace) -> None:
 class Digested(Digest):
     """All that a search needs of a run, in the process that has made and judged it.
 
-    ``is_enough`` is False if the session must see the run itself, because it failed in a way that is not known.
+    ``trace`` is the run itself if the session must judge it, because it failed in a way that is not known.
     """
 
     evaluation: Evaluation
     event: Judged
-    is_enough: bool
+    trace: Trace | None
     signature: Signature | None  # of a failure that counts
     manner: Manner | None  # of the same failure
     is_at_fault: bool  # see :func:`fails_by_ego`
@@ -119,7 +129,7 @@ class Reader:
         """Read a trace; return the tally of the run, or None if the trace must be sent."""
         read_ahead(self.fitness, trace)
         digested = self.digested(trace)
-        return None if digested is None or not digested.is_enough else Tally.of([digested])
+        return None if digested is None or digested.trace is not None else Tally.of([digested])
 
     def digested(self, trace: Trace, known: Collection[Signature] = ()) -> Digested | None:
         """Return what a search needs of a run; None if only the session may judge it.
@@ -142,7 +152,7 @@ class Reader:
         return Digested(
             evaluation=evaluated(trace, verdict, signature, self.fitness, self.is_steered_by_checks),
             event=event,
-            is_enough=verdict.kind in UNREMARKABLE or (signature is not None and signature in known),
+            trace=None if verdict.kind in UNREMARKABLE or signature in known else trace,
             signature=signature,
             manner=manner,
             is_at_fault=signature is not None and fails_by_ego(run, verdict),
@@ -230,6 +240,13 @@ class Tally(Digest):
         )
 
 
+@dataclass(frozen=True, slots=True)
+class Recovered:
+    """What a process says that drives a block if a process of its own died in a run that was made again."""
+
+    lost: LostRun
+
+
 @dataclass(slots=True, kw_only=True)
 class Driver:
     """The driving of whole blocks of a search in the processes that run its scenarios.
@@ -246,10 +263,36 @@ class Driver:
     plan: Plan[Any] | None = None
     random_runs: float = 0.0
 
-    def __call__(self, task: BlockTask, run: RunRecorded, say: Callable[[Said], object]) -> None:
+    def __call__(self, task: BlockTask, job: Job, record: CrashRecord, say: Callable[[Said], object]) -> None:
         """Drive a block and say what comes of it, until it ends or only the session can go on."""
+        known = set(task.known)
+
+        def read(trace: Trace) -> Digested | None:
+            read_ahead(self.reader.fitness, trace)
+            return self.reader.digested(trace, known)
+
+        if not task.is_apart:
+            self._drive(task, known, lambda scenario: run_recorded(job, record, scenario, read), say)
+            return
+        with pool_for(replace(job, read=read, drive=None), 1) as pool:
+
+            def run(scenario: Scenario) -> Answer:
+                answer = pool.fetch(scenario)
+                while pool.recovered:
+                    say((Recovered(pool.recovered.pop()), CapturedOutput(), 0.0))
+                return answer
+
+            self._drive(task, known, run, say)
+
+    def _drive(
+        self,
+        task: BlockTask,
+        known: set[Signature],
+        run: Callable[[Scenario], Answer],
+        say: Callable[[Said], object],
+    ) -> None:
         assert self.plan is not None and self.plan.length is not None  # noqa: S101, PT018  (only then there are tasks)
-        block, known = self.plan.beginning(task.number), set(task.known)
+        block = self.plan.beginning(task.number)
         counted: list[tuple[Digested, CapturedOutput, float]] = []
 
         def count() -> None:  # the runs since the last one that the session must judge
@@ -263,17 +306,27 @@ class Driver:
             first = block.state.proposed
             while not block.is_whole:
                 scenario = block.scenario()
-                made = None if scenario in task.fatal else self._made(scenario, known, run)
-                if made is None:
+                try:
+                    answer = None if scenario in task.fatal else run(scenario)
+                except MemoryError:  # The session must not use up its memory in the same way.
+                    raise
+                except Exception:  # noqa: BLE001  (the session runs it again, and reports what is raised)
+                    answer = None
+                if isinstance(answer, ProcessLostError) and answer.how != KILLED:
+                    count()
+                    say((answer, CapturedOutput(), 0.0))
+                    block.take(unknown(scenario))
+                    continue
+                digested, output, seconds = answer if isinstance(answer, tuple) else (None, CapturedOutput(), 0.0)
+                if not isinstance(digested, Digested):
                     count()
                     return
-                digested, timed = made
                 block.take(digested.evaluation)
-                if digested.is_enough:
-                    counted.append((digested, *timed[1:]))
+                if digested.trace is None or digested.signature in known:
+                    counted.append((digested, output, seconds))
                 else:
                     count()
-                    say(timed)
+                    say((digested.trace, output, seconds))
                     known |= {each for each in (digested.signature,) if each is not None}
                 if first + block.index == self.random_runs:
                     count()
@@ -281,23 +334,21 @@ class Driver:
             events = block.learn()
             say((Learnt.packed(block.state, events), CapturedOutput(), 0.0))
 
-    def _made(self, scenario: Scenario, known: Set[Signature], run: RunRecorded) -> tuple[Digested, Timed] | None:
-        """Return a run with what the search needs of it; None if only the session can make or judge it."""
-        digested: Digested | None = None
 
-        def read(trace: Trace) -> Digested | None:
-            nonlocal digested
-            read_ahead(self.reader.fitness, trace)
-            digested = self.reader.digested(trace, known)
-            return digested if digested is not None and digested.is_enough else None
-
-        try:
-            timed = run(scenario, read)
-        except MemoryError:  # The session must not use up its memory in the same way.
-            raise
-        except Exception:  # noqa: BLE001  (the session runs it again, and reports what is raised)
-            return None
-        return None if digested is None else (digested, timed)
+def unknown(scenario: Scenario) -> Evaluation:
+    """Return the evaluation of a scenario in which a process died: nothing is known about it."""
+    return Evaluation(
+        scenario=scenario,
+        executed=scenario,
+        fitness=0.0,
+        failing=False,
+        outcome=Outcome.SAFE,
+        duration=0.0,
+        genes_started=0,
+        genes_reached=0,
+        interaction=False,
+        discarded=True,
+    )
 
 
 def evaluated(
@@ -360,8 +411,7 @@ class Workers:
     _later: dict[int, Block[Any]] = field(default_factory=dict)  # later blocks as far as other processes have run them
     _early: dict[Scenario, Verdict] = field(default_factory=dict)  # on runs that this process has not counted yet
     _suspect: ProcessLostError[Any] | None = None  # a death in a block, as long as no scenario is known to be the cause
-    _deaths: int = 0  # number of processes that died while they drove a block
-    _driven: int = 0  # number of blocks that other processes have driven
+    _has_died: bool = False  # True if a process has died while it drove a block
     _last: int = 0  # number of the first block that they leave to the session
 
     @property
@@ -406,7 +456,7 @@ class Workers:
             self._last = plan.whole_blocks - (plan.whole_blocks - plan.number) % workers
         for number in range(plan.number, min(plan.number + 2 * workers, self._last)):
             if number not in self._tasks:
-                task = BlockTask(number, failures, frozenset(fatal))
+                task = BlockTask(number, failures, frozenset(fatal), is_apart=bool(fatal or self._has_died))
                 if not self.runner.processes.drive(task):
                     return
                 self._tasks[number] = task
@@ -416,10 +466,10 @@ class Workers:
         workers, is_apart = self.harness.request.settings.workers, self.harness.request.settings.isolate
         if self.driver is None or plan.length is None or self.runner.decides_for_many or not (workers > 1 or is_apart):
             return False
-        # Long runs are shared better one by one. After deaths, too: then a death costs its run and not its block.
+        # Long runs are shared better one by one.
         is_fast = 0 < self.runner.processes.run_seconds < max(DRIVEN_SECONDS, FED_SECONDS * workers)
         is_worth_it = bool(self._tasks) or plan.whole_blocks - plan.number >= 2 * workers
-        return is_fast and is_worth_it and self._deaths * 8 <= self._driven
+        return is_fast and is_worth_it
 
     def next(self, plan: Plan[Any], fatal: Set[Scenario]) -> Run | Tally | LostRun | None:
         """Return what became of the next scenario of a plan, or of the next ones.
@@ -435,6 +485,8 @@ class Workers:
         scenario, said = None, self._said(plan)
         if isinstance(said, Tally):
             self.counted_decisions += said.decisions
+            return said
+        if isinstance(said, ProcessLostError):
             return said
         if isinstance(said, Trace):
             scenario = said.scenario
@@ -464,21 +516,23 @@ class Workers:
         events = plan.learn()
         if plan.number != number:
             if (task := self._tasks.pop(number, None)) is not None:
-                self._driven += 1
                 self.runner.processes.forget(task)
             if self._suspect is not None:
                 self.runner.processes.recovered.append(self._suspect)
                 self._suspect = None
         return events
 
-    def _said(self, plan: Plan[Any]) -> Tally | Trace | Learnt | None:
+    def _said(self, plan: Plan[Any]) -> Tally | Trace | LostRun | Learnt | None:
         """Return what the process says next that drives the block of a plan; None if the session must go on."""
         task = self._tasks.get(plan.number)
         if task is None:
             return None
         said = self.runner.processes.said(task)
+        while isinstance(said, tuple) and isinstance(said[0], Recovered):
+            self.runner.processes.recovered.append(said[0].lost)
+            said = self.runner.processes.said(task)
         if isinstance(said, tuple):
-            what: Tally | Trace | Learnt = said[0]
+            what: Tally | Trace | LostRun | Learnt = said[0]
             self.runner.processes.count(what.runs if isinstance(what, Tally) else isinstance(what, Trace), said[2])
             if isinstance(what, Trace):
                 self.runner.processes.ready[what.scenario] = said
@@ -486,7 +540,7 @@ class Workers:
                 said[1].repeat()
             return what
         if isinstance(said, ProcessLostError):
-            self._suspect, self._deaths = said, self._deaths + 1
+            self._suspect, self._has_died = said, True
         del self._tasks[plan.number]
         return None
 

@@ -52,6 +52,9 @@ shorter than :data:`GRACE`, because only that process ends and not the session."
 FAREWELL = 2.0
 """The time that a process gets to end by itself, together with the processes that its libraries started [s]."""
 
+KILLED = "was ended by SIGKILL"
+"""The words for the end of a process that was killed from outside, as Linux does if there is too little memory."""
+
 OUT_OF_MEMORY = f"ran out of the memory that it may use ({flag('memory')})"
 """The words for the end of a process in which an allocation of memory failed."""
 
@@ -107,7 +110,7 @@ class ProcessLostError(Exception, Generic[TaskT]):
         """The note on a process that died in a task that succeeded when it was tried again."""
         return (
             f"a {self.who} {self.how} while it ran {self.task}, which ran to its end when it was tried "
-            "alone: there may be too little memory for so many workers, or the process was killed from outside"
+            "again: there may be too little memory for so many workers, or the process was killed from outside"
         )
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -221,8 +224,8 @@ class WorkerPool(Generic[TaskT, ResultT]):
     def fetch(self, task: TaskT) -> ResultT | Exception:
         """Wait for the answer to a task and return it; a task that was not started before is run next.
 
-        Each answer can be fetched once. A task in which a process died is tried once more while nothing else runs,
-        because there may have been too little memory for all processes, or the process was killed from outside.
+        Each answer can be fetched once. A task in which a process died is tried once more, and if the process was
+        killed, while nothing else runs, because there may have been too little memory for all processes.
 
         Raises:
             OutOfTime: if the time of the search is over; all processes are ended.
@@ -231,14 +234,23 @@ class WorkerPool(Generic[TaskT, ResultT]):
             self._wanted.add(task)
             self._pending.appendleft(task)
         self._send()
+        first: ProcessLostError[TaskT] | None = None
         while task not in self._answers:
-            if task in self._suspects:
-                self._answers[task] = self._alone(task)
-            else:
+            if task not in self._suspects:
                 self._receive()
+            elif self._suspects[task].how == KILLED:
+                self._answers[task] = self._alone(task)
+            elif first is None:
+                first = self._suspects.pop(task)
+                self._pending.appendleft(task)
+            else:
+                self._answers[task] = self._suspects.pop(task)
             self._send()
         self._wanted.discard(task)
-        return self._answers.pop(task)
+        answer = self._answers.pop(task)
+        if first is not None and not isinstance(answer, ProcessLostError):
+            self.recovered.append(first)
+        return answer
 
     def completed(self, tick: Callable[[float], None]) -> Iterator[tuple[TaskT, ResultT | Exception]]:
         """Yield each expected task with its answer as soon as it is available; no task is tried twice.

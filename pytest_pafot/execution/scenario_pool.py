@@ -136,6 +136,11 @@ class Digest:
 
     __slots__ = ()
 
+    @property
+    def trace(self) -> Trace | None:
+        """The trace, if the session must judge it again."""
+        return None
+
 
 Timed: TypeAlias = tuple[Trace | Digest, CapturedOutput, float]
 """A run or its digest, its captured output, and its duration in wall-clock time [s]."""
@@ -149,18 +154,17 @@ class BlockTask:
         number: the number of the block.
         known: the failures of which no run must be sent.
         fatal: scenarios that must not be run.
+        is_apart: True if each scenario must run in a process of that process, because it may die.
     """
 
     number: int
     known: frozenset[Any] = field(compare=False)
     fatal: frozenset[Scenario] = field(compare=False)
+    is_apart: bool = field(compare=False)
 
     def __repr__(self) -> str:
         return f"block {self.number} of the search"
 
-
-RunRecorded: TypeAlias = Callable[[Scenario, Callable[[Trace], Digest | None]], Timed]
-"""A function that runs a scenario with its crash record on disk. The trace is read as ``Job.read`` does."""
 
 Said: TypeAlias = tuple[Any, CapturedOutput, float]
 """What a process says of the block that it drives, with the output and the duration of the runs that it is about."""
@@ -168,6 +172,7 @@ Said: TypeAlias = tuple[Any, CapturedOutput, float]
 Answer: TypeAlias = Timed | Exception
 """The answer to a scenario: a run, or an exception. This process may repeat the run after any exception, except after a
 :class:`~pytest_pafot.execution.pool.ProcessLostError`."""
+
 ScenarioPool: TypeAlias = WorkerPool[Any, Any]
 """Its tasks are scenarios with an :data:`Answer`, or a :class:`BlockTask`, of which it says :data:`Said`."""
 
@@ -223,8 +228,8 @@ class Job:
     read: Callable[[Trace], Digest | None] = read_nothing
     """A function that reads a trace in the process that made the run. It returns the digest that is sent instead of the
     trace. Without a digest the trace is sent, with the values that it stores by then."""
-    drive: Callable[[BlockTask, RunRecorded, Callable[[Said], object]], None] | None = None
-    """A function that drives a block in a process; None if there is none."""
+    drive: Callable[[BlockTask, Job, CrashRecord, Callable[[Said], object]], None] | None = None
+    """A function that drives a block in a process, with this job and its crash record; None if there is none."""
     remark: str = ""
     """What the note on the use of processes says in addition."""
     memory: int | None = None
@@ -308,19 +313,22 @@ def _run_task(job: Job, record: CrashRecord, task: Scenario | BlockTask, say: Ca
     """
     with record, GENERATORS.held():
         if not isinstance(task, BlockTask):
-            return _run_recorded(job, record, task, job.read)
+            return run_recorded(job, record, task, job.read)
         assert job.drive is not None  # noqa: S101  (only then there are such tasks)
-        job.drive(task, partial(_run_recorded, job, record), say)
+        job.drive(task, job, record, say)
         return None
 
 
-def _run_recorded(job: Job, record: CrashRecord, scenario: Scenario, read: Callable[[Trace], Digest | None]) -> Timed:
+def run_recorded(job: Job, record: CrashRecord, scenario: Scenario, read: Callable[[Trace], Digest | None]) -> Timed:
+    """Run a scenario with its crash record on disk. The trace is read as ``Job.read`` does."""
     digest = None
     record.write(scenario, reference=job.reference)
     trace, output, seconds = Job.run(lambda: job, scenario)
     with capture_output() as said, suppress(Exception):  # it is raised again in the session, which reads the trace
         digest = read(trace)
-    return (trace, output, seconds) if digest is None else (digest, output.followed_by(said), seconds)
+    if digest is None:
+        return trace, output, seconds
+    return digest, output.followed_by(said) if digest.trace is None else output, seconds
 
 
 def _forget(job: Job, pid: int) -> None:

@@ -7,7 +7,7 @@ from functools import partial
 
 import pytest
 
-from pytest_pafot.campaign import explore, workers
+from pytest_pafot.campaign import explore, search, workers
 from pytest_pafot.execution import runner
 from pytest_pafot.searching import DistinctSearch, RandomSearch
 
@@ -44,7 +44,9 @@ def searched(tmp_path, monkeypatch):
     for each in (DistinctSearch, RandomSearch):
         monkeypatch.setattr(each, "block_runs", 16)
     given, task = [], workers.BlockTask
-    monkeypatch.setattr(workers, "BlockTask", lambda number, *more: given.append(number) or task(number, *more))
+    monkeypatch.setattr(
+        workers, "BlockTask", lambda number, *more, **named: given.append(number) or task(number, *more, **named)
+    )
 
     def search(name, *, drives=False, ads=keep, runs=RUNS, **settings):
         monkeypatch.setattr(workers, "DRIVEN_SECONDS", 60.0 if drives else -1.0)
@@ -104,13 +106,22 @@ def test_a_search_goes_on_inside_of_a_block_that_another_process_drove(searched,
 
 
 @pytest.mark.parametrize("wants_each", [True, False])
-def test_after_a_death_the_session_goes_on_with_the_block(searched, monkeypatch, wants_each):
-    one_by_one, _ = searched("one by one", ads=mortal, isolate=True, workers=2)
+def test_a_dead_process_costs_its_run_and_not_its_block(searched, monkeypatch, wants_each):
+    """At the first death the session goes on with the block; later ones are in processes of those that drive."""
+    given = {"ads": mortal, "isolate": True, "workers": 2, "runs": 162}
+    one_by_one, _ = searched("one by one", **given)
     assert any(name.startswith("crash") for name in one_by_one["files"])
     monkeypatch.setattr(explore, "prepared", partial(explore.prepared, wants_each=wants_each))
-    driven, blocks = searched("driven", drives=True, ads=mortal, isolate=True, workers=2)
-    assert blocks
+    lost, lose = [], search.lose
+    monkeypatch.setattr(search, "lose", lambda died, *more: lost.append(died.task) or lose(died, *more))
+    broken_off, next_ = [], workers.Workers.next
+    monkeypatch.setattr(
+        workers.Workers, "next", lambda self, *more: broken_off.append(self._suspect) or next_(self, *more)
+    )
+    driven, blocks = searched("driven", drives=True, **given)
+    assert blocks == [1, 2, 3, 4, 5, 6, 7, 8]
     assert driven | {"events": one_by_one["events"]} == one_by_one
+    assert len({each.task.number for each in broken_off if each is not None}) < len(lost)
 
 
 def test_a_block_whose_process_was_killed_from_outside_is_driven_again_with_a_note(searched, tmp_path):
