@@ -133,14 +133,12 @@ def prepared(
     space: SearchSpace | None = None,
     is_steered: bool = True,
     has_table: bool = False,
-    wants_each: bool = True,
 ) -> Iterator[Prepared]:
     """Build the parts of a search that run scenarios, count, and save findings. Stop their processes at the end.
 
     The search has the space that its request describes, unless one is given. It is steered towards collisions for which
     the ego is responsible, unless ``blame="any"`` or ``is_steered`` is False. With ``has_table``, the events have
-    all that a table of runs needs, also those of runs that another process judges. Without ``wants_each``, there is
-    one event for several runs that another process has counted.
+    all that a table of runs needs, also those of runs that another process judges.
 
     Raises:
         RequestError: for a fitness that does not exist, or a world that cannot be used.
@@ -166,7 +164,7 @@ def prepared(
         has_table=has_table,
     )
     can_drive = not why_here and harness.against is None  # only this process runs the reference
-    driver = Driver(reader=reader, wants_each=wants_each) if can_drive else None
+    driver = Driver(reader=reader) if can_drive else None
     if settings.isolate:  # Isolated processes also make the runs that confirm findings, which the session judges.
         reader = replace(reader, harness=None)
     remark = f"; this process judges all runs, since {why_here}" if why_here else ", which also judge their runs"

@@ -169,7 +169,7 @@ class Tally(Digest):
     Attributes:
         runs, decisions: the numbers of runs, and of decisions of the ADS in them.
         evaluations: the evaluations, packed, because the session seldom needs each of them.
-        judged: the event of each run, if somebody needs each; otherwise None.
+        judged: the event of each run if it was no process that drives a block that made it; otherwise None.
         health: the figures on the search's health.
         verdicts, caught, responsibilities, outcomes: numbers of runs by kind of verdict, check, responsible, outcome.
         failed: numbers of runs by their known failures.
@@ -253,13 +253,11 @@ class Driver:
 
     Attributes:
         reader: reads and judges each run.
-        wants_each: True if the listener needs each run.
         plan: the plan of the search; None before the search begins.
         random_runs: the number of random scenarios at the beginning of the search that are counted apart.
     """
 
     reader: Reader
-    wants_each: bool
     plan: Plan[Any] | None = None
     random_runs: float = 0.0
 
@@ -298,7 +296,7 @@ class Driver:
         def count() -> None:  # the runs since the last one that the session must judge
             if counted:
                 runs, outputs, seconds = zip(*counted, strict=True)
-                tally = Tally.of(runs, None if self.wants_each else block.generation)
+                tally = Tally.of(runs, block.generation)
                 say((tally, reduce(CapturedOutput.followed_by, outputs), sum(seconds)))
                 counted.clear()
 

@@ -420,12 +420,6 @@ class Block(Generic[StateT]):
         else:
             self._state, events = learnt.state, learnt.events
             self.generation += 1
-            if not any(isinstance(each, bytes) for each in self._begun):
-                whole = tuple(each for each, _ in self.evaluations())
-                events = tuple(
-                    replace(each, population=whole, is_whole=True) if isinstance(each, GenerationFinished) else each
-                    for each in events
-                )
         self._begun, self.index, self._drawing, self.learnt = [], 0, None, None
         return events
 

@@ -1,9 +1,9 @@
 """A search is the same whether the session drives its blocks, scenario by scenario, or other processes drive them."""
 
+import math
 import os
 import re
 import sys
-from functools import partial
 
 import pytest
 
@@ -80,19 +80,8 @@ def test_whoever_drives_the_blocks_the_search_is_the_same(searched, algorithm):
         assert searched(f"{count} driven", drives=True, workers=count, algorithm=algorithm) == (alone, driven)
 
 
-def test_runs_that_nobody_wants_one_by_one_are_counted_alike(searched, monkeypatch):
-    alone, _ = searched("alone")
-    monkeypatch.setattr(explore, "prepared", partial(explore.prepared, wants_each=False))
-    driven, blocks = searched("driven", drives=True, workers=2)
-    assert blocks == [1, 2, 3, 4]
-    assert driven | {"events": alone["events"]} == alone
-    assert {type(each).__name__ for each in driven["events"]} >= {"Evaluated", "RunsEvaluated"}
-
-
-@pytest.mark.parametrize("wants_each", [True, False])
-def test_a_search_goes_on_inside_of_a_block_that_another_process_drove(searched, tmp_path, monkeypatch, wants_each):
+def test_a_search_goes_on_inside_of_a_block_that_another_process_drove(searched, tmp_path):
     alone, _ = searched("alone", runs=144, seed=7)
-    monkeypatch.setattr(explore, "prepared", partial(explore.prepared, wants_each=wants_each))
     given = {"seed": 7, "drives": True, "workers": 2, "resume": str(tmp_path / "states")}
     first, _ = searched("parts", runs=144, stop_after=STOP, **given)
     done = len(first["rows"])
@@ -105,13 +94,11 @@ def test_a_search_goes_on_inside_of_a_block_that_another_process_drove(searched,
     assert first["rows"] + rest["rows"] == alone["rows"]
 
 
-@pytest.mark.parametrize("wants_each", [True, False])
-def test_a_dead_process_costs_its_run_and_not_its_block(searched, monkeypatch, wants_each):
+def test_a_dead_process_costs_its_run_and_not_its_block(searched, monkeypatch):
     """At the first death the session goes on with the block; later ones are in processes of those that drive."""
     given = {"ads": mortal, "isolate": True, "workers": 2, "runs": 162}
     one_by_one, _ = searched("one by one", **given)
     assert any(name.startswith("crash") for name in one_by_one["files"])
-    monkeypatch.setattr(explore, "prepared", partial(explore.prepared, wants_each=wants_each))
     lost, lose = [], search.lose
     monkeypatch.setattr(search, "lose", lambda died, *more: lost.append(died.task) or lose(died, *more))
     broken_off, next_ = [], workers.Workers.next
@@ -120,11 +107,12 @@ def test_a_dead_process_costs_its_run_and_not_its_block(searched, monkeypatch, w
     )
     driven, blocks = searched("driven", drives=True, **given)
     assert blocks == [1, 2, 3, 4, 5, 6, 7, 8]
-    assert driven | {"events": one_by_one["events"]} == one_by_one
+    assert driven == one_by_one
     assert len({each.task.number for each in broken_off if each is not None}) < len(lost)
 
 
-def test_a_block_whose_process_was_killed_from_outside_is_driven_again_with_a_note(searched, tmp_path):
+def test_a_block_whose_process_was_killed_from_outside_is_driven_again_with_a_note(searched, tmp_path, monkeypatch):
+    monkeypatch.setattr(runner, "DEAR", math.inf)  # so that processes only drive blocks
     alone, _ = searched("alone")
     flag = tmp_path / "flag"
 
