@@ -17,7 +17,7 @@ from pytest_pafot.campaign.state import State, lose
 from pytest_pafot.campaign.store import UNCONFIRMED, Store
 from pytest_pafot.campaign.verdict import Verdict
 from pytest_pafot.campaign.watch import Watch
-from pytest_pafot.campaign.workers import Tally, Workers, caught_in, unknown
+from pytest_pafot.campaign.workers import Early, Tally, Workers, caught_in, unknown
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.findings.finding import failed_as
 from pytest_pafot.oracle.run import Run
@@ -71,6 +71,9 @@ def search(
                     state.take_tally(done)
                     yield from _taken(done, plan)
                     yield from watch.seen()
+                case Early():
+                    store.add_early(done, {*state.shown, *state.finds})
+                    continue
                 case ProcessLostError() | None:  # It died or hung now, or in the same scenario before.
                     state.first.is_alike = False
                     yield from _released(state, store)

@@ -291,6 +291,7 @@ class SearchSession:
             with workers.runner:
                 reason = self._searched(saved_in(harness.folder), began)
             # All findings are reported and the state is stored before shrinking, which takes long and may be cut.
+            self._settle(reason)
             self._send(store.release())
             state.write(store)
             # With a reference, the findings that do not show that the policy became worse are not even shrunk.
@@ -315,6 +316,7 @@ class SearchSession:
             raise
         finally:
             with postponed():
+                self._settle(reason)
                 self._send(store.release())
                 for each in retried:
                     if each.pending is not None:
@@ -333,6 +335,12 @@ class SearchSession:
             skip=state.skip if state.skip is not None and state.verdicts["skipped"] == state.runs else None,
             is_vacuous=state.health.vacuous or bool(state.broken),
         )
+
+    def _settle(self, reason: str) -> None:
+        """Take the failures of blocks that were not counted as findings, or forget them if the order says so."""
+        is_cut = reason in ("interrupted", "error", self.limit.flag)
+        for signature, find_id in self.store.settle(self.state.runs, keeps=is_cut):
+            self.state.add(signature, find_id)
 
     def _simplify(self, reason: str) -> None:
         """Shrink the findings, and look at their neighbours and at decisions."""
@@ -490,6 +498,13 @@ class SearchSession:
             return None
         earlier, checkpoint = found
         state.resume(earlier, runs=checkpoint.sums.simulated, generations=checkpoint.generation)
+        # A session that was killed may have saved failures that its state does not know yet.
+        known = {each.id for each in state.earlier}
+        self.store.early = {
+            each.finding.signature: (each.path, None)
+            for each in saved
+            if each.finding is not None and each.id not in known and self._is_own(each)
+        }
         if checkpoint.sums.evaluated:  # A fault of the set-up would have ended the search in its first session.
             state.first.is_alike = False
             self._send(self.store.release())

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import pickle
 import time
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence, Set
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
@@ -377,6 +377,15 @@ def caught_in(verdict: Verdict) -> tuple[str, ...]:
     return tuple({check.name for check in verdict.checks if not check.holds}) if verdict.kind == "passed" else ()
 
 
+@dataclass(frozen=True, slots=True)
+class Early:
+    """A failure in a block that is not counted yet, of some generation from 0: a run with its verdict, or a death."""
+
+    of: Run | LostRun
+    verdict: Verdict | None
+    generation: int
+
+
 DRIVEN_SECONDS, FED_SECONDS = 0.06, 0.004
 """The mean time of a run below which processes drive whole blocks [s]: in any case, so that a block takes some seconds,
 and for each process, since the session needs about half of that to hand over one scenario and to take its run."""
@@ -405,7 +414,9 @@ class Workers:
     confirm_decisions: int = 0  # the number of decisions of the ADS that confirmed findings
     confirm_seconds: float = 0.0  # the time that this took [s]
     pace: float = 0.0  # the longest time to confirm one second of a run so far [s]
-    _tasks: dict[int, BlockTask] = field(default_factory=dict)  # blocks that other processes drive, by number
+    # what the processes say that drive blocks, as far as it is not counted, by the number of the block
+    _driven: dict[int, deque[Any]] = field(default_factory=dict)
+    _failed: deque[Early] = field(default_factory=deque)  # failures of later blocks that are new to this process
     _later: dict[int, Block[Any]] = field(default_factory=dict)  # later blocks as far as other processes have run them
     _early: dict[Scenario, Verdict] = field(default_factory=dict)  # on runs that this process has not counted yet
     _suspect: ProcessLostError[Any] | None = None  # a death in a block, as long as no scenario is known to be the cause
@@ -450,14 +461,14 @@ class Workers:
         if plan.length is None or plan.generation % plan.length or plan.block.index or not self._drives_blocks(plan):
             return
         failures, workers = frozenset[Signature]().union(*known), self.harness.request.settings.workers
-        if not self._tasks:  # Each process gets as many blocks, and the scenarios of what is left are shared.
+        if not self._driven:  # Each process gets as many blocks, and the scenarios of what is left are shared.
             self._last = plan.whole_blocks - (plan.whole_blocks - plan.number) % workers
         for number in range(plan.number, min(plan.number + 2 * workers, self._last)):
-            if number not in self._tasks:
+            if number not in self._driven:
                 task = BlockTask(number, failures, frozenset(fatal), is_apart=bool(fatal or self._has_died))
                 if not self.runner.processes.drive(task):
                     return
-                self._tasks[number] = task
+                self._driven[number] = deque()
 
     def _drives_blocks(self, plan: Plan[Any]) -> bool:
         """Return whether other processes drive blocks from the next one on."""
@@ -466,21 +477,24 @@ class Workers:
             return False
         # Long runs are shared better one by one.
         is_fast = 0 < self.runner.processes.run_seconds < max(DRIVEN_SECONDS, FED_SECONDS * workers)
-        is_worth_it = bool(self._tasks) or plan.whole_blocks - plan.number >= 2 * workers
+        is_worth_it = bool(self._driven) or plan.whole_blocks - plan.number >= 2 * workers
         return is_fast and is_worth_it
 
-    def next(self, plan: Plan[Any], fatal: Set[Scenario]) -> Run | Tally | LostRun | None:
+    def next(self, plan: Plan[Any], fatal: Set[Scenario]) -> Run | Tally | LostRun | Early | None:
         """Return what became of the next scenario of a plan, or of the next ones.
 
         That is the run, which must be judged next; the tally of runs that another process has made and judged; or how
-        a process died or hung. It is None for a scenario of ``fatal``, which is not run.
+        a process died or hung. It is None for a scenario of ``fatal``, which is not run. Or a scenario of a later block
+        has failed meanwhile, which will be returned again in its turn.
 
         Raises:
             OutOfTime: if the time of the search is over before; the scenario then counts nowhere.
             RequestError: as for :meth:`run`.
         """
         __tracebackhide__ = True
-        scenario, said = None, self._said(plan)
+        scenario, said = None, self._said(plan, stops=True)
+        if self._failed:
+            return self._failed.popleft()
         if isinstance(said, Tally):
             self.counted_decisions += said.decisions
             return said
@@ -513,39 +527,65 @@ class Workers:
         plan.block.learnt = learnt if isinstance(learnt, Learnt) else None
         events = plan.learn()
         if plan.number != number:
-            if (task := self._tasks.pop(number, None)) is not None:
-                self.runner.processes.forget(task)
+            self._driven.pop(number, None)
             if self._suspect is not None:
                 self.runner.processes.recovered.append(self._suspect)
                 self._suspect = None
         return events
 
-    def _said(self, plan: Plan[Any]) -> Tally | Trace | LostRun | Learnt | None:
-        """Return what the process says next that drives the block of a plan; None if the session must go on."""
-        task = self._tasks.get(plan.number)
-        if task is None:
+    def _said(self, plan: Plan[Any], *, stops: bool = False) -> Tally | Trace | LostRun | Learnt | None:
+        """Return what the process says next that drives the block of a plan; None if the session must go on.
+
+        With ``stops``, return None as well as soon as something has failed in a later block.
+        """
+        processes, said = self.runner.processes, self._driven.get(plan.number)
+        while heard := processes.hear(waits=said is not None and not said and not (stops and self._failed)):
+            task, what = heard
+            self._has_died |= isinstance(what, ProcessLostError)
+            if isinstance(what, tuple) and isinstance(what[0], Recovered):
+                processes.recovered.append(what[0].lost)
+            elif (driven := self._driven.get(task.number)) is not None:
+                driven.append(what)
+                if driven is not said and isinstance(what, tuple):
+                    self._look_at(what[0], plan, task.number)
+        if said is None or (stops and self._failed):
             return None
-        said = self.runner.processes.said(task)
-        while isinstance(said, tuple) and isinstance(said[0], Recovered):
-            self.runner.processes.recovered.append(said[0].lost)
-            said = self.runner.processes.said(task)
-        if isinstance(said, tuple):
-            what: Tally | Trace | LostRun | Learnt = said[0]
-            self.runner.processes.count(what.runs if isinstance(what, Tally) else isinstance(what, Trace), said[2])
-            if isinstance(what, Trace):
-                self.runner.processes.ready[what.scenario] = said
+        what = said.popleft() if said else None
+        if isinstance(what, tuple):
+            made: Tally | Trace | LostRun | Learnt = what[0]
+            processes.count(made.runs if isinstance(made, Tally) else isinstance(made, Trace), what[2])
+            if isinstance(made, Trace):
+                processes.ready[made.scenario] = what
             else:
-                said[1].repeat()
-            return what
-        if isinstance(said, ProcessLostError):
-            self._suspect, self._has_died = said, True
-        del self._tasks[plan.number]
+                what[1].repeat()
+            return made
+        if isinstance(what, ProcessLostError):
+            self._suspect = what
+        del self._driven[plan.number]
         return None
+
+    def _look_at(self, made: object, plan: Plan[Any], number: int) -> None:
+        """Judge a run of a later block that has failed, so that it is saved before its turn."""
+        learnt = sum(isinstance(each, tuple) and isinstance(each[0], Learnt) for each in self._driven[number])
+        generation = number * (plan.length or 0) + learnt
+        if isinstance(made, Trace):
+            self._judge_early(made, generation)
+        elif isinstance(made, ProcessLostError):
+            self._failed.append(Early(made, None, generation))
+
+    def _judge_early(self, made: Trace, generation: int) -> None:
+        scenario = made.scenario
+        if scenario not in self._early:
+            self.record.write(scenario)
+            run = self.harness.seen(made)
+            verdict = self._early[scenario] = self.judge(run)
+            if verdict.failed:
+                self._failed.append(Early(run, verdict, generation))
 
     def _foresee(self, plan: Plan[Any], fatal: Set[Scenario]) -> None:
         """Let other processes run scenarios of the next blocks, while the last runs of a generation are waited for."""
         processes, workers = self.runner.processes, self.harness.request.settings.workers
-        if plan.length is None or self._tasks or self._drives_blocks(plan) or self.runner.decides_for_many:
+        if plan.length is None or self._driven or self._drives_blocks(plan) or self.runner.decides_for_many:
             return
         scenarios = AHEAD_ELSEWHERE if processes.is_elsewhere else 2 * workers if processes.in_use > 1 else 0
         blocks = -(-scenarios // plan.algorithm(1).population)
@@ -556,8 +596,14 @@ class Workers:
             if block is None:
                 block = self._later[number] = plan.beginning(number)
                 processes.announce_later(each for each in plan.within(block) if each not in fatal)
-            while block.generation // plan.length == number and (runs := processes.arrived(block.drawn)):
+            while block.generation // plan.length == number:
+                runs = processes.arrived(block.drawn)
                 try:
+                    for each in runs:
+                        if isinstance(each, Trace):
+                            self._judge_early(each, block.generation)
+                    if len(runs) < len(block.drawn):
+                        break
                     evaluations = [self._evaluated_early(made) for made in runs]
                 except unfit:  # raised again as soon as the search comes to this run
                     return
@@ -568,15 +614,11 @@ class Workers:
                     processes.announce_later(each for each in plan.within(block) if each not in fatal)
 
     def _evaluated_early(self, made: Trace | Tally) -> Evaluation:
-        """Return what the algorithm sees of a run that is not requested yet; if nobody has, this process judges it."""
+        """Return what the algorithm sees of a run that is not requested yet."""
         if isinstance(made, Tally):
             evaluation: Evaluation = pickle.loads(made.evaluations)[0]  # noqa: S301  (from our own process)
             return evaluation
-        run, scenario = self.harness.seen(made), made.scenario
-        if scenario not in self._early:
-            self.record.write(scenario)
-            self._early[scenario] = self.judge(run)
-        verdict, signature = self._early[scenario], None
+        run, verdict, signature = self.harness.seen(made), self._early[made.scenario], None
         if verdict.failed and verdict.failure is not None:
             signature, _ = failed_as(run, verdict.failure)
         return self.evaluation(run, verdict, signature)

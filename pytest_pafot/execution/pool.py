@@ -160,7 +160,8 @@ class WorkerPool(Generic[TaskT, ResultT]):
         self._looked_at = -math.inf  # when all processes, including silent ones, were last checked
         self._pending: deque[TaskT] = deque()
         self._wanted: set[TaskT] = set()
-        self._said: dict[TaskT, deque[Any]] = {}
+        self._followed: set[TaskT] = set()
+        self._said: deque[tuple[TaskT, Any]] = deque()
         self._answers: dict[TaskT, ResultT | Exception] = {}
         self._suspects: dict[TaskT, ProcessLostError[TaskT]] = {}
 
@@ -175,8 +176,8 @@ class WorkerPool(Generic[TaskT, ResultT]):
 
         ``tasks`` may be a generator: each task starts as soon as the generator yields it, if a process is free.
         """
-        self._pending, self._wanted = deque(), set()
-        self._said, self._answers, self._suspects = {}, {}, {}
+        self._pending, self._wanted, self._followed = deque(), set(), set()
+        self._said, self._answers, self._suspects = deque(), {}, {}
         self.add_all(tasks)
 
     def add_all(self, tasks: Iterable[TaskT]) -> None:
@@ -194,32 +195,27 @@ class WorkerPool(Generic[TaskT, ResultT]):
         self._pending.extendleft(reversed(new))
         self._send()
 
-    def said(self, task: TaskT) -> Any:
-        """Wait for what a task says before its answer, and return it; the answer if it says no more.
+    def follow(self, task: TaskT) -> None:
+        """Start a task after all others, whose answer comes with all that it says; see :meth:`hear`."""
+        self._followed.add(task)
+        self.add_all([task])
 
-        A task is not tried again if its process died in it.
+    def hear(self, *, waits: bool) -> tuple[TaskT, Any] | None:
+        """Return the next that a followed task has said, or last its answer, with the task; None if that is all so far.
+
+        With ``waits``, wait until there is something. A followed task is not tried again if its process died in it.
 
         Raises:
             OutOfTime: if the time of the search is over; all processes are ended.
         """
-        while not (self._said.get(task) or task in self._answers or task in self._suspects):
+        while waits and not self._said:
             self._receive()
             self._send()
-        if self._said.get(task):
-            return self._said[task].popleft()
-        answer = self._suspects.get(task) or self._answers[task]
-        self.forget(task)
-        return answer
+        return self._said.popleft() if self._said else None
 
     def arrived(self, task: TaskT) -> ResultT | Exception | None:
         """Return the answer to a task, which can still be fetched; None if there is none yet."""
         return self._answers.get(task)
-
-    def forget(self, task: TaskT) -> None:
-        """Forget a task and its answer."""
-        self._wanted.discard(task)
-        for each in (self._said, self._answers, self._suspects):
-            each.pop(task, None)
 
     def fetch(self, task: TaskT) -> ResultT | Exception:
         """Wait for the answer to a task and return it; a task that was not started before is run next.
@@ -316,7 +312,15 @@ class WorkerPool(Generic[TaskT, ResultT]):
     def _fail(self, task: TaskT, reason: str) -> None:
         """Record the reason why no process can be started, and answer a task with it."""
         self.failure = reason
-        self._answers[task] = RuntimeError(reason)
+        self._answer(task, RuntimeError(reason))
+
+    def _answer(self, task: TaskT, answer: Any) -> None:
+        if task in self._followed:
+            self._followed.discard(task)
+            self._wanted.discard(task)
+            self._said.append((task, answer))
+        else:
+            self._answers[task] = answer
 
     def _receive(self) -> None:
         """Wait for a limited time and receive all available answers; sometimes check processes that do not answer."""
@@ -345,9 +349,9 @@ class WorkerPool(Generic[TaskT, ResultT]):
             if heard is not None:
                 is_done, said = heard
                 if task in self._wanted and is_done:
-                    self._answers[task] = said
-                elif task in self._wanted and not isinstance(said, float):
-                    self._said.setdefault(task, deque()).append(said)
+                    self._answer(task, said)
+                elif task in self._followed and not isinstance(said, float):
+                    self._said.append((task, said))
                 return
             is_gone = True
         if worker.gave_up.value == EXHAUSTED:
@@ -369,8 +373,10 @@ class WorkerPool(Generic[TaskT, ResultT]):
         lost = ProcessLostError(task, pid=worker.pid, how=how or worker.process.exitcode, is_hang=is_hang)
         if not worker.has_begun:
             self._fail(task, self.failure or f"a process {lost.how} before it had begun")
+        elif task in self._wanted and (is_hang or task in self._followed):
+            self._answer(task, lost)
         elif task in self._wanted:
-            (self._answers if is_hang else self._suspects)[task] = lost
+            self._suspects[task] = lost
 
     def _remove(self, worker: _Worker[TaskT]) -> None:
         """Kill a process of the pool, and on Linux also the processes that it has started."""

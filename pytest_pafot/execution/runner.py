@@ -477,15 +477,10 @@ class Processes:
         if self._pool is not None:
             self._pool.add_all(self._noted(scenarios))
 
-    def arrived(self, scenarios: Sequence[Scenario]) -> list[Any]:
-        """Return the runs or digests of announced scenarios, if all are there; they can still be taken."""
-        pool, runs = self._pool, list[Any]()
-        for scenario in reversed(scenarios):  # the last one is seldom there before the others
-            answer = None if pool is None else pool.arrived(scenario)
-            if not isinstance(answer, tuple):
-                return []
-            runs.append(answer[0])
-        return runs[::-1]
+    def arrived(self, scenarios: Iterable[Scenario]) -> list[Any]:
+        """Return the runs or digests of announced scenarios that are there; they can still be taken."""
+        answers = () if self._pool is None else map(self._pool.arrived, scenarios)
+        return [answer[0] for answer in answers if isinstance(answer, tuple)]
 
     def drive(self, task: BlockTask) -> bool:
         """Let a process drive a block by itself; return False if none can."""
@@ -493,17 +488,12 @@ class Processes:
             self._start()
         if not isinstance(self._pool, WorkerPool) or self._pool.failure:
             return False
-        self._pool.add_all([task])
+        self._pool.follow(task)
         return True
 
-    def said(self, task: BlockTask) -> Any:
-        """Return what the process says next that drives a block, as :meth:`WorkerPool.said` does."""
-        return self._pool.said(task) if isinstance(self._pool, WorkerPool) else None
-
-    def forget(self, task: BlockTask) -> None:
-        """Forget a block."""
-        if isinstance(self._pool, WorkerPool):
-            self._pool.forget(task)
+    def hear(self, *, waits: bool) -> tuple[BlockTask, Any] | None:
+        """Return what one of the processes says next that drive blocks, as :meth:`WorkerPool.hear` does."""
+        return self._pool.hear(waits=waits) if isinstance(self._pool, WorkerPool) else None
 
     def read_here(self) -> None:
         """See :meth:`Runner.read_here`. The workers of an executor, which may be elsewhere, judge no runs anyway."""

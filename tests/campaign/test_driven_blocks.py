@@ -1,13 +1,19 @@
 """A search is the same whether the session drives its blocks, scenario by scenario, or other processes drive them."""
 
+import json
 import math
+import multiprocessing
 import os
 import re
+import signal
 import sys
+import time
 
 import pytest
 
 from pytest_pafot.campaign import explore, search, workers
+from pytest_pafot.campaign.store import Store
+from pytest_pafot.campaign.watch import TimedWatch
 from pytest_pafot.execution import runner
 from pytest_pafot.searching import DistinctSearch, RandomSearch
 
@@ -143,3 +149,90 @@ def test_runs_of_later_blocks_that_only_the_session_may_judge_are_judged_when_th
     monkeypatch.setattr(workers.Workers, "_evaluated_early", lambda *given: early.append(given) or evaluated(*given))
     assert searched("ahead", workers=3, fitness=speed) == (alone, [])
     assert early
+
+
+@pytest.fixture
+def saved_early(monkeypatch):
+    """Return a list of the files that are saved before their block is counted, while block 1 takes long."""
+    saved, add_early, drive = [], Store.add_early, workers.Driver.__call__
+
+    def add(self, *given):
+        before = {*self.early}
+        add_early(self, *given)
+        saved.extend(self.early[each][0] for each in self.early.keys() - before)
+
+    def late(self, task, *given):
+        time.sleep(1.5 if task.number == 1 else 0)
+        drive(self, task, *given)
+
+    monkeypatch.setattr(Store, "add_early", add)
+    monkeypatch.setattr(workers.Driver, "__call__", late)
+    return saved
+
+
+@pytest.mark.parametrize("drives", [True, False])
+def test_a_failure_of_a_later_block_is_saved_before_its_turn(searched, saved_early, monkeypatch, drives):
+    monkeypatch.setattr(runner, "DEAR", 0.0)
+    alone, _ = searched("alone")
+    assert not saved_early
+    assert searched("early", drives=drives, workers=2)[0] == alone
+    names = [each.name for each in saved_early]
+    assert names
+    if drives:  # Block 1 has failures of the same kinds.
+        assert not {*names} <= {*alone["files"]}
+
+
+def test_a_death_in_a_later_block_is_saved_before_its_turn(searched, saved_early, monkeypatch):
+    driven, drive = [], workers.Driver.__call__
+
+    def dies(observation):
+        """End the process of the process that drives one of the last blocks."""
+        return mortal(observation) if driven and driven[-1] > 2 else keep(observation)
+
+    monkeypatch.setattr(
+        workers.Driver, "__call__", lambda self, task, *more: driven.append(task.number) or drive(self, task, *more)
+    )
+    task = workers.BlockTask
+    monkeypatch.setattr(workers, "BlockTask", lambda *given, is_apart: task(*given, is_apart=True))
+    found, _ = searched("early", ads=dies, drives=True, workers=2)
+    crashes = {each.name for each in saved_early if each.name.startswith("crash")}
+    assert crashes
+    assert crashes <= {*found["files"]}
+
+
+def test_a_search_that_stops_at_its_findings_forgets_those_of_later_blocks(searched, saved_early):
+    alone, _ = searched("alone", stop_after=STOP)
+    assert searched("early", drives=True, workers=2, stop_after=STOP)[0] == alone
+    assert saved_early
+
+
+def test_a_search_whose_time_is_over_counts_the_failures_of_later_blocks(searched, saved_early, monkeypatch):
+    reached = TimedWatch.reached
+    monkeypatch.setattr(TimedWatch, "reached", lambda self, plan: "time" if saved_early else reached(self, plan))
+    found, _ = searched("early", drives=True, workers=2)
+    assert {each.name for each in saved_early} <= {*found["files"]}
+    assert {f"{id_}.pafot.yaml" for id_ in found["failures"].values()} == {*found["files"]}
+
+
+@pytest.mark.parametrize("end", [signal.SIGKILL, signal.SIGINT])
+def test_a_session_that_is_killed_keeps_what_failed_and_the_next_one_has_all_in_order(
+    searched, saved_early, tmp_path, monkeypatch, end
+):
+    alone, _ = searched("alone")
+    given = {"drives": True, "workers": 2, "resume": str(tmp_path / "states")}
+
+    def killed():
+        add_early = Store.add_early
+        monkeypatch.setattr(Store, "add_early", lambda *given: add_early(*given) or os.kill(os.getpid(), end))
+        searched("parts", **given)
+
+    session = multiprocessing.get_context("fork").Process(target=killed)
+    session.start()
+    session.join()
+    left = {each.name for each in (tmp_path / "parts").rglob("*.yaml")}
+    assert left - {*alone["files"]}
+    (state,) = (tmp_path / "states").glob("*.json")
+    done = json.loads(state.read_text())["sums"][3]
+    rest, _ = searched("parts", **given | {"runs": RUNS - done})
+    assert rest["files"] == alone["files"]
+    assert rest["counts"] == alone["counts"]
