@@ -453,31 +453,37 @@ class Workers:
             self.runner.processes.end()  # processes that were started before do not know the plan
 
     def give_blocks(self, plan: Plan[Any], fatal: Set[Scenario], known: Iterable[Collection[Signature]]) -> None:
-        """Let other processes drive the next blocks by themselves, if one is about to begin and runs are short.
+        """Let other processes drive the next blocks by themselves, if runs are short.
 
         Whoever drives a block, it is the same. ``fatal`` are scenarios that nobody must run, ``known`` the failures of
         which no further run must be sent.
         """
-        if plan.length is None or plan.generation % plan.length or plan.block.index or not self._drives_blocks(plan):
+        processes, settings = self.runner.processes, self.harness.request.settings
+        if plan.length is None or plan.block.index:
             return
-        failures, workers = frozenset[Signature]().union(*known), self.harness.request.settings.workers
+        # This process goes on with a block that it has begun, unless others make the runs, which it would have to miss.
+        is_inside = plan.generation % plan.length > 0
+        first, workers = plan.number + is_inside, settings.workers
+        if (is_inside and (processes.in_use or settings.isolate)) or not self._drives_blocks(plan, first):
+            return
+        failures = frozenset[Signature]().union(*known)
         if not self._driven:  # Each process gets as many blocks, and the scenarios of what is left are shared.
-            self._last = plan.whole_blocks - (plan.whole_blocks - plan.number) % workers
-        for number in range(plan.number, min(plan.number + 2 * workers, self._last)):
+            self._last = plan.whole_blocks - (plan.whole_blocks - first) % workers
+        for number in range(first, min(first + 2 * workers, self._last)):
             if number not in self._driven:
                 task = BlockTask(number, failures, frozenset(fatal), is_apart=bool(fatal or self._has_died))
-                if not self.runner.processes.drive(task):
+                if not processes.drive(task):
                     return
                 self._driven[number] = deque()
 
-    def _drives_blocks(self, plan: Plan[Any]) -> bool:
-        """Return whether other processes drive blocks from the next one on."""
+    def _drives_blocks(self, plan: Plan[Any], first: int) -> bool:
+        """Return whether other processes drive blocks from the block number ``first`` on."""
         workers, is_apart = self.harness.request.settings.workers, self.harness.request.settings.isolate
         if self.driver is None or plan.length is None or self.runner.decides_for_many or not (workers > 1 or is_apart):
             return False
         # Long runs are shared better one by one.
         is_fast = 0 < self.runner.processes.run_seconds < max(DRIVEN_SECONDS, FED_SECONDS * workers)
-        is_worth_it = bool(self._driven) or plan.whole_blocks - plan.number >= 2 * workers
+        is_worth_it = bool(self._driven) or plan.whole_blocks - first >= 2 * workers
         return is_fast and is_worth_it
 
     def next(self, plan: Plan[Any], fatal: Set[Scenario]) -> Run | Tally | LostRun | Early | None:
@@ -504,7 +510,9 @@ class Workers:
             scenario = said.scenario
         else:
             ahead = plan.ahead()
-            if ahead is not None:
+            # While all processes drive blocks, this one makes its runs itself, unless they may end it.
+            is_safe = not (self._has_died or self.harness.request.settings.isolate)
+            if ahead is not None and not (self._driven and is_safe):
                 self.runner.announce((each for each in ahead if each not in fatal), more=plan.length is not None)
             self._foresee(plan, fatal)
             scenario = plan.scenario()
@@ -585,7 +593,12 @@ class Workers:
     def _foresee(self, plan: Plan[Any], fatal: Set[Scenario]) -> None:
         """Let other processes run scenarios of the next blocks, while the last runs of a generation are waited for."""
         processes, workers = self.runner.processes, self.harness.request.settings.workers
-        if plan.length is None or self._driven or self._drives_blocks(plan) or self.runner.decides_for_many:
+        if (
+            plan.length is None
+            or self._driven
+            or self._drives_blocks(plan, plan.number + 1)
+            or self.runner.decides_for_many
+        ):
             return
         scenarios = AHEAD_ELSEWHERE if processes.is_elsewhere else 2 * workers if processes.in_use > 1 else 0
         blocks = -(-scenarios // plan.algorithm(1).population)

@@ -76,6 +76,20 @@ def searched(tmp_path, monkeypatch):
     return search
 
 
+def test_processes_drive_blocks_while_the_session_makes_the_runs_of_the_first(searched, monkeypatch):
+    monkeypatch.setattr(runner, "DEAR", math.inf)  # so that processes only drive blocks
+    alone, _ = searched("alone")
+    began, give = [], workers.Workers.give_blocks
+
+    def note(self, plan, *more):
+        give(self, plan, *more)
+        began.extend([plan.generation] if self._driven else [])
+
+    monkeypatch.setattr(workers.Workers, "give_blocks", note)
+    assert searched("driven", drives=True, workers=2) == (alone, [1, 2, 3, 4])
+    assert began[0] == 1
+
+
 @pytest.mark.parametrize("algorithm", ["distinct", "random"])
 def test_whoever_drives_the_blocks_the_search_is_the_same(searched, algorithm):
     alone, blocks = searched("alone", drives=True, algorithm=algorithm)
