@@ -15,9 +15,10 @@ from pytest_pafot.campaign.events import Judged, SearchEvent
 from pytest_pafot.campaign.setup_fault import unit_doubt
 from pytest_pafot.campaign.state import State, lose
 from pytest_pafot.campaign.store import UNCONFIRMED, Store
-from pytest_pafot.campaign.verdict import Verdict
+from pytest_pafot.campaign.tallies import Tally
+from pytest_pafot.campaign.verdict import Verdict, caught_in, unknown
 from pytest_pafot.campaign.watch import Watch
-from pytest_pafot.campaign.workers import Early, Tally, Workers, caught_in, unknown
+from pytest_pafot.campaign.workers import Early, Workers
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.findings.finding import failed_as
 from pytest_pafot.oracle.run import Run

@@ -37,9 +37,10 @@ from pytest_pafot.campaign.simplification import Simplification
 from pytest_pafot.campaign.state import State, agreed, lose
 from pytest_pafot.campaign.state_file import FLAG, StateFile, state_path
 from pytest_pafot.campaign.store import Store
+from pytest_pafot.campaign.tallies import Driver, Reader
 from pytest_pafot.campaign.verdict import no_skip, skips
 from pytest_pafot.campaign.watch import LEAST, TimedWatch, TimeLimit, Watch
-from pytest_pafot.campaign.workers import Driver, Reader, Workers, left_out_text
+from pytest_pafot.campaign.workers import Workers, left_out_text
 from pytest_pafot.corpus.saved import Saved, saved_in
 from pytest_pafot.execution import scenario_pool
 from pytest_pafot.execution.crash_records import Leftover

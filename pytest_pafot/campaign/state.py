@@ -17,8 +17,9 @@ from pytest_pafot.campaign.options import Settings
 from pytest_pafot.campaign.setup_fault import FirstGeneration
 from pytest_pafot.campaign.state_file import FLAG, StateFile
 from pytest_pafot.campaign.store import Store
-from pytest_pafot.campaign.verdict import Verdict
-from pytest_pafot.campaign.workers import FAILING, Tally, Workers, fails_by_ego
+from pytest_pafot.campaign.tallies import Tally
+from pytest_pafot.campaign.verdict import FAILING, Verdict, fails_by_ego
+from pytest_pafot.campaign.workers import Workers
 from pytest_pafot.corpus.layout import link_below
 from pytest_pafot.corpus.saved import refusal
 from pytest_pafot.execution.scenario_pool import LostRun, expectation

@@ -11,7 +11,7 @@ import time
 
 import pytest
 
-from pytest_pafot.campaign import explore, search, workers
+from pytest_pafot.campaign import explore, search, tallies, workers
 from pytest_pafot.campaign.store import Store
 from pytest_pafot.campaign.watch import TimedWatch
 from pytest_pafot.execution import runner
@@ -168,7 +168,7 @@ def test_runs_of_later_blocks_that_only_the_session_may_judge_are_judged_when_th
 @pytest.fixture
 def saved_early(monkeypatch):
     """Return a list of the files that are saved before their block is counted, while block 1 takes long."""
-    saved, add_early, drive = [], Store.add_early, workers.Driver.__call__
+    saved, add_early, drive = [], Store.add_early, tallies.Driver.__call__
 
     def add(self, *given):
         before = {*self.early}
@@ -180,7 +180,7 @@ def saved_early(monkeypatch):
         drive(self, task, *given)
 
     monkeypatch.setattr(Store, "add_early", add)
-    monkeypatch.setattr(workers.Driver, "__call__", late)
+    monkeypatch.setattr(tallies.Driver, "__call__", late)
     return saved
 
 
@@ -197,14 +197,14 @@ def test_a_failure_of_a_later_block_is_saved_before_its_turn(searched, saved_ear
 
 
 def test_a_death_in_a_later_block_is_saved_before_its_turn(searched, saved_early, monkeypatch):
-    driven, drive = [], workers.Driver.__call__
+    driven, drive = [], tallies.Driver.__call__
 
     def dies(observation):
         """End the process of the process that drives one of the last blocks."""
         return mortal(observation) if driven and driven[-1] > 2 else keep(observation)
 
     monkeypatch.setattr(
-        workers.Driver, "__call__", lambda self, task, *more: driven.append(task.number) or drive(self, task, *more)
+        tallies.Driver, "__call__", lambda self, task, *more: driven.append(task.number) or drive(self, task, *more)
     )
     task = workers.BlockTask
     monkeypatch.setattr(workers, "BlockTask", lambda *given, is_apart: task(*given, is_apart=True))

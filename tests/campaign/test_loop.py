@@ -10,9 +10,8 @@ import numpy as np
 from pytest_pafot.campaign.search import search
 from pytest_pafot.campaign.search_session import search_seed
 from pytest_pafot.campaign.state import State
-from pytest_pafot.campaign.verdict import Verdict
+from pytest_pafot.campaign.verdict import Verdict, evaluated
 from pytest_pafot.campaign.watch import Watch
-from pytest_pafot.campaign.workers import evaluated
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.execution.scenario_pool import expectation
 from pytest_pafot.findings.finding import of_failure
