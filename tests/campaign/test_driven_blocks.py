@@ -131,8 +131,14 @@ def test_a_dead_process_costs_its_run_and_not_its_block(searched, monkeypatch):
     assert len({each.task.number for each in broken_off if each is not None}) < len(lost)
 
 
-def test_a_block_whose_process_was_killed_from_outside_is_driven_again_with_a_note(searched, tmp_path, monkeypatch):
+@pytest.mark.parametrize("is_apart", [False, True])
+def test_what_a_process_ran_that_was_killed_from_outside_is_run_again_with_a_note(
+    searched, tmp_path, monkeypatch, is_apart
+):
     monkeypatch.setattr(runner, "DEAR", math.inf)  # so that processes only drive blocks
+    task = workers.BlockTask
+    if is_apart:
+        monkeypatch.setattr(workers, "BlockTask", lambda *given, is_apart: task(*given, is_apart=True))
     alone, _ = searched("alone")
     flag = tmp_path / "flag"
 
@@ -147,7 +153,8 @@ def test_a_block_whose_process_was_killed_from_outside_is_driven_again_with_a_no
     assert flag.exists()
     assert blocks
     (note,) = found.pop("notes")
-    assert re.search(r"ended with exit code 3 while it ran block \d of the search, which ran to its end", note)
+    what = "<Scenario .*>" if is_apart else r"block \d of the search"
+    assert re.search(rf"ended with exit code 3 while it ran {what}, which ran to its end", note)
     assert alone.pop("notes") == []
     assert found == alone
 
