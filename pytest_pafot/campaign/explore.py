@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import hashlib
 import math
+import pickle
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -37,7 +38,8 @@ from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.searching.algorithms.catalogue import AlgorithmClass
 from pytest_pafot.searching.ask_tell import Algorithm
-from pytest_pafot.searching.events import Evaluated
+from pytest_pafot.searching.evaluation import Evaluation
+from pytest_pafot.searching.events import Evaluated, GenerationFinished, RunsEvaluated
 from pytest_pafot.searching.fitness import resolve
 from pytest_pafot.searching.space import SearchSpace
 from pytest_pafot.support.errors import RequestError, check_asserts, command
@@ -59,22 +61,48 @@ class Exploration(Shown):
     Attributes:
         findings: all distinct new failures, shrunk, each with the trace of a run that shows it.
         summary: the summary of the search: runs, coverage, warnings, notes.
-        events: the events of the algorithm and of the search in their order, without the event ``Judged`` of
-            each run.
+        seen: the events as the search reported them, one for several runs if another process has counted these.
         runs: a row for each scenario that was tried, with the columns of ``--pafot-table``, ready for
             ``pandas.DataFrame(...)``.
     """
 
     findings: tuple[Finding, ...]
     summary: SearchSummary
-    events: tuple[SearchEvent, ...] = field(repr=False)
+    seen: tuple[SearchEvent, ...] = field(repr=False)
     runs: tuple[dict[str, Any], ...] = field(repr=False)
+
+    @property
+    def events(self) -> tuple[SearchEvent, ...]:
+        """The events of the algorithm and of the search in their order, without the event ``Judged`` of each run."""
+        return tuple(_unpacked(self.seen))
 
     @property
     def told(self) -> tuple[FindTold, ...]:
         """The last event of each finding, in the order of discovery, with the finding's run, exception and headline."""
-        last = {event.finding.id: event for event in self.events if isinstance(event, FindTold)}
+        last = {event.finding.id: event for event in self.seen if isinstance(event, FindTold)}
         return tuple(last[finding.id] for finding in self.findings)
+
+
+def _unpacked(events: Iterable[SearchEvent]) -> Iterator[SearchEvent]:
+    """Yield events with one for each run in place of those on several runs, and with all populations."""
+    population: list[Evaluation] = []
+    for event in events:
+        match event:
+            case Evaluated():
+                population.append(event.evaluation)
+            case RunsEvaluated(generation=generation, index=first, counts=counts):
+                evaluations = pickle.loads(counts.evaluations)  # noqa: S301  (from a process of this session)
+                population += evaluations
+                for index, each in enumerate(evaluations, first):
+                    yield Evaluated(
+                        generation=generation, local_generation=0, index=index, evaluation=each, reused=False
+                    )
+                continue
+            case GenerationFinished():
+                yield event if event.is_whole else replace(event, population=tuple(population), is_whole=True)
+                population = []
+                continue
+        yield event
 
 
 def explore(
@@ -147,7 +175,7 @@ def explore(
         replace(each.finding, trace=None if each.run is None else each.run.trace) for each in result.findings
     )
     rows = tuple(table.taken())
-    return Exploration(findings=findings, summary=result.summary, events=tuple(events), runs=rows)
+    return Exploration(findings=findings, summary=result.summary, seen=tuple(events), runs=rows)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -15,7 +15,7 @@ from pytest_pafot.campaign.verdict import Verdict
 from pytest_pafot.findings.signature import Signature
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.searching.evaluation import EVALUATIONS, Evaluation
-from pytest_pafot.searching.events import Evaluated, GroupEvaluated
+from pytest_pafot.searching.events import Evaluated, RunsEvaluated
 
 COLUMNS: Mapping[str, str] = {
     "test": "node id of the search",
@@ -88,7 +88,7 @@ class RunTable:
                 row = row_of(event.evaluation, event.generation, event.local_generation, reused=event.reused)
                 # A run knows its scenario as it was driven.
                 self._add(row | self._judged.get(event.evaluation.executed.id, {}))
-            case GroupEvaluated():
+            case RunsEvaluated():
                 for row in event.counts.rows:
                     self._add(row)
 

@@ -6,6 +6,7 @@ What is around it, such as the replays of saved scenarios and the simplification
 
 from __future__ import annotations
 
+import pickle
 from collections.abc import Generator, Iterable, Iterator, Sequence
 from dataclasses import replace
 from typing import Any
@@ -14,17 +15,16 @@ from pytest_pafot.campaign.events import Judged, SearchEvent
 from pytest_pafot.campaign.setup_fault import unit_doubt
 from pytest_pafot.campaign.state import State, lose
 from pytest_pafot.campaign.store import UNCONFIRMED, Store
-from pytest_pafot.campaign.verdict import Verdict
+from pytest_pafot.campaign.tallies import Tally
+from pytest_pafot.campaign.verdict import Verdict, caught_in, unknown
 from pytest_pafot.campaign.watch import Watch
-from pytest_pafot.campaign.workers import Passed, Tally, Workers, caught_in
+from pytest_pafot.campaign.workers import Early, Workers
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.findings.finding import failed_as
-from pytest_pafot.model.scenario import Scenario
-from pytest_pafot.model.trace import Outcome
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.searching.evaluation import Evaluation
-from pytest_pafot.searching.events import EndReason, Event, GroupEvaluated
-from pytest_pafot.searching.plan import AheadPlan, Plan
+from pytest_pafot.searching.events import EndReason, Event, RunsEvaluated
+from pytest_pafot.searching.plan import Plan
 from pytest_pafot.support.errors import OutOfTime
 from pytest_pafot.world.guard.hang_guard import runs_end_in
 
@@ -42,8 +42,11 @@ def search(
     began, evaluated_before = state.clock(), plan.sums.evaluated
     reason: EndReason | None = None
     yield from _seen([plan.started], state, watch)
-    workers.begin(plan, state.random.most, state.fatal)
+    workers.begin(plan, state.random.most)
     while reason is None and not plan.is_over:
+        # Until two runs differ, this process must see each failure, since it may be a fault of the set-up.
+        if not state.first.is_alike:
+            workers.give_blocks(plan, state.fatal, (state.shown, state.finds))
         while not plan.is_whole:
             # Limits count after the first scenario, so that a search tests something.
             reason = None if plan.sums.evaluated == evaluated_before else watch.reached(plan)
@@ -64,33 +67,27 @@ def search(
                 reason = "time"
                 break
             match done:
-                case Passed():
-                    yield done.event
-                    state.see(done.event)
-                    state.take_passed(done)
-                    taken = [plan.take(done.evaluation)]
-                case Tally() if isinstance(plan, AheadPlan):
-                    for _, event in done.judged or ():
-                        yield event
-                        state.see(event)
+                case Tally():
+                    yield from done.judged or ()
                     state.take_tally(done)
-                    taken = _taken(done, plan)
+                    yield from _taken(done, plan)
+                    yield from watch.seen()
+                case Early():
+                    store.add_early(done, {*state.shown, *state.finds})
+                    continue
                 case ProcessLostError() | None:  # It died or hung now, or in the same scenario before.
                     state.first.is_alike = False
                     yield from _released(state, store)
                     if done is not None:
                         is_failure = yield from lose(done, state, workers, store)
                         state.verdicts["failed" if is_failure else "common"] += 1
-                    taken = [plan.take(_unknown(plan.scenario()))]
+                    taken = [plan.take(unknown(plan.scenario()))]
             state.decides_for_many = plan.decides_for_many = state.decides_for_many or workers.runner.decides_for_many
             yield from _released(state, store)
             yield from _seen(taken, state, watch)
         # The algorithm learns from whole generations. Between two of them a resumable search may store its state.
         if reason is None:
-            news, learnt = plan.news, plan.learn()
-            # Until two runs differ, this process must see each failure, since it may be a fault of the set-up.
-            workers.learn(news, () if state.first.is_alike else (state.shown, state.finds))
-            yield from _seen(learnt, state, watch)
+            yield from _seen(workers.learn(plan), state, watch)
             state.offer(store)
     yield from _seen(plan.finished(reason or "generations", state.clock() - began), state, watch)
 
@@ -103,13 +100,13 @@ def _seen(happened: Iterable[Event], state: State, watch: Watch) -> Iterator[Sea
         yield from watch.seen()
 
 
-def _taken(tally: Tally, plan: AheadPlan[Any]) -> Sequence[Event]:
-    """Return the events of runs that other processes have drawn and counted: one for each, or one for all."""
+def _taken(tally: Tally, plan: Plan[Any]) -> Sequence[Event]:
+    """Return the events of runs that another process has judged: one for each, or one for all."""
     if tally.judged is not None:
-        return plan.take_all([evaluation for evaluation, _ in tally.judged], tally.news)
-    first = plan.index
-    plan.skip(tally.runs, tally.news)
-    return [GroupEvaluated(generation=plan.generation, index=first, runs=tally.runs, counts=tally)]
+        return [plan.take(each) for each in pickle.loads(tally.evaluations)]  # noqa: S301  (from our own process)
+    first = plan.block.index
+    plan.skip(tally.runs, tally.evaluations)
+    return [RunsEvaluated(generation=plan.generation, index=first, runs=tally.runs, counts=tally)]
 
 
 def _judged(
@@ -168,19 +165,3 @@ def _released(state: State, store: Store) -> Iterator[SearchEvent]:
     """Report the findings that were held back, as soon as two runs differ, which is no fault of the set-up."""
     if store.is_holding and not state.first.is_alike:
         yield from store.release()
-
-
-def _unknown(scenario: Scenario) -> Evaluation:
-    """Return the evaluation of a scenario in which a process died: nothing is known about it."""
-    return Evaluation(
-        scenario=scenario,
-        executed=scenario,
-        fitness=0.0,
-        failing=False,
-        outcome=Outcome.SAFE,
-        duration=0.0,
-        genes_started=0,
-        genes_reached=0,
-        interaction=False,
-        discarded=True,
-    )

@@ -39,9 +39,10 @@ from pytest_pafot.campaign.setup_fault import SetupFaultError
 from pytest_pafot.campaign.state import State, agreed, lose
 from pytest_pafot.campaign.state_file import FLAG, StateFile, state_path
 from pytest_pafot.campaign.store import Store
+from pytest_pafot.campaign.tallies import Driver, Reader
 from pytest_pafot.campaign.verdict import no_skip, skips
 from pytest_pafot.campaign.watch import LEAST, TimedWatch, TimeLimit, Watch
-from pytest_pafot.campaign.workers import Counting, Reader, Workers, left_out_text
+from pytest_pafot.campaign.workers import Workers, left_out_text
 from pytest_pafot.corpus.saved import Saved, saved_in
 from pytest_pafot.execution import scenario_pool
 from pytest_pafot.execution.crash_records import Leftover
@@ -135,14 +136,12 @@ def prepared(
     space: SearchSpace | None = None,
     is_steered: bool = True,
     has_table: bool = False,
-    wants_each: bool = True,
 ) -> Iterator[Prepared]:
     """Build the parts of a search that run scenarios, count, and save findings. Stop their processes at the end.
 
     The search has the space that its request describes, unless one is given. It is steered towards collisions for which
     the ego is responsible, unless ``blame="any"`` or ``is_steered`` is False. With ``has_table``, the events have
-    all that a table of runs needs, also those of runs that another process judges. Without ``wants_each``, there is
-    one event for several runs that another process has counted.
+    all that a table of runs needs, also those of runs that another process judges.
 
     Raises:
         RequestError: for a fitness that does not exist, or a world that cannot be used.
@@ -167,11 +166,12 @@ def prepared(
         is_steered_by_checks=is_steered_by_checks,
         has_table=has_table,
     )
-    counting = None if why_here else Counting(read=reader, wants_each=wants_each)
+    can_drive = not why_here and harness.against is None  # only this process runs the reference
+    driver = Driver(reader=reader) if can_drive else None
     if settings.isolate:  # Isolated processes also make the runs that confirm findings, which the session judges.
         reader = replace(reader, harness=None)
     remark = f"; this process judges all runs, since {why_here}" if why_here else ", which also judge their runs"
-    job = replace(job, read=reader, groups=counting, remark=remark)
+    job = replace(job, read=reader, drive=driver, remark=remark)
     with ExitStack() as stack:
         record = stack.enter_context(harness.recording(job))
         with refusals():
@@ -198,7 +198,7 @@ def prepared(
                 runner=runner,
                 record=record,
                 reference=reference,
-                counting=counting,
+                driver=driver,
                 fitness=fitness,
                 is_steered_by_checks=is_steered_by_checks,
                 clock=state.clock,
@@ -300,6 +300,7 @@ class SearchSession:
             with workers.runner:
                 reason = self._searched(saved_in(harness.folder), began)
             # All findings are reported and the state is stored before shrinking, which takes long and may be cut.
+            self._settle(reason)
             self._send(store.release())
             state.write(store)
             # With a reference, the findings that do not show that the policy became worse are not even shrunk.
@@ -323,6 +324,7 @@ class SearchSession:
             raise
         finally:
             with postponed():
+                self._settle(reason)
                 self._send(store.release())
                 for each in retried:
                     if each.pending is not None:
@@ -341,6 +343,12 @@ class SearchSession:
             skip=state.skip if state.skip is not None and state.verdicts["skipped"] == state.runs else None,
             is_vacuous=state.health.vacuous or bool(state.broken),
         )
+
+    def _settle(self, reason: str) -> None:
+        """Take the failures of blocks that were not counted as findings, or forget them if the order says so."""
+        is_cut = reason in ("interrupted", "error", self.limit.flag)
+        for signature, find_id in self.store.settle(self.state.runs, keeps=is_cut):
+            self.state.add(signature, find_id)
 
     def _refine(self, reason: str) -> None:
         """Shrink the findings, and look at their neighbours and at decisions."""
@@ -490,6 +498,13 @@ class SearchSession:
             return None
         earlier, checkpoint = found
         state.resume(earlier, runs=checkpoint.sums.simulated, generations=checkpoint.generation)
+        # A session that was killed may have saved failures that its state does not know yet.
+        known = {each.id for each in state.earlier}
+        self.store.early = {
+            each.finding.signature: (each.path, None)
+            for each in saved
+            if each.finding is not None and each.id not in known and self._is_own(each)
+        }
         if checkpoint.sums.evaluated:  # A fault of the set-up would have ended the search in its first session.
             state.first.is_alike = False
             self._send(self.store.release())

@@ -92,13 +92,10 @@ class FirstGeneration:
     unjudged: int = 0  # number of runs for which the test function was not called
     _cause: Cause | None = None
 
-    def see(self, run: Run | None, verdict: Verdict) -> None:
-        """Record how a run of the first generation ended; ``run`` is None if another process judged that it passes."""
+    def see(self, run: Run, verdict: Verdict) -> None:
+        """Record how a run of the first generation ended."""
         if verdict.kind in ("npc", "avoidable", "invalid"):  # The test function was not called.
             self.unjudged += 1
-            return
-        if run is None:
-            self.is_alike = False
             return
         cause = cause_of(run, verdict)
         self.is_alike &= cause is not None and self._cause in (None, cause)

@@ -17,8 +17,9 @@ from pytest_pafot.campaign.options import Settings
 from pytest_pafot.campaign.setup_fault import FirstGeneration
 from pytest_pafot.campaign.state_file import FLAG, StateFile
 from pytest_pafot.campaign.store import Store
-from pytest_pafot.campaign.verdict import Verdict
-from pytest_pafot.campaign.workers import FAILING, Passed, Tally, Workers, fails_by_ego
+from pytest_pafot.campaign.tallies import Tally
+from pytest_pafot.campaign.verdict import FAILING, Verdict, fails_by_ego
+from pytest_pafot.campaign.workers import Workers
 from pytest_pafot.corpus.layout import link_below
 from pytest_pafot.corpus.saved import refusal
 from pytest_pafot.execution.scenario_pool import LostRun, expectation
@@ -97,9 +98,7 @@ class RandomRuns:
         """Count an event of the beginning. A scenario may be judged twice before it is evaluated."""
         if self.is_whole:
             return
-        if isinstance(event, events.GroupEvaluated):
-            self._add(*event.counts.random)
-        elif isinstance(event, Judged):
+        if isinstance(event, Judged):
             self.judged[event.scenario] = event
         elif isinstance(event, events.Evaluated):
             judged = self.judged.pop(event.evaluation.scenario, None)
@@ -109,6 +108,11 @@ class RandomRuns:
                 has_failed = judged.verdict.kind in FAILING
                 is_at_fault = has_failed and judged.run is not None and fails_by_ego(judged.run, judged.verdict)
                 self._add(1, 1, is_at_fault, has_failed and not is_at_fault)
+
+    def take(self, evaluated: int, runs: int, at_fault: int, otherwise: int) -> None:
+        """Count runs that another process has judged, which are all of the beginning or none."""
+        if not self.is_whole:
+            self._add(evaluated, runs, at_fault, otherwise)
 
     def _add(self, evaluated: int, runs: int, at_fault: int, otherwise: int) -> None:
         self.evaluated, self.runs = self.evaluated + evaluated, self.runs + runs
@@ -121,9 +125,8 @@ class State:
 
     The first fields, which can be given, are what a file of ``--pafot-resume`` stores of a search, in this order.
 
-    Verdicts are counted by :meth:`take`, :meth:`take_passed` and :meth:`take_tally`: this process judges a run, another
-    one does, or another one judges and counts many. What needs only an evaluation is counted by :meth:`see`, from the
-    events of the plan.
+    Runs that this process judges are counted by :meth:`take` and, from the events of the plan, by :meth:`see`; those
+    that another one judges by :meth:`take_tally`.
     """
 
     before: tuple[str, ...] = ()  # ids of the files saved before the search; others with its seed are its own findings
@@ -312,8 +315,6 @@ class State:
                 self.uncounted.append(event)
                 if len(self.uncounted) >= COUNTED_AT_ONCE:
                     self.count()
-            case events.GroupEvaluated():
-                self.counted += event.counts.health
             case events.GenerationFinished(local_generation=0):
                 self.generation = event.generation + 1
                 self.first.end()
@@ -324,8 +325,8 @@ class State:
             case events.CampaignFinished():
                 self.finished = event
 
-    def take(self, run: Run | None, verdict: Verdict, caught: Iterable[str], doubt: str) -> None:
-        """Count a judged run; ``run`` is None if another process has judged it."""
+    def take(self, run: Run, verdict: Verdict, caught: Iterable[str], doubt: str) -> None:
+        """Count a run that this process has judged."""
         self.verdicts[verdict.kind] += 1
         # What says that the set-up is wrong: a check that the function catches, units, the same error in all runs. As
         # soon as two runs differ, the findings that were held back are no fault of the set-up.
@@ -340,15 +341,10 @@ class State:
             broken = verdict.reference.failure if verdict.reference.is_ads else None
             self.broken = "" if broken is None else self.broken or f"{broken.kind}: {broken.message}"
 
-    def take_passed(self, passed: Passed) -> None:
-        """Count a run that another process has judged."""
-        self.take(None, passed.event.verdict, passed.caught, passed.doubt)
-        if passed.signature is not None:
-            self.repeat(passed.signature)
-            self.see_manner(passed.signature, passed.manner, passed.event.executed.id)
-
     def take_tally(self, tally: Tally) -> None:
-        """Count runs that another process has drawn, judged and counted."""
+        """Count runs that another process has judged and counted."""
+        self.random.take(*tally.random)
+        self.counted += tally.health
         self.verdicts.update(tally.verdicts)
         self.caught.update(tally.caught)
         self.doubt = self.doubt or tally.doubt

@@ -28,7 +28,7 @@ from pytest_pafot.support.errors import FieldError, RequestError, flag
 from pytest_pafot.support.files import hold, open_regular, way_out, write_whole
 from pytest_pafot.support.text import differences, visible
 
-VERSION = 6
+VERSION = 7
 """The version of the state's format. With a state of any other version a search begins anew."""
 
 MAX_BYTES = 1 << 28
@@ -48,7 +48,7 @@ T = TypeVar("T")
 
 FLAG = flag("resume")
 ANEW = f"delete the file to start the search from scratch, or give another folder with {FLAG}"
-PARTS = ("version", "settings", "algorithm", "sums", "begun", "news", "done", "counts", "remembered")
+PARTS = ("version", "settings", "algorithm", "sums", "begun", "counts", "remembered")
 
 
 def state_path(folder: Path, node_id: str) -> Path:
@@ -160,8 +160,6 @@ class StateFile:
             state=self._part(data, "algorithm", self.algorithm.restored),
             sums=self._part(data, "sums", partial(from_plain, CampaignFinished)),
             begun=self._part(data, "begun", partial(from_plain, tuple[tuple[Evaluation, bool], ...])),
-            news=self._part(data, "news", partial(from_plain, tuple[tuple[Evaluation, ...], ...])),
-            done=self._part(data, "done", partial(from_plain, int)),
             remembered=self._part(data, "remembered", partial(from_plain, tuple[Remembered, ...])),
         )
         return self._part(data, "counts", partial(from_plain, kind)), checkpoint
@@ -187,8 +185,6 @@ class StateFile:
             "settings": self.settings,
             "sums": plain(replace(checkpoint.sums, seconds=0.0)),
             "begun": plain(checkpoint.begun),
-            "news": plain(checkpoint.news),
-            "done": checkpoint.done,
             "counts": plain(counts),
         }
         lines = [f"{json.dumps(name)}: {_json(part)}" for name, part in parts.items()]

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping
+from collections import deque
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -12,13 +13,14 @@ from typing import Any
 from pytest_pafot.campaign.events import NO_WORSE, Find, FindTold
 from pytest_pafot.campaign.harness import Harness
 from pytest_pafot.campaign.verdict import PlainFailure, Verdict, headline
+from pytest_pafot.campaign.workers import Early
 from pytest_pafot.corpus.layout import SUFFIX, files_in, relative
 from pytest_pafot.corpus.writer import CorpusWriteError, free_path, rewrite, text_of, write
 from pytest_pafot.execution.crash_records import Leftover
-from pytest_pafot.execution.pool import OUT_OF_MEMORY, WORLD_HANGS
+from pytest_pafot.execution.pool import OUT_OF_MEMORY, WORLD_HANGS, ProcessLostError
 from pytest_pafot.execution.scenario_pool import LostRun, expectation
 from pytest_pafot.findings.finding import Expect, Finding, Found, Perceived, portable
-from pytest_pafot.findings.signature import PROCESS_CRASH
+from pytest_pafot.findings.signature import PROCESS_CRASH, Signature
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.oracle.run import Run
@@ -56,6 +58,9 @@ class Store:
     first: BaseException | None = None  # the exception of the first finding, for a debugger
     held: list[str] = field(default_factory=list)  # ids of findings that are saved and not reported yet
     dismissed: dict[str, str] = field(default_factory=dict)  # headlines of findings that do not count, by id
+    # failures of blocks that are not counted yet, whose files are saved; without the failure, what a session that was
+    # killed has left
+    early: dict[Signature, tuple[Path, Early | None]] = field(default_factory=dict)
     is_holding: bool = True  # False once findings are reported at once, because they are no fault of the set-up
 
     @property
@@ -68,28 +73,17 @@ class Store:
         """The number of findings that can be shrunk."""
         return sum(kept.is_firm for kept in self.findings.values())
 
-    def add(self, run: Run, verdict: Verdict, generation: int, number: int) -> FindTold | str:
+    def add(self, run: Run, verdict: Verdict | None, generation: int, number: int) -> FindTold | str:
         """Save a new finding, and hold it back; return its id alone if as many are saved as the search may save.
 
         ``generation`` is counted from 0; ``number``, the number of the run in the search, from 1.
         """
-        if verdict.failure is None or verdict.exception is None:
+        if verdict is None or verdict.exception is None:
             raise ValueError(f"verdict: expected the verdict on a failed run, received {verdict!r}")
-        harness = self.harness
-        finding = Finding.of(
-            run,
-            verdict.failure,
-            test=harness.node_id,
-            world=codec.described(harness.world),
-            found=self._found(generation),
-            perception=self._perception,
-            against="" if harness.against is None else harness.against.name,
-            root=str(harness.root),
-        )
-        files = files_in(harness.folder)  # Empty if the folder cannot be read; writing into it reports why.
-        is_full = max(len(files), len(self.findings)) >= harness.request.settings.max_saved
+        harness, finding = self.harness, self._failure(run, verdict, generation)
+        self._forget_early(finding)
         # A finding whose file exists already takes no more room.
-        if is_full and not os.path.lexists(free_path(harness.folder, finding, self.replayed)[0]):
+        if self._is_full and not os.path.lexists(free_path(harness.folder, finding, self.replayed)[0]):
             self.unsaved.append(finding.id)
             self.first = self.first or verdict.exception
             return finding.id
@@ -98,6 +92,68 @@ class Store:
             kept = self._saved(finding, headline(run, verdict), origin, verdict.exception, verdict.is_timed)
             kept = replace(kept, run=run, number=number, find=replace(kept.find, severity=verdict.severity))
             return self._held(kept)
+
+    def add_early(self, early: Early, known: Collection[Signature]) -> None:
+        """Save a failure that is not known and not counted yet, so that it is not lost if the session is killed."""
+        if isinstance(early.of, ProcessLostError):
+            finding = self._death(early.of.task, expectation(early.of), self._found(early.generation), None)
+        else:
+            finding = self._failure(early.of, early.verdict, early.generation)
+        signature = finding.signature
+        if signature in known or signature in self.early or self._is_full:
+            return
+        path, finding = free_path(self.harness.folder, finding, self.replayed)
+        with suppress(CorpusWriteError):  # which is reported in its turn
+            if self.harness.request.settings.save != "none" and write(path, finding):
+                self.early[signature] = path, early
+
+    def _forget_early(self, finding: Finding) -> None:
+        """Remove what was saved early if a failure of its kind comes before it, or if there is no room for it."""
+        path, _ = self.early.pop(finding.signature, (None, None))
+        is_same = path == free_path(self.harness.folder, finding, self.replayed)[0]
+        if path is not None and (self._is_full or not is_same):
+            with suppress(OSError):
+                path.unlink()
+
+    def settle(self, number: int, *, keeps: bool) -> Iterator[tuple[Signature, str]]:
+        """End the search with failures that are saved early: take them as findings, or remove their files.
+
+        Yield what is taken, with the ids. ``number`` is that of the last run that counts. What an earlier session has
+        left stays.
+        """
+        for signature, (path, early) in [*self.early.items()]:
+            if early is None:
+                continue
+            if not keeps:
+                path.unlink(missing_ok=True)
+            elif isinstance(early.of, ProcessLostError):
+                yield signature, self.add_lost(early.of, early.generation, number).find.id
+            else:
+                kept = self.add(early.of, early.verdict, early.generation, number)
+                if not isinstance(kept, str):
+                    kept = self.findings[kept.find.id] = replace(kept, find=replace(kept.find, unshrunk=UNCONFIRMED))
+                yield signature, kept if isinstance(kept, str) else kept.find.id
+        self.early.clear()
+
+    @property
+    def _is_full(self) -> bool:
+        """True if as many findings are saved as may be, without those that are saved early."""
+        files = files_in(self.harness.folder)  # Empty if the folder cannot be read; writing into it reports why.
+        return max(len(files) - len(self.early), len(self.findings)) >= self.harness.request.settings.max_saved
+
+    def _failure(self, run: Run, verdict: Verdict | None, generation: int) -> Finding:
+        if verdict is None or verdict.failure is None:
+            raise ValueError(f"verdict: expected the verdict on a failed run, received {verdict!r}")
+        return Finding.of(
+            run,
+            verdict.failure,
+            test=self.harness.node_id,
+            world=codec.described(self.harness.world),
+            found=self._found(generation),
+            perception=self._perception,
+            against="" if self.harness.against is None else self.harness.against.name,
+            root=str(self.harness.root),
+        )
 
     def release(self) -> Iterator[FindTold]:
         """Yield the findings that were held back; from now on, each new finding is to be reported at once."""
@@ -110,6 +166,7 @@ class Store:
 
         Yield the findings whose files cannot be removed.
         """
+        deque(self.settle(0, keeps=False), maxlen=0)
         withdrawn = [self.findings.pop(find_id) for find_id in self.held]
         self.held.clear()
         self.is_holding = False
@@ -198,10 +255,11 @@ class Store:
 
     def add_lost(self, lost: LostRun, generation: int, number: int) -> FindTold:
         """Save a scenario whose process died or hung. The numbers are as in :meth:`add`."""
-        alone = "" if lost.is_hang else ", also when nothing else ran"
-        text = f"the {lost.who} that ran this scenario {lost.how}{alone}: "
+        again = "" if lost.is_hang else ", also when it was tried again"
+        text = f"the {lost.who} that ran this scenario {lost.how}{again}: "
         text += cause(lost, f"{flag('workers', 1)} finds nothing here; delete the file")
         finding = self._death(lost.task, expectation(lost), self._found(generation), None)
+        self._forget_early(finding)
         origin = self._origin(generation, number)
         with postponed():
             return self._held(self._saved(finding, _headline(lost), origin, PlainFailure(text), lost.is_hang))

@@ -9,13 +9,16 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal, Self
 
+from pytest_pafot.attribution.responsibility import is_ego_responsible
 from pytest_pafot.findings.finding import ads_failure, raised_failure
 from pytest_pafot.findings.severity import Severity, severity_of, worsening
-from pytest_pafot.findings.signature import Failure
+from pytest_pafot.findings.signature import Failure, Signature
 from pytest_pafot.model.grid import Cell
-from pytest_pafot.model.trace import Outcome
+from pytest_pafot.model.scenario import Scenario
+from pytest_pafot.model.trace import Outcome, Trace
 from pytest_pafot.oracle.checks import Check, Recording, Rejected, recorded
 from pytest_pafot.oracle.run import ReferenceOutcome, Run, preventing, reference_outcome
+from pytest_pafot.searching.evaluation import Evaluation
 from pytest_pafot.support.errors import DriverError, RequestError
 from pytest_pafot.world.guard.failure import UNFIT, is_interruption
 
@@ -239,6 +242,66 @@ def collision_in_short(run: Run) -> str:
     who = {"ego": "ego", "npc": "NPC", "both": "both"}.get(run.responsibility or "", "neither")
     what = "a fixed object" if hit.npc is None else f"NPC {hit.npc}"
     return f"collision after {hit.time:.1f} s at {hit.closing_speed:.1f} m/s: {what}{place}, {who} at fault"
+
+
+FAILING = ("failed", "unpreventable", "common")
+"""The kinds of verdicts on runs that failed, including failures that do not count for some reason."""
+
+
+def fails_by_ego(run: Run, verdict: Verdict) -> bool:
+    """Return whether a failed run is a collision for which the ego is responsible.
+
+    An ADS that raised or was slow has failed by itself, even if a collision followed.
+    """
+    return not verdict.is_ads and is_ego_responsible(run.trace)
+
+
+def caught_in(verdict: Verdict) -> tuple[str, ...]:
+    """Return the names of the checks that failed in a run that passed, because the test function caught the error."""
+    return tuple({check.name for check in verdict.checks if not check.holds}) if verdict.kind == "passed" else ()
+
+
+FITNESS = "fitness"
+"""The name under which a trace stores its fitness."""
+
+
+def evaluated(
+    trace: Trace,
+    verdict: Verdict,
+    signature: Signature | None,
+    fitness: Callable[[Trace], float],
+    is_steered_by_checks: bool,
+) -> Evaluation:
+    """Return what the algorithm sees of a judged run: how bad it was and how it failed, to look for other failures.
+
+    ``signature`` is None if the run is no failure that counts.
+    """
+    check = verdict.failure.check if verdict.failed and verdict.failure is not None else None
+    return Evaluation.of(
+        trace,
+        fitness=trace.reading(FITNESS, fitness),
+        failing=verdict.failed,
+        discarded=verdict.discarded,
+        kind=signature,
+        mistake=(None if signature is None else signature.mistake) if check is None else check.name,
+        margins=verdict.margins if is_steered_by_checks else (),
+    )
+
+
+def unknown(scenario: Scenario) -> Evaluation:
+    """Return the evaluation of a scenario in which a process died: nothing is known about it."""
+    return Evaluation(
+        scenario=scenario,
+        executed=scenario,
+        fitness=0.0,
+        failing=False,
+        outcome=Outcome.SAFE,
+        duration=0.0,
+        genes_started=0,
+        genes_reached=0,
+        interaction=False,
+        discarded=True,
+    )
 
 
 def skips() -> tuple[type[BaseException], ...]:

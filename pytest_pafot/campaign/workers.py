@@ -3,34 +3,33 @@
 from __future__ import annotations
 
 import math
+import pickle
 import time
-from collections import Counter
+from collections import deque
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence, Set
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from itertools import chain
 from typing import Any
 
-from pytest_pafot.attribution.mistakes import mistake_of
-from pytest_pafot.attribution.responsibility import is_ego_responsible
-from pytest_pafot.campaign.events import NOT_REPEATED, Judged
+from pytest_pafot.campaign.events import NOT_REPEATED
 from pytest_pafot.campaign.harness import Harness, is_same_run, refusals
-from pytest_pafot.campaign.run_table import columns_of, row_of
-from pytest_pafot.campaign.setup_fault import unit_doubt
-from pytest_pafot.campaign.verdict import Verdict
+from pytest_pafot.campaign.tallies import Driver, Recovered, Tally
+from pytest_pafot.campaign.verdict import Verdict, evaluated, skips
 from pytest_pafot.execution.crash_records import CrashRecord, Leftover
 from pytest_pafot.execution.elsewhere import DrivesElsewhere
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.execution.runner import Runner, replay_in_gym_apart
-from pytest_pafot.execution.scenario_pool import Digest, LostRun
-from pytest_pafot.findings.finding import Manner, disagreement, failed_as, message_of
+from pytest_pafot.execution.scenario_pool import BlockTask, LostRun
+from pytest_pafot.findings.finding import disagreement, failed_as, message_of
 from pytest_pafot.findings.signature import Signature
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Trace
 from pytest_pafot.oracle.run import Run
-from pytest_pafot.searching.evaluation import Evaluation, interaction_of
-from pytest_pafot.searching.health import Health
-from pytest_pafot.searching.plan import AheadPlan, Drawer, Plan
+from pytest_pafot.searching.evaluation import Evaluation
+from pytest_pafot.searching.events import AlgorithmEvent
+from pytest_pafot.searching.fitness import FitnessError
+from pytest_pafot.searching.plan import Block, Learnt, Plan
 from pytest_pafot.support.errors import OutOfTime
 from pytest_pafot.world.base_world import BaseWorld
 from pytest_pafot.world.driving.ads import is_vehicle_class
@@ -38,246 +37,22 @@ from pytest_pafot.world.guard.chance import GENERATORS
 from pytest_pafot.world.guard.failure import UNFIT, let_through
 from pytest_pafot.world.guard.hang_guard import runs_end_in
 
-# Values that a search reads from every run. They are read in the process that made the run, to relieve this one.
 
-FITNESS = "fitness"
-"""The name under which a trace stores its fitness."""
+@dataclass(frozen=True, slots=True)
+class Early:
+    """A failure in a block that is not counted yet, of some generation from 0: a run with its verdict, or a death."""
 
-
-def read_ahead(fitness: Callable[[Trace], float] | None, trace: Trace) -> None:
-    """Compute the values of a trace that the search will need, in the process that made the trace, which stores them.
-
-    ``fitness`` is None if the user's own function computes it, which runs only in the main process.
-    """
-    trace.reading("interaction", interaction_of)
-    unit_doubt(trace)
-    mistake_of(trace)
-    if fitness is not None:
-        trace.reading(FITNESS, fitness)
+    of: Run | LostRun
+    verdict: Verdict | None
+    generation: int
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Passed:
-    """All that a search needs of a run in which nothing new failed, from the process that made and judged the run."""
+DRIVEN_SECONDS, FED_SECONDS = 0.06, 0.004
+"""The mean time of a run below which processes drive whole blocks [s]: in any case, so that a block takes some seconds,
+and for each process, since the session needs about half of that to hand over one scenario and to take its run."""
 
-    evaluation: Evaluation
-    event: Judged
-    signature: Signature | None  # of a failure that the session knows; None if nothing failed
-    manner: Manner | None  # of the same failure
-    is_at_fault: bool  # see :func:`fails_by_ego`
-    decisions: int  # of the ADS
-    caught: tuple[str, ...]  # the names of checks that failed although the test function passed
-    doubt: str  # see :func:`unit_doubt`
-
-
-FAILING = ("failed", "unpreventable", "common")
-"""The kinds of verdicts on runs that failed, including failures that do not count for some reason."""
-
-
-def fails_by_ego(run: Run, verdict: Verdict) -> bool:
-    """Return whether a failed run is a collision for which the ego is responsible.
-
-    An ADS that raised or was slow has failed by itself, even if a collision followed.
-    """
-    return not verdict.is_ads and is_ego_responsible(run.trace)
-
-
-UNREMARKABLE = ("passed", "npc", "avoidable", "invalid", "rejected")
-"""The kinds of verdicts for which a digest is enough, as it is for failures that the search knows. All other runs are
-judged in the session, with their traces.
-"""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Reader:
-    """Read the trace of a run in the process that made it, so that the process of the session need not.
-
-    With a harness, that process judges the run, too, and sends a digest if nothing failed, or nothing new. Otherwise it
-    sends the trace, which stores the values that the search will need.
-
-    Attributes:
-        harness: has the test function; None if only the process of the session may call it.
-        fitness: the fitness of a trace; None if it is the user's own function, which runs only in the session.
-        is_steered_by_checks: True if margins of checks are objectives, in addition to the fitness.
-        has_table: whether the digest has the columns of the run for the table of runs.
-        known: the failures that the session knows, so that no further trace of them must be sent.
-    """
-
-    harness: Harness | None
-    fitness: Callable[[Trace], float] | None
-    is_steered_by_checks: bool
-    has_table: bool
-    known: set[Signature] = field(default_factory=set)
-
-    def __call__(self, trace: Trace) -> Digest | None:
-        """Read a trace; return its digest, or None if the trace must be sent."""
-        read_ahead(self.fitness, trace)
-        if self.fitness is None or self.harness is None:
-            return None
-        run = self.harness.seen(trace)
-        verdict, signature, manner = self.harness.judge(run), None, None
-        if self.known and verdict.kind == "failed" and verdict.failure is not None and self.harness.against is None:
-            signature, manner = failed_as(run, verdict.failure)
-        if verdict.kind not in UNREMARKABLE and signature not in self.known:
-            return None
-        event = Judged(
-            scenario=trace.scenario,
-            executed=trace.executed,
-            verdict=replace(verdict, checks=(), exception=None),
-            known_responsibility=run.responsibility,
-            columns=columns_of(run, verdict) if self.has_table else None,
-        )
-        return Digest(
-            Passed(
-                evaluation=evaluated(trace, verdict, signature, self.fitness, self.is_steered_by_checks),
-                event=event,
-                signature=signature,
-                manner=manner,
-                is_at_fault=signature is not None and fails_by_ego(run, verdict),
-                decisions=len(trace.actions),
-                caught=caught_in(verdict),
-                doubt=unit_doubt(trace),
-            )
-        )
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Tally:
-    """The counts of consecutive runs that another process has drawn, run and judged.
-
-    Attributes:
-        runs, decisions: the numbers of runs, and of decisions of the ADS in them.
-        news: the evaluations that matter to the algorithm.
-        judged: all evaluations with their events, if the listener needs each of them; otherwise None.
-        health: the figures on the search's health.
-        verdicts, caught, responsibilities, outcomes: numbers of runs by kind of verdict, check, responsible, outcome.
-        failed: numbers of runs by their known failures.
-        manners: for each known failure and manner the id of the first scenario.
-        fitness: the finite fitness of each eligible run.
-        failing: the number of failing runs.
-        random: the counts of :class:`~pytest_pafot.campaign.state.RandomRuns`, in the order of its fields.
-        rows: rows for the table of runs.
-        doubt: see :func:`unit_doubt`.
-        avoidable: see :class:`~pytest_pafot.campaign.state.State`.
-    """
-
-    runs: int
-    decisions: int
-    news: tuple[Evaluation, ...]
-    judged: tuple[tuple[Evaluation, Judged], ...] | None
-    health: Health
-    verdicts: Counter[str]
-    caught: Counter[str]
-    responsibilities: Counter[str]
-    outcomes: Counter[str]
-    failed: Counter[Signature]
-    manners: tuple[tuple[Signature, Manner, str], ...]
-    fitness: tuple[float, ...]
-    failing: int
-    random: tuple[int, int, int, int]
-    rows: tuple[dict[str, Any], ...]
-    doubt: str
-    avoidable: str
-
-
-@dataclass(slots=True, kw_only=True)
-class Counting:
-    """The drawing and counting of a search's scenarios in the processes that run them.
-
-    Attributes:
-        read: reads and judges each run.
-        wants_each: True if the listener needs each run.
-        drawer: draws the scenarios; None before the search begins.
-        random_runs: the number of random scenarios at the beginning of the search that are counted apart.
-        fatal: scenarios in which a process died; they are not run.
-    """
-
-    read: Reader
-    wants_each: bool
-    drawer: Drawer[Any] | None = None
-    random_runs: float = 0.0
-    fatal: set[Scenario] = field(default_factory=set)
-
-    def scenario(self, generation: int, index: int) -> Scenario | None:
-        """Return the scenario of a place; None if no process may run it."""
-        assert self.drawer is not None  # noqa: S101  (the search has begun)
-        scenario = self.drawer.scenario(generation, index)
-        return None if scenario in self.fatal else scenario
-
-    def learn(self, said: tuple[tuple[Evaluation, ...], frozenset[Signature]]) -> None:
-        """Learn from the next generation, and remember the failures that the session knows by now."""
-        assert self.drawer is not None  # noqa: S101  (the search has begun)
-        news, known = said
-        self.drawer.learn(news)
-        self.read.known.update(known)
-
-    def counted(self, generation: int, start: int, digests: Sequence[Passed]) -> Tally:
-        """Count consecutive runs."""
-        assert self.drawer is not None  # noqa: S101  (the search has begun)
-        drawer, evaluations = self.drawer, [each.evaluation for each in digests]
-        left = max(0.0, self.random_runs - drawer.number(generation, start))
-        at_random = digests[: len(digests) if left >= len(digests) else int(left)]
-        verdicts = [each.event.verdict for each in at_random]
-        valid = [each for each in verdicts if not (each.discarded or each.kind == "invalid")]
-        failed = sum(each.kind in FAILING for each in valid)
-        at_fault = sum(each.is_at_fault for each in at_random)
-        has_rows = digests[0].event.columns is not None and not self.wants_each
-        return Tally(
-            runs=len(digests),
-            decisions=sum(each.decisions for each in digests),
-            news=tuple(each for each in evaluations if drawer.matters(generation, each)),
-            judged=tuple((each.evaluation, each.event) for each in digests) if self.wants_each else None,
-            health=Health.of_runs(len(digests), evaluations),
-            verdicts=Counter(each.event.verdict.kind for each in digests),
-            caught=Counter(name for each in digests for name in each.caught),
-            responsibilities=Counter(each.event.responsibility or "none" for each in digests),
-            outcomes=Counter(str(each.outcome) for each in evaluations),
-            failed=Counter(each.signature for each in digests if each.signature is not None),
-            manners=tuple(
-                {
-                    (each.signature, each.manner): (each.signature, each.manner, each.event.executed.id)
-                    for each in reversed(digests)
-                    if each.signature is not None and each.manner is not None
-                }.values()
-            )[::-1],
-            fitness=tuple(each.fitness for each in evaluations if each.eligible and math.isfinite(each.fitness)),
-            failing=sum(each.failing for each in evaluations),
-            random=(len(at_random), len(valid), at_fault, failed - at_fault),
-            rows=tuple(
-                row_of(each.evaluation, generation) | dict(each.event.columns or {}) for each in digests if has_rows
-            ),
-            doubt=next((each.doubt for each in digests if each.doubt), ""),
-            avoidable=next((each.event.verdict.excused for each in digests if each.event.verdict.excused), ""),
-        )
-
-
-def evaluated(
-    trace: Trace,
-    verdict: Verdict,
-    signature: Signature | None,
-    fitness: Callable[[Trace], float],
-    is_steered_by_checks: bool,
-) -> Evaluation:
-    """Return what the algorithm sees of a judged run: how bad it was and how it failed, to look for other failures.
-
-    ``signature`` is None if the run is no failure that counts.
-    """
-    check = verdict.failure.check if verdict.failed and verdict.failure is not None else None
-    return Evaluation.of(
-        trace,
-        fitness=trace.reading(FITNESS, fitness),
-        failing=verdict.failed,
-        discarded=verdict.discarded,
-        kind=signature,
-        mistake=(None if signature is None else signature.mistake) if check is None else check.name,
-        margins=verdict.margins if is_steered_by_checks else (),
-    )
-
-
-def caught_in(verdict: Verdict) -> tuple[str, ...]:
-    """Return the names of the checks that failed in a run that passed, because the test function caught the error."""
-    return tuple({check.name for check in verdict.checks if not check.holds}) if verdict.kind == "passed" else ()
-
+AHEAD_ELSEWHERE = 128
+"""The number of scenarios of later blocks that the workers of an executor get, since their own number is unknown."""
 
 PURE_SHARE = 1 / 10
 """The share of the decisions that a pure ADS need not make from which on no further run is made to check that it is."""
@@ -291,15 +66,23 @@ class Workers:
     runner: Runner
     record: CrashRecord
     reference: Runner | None = None  # the runner of the reference
-    counting: Counting | None = None  # how other processes draw and count scenarios; None if they do not
+    driver: Driver | None = None  # how other processes drive blocks; None if they cannot
     fitness: Callable[[Trace], float]  # the fitness of a trace; higher is worse for the ego
-    is_steered_by_checks: bool = True  # as in :class:`Reader`
+    is_steered_by_checks: bool = True  # as in :class:`~pytest_pafot.campaign.tallies.Reader`
     clock: Callable[[], float] = time.monotonic  # returns the seconds since some fixed moment
     counted_decisions: int = 0  # number of decisions of the ADS in runs that others judged, and beside runs
     until: float = math.inf  # the time at which the work on findings ends [s]
     confirm_decisions: int = 0  # the number of decisions of the ADS that confirmed findings
     confirm_seconds: float = 0.0  # the time that this took [s]
     pace: float = 0.0  # the longest time to confirm one second of a run so far [s]
+    # what the processes say that drive blocks, as far as it is not counted, by the number of the block
+    _driven: dict[int, deque[Any]] = field(default_factory=dict)
+    _failed: deque[Early] = field(default_factory=deque)  # failures of later blocks that are new to this process
+    _later: dict[int, Block[Any]] = field(default_factory=dict)  # later blocks as far as other processes have run them
+    _early: dict[Scenario, Verdict] = field(default_factory=dict)  # on runs that this process has not counted yet
+    _suspect: ProcessLostError[Any] | None = None  # a death in a block, as long as no scenario is known to be the cause
+    _has_died: bool = False  # True if a process has died while it drove a block
+    _last: int = 0  # number of the first block that they leave to the session
 
     @property
     def decisions(self) -> int:
@@ -324,56 +107,195 @@ class Workers:
                 return trace.scenario.id
         return ""
 
-    def begin(self, plan: Plan[Any], random_runs: float, fatal: set[Scenario]) -> None:
-        """Let other processes draw and count the scenarios of a plan, as soon as they are in use, if that is possible.
+    def begin(self, plan: Plan[Any], random_runs: float) -> None:
+        """Prepare for the blocks of a plan; ``random_runs`` is as in :class:`~pytest_pafot.campaign.tallies.Driver`."""
+        if self.driver is not None and plan.length is not None:
+            self.driver.plan, self.driver.random_runs = plan, random_runs
+            self.runner.processes.end()  # processes that were started before do not know the plan
 
-        ``random_runs`` and ``fatal`` are as in :class:`Counting`.
+    def give_blocks(self, plan: Plan[Any], fatal: Set[Scenario], known: Iterable[Collection[Signature]]) -> None:
+        """Let other processes drive the next blocks by themselves, if runs are short.
+
+        Whoever drives a block, it is the same. ``fatal`` are scenarios that nobody must run, ``known`` the failures of
+        which no further run must be sent.
         """
-        if self.counting is not None and isinstance(plan, AheadPlan):
-            self.counting.drawer, self.counting.random_runs, self.counting.fatal = plan.drawer, random_runs, fatal
-            self.runner.begin_groups(plan.drawer, plan.needed)
+        processes, settings = self.runner.processes, self.harness.request.settings
+        if plan.length is None or plan.block.index:
+            return
+        # This process goes on with a block that it has begun, unless others make the runs, which it would have to miss.
+        is_inside = plan.generation % plan.length > 0
+        first, workers = plan.number + is_inside, settings.workers
+        if (is_inside and (processes.in_use or settings.isolate)) or not self._drives_blocks(plan, first):
+            return
+        failures = frozenset[Signature]().union(*known)
+        if not self._driven:  # Each process gets as many blocks, and the scenarios of what is left are shared.
+            self._last = plan.whole_blocks - (plan.whole_blocks - first) % workers
+        for number in range(first, min(first + 2 * workers, self._last)):
+            if number not in self._driven:
+                task = BlockTask(number, failures, frozenset(fatal), is_apart=bool(fatal or self._has_died))
+                if not processes.drive(task):
+                    return
+                self._driven[number] = deque()
 
-    def next(self, plan: Plan[Any], fatal: Set[Scenario]) -> Run | Passed | Tally | LostRun | None:
+    def _drives_blocks(self, plan: Plan[Any], first: int) -> bool:
+        """Return whether other processes drive blocks from the block number ``first`` on."""
+        workers, is_apart = self.harness.request.settings.workers, self.harness.request.settings.isolate
+        if self.driver is None or plan.length is None or self.runner.decides_for_many or not (workers > 1 or is_apart):
+            return False
+        # Long runs are shared better one by one.
+        is_fast = 0 < self.runner.processes.run_seconds < max(DRIVEN_SECONDS, FED_SECONDS * workers)
+        is_worth_it = bool(self._driven) or plan.whole_blocks - first >= 2 * workers
+        return is_fast and is_worth_it
+
+    def next(self, plan: Plan[Any], fatal: Set[Scenario]) -> Run | Tally | LostRun | Early | None:
         """Return what became of the next scenario of a plan, or of the next ones.
 
-        That is the run, which must be judged next; what the process said that has made and judged the run; the counts
-        of several runs; or how a process died or hung. It is None for a scenario of ``fatal``, which is not run.
+        That is the run, which must be judged next; the tally of runs that another process has made and judged; or how
+        a process died or hung. It is None for a scenario of ``fatal``, which is not run. Or a scenario of a later block
+        has failed meanwhile, which will be returned again in its turn.
 
         Raises:
             OutOfTime: if the time of the search is over before; the scenario then counts nowhere.
             RequestError: as for :meth:`run`.
         """
         __tracebackhide__ = True
-        if self.counting is not None and isinstance(plan, AheadPlan):
-            part = self.runner.counted(plan.generation, plan.index)
-            if part is not None:
-                tally: Tally = part.counted
-                self.counted_decisions += tally.decisions
-                return tally
-        ahead = plan.ahead()
-        if ahead is not None:
-            self.runner.announce((each for each in ahead if each not in fatal), more=plan.is_ahead)
-        scenario = plan.scenario()
+        scenario, said = None, self._said(plan, stops=True)
+        if self._failed:
+            return self._failed.popleft()
+        if isinstance(said, Tally):
+            self.counted_decisions += said.decisions
+            return said
+        if isinstance(said, ProcessLostError):
+            return said
+        if isinstance(said, Trace):
+            scenario = said.scenario
+        else:
+            ahead = plan.ahead()
+            # While all processes drive blocks, this one makes its runs itself, unless they may end it.
+            is_safe = not (self._has_died or self.harness.request.settings.isolate)
+            if ahead is not None and not (self._driven and is_safe):
+                self.runner.announce((each for each in ahead if each not in fatal), more=plan.length is not None)
+            self._foresee(plan, fatal)
+            scenario = plan.scenario()
         if scenario in fatal:
             return None
         try:
             with self._recorded(), refusals():
-                made = self.runner.made(scenario)
+                made: Any = self.runner.made(scenario)
         except ProcessLostError as error:
+            self._suspect = None
             return error
-        if isinstance(made, Digest):
-            passed: Passed = made.content
-            self.counted_decisions += passed.decisions
-            return passed
+        if isinstance(made, Tally):
+            self.counted_decisions += made.decisions
+            return made
         return self.harness.seen(made)
 
-    def learn(self, news: Sequence[Evaluation], known: Iterable[Collection[Signature]]) -> None:
-        """Let the processes that draw scenarios learn what the algorithm has learnt, and the failures known by now."""
-        if self.counting is not None and self.counting.drawer is not None:
-            before = self.counting.read.known
-            new = frozenset() if self.counting.wants_each else frozenset().union(*known) - before
-            before.update(new)
-            self.runner.tell((tuple(news), new))
+    def learn(self, plan: Plan[Any]) -> Sequence[AlgorithmEvent]:
+        """Let the algorithm learn from a whole generation, if the process that drives its block has not done so."""
+        number, learnt = plan.number, self._said(plan)
+        plan.block.learnt = learnt if isinstance(learnt, Learnt) else None
+        events = plan.learn()
+        if plan.number != number:
+            self._driven.pop(number, None)
+            if self._suspect is not None:
+                self.runner.processes.recovered.append(self._suspect)
+                self._suspect = None
+        return events
+
+    def _said(self, plan: Plan[Any], *, stops: bool = False) -> Tally | Trace | LostRun | Learnt | None:
+        """Return what the process says next that drives the block of a plan; None if the session must go on.
+
+        With ``stops``, return None as well as soon as something has failed in a later block.
+        """
+        processes, said = self.runner.processes, self._driven.get(plan.number)
+        while heard := processes.hear(waits=said is not None and not said and not (stops and self._failed)):
+            task, what = heard
+            self._has_died |= isinstance(what, ProcessLostError)
+            if isinstance(what, tuple) and isinstance(what[0], Recovered):
+                processes.recovered.append(what[0].lost)
+            elif (driven := self._driven.get(task.number)) is not None:
+                driven.append(what)
+                if driven is not said and isinstance(what, tuple):
+                    self._look_at(what[0], plan, task.number)
+        if said is None or (stops and self._failed):
+            return None
+        what = said.popleft() if said else None
+        if isinstance(what, tuple):
+            made: Tally | Trace | LostRun | Learnt = what[0]
+            processes.count(made.runs if isinstance(made, Tally) else isinstance(made, Trace), what[2])
+            if isinstance(made, Trace):
+                processes.ready[made.scenario] = what
+            else:
+                what[1].repeat()
+            return made
+        if isinstance(what, ProcessLostError):
+            self._suspect = what
+        del self._driven[plan.number]
+        return None
+
+    def _look_at(self, made: object, plan: Plan[Any], number: int) -> None:
+        """Judge a run of a later block that has failed, so that it is saved before its turn."""
+        learnt = sum(isinstance(each, tuple) and isinstance(each[0], Learnt) for each in self._driven[number])
+        generation = number * (plan.length or 0) + learnt
+        if isinstance(made, Trace):
+            self._judge_early(made, generation)
+        elif isinstance(made, ProcessLostError):
+            self._failed.append(Early(made, None, generation))
+
+    def _judge_early(self, made: Trace, generation: int) -> None:
+        scenario = made.scenario
+        if scenario not in self._early:
+            self.record.write(scenario)
+            run = self.harness.seen(made)
+            verdict = self._early[scenario] = self.judge(run)
+            if verdict.failed:
+                self._failed.append(Early(run, verdict, generation))
+
+    def _foresee(self, plan: Plan[Any], fatal: Set[Scenario]) -> None:
+        """Let other processes run scenarios of the next blocks, while the last runs of a generation are waited for."""
+        processes, workers = self.runner.processes, self.harness.request.settings.workers
+        if (
+            plan.length is None
+            or self._driven
+            or self._drives_blocks(plan, plan.number + 1)
+            or self.runner.decides_for_many
+        ):
+            return
+        scenarios = AHEAD_ELSEWHERE if processes.is_elsewhere else 2 * workers if processes.in_use > 1 else 0
+        blocks = -(-scenarios // plan.algorithm(1).population)
+        unfit: tuple[type[BaseException], ...] = (FitnessError, *skips())
+        self._later = {number: block for number, block in self._later.items() if number > plan.number}
+        for number in range(plan.number + 1, plan.number + 1 + blocks):
+            block = self._later.get(number)
+            if block is None:
+                block = self._later[number] = plan.beginning(number)
+                processes.announce_later(each for each in plan.within(block) if each not in fatal)
+            while block.generation // plan.length == number:
+                runs = processes.arrived(block.drawn)
+                try:
+                    for each in runs:
+                        if isinstance(each, Trace):
+                            self._judge_early(each, block.generation)
+                    if len(runs) < len(block.drawn):
+                        break
+                    evaluations = [self._evaluated_early(made) for made in runs]
+                except unfit:  # raised again as soon as the search comes to this run
+                    return
+                for each in evaluations:
+                    block.take(each)
+                block.learn()
+                if block.generation // plan.length == number:
+                    processes.announce_later(each for each in plan.within(block) if each not in fatal)
+
+    def _evaluated_early(self, made: Trace | Tally) -> Evaluation:
+        """Return what the algorithm sees of a run that is not requested yet."""
+        if isinstance(made, Tally):
+            evaluation: Evaluation = pickle.loads(made.evaluations)[0]  # noqa: S301  (from our own process)
+            return evaluation
+        run, verdict, signature = self.harness.seen(made), self._early[made.scenario], None
+        if verdict.failed and verdict.failure is not None:
+            signature, _ = failed_as(run, verdict.failure)
+        return self.evaluation(run, verdict, signature)
 
     def run(self, scenario: Scenario, *, afresh: bool = False, most: int | None = None) -> Run:
         """Run a scenario. The caller must call :meth:`judge` next, which also clears the crash record.
@@ -393,6 +315,10 @@ class Workers:
     def judge(self, run: Run, scenario: Scenario | None = None) -> Verdict:
         """Judge the last run. If it fails, the reference is run in ``scenario``, by default in the run's scenario."""
         __tracebackhide__ = True
+        early = self._early.pop(run.trace.scenario, None)
+        if early is not None:
+            self.record.clear()
+            return early
         with self._recorded():
             verdict = self.harness.judge(run)
             if verdict.failed and self.reference is not None:

@@ -52,6 +52,9 @@ shorter than :data:`GRACE`, because only that process ends and not the session."
 FAREWELL = 2.0
 """The time that a process gets to end by itself, together with the processes that its libraries started [s]."""
 
+KILLED = "was ended by SIGKILL"
+"""The words for the end of a process that was killed from outside, as Linux does if there is too little memory."""
+
 OUT_OF_MEMORY = f"ran out of the memory that it may use ({flag('memory')})"
 """The words for the end of a process in which an allocation of memory failed."""
 
@@ -72,8 +75,8 @@ takes the first bytes of the text for a very large length. Without a limit it wo
 """
 
 Work: TypeAlias = Callable[..., ResultT]
-"""The function that runs a task in a process of the pool. Its arguments are the task, and a function that reports the
-finished share of the task."""
+"""The function that runs a task in a process of the pool. Its arguments are the task, and a function that sends what it
+says before its answer: the finished share of the task as a float, or anything else."""
 
 
 class ProcessLostError(Exception, Generic[TaskT]):
@@ -107,7 +110,7 @@ class ProcessLostError(Exception, Generic[TaskT]):
         """The note on a process that died in a task that succeeded when it was tried again."""
         return (
             f"a {self.who} {self.how} while it ran {self.task}, which ran to its end when it was tried "
-            "alone: there may be too little memory for so many workers, or the process was killed from outside"
+            "again: there may be too little memory for so many workers, or the process was killed from outside"
         )
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -133,7 +136,6 @@ class WorkerPool(Generic[TaskT, ResultT]):
             limit. Beyond the limit, allocations fail. Processes that it starts have the same limit. Only on Linux.
         idle: the longest time that a process waits for a task before it ends by itself [s], or None for no limit.
         ended: a function that is called with the id of each process of the pool that has ended.
-        heard: a function that is called in each process with what :meth:`tell` is given, before its next task.
         clock: a monotonic clock [s].
     """
 
@@ -146,7 +148,6 @@ class WorkerPool(Generic[TaskT, ResultT]):
     memory: int | None = None
     idle: float | None = None
     ended: Callable[[int], None] = lambda pid: None
-    heard: Callable[[Any], object] = repr  # can be pickled, and does nothing
     clock: Callable[[], float] = time.monotonic
 
     def __post_init__(self) -> None:
@@ -159,6 +160,8 @@ class WorkerPool(Generic[TaskT, ResultT]):
         self._looked_at = -math.inf  # when all processes, including silent ones, were last checked
         self._pending: deque[TaskT] = deque()
         self._wanted: set[TaskT] = set()
+        self._followed: set[TaskT] = set()
+        self._said: deque[tuple[TaskT, Any]] = deque()
         self._answers: dict[TaskT, ResultT | Exception] = {}
         self._suspects: dict[TaskT, ProcessLostError[TaskT]] = {}
 
@@ -173,33 +176,52 @@ class WorkerPool(Generic[TaskT, ResultT]):
 
         ``tasks`` may be a generator: each task starts as soon as the generator yields it, if a process is free.
         """
-        self._pending, self._wanted = deque(), set()
-        self._answers, self._suspects = {}, {}
+        self._pending, self._wanted, self._followed = deque(), set(), set()
+        self._said, self._answers, self._suspects = deque(), {}, {}
         self.add_all(tasks)
 
     def add_all(self, tasks: Iterable[TaskT]) -> None:
-        """Start some more tasks after all earlier ones."""
+        """Start some more tasks after all earlier ones, unless their answers are still to be fetched."""
         for task in tasks:
-            self.add(task)
+            if task not in self._wanted:
+                self._wanted.add(task)
+                self._pending.append(task)
+            self._send()
 
-    def add(self, task: TaskT) -> None:
-        """Start one more task after all earlier ones, unless its answer is still to be fetched."""
-        if task not in self._wanted:
-            self._wanted.add(task)
-            self._pending.append(task)
+    def add_first(self, tasks: Iterable[TaskT]) -> None:
+        """Start some more tasks before all that were not started yet, unless their answers are still to be fetched."""
+        new = [task for task in tasks if task not in self._wanted]
+        self._wanted.update(new)
+        self._pending.extendleft(reversed(new))
         self._send()
 
-    def tell(self, said: object) -> None:
-        """Let ``heard`` receive a value in each process that exists now, before the next task of that process."""
-        content = pickle.dumps(said)
-        for worker in self._workers:
-            worker.unheard.append(content)
+    def follow(self, task: TaskT) -> None:
+        """Start a task after all others, whose answer comes with all that it says; see :meth:`hear`."""
+        self._followed.add(task)
+        self.add_all([task])
+
+    def hear(self, *, waits: bool) -> tuple[TaskT, Any] | None:
+        """Return the next that a followed task has said, or last its answer, with the task; None if that is all so far.
+
+        With ``waits``, wait until there is something. A followed task is not tried again if its process died in it.
+
+        Raises:
+            OutOfTime: if the time of the search is over; all processes are ended.
+        """
+        while waits and not self._said:
+            self._receive()
+            self._send()
+        return self._said.popleft() if self._said else None
+
+    def arrived(self, task: TaskT) -> ResultT | Exception | None:
+        """Return the answer to a task, which can still be fetched; None if there is none yet."""
+        return self._answers.get(task)
 
     def fetch(self, task: TaskT) -> ResultT | Exception:
         """Wait for the answer to a task and return it; a task that was not started before is run next.
 
-        Each answer can be fetched once. A task in which a process died is tried once more while nothing else runs,
-        because there may have been too little memory for all processes, or the process was killed from outside.
+        Each answer can be fetched once. A task in which a process died is tried once more, and if the process was
+        killed, while nothing else runs, because there may have been too little memory for all processes.
 
         Raises:
             OutOfTime: if the time of the search is over; all processes are ended.
@@ -208,14 +230,23 @@ class WorkerPool(Generic[TaskT, ResultT]):
             self._wanted.add(task)
             self._pending.appendleft(task)
         self._send()
+        first: ProcessLostError[TaskT] | None = None
         while task not in self._answers:
-            if task in self._suspects:
-                self._answers[task] = self._alone(task)
-            else:
+            if task not in self._suspects:
                 self._receive()
+            elif self._suspects[task].how == KILLED:
+                self._answers[task] = self._alone(task)
+            elif first is None:
+                first = self._suspects.pop(task)
+                self._pending.appendleft(task)
+            else:
+                self._answers[task] = self._suspects.pop(task)
             self._send()
         self._wanted.discard(task)
-        return self._answers.pop(task)
+        answer = self._answers.pop(task)
+        if first is not None and not isinstance(answer, ProcessLostError):
+            self.recovered.append(first)
+        return answer
 
     def completed(self, tick: Callable[[float], None]) -> Iterator[tuple[TaskT, ResultT | Exception]]:
         """Yield each expected task with its answer as soon as it is available; no task is tried twice.
@@ -273,7 +304,7 @@ class WorkerPool(Generic[TaskT, ResultT]):
                 if idle is not None:  # It ended between two tasks, so no task is the cause.
                     self._remove(idle)
                 others = [worker.connection for worker in self._workers]
-                idle = _Worker(self._context, self.work, self.heard, others, self.grace, self.memory, self.idle)
+                idle = _Worker(self._context, self.work, others, self.grace, self.memory, self.idle)
                 self._workers.append(idle)
         except OSError as error:
             self._fail(task, str(error))
@@ -281,7 +312,15 @@ class WorkerPool(Generic[TaskT, ResultT]):
     def _fail(self, task: TaskT, reason: str) -> None:
         """Record the reason why no process can be started, and answer a task with it."""
         self.failure = reason
-        self._answers[task] = RuntimeError(reason)
+        self._answer(task, RuntimeError(reason))
+
+    def _answer(self, task: TaskT, answer: Any) -> None:
+        if task in self._followed:
+            self._followed.discard(task)
+            self._wanted.discard(task)
+            self._said.append((task, answer))
+        else:
+            self._answers[task] = answer
 
     def _receive(self) -> None:
         """Wait for a limited time and receive all available answers; sometimes check processes that do not answer."""
@@ -309,8 +348,10 @@ class WorkerPool(Generic[TaskT, ResultT]):
             heard = worker.hear()
             if heard is not None:
                 is_done, said = heard
-                if is_done and task in self._wanted:
-                    self._answers[task] = said
+                if task in self._wanted and is_done:
+                    self._answer(task, said)
+                elif task in self._followed and not isinstance(said, float):
+                    self._said.append((task, said))
                 return
             is_gone = True
         if worker.gave_up.value == EXHAUSTED:
@@ -332,8 +373,10 @@ class WorkerPool(Generic[TaskT, ResultT]):
         lost = ProcessLostError(task, pid=worker.pid, how=how or worker.process.exitcode, is_hang=is_hang)
         if not worker.has_begun:
             self._fail(task, self.failure or f"a process {lost.how} before it had begun")
+        elif task in self._wanted and (is_hang or task in self._followed):
+            self._answer(task, lost)
         elif task in self._wanted:
-            (self._answers if is_hang else self._suspects)[task] = lost
+            self._suspects[task] = lost
 
     def _remove(self, worker: _Worker[TaskT]) -> None:
         """Kill a process of the pool, and on Linux also the processes that it has started."""
@@ -352,7 +395,6 @@ class _Worker(Generic[TaskT]):
         self,
         context: Any,
         work: Work[Any],
-        heard: Callable[[Any], object],
         others: list[Connection],
         grace: float,
         memory: int | None,
@@ -360,14 +402,13 @@ class _Worker(Generic[TaskT]):
     ) -> None:
         self.task: TaskT | None = None
         self.share = 0.0
-        self.unheard: list[bytes] = []  # what it must receive before its next task
         self.gave_up = context.RawValue("b", 0)  # why it ended itself; 0 if it did not
         self._beats = context.RawValue("Q", 0)
         self.connection, end = context.Pipe()
         self._heard = 0
         self._asked_at: float | None = None
         inherited = [*others, self.connection] if context.get_start_method() == "fork" else []
-        arguments = (work, heard, end, inherited, self._beats, self.gave_up, grace, memory, idle)
+        arguments = (work, end, inherited, self._beats, self.gave_up, grace, memory, idle)
         # A daemon, so that an executor's worker that ends kills it and does not wait for it.
         self.process = context.Process(target=_serve, args=arguments, name="pafot-worker", daemon=True)
         with warnings.catch_warnings(), _no_interrupts(context.get_start_method()):
@@ -391,14 +432,13 @@ class _Worker(Generic[TaskT]):
     def send(self, task: TaskT | None) -> bool:
         """Send a task to the process, or None to end the process; return False if the process has ended."""
         try:
-            self.connection.send_bytes(pickle.dumps((self.unheard, task)))
+            self.connection.send_bytes(pickle.dumps(task))
         except OSError:
             return False
-        self.unheard = []
         return True
 
     def hear(self) -> tuple[bool, Any] | None:
-        """Receive a message of the process: (True, result) or (False, finished share); None if the process ended."""
+        """Receive a message of the process: (True, result) or (False, what it says); None if the process ended."""
         try:
             is_done, said = pickle.loads(self.connection.recv_bytes(LARGEST))  # noqa: S301  (from a child process)
         except (EOFError, OSError):
@@ -408,7 +448,7 @@ class _Worker(Generic[TaskT]):
             is_done, said = True, RuntimeError(f"{expected} {type(error).__name__}: {error}")
         if is_done:
             self.task = None
-        else:
+        elif isinstance(said, float):
             self.share = said
         return is_done, said
 
@@ -448,7 +488,6 @@ def _end_children(pid: int) -> None:
 
 def _serve(
     work: Work[Any],
-    heard: Callable[[Any], object],
     connection: Connection,
     inherited: list[Connection],
     beats: Any,
@@ -462,8 +501,8 @@ def _serve(
     ``beats`` counts the start of the process and each signal that it answers.
     """
 
-    def tell(share: float) -> None:
-        connection.send((False, share))
+    def tell(said: object) -> None:
+        connection.send_bytes(_sendable((False, said)))
 
     def beat(*signalled: object) -> None:
         beats.value += 1
@@ -486,11 +525,9 @@ def _serve(
     resort = LastResort(end=end, grace=grace, end_world=partial(end, WORLD_STUCK))
     with last_resort(resort), suppress(EOFError, OSError):
         while connection.poll(idle):
-            unheard, task = connection.recv()
+            task = connection.recv()
             if task is None:
                 break
-            for content in unheard:
-                heard(pickle.loads(content))  # noqa: S301  (from the session)
             try:
                 said = _sendable((True, work(task, tell)))
             except MemoryError:  # Not sent as an answer: the session would run the task itself and use up its memory.

@@ -24,15 +24,14 @@ from pytest_pafot.door import EXECUTOR_POOL, opened
 from pytest_pafot.execution import scenario_pool
 from pytest_pafot.execution.crash_records import CrashRecord, Leftover
 from pytest_pafot.execution.elsewhere import DrivesElsewhere, Elsewhere, StandIn
-from pytest_pafot.execution.groups import Course, Groups
 from pytest_pafot.execution.pool import GRACE, ProcessLostError, WorkerPool
 from pytest_pafot.execution.scenario_pool import (
     NOT_REPEATED,
     Answer,
+    BlockTask,
     Digest,
     ExecutionError,
     ExecutorPool,
-    GroupPart,
     Job,
     LostRun,
     ScenarioPool,
@@ -175,7 +174,6 @@ class Runner:
     def __exit__(self, kind: type[BaseException] | None, *rest: object) -> None:
         self._held.close()
         self._prefetching.announce(())
-        self.processes.groups = None
         self.processes.close(at_once=kind is not None)
 
     def announce(self, scenarios: Iterable[Scenario], *, more: bool = False) -> None:
@@ -185,28 +183,9 @@ class Runner:
         """
         self._prefetching.announce(scenarios, more=more)
 
-    def begin_groups(self, course: Course, needed: Callable[[int], int]) -> None:
-        """Let other processes draw and count scenarios from now on; see :class:`Groups` for the arguments."""
-        if self.job.groups is not None:
-            self.processes.begin_groups(Groups(course, needed))
-
     def read_here(self) -> None:
         """Let this process read the traces of all runs that are announced from now on; other processes judge none."""
         self.processes.read_here()
-
-    def counted(self, generation: int, index: int) -> GroupPart | None:
-        """Return the next runs of a search, from a place on, that another process has counted.
-
-        Return None if the session must request the scenario of that place by :meth:`made`.
-
-        Raises:
-            OutOfTime: if the time of the search is over.
-        """
-        return self.processes.counted(generation, index)
-
-    def tell(self, said: object) -> None:
-        """Let the processes that draw scenarios learn what the session has learnt."""
-        self.processes.tell(said)
 
     def run(self, scenario: Scenario, *, afresh: bool = False, most: int | None = None) -> Trace:
         """Return the trace of a run of a scenario that was not announced; arguments and errors as :meth:`made`."""
@@ -432,10 +411,10 @@ class Processes:
     def __init__(self, job: Job, *, workers: int, executor: Executor | None = None) -> None:
         self.announced: dict[Scenario, None] = {}
         """The announced scenarios that were not requested yet, in order."""
-        self.groups: Groups | None = None
-        """The groups of scenarios that processes draw themselves; None if this process announces all scenarios."""
-        self._ready: dict[Scenario, Timed] = {}  # runs of groups that this process must read
-        self._recovered: list[LostRun] = []  # of an earlier pool
+        self.ready: dict[Scenario, Timed] = {}
+        """Runs from blocks that other processes drive, which this process must judge."""
+        self.recovered: list[LostRun] = []
+        """The deaths of processes of earlier pools, and in blocks, in scenarios that ran to their end later."""
         self._job = job
         self._workers = workers
         self._executor = executor
@@ -476,10 +455,7 @@ class Processes:
     @property
     def run_seconds(self) -> float:
         """The mean time of the runs so far, without the first one, which loads libraries [s]; 0 if there is none."""
-        runs, seconds = self._runs - 1, self._warm_seconds
-        if self.groups is not None:
-            runs, seconds = self.groups.runs, self.groups.seconds
-        return seconds / runs if runs > 0 else 0.0
+        return self._warm_seconds / (self._runs - 1) if self._runs > 1 else 0.0
 
     def announce(self, scenarios: Iterable[Scenario], *, more: bool = False) -> None:
         """Announce the next scenarios, and start to run them if processes are in use."""
@@ -487,54 +463,55 @@ class Processes:
             self.announced = {}
         if self._pool is None:
             # Without other processes, only the first generation is of interest, to an ADS that decides for many runs.
-            is_of_interest = not more or self._executor is not None or (self._workers > 1 and self.groups is None)
-            if is_of_interest or not self._runs:
+            if not more or self._executor is not None or self._workers > 1 or not self._runs:
                 self.announced.update(dict.fromkeys(scenarios))
         elif not more:
             self._pool.expect(self._noted(scenarios))
-        elif self.groups is None:
+        elif isinstance(self._pool, WorkerPool):
+            self._pool.add_first(self._noted(scenarios))  # before those of later blocks
+        else:
             self._pool.add_all(self._noted(scenarios))
 
-    def begin_groups(self, groups: Groups) -> None:
-        """Let new processes draw scenarios. Earlier ones do not know the search, which had not begun when they did."""
-        self._end()
-        self.groups = groups
+    def announce_later(self, scenarios: Iterable[Scenario]) -> None:
+        """Announce scenarios that are requested after all others."""
+        if self._pool is not None:
+            self._pool.add_all(self._noted(scenarios))
+
+    def arrived(self, scenarios: Iterable[Scenario]) -> list[Any]:
+        """Return the runs or digests of announced scenarios that are there; they can still be taken."""
+        answers = () if self._pool is None else map(self._pool.arrived, scenarios)
+        return [answer[0] for answer in answers if isinstance(answer, tuple)]
+
+    def drive(self, task: BlockTask) -> bool:
+        """Let a process drive a block by itself; return False if none can."""
+        if self._pool is None and not self._failure:
+            self._start()
+        if not isinstance(self._pool, WorkerPool) or self._pool.failure:
+            return False
+        self._pool.follow(task)
+        return True
+
+    def hear(self, *, waits: bool) -> tuple[BlockTask, Any] | None:
+        """Return what one of the processes says next that drive blocks, as :meth:`WorkerPool.hear` does."""
+        return self._pool.hear(waits=waits) if isinstance(self._pool, WorkerPool) else None
 
     def read_here(self) -> None:
         """See :meth:`Runner.read_here`. The workers of an executor, which may be elsewhere, judge no runs anyway."""
         if self._executor is None:
-            self._job = replace(self._job, read=read_nothing, groups=None)
-            self._end()
+            self._job = replace(self._job, read=read_nothing, drive=None)
+            self.end()
 
-    def _end(self) -> None:
+    def end(self) -> None:
         """End the pool, so that processes with another task can be started."""
         if self._pool is not None:
-            self._recovered = self._pool.recovered
+            self.recovered += self._pool.recovered
             self._pool.close()
             self._pool = None
 
     @property
     def _retried(self) -> list[str]:
         """Notes on processes that died in runs that later succeeded."""
-        return [lost.recovery for lost in (self._recovered if self._pool is None else self._pool.recovered)]
-
-    def counted(self, generation: int, index: int) -> GroupPart | None:
-        """See :meth:`Runner.counted`."""
-        if self.groups is None or not isinstance(self._pool, WorkerPool):
-            return None
-        part, is_lost = self.groups.take(self._pool, generation, index)
-        if part.counted is not None:
-            return part
-        if part.run is not None:
-            self._ready[part.run[0].scenario] = part.run  # type: ignore[union-attr]  # a trace
-        elif is_lost:
-            self._pool.add_all(self._noted([self.groups.course.scenario(generation, index)]))
-        return None
-
-    def tell(self, said: object) -> None:
-        """See :meth:`Runner.tell`."""
-        if self.groups is not None and isinstance(self._pool, WorkerPool):
-            self._pool.tell(said)
+        return [lost.recovery for lost in (*self.recovered, *([] if self._pool is None else self._pool.recovered))]
 
     def _noted(self, scenarios: Iterable[Scenario]) -> Iterator[Scenario]:
         for scenario in scenarios:
@@ -547,8 +524,8 @@ class Processes:
         Each trace can be taken once. With ``afresh`` the result is always None.
         """
         __tracebackhide__ = True
-        if not afresh and scenario in self._ready:
-            return trace_from(self._ready.pop(scenario))
+        if not afresh and scenario in self.ready:
+            return trace_from(self.ready.pop(scenario))
         if afresh or scenario not in self.announced:
             return None
         if self._executor is not None and self._pool is None:
@@ -558,7 +535,7 @@ class Processes:
         if self._pool is None:
             return None
         answer = self._pool.fetch(scenario)
-        if isinstance(answer, tuple) and self._executor is None and self.groups is None:
+        if isinstance(answer, tuple) and self._executor is None:
             self._learn(answer[2])
         return trace_from(answer)
 
@@ -568,25 +545,26 @@ class Processes:
             self._is_measured = False
             self._learn(seconds)
 
-    def _count(self, seconds: float) -> None:
-        self._runs += 1
-        self._warm_seconds += seconds if self._runs > 1 else 0.0
+    def count(self, runs: int, seconds: float) -> None:
+        """Count runs and the time that they took [s]."""
+        self._warm_seconds += seconds if self._runs else 0.0
+        self._runs += runs
 
     def _learn(self, seconds: float) -> None:
-        self._count(seconds)
+        self.count(1, seconds)
         is_dear = self._warm_seconds >= DEAR * (self._runs - 1) if self._runs > WARM_RUNS else seconds >= DEAR
-        is_dear = (
-            is_dear or self.groups is not None
-        )  # A process that counts its runs itself takes hardly any time here.
         if self._pool is not None and self._runs == WARM_RUNS + 1 and not is_dear:
             self._pool.close(at_once=True)
             self._pool, self._runs_before = None, 0
         elif self._pool is None and is_dear and self._workers > 1 and not self._failure:
-            self._runs_before = self._runs_before or self._runs
-            try:
-                self._begin()
-            except ExecutionError as error:
-                self._failure = str(error)
+            self._start()
+
+    def _start(self) -> None:
+        self._runs_before = self._runs_before or self._runs
+        try:
+            self._begin()
+        except ExecutionError as error:
+            self._failure = str(error)
 
     def close(self, *, at_once: bool) -> None:
         """End the processes; with ``at_once`` kill all of them without waiting."""
@@ -598,11 +576,7 @@ class Processes:
         pool: ScenarioPool | ExecutorPool
         pool = pool_for(job, self._workers) if executor is None else opened(EXECUTOR_POOL)(job, executor)
         self._pool = pool
-        pool.recovered += self._recovered
-        if self.groups is None:
-            pool.expect(self.announced)
-        else:
-            self.announced = {}  # they are drawn again where they are run
+        pool.expect(self.announced)
         return pool
 
 
@@ -617,12 +591,6 @@ class Isolated(Processes):
             return [] if pool.failure or pool.unable else pool.notes
         return self._retried
 
-    def counted(self, generation: int, index: int) -> GroupPart | None:
-        """See :meth:`Runner.counted`."""
-        if self.groups is not None:
-            self._begun()
-        return super().counted(generation, index)
-
     def take(self, scenario: Scenario, *, afresh: bool) -> Trace:
         """Return the trace of a scenario from a different process, and raise the exceptions of that process.
 
@@ -630,12 +598,12 @@ class Isolated(Processes):
         package, the result is an ``ExecutionError``.
         """
         __tracebackhide__ = True
-        if not afresh and scenario in self._ready:
-            return trace_apart(self._ready.pop(scenario))
+        if not afresh and scenario in self.ready:
+            return trace_apart(self.ready.pop(scenario))
         pool = self._begun()
         answer = pool.fetch(scenario)
         if isinstance(answer, tuple):
-            self._count(answer[2])
+            self.count(1, answer[2])
         if pool.failure:
             raise ExecutionError(f"{flag('isolate')}: expected processes to run the ADS in, received: {pool.failure}")
         if self._executor is not None and (unable := cast("ExecutorPool", pool).unable):

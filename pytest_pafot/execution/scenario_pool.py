@@ -11,7 +11,7 @@ import threading
 import time
 import traceback
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, redirect_stderr, redirect_stdout, suppress
 from dataclasses import dataclass, field
 from functools import partial
@@ -131,11 +131,15 @@ LEAST_MEMORY = 2 << 30
 LostRun: TypeAlias = ProcessLostError[Scenario]
 
 
-@dataclass(frozen=True, slots=True)
 class Digest:
     """All that a search needs of a run that another process has judged. It replaces the trace, which is far larger."""
 
-    content: Any
+    __slots__ = ()
+
+    @property
+    def trace(self) -> Trace | None:
+        """The trace, if the session must judge it again."""
+        return None
 
 
 Timed: TypeAlias = tuple[Trace | Digest, CapturedOutput, float]
@@ -143,59 +147,34 @@ Timed: TypeAlias = tuple[Trace | Digest, CapturedOutput, float]
 
 
 @dataclass(frozen=True, slots=True)
-class Places:
-    """A task of a process that draws scenarios itself: those of a generation from an index to before another one."""
-
-    generation: int
-    start: int
-    stop: int
-
-    def __repr__(self) -> str:
-        return f"scenarios {self.start} to {self.stop - 1} of generation {self.generation}"
-
-
-class GroupWork(Protocol):
-    """An object with which a process draws and counts scenarios itself; a :class:`Job` has the rest."""
-
-    @property
-    def read(self) -> Callable[[Trace], Digest | None]:
-        """A function as ``Job.read``."""
-
-    def scenario(self, generation: int, index: int) -> Scenario | None:
-        """Return the scenario of a place; None if only the session may run it."""
-
-    def counted(self, generation: int, start: int, digests: Sequence[Any]) -> Any:
-        """Return what is sent of consecutive runs, from the contents of their digests."""
-
-    def learn(self, said: Any) -> None:
-        """Learn what the session has told."""
-
-
-@dataclass(frozen=True, slots=True)
-class GroupPart:
-    """Consecutive runs of a group.
+class BlockTask:
+    """A task of a process that drives a block of a search by itself.
 
     Attributes:
-        start, stop: their places in the generation.
-        counted: what :meth:`GroupWork.counted` says of them. None if the session must read the run itself.
-        run: the single run that the session must read; None if the session must also make it.
+        number: the number of the block.
+        known: the failures of which no run must be sent.
+        fatal: scenarios that must not be run.
+        is_apart: True if each scenario must run in a process of that process, because it may die.
     """
 
-    start: int
-    stop: int
-    counted: Any = None
-    run: Timed | None = None
+    number: int
+    known: frozenset[Any] = field(compare=False)
+    fatal: frozenset[Scenario] = field(compare=False)
+    is_apart: bool = field(compare=False)
+
+    def __repr__(self) -> str:
+        return f"block {self.number} of the search"
 
 
-Parts: TypeAlias = tuple[list[GroupPart], CapturedOutput, float]
-"""The answer to a group: its parts in order, the output of the parts that were counted, and the duration of all runs in
-wall-clock time [s]."""
+Said: TypeAlias = tuple[Any, CapturedOutput, float]
+"""What a process says of the block that it drives, with the output and the duration of the runs that it is about."""
 
 Answer: TypeAlias = Timed | Exception
 """The answer to a scenario: a run, or an exception. This process may repeat the run after any exception, except after a
 :class:`~pytest_pafot.execution.pool.ProcessLostError`."""
+
 ScenarioPool: TypeAlias = WorkerPool[Any, Any]
-"""Its tasks are scenarios with an :data:`Answer`, or :class:`Places` with :data:`Parts`."""
+"""Its tasks are scenarios with an :data:`Answer`, or a :class:`BlockTask`, of which it says :data:`Said`."""
 
 
 class ExecutorPool(Protocol):
@@ -218,6 +197,9 @@ class ExecutorPool(Protocol):
 
     def fetch(self, scenario: Scenario) -> Answer:
         """Wait for the answer to a scenario and return it; each answer can be fetched once."""
+
+    def arrived(self, scenario: Scenario) -> Answer | None:
+        """Return the answer to a scenario, which can still be fetched; None if there is none yet."""
 
     def close(self, *, at_once: bool = False) -> None:
         """Cancel the current tasks."""
@@ -246,8 +228,8 @@ class Job:
     read: Callable[[Trace], Digest | None] = read_nothing
     """A function that reads a trace in the process that made the run. It returns the digest that is sent instead of the
     trace. Without a digest the trace is sent, with the values that it stores by then."""
-    groups: GroupWork | None = None
-    """What a process needs to draw scenarios itself; None if it cannot."""
+    drive: Callable[[BlockTask, Job, CrashRecord, Callable[[Said], object]], None] | None = None
+    """A function that drives a block in a process, with this job and its crash record; None if there is none."""
     remark: str = ""
     """What the note on the use of processes says in addition."""
     memory: int | None = None
@@ -306,7 +288,6 @@ def pool_for(job: Job, size: int) -> ScenarioPool:
         grace=grace,
         memory=_memory(job, size),
         ended=partial(_forget, job),
-        heard=read_nothing if job.groups is None else job.groups.learn,
     )
 
 
@@ -325,56 +306,29 @@ def _memory(job: Job, size: int) -> int | None:
     return max(min(limits) * 3 // 4 // size, LEAST_MEMORY)
 
 
-def _run_task(job: Job, record: CrashRecord, task: Scenario | Places, tell: object) -> Timed | Parts:
-    """Run a scenario or a group in a process of the pool; the crash record of each scenario is on disk during its run.
+def _run_task(job: Job, record: CrashRecord, task: Scenario | BlockTask, say: Callable[[Said], object]) -> Timed | None:
+    """Run a scenario or a block in a process of the pool; the crash record of each scenario is on disk during its run.
 
     The record is closed after each task, since nothing would remove it after the session.
     """
     with record, GENERATORS.held():
-        if isinstance(task, Places):
-            return _run_group(job, record, task)
-        return _run_recorded(job, record, task, job.read)
+        if not isinstance(task, BlockTask):
+            return run_recorded(job, record, task, job.read)
+        assert job.drive is not None  # noqa: S101  (only then there are such tasks)
+        job.drive(task, job, record, say)
+        return None
 
 
-def _run_recorded(job: Job, record: CrashRecord, scenario: Scenario, read: Callable[[Trace], Digest | None]) -> Timed:
+def run_recorded(job: Job, record: CrashRecord, scenario: Scenario, read: Callable[[Trace], Digest | None]) -> Timed:
+    """Run a scenario with its crash record on disk. The trace is read as ``Job.read`` does."""
     digest = None
     record.write(scenario, reference=job.reference)
     trace, output, seconds = Job.run(lambda: job, scenario)
     with capture_output() as said, suppress(Exception):  # it is raised again in the session, which reads the trace
         digest = read(trace)
-    return (trace, output, seconds) if digest is None else (digest, output.followed_by(said), seconds)
-
-
-def _run_group(job: Job, record: CrashRecord, places: Places) -> Parts:
-    """Draw, run and count the scenarios of a group. Those that cannot be counted here are left to the session."""
-    work, parts, output, seconds = job.groups, list[GroupPart](), CapturedOutput(), 0.0
-    assert work is not None  # noqa: S101  (only then there are such tasks)
-    digests: list[Any] = []
-
-    def count(before: int) -> None:
-        if digests:
-            start = before - len(digests)
-            parts.append(GroupPart(start, before, counted=work.counted(places.generation, start, digests)))
-            digests.clear()
-
-    for index in range(places.start, places.stop):
-        run = None
-        scenario = work.scenario(places.generation, index)
-        if scenario is not None:
-            try:
-                run = _run_recorded(job, record, scenario, work.read)
-            except MemoryError:  # The session must not use up its memory in the same way.
-                raise
-            except Exception:  # noqa: BLE001, S110  (the session runs it again, and reports what is raised)
-                pass
-        if run is not None and isinstance(run[0], Digest):
-            digests.append(run[0].content)
-            output, seconds = output.followed_by(run[1]) if run[1] else output, seconds + run[2]
-        else:
-            count(index)
-            parts.append(GroupPart(index, index + 1, run=run))
-    count(places.stop)
-    return parts, output, seconds
+    if digest is None:
+        return trace, output, seconds
+    return digest, output.followed_by(said) if digest.trace is None else output, seconds
 
 
 def _forget(job: Job, pid: int) -> None:

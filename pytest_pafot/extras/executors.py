@@ -152,6 +152,13 @@ class ExecutorPool:
                 self.recovered.append(_lost(scenario, error))
         return RuntimeError(self.failure) if self.failure else self._answers.pop(scenario)
 
+    def arrived(self, scenario: Scenario) -> Answer | None:
+        """Return the answer to a scenario, which can still be fetched; None if there is none yet."""
+        future = self._under_way[scenario][1] if scenario in self._under_way else None
+        if future is not None and future.done() and not future.cancelled() and future.exception() is None:
+            self._gather(scenario)
+        return self._answers.get(scenario)
+
     def close(self, *, at_once: bool = False) -> None:
         """Cancel the current tasks, but do not shut down the executor, because it belongs to the user."""
         for _, future in self._under_way.values():

@@ -294,7 +294,7 @@ def run_search(item: pytest.Function, request: Request) -> None:
     listener = SearchMessages(item, settings, page_counts(item, settings), table_messages_of(item))
     # With these options pytest stops at the first failed item. The loop inside of this item must do the same.
     is_first_enough = bool(item.config.getoption("usepdb", False)) or item.config.getoption("maxfail", 0) == 1
-    with prepared(chosen, has_table=listener.table is not None, wants_each=False) as parts:
+    with prepared(chosen, has_table=listener.table is not None) as parts:
         result = SearchSession(
             watch=parts.watch(
                 item.nodeid, limit, progress_seconds=shared.progress_seconds, stops_at_first=is_first_enough

@@ -60,7 +60,7 @@ def run_shrink(item: pytest.Function, request: Request, saved: Saved) -> None:
     harness = replace(harness, world=world, request=replace(harness.request, settings=settings))
     now = time.monotonic()
     limit = time_limit(request.settings, now=now, began=item.config.stash[SHARED].began, left=1)
-    with prepared(harness, space=space, wants_each=False) as parts:
+    with prepared(harness, space=space) as parts:
         told_at = now
         for event in shrink_saved(parts, saved, path=path, until=limit.until):
             if isinstance(event, Later):

@@ -59,7 +59,7 @@ from pytest_pafot.searching.events import (
     CampaignStarted,
     Evaluated,
     GenerationFinished,
-    GroupEvaluated,
+    RunsEvaluated,
 )
 from pytest_pafot.searching.health import Health
 from pytest_pafot.world.kernel.driver import following_gap
@@ -578,7 +578,7 @@ class CampaignCounts:
                 self.health = self.health.counted(event.evaluation, reused=event.reused)
                 if not event.reused:
                     self.outcomes[str(event.evaluation.outcome)] += 1
-            case GroupEvaluated():
+            case RunsEvaluated():
                 self.health += event.counts.health
                 self.outcomes.update(event.counts.outcomes)
                 self.responsibilities.update(event.counts.responsibilities)

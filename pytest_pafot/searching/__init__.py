@@ -10,7 +10,6 @@ from pytest_pafot.searching.algorithms.distinct import DistinctSearch
 from pytest_pafot.searching.algorithms.pafot import PafotSearch
 from pytest_pafot.searching.algorithms.random_search import RandomManoeuvreSearch, RandomSearch
 from pytest_pafot.searching.ask_tell import (
-    AheadSearch,
     Algorithm,
     GenerationalSearch,
     GenerationState,
@@ -26,7 +25,6 @@ from pytest_pafot.searching.space import SearchSpace, sample, sample_manoeuvres
 
 __all__ = [
     "ALGORITHMS",
-    "AheadSearch",
     "Algorithm",
     "AlgorithmClass",
     "Checkpoint",

@@ -3,8 +3,7 @@
 In each generation a :class:`~pytest_pafot.searching.plan.Plan` gets scenarios from ``ask`` of an algorithm, or one by
 one from its ``draw``, and passes their evaluations to ``tell``. A search needs only the methods of :class:`Algorithm`.
 :class:`GenerationalSearch` is a base class for algorithms without local searches, also for users' own: a subclass
-defines what it proposes and what it learns. An :class:`AheadSearch` also lets several generations be under evaluation
-at the same time.
+defines what it proposes and what it learns. A search whose class has ``block_runs`` begins anew from time to time.
 """
 
 from __future__ import annotations
@@ -168,38 +167,19 @@ class GenerationalSearch(ABC, Generic[GenerationStateT]):
         return ()
 
 
-@runtime_checkable
-class AheadSearch(Protocol):
-    """The additional methods of a :class:`GenerationalSearch` that draws generations before it learns all earlier ones.
+def block_runs(algorithm: object) -> int | None:
+    """Return the attribute ``block_runs`` of the class of an algorithm, the runs after which its search begins anew.
 
-    So many processes need not wait for the slowest run of each generation, and each of them can draw scenarios itself.
-    Which generations are learnt before one is drawn is a property of the search. Its scenarios therefore do not depend
-    on the number of processes.
+    It is None if the search has one population from its beginning to its end. So has a subclass that changes how
+    scenarios are drawn or learnt, since it may need all runs; it can give the attribute itself.
     """
-
-    @property
-    def population(self) -> int:
-        """The number of scenarios in a generation."""
-
-    def waits_for(self, generation: int) -> int:
-        """Return how many generations, from the first on, must be learnt before a generation is drawn.
-
-        It is at most ``generation``, and never less than for the generation before.
-        """
-
-    def matters(self, state: Any, evaluation: Evaluation) -> bool:
-        """Return whether learning this evaluation may change ``state`` or any later state.
-
-        Only such evaluations are passed to ``tell``.
-        """
-
-
-def draws_ahead(algorithm: object) -> bool:
-    """Return whether an algorithm is an :class:`AheadSearch`, and no subclass has changed how it draws and learns."""
     names = [set(vars(each)) for each in type(algorithm).__mro__]
-    ahead = next((place for place, has in enumerate(names) if {"waits_for", "matters"} <= has), None)
+    given = next((place for place, has in enumerate(names) if "block_runs" in has), None)
     changed = {"ask", "draw", "propose", "tell", "learn", "kept"}
-    return isinstance(algorithm, AheadSearch) and ahead is not None and not changed & set().union(*names[:ahead])
+    if given is None or changed & set().union(*names[:given]):
+        return None
+    runs: int | None = getattr(algorithm, "block_runs", None)
+    return runs
 
 
 def end_of_local_search(

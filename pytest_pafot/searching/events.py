@@ -37,7 +37,7 @@ class Evaluated:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class GroupEvaluated:
+class RunsEvaluated:
     """Consecutive scenarios of a generation were evaluated in another process, which sent only what it counted."""
 
     generation: int
@@ -54,12 +54,12 @@ class GenerationFinished:
     local_generation: int
     population: tuple[Evaluation, ...]  # the unchanged elites, then the new ones in the requested order
     elites: int  # number of elites in the population
-    is_whole: bool = True  # False if the population has only the new ones that matter to a search that draws ahead
+    is_whole: bool = True  # False if the population is left out, because another process has counted its runs
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NewBest:
-    """A generation, or a local search at its end, produced the best scenario since the last restart."""
+    """A generation, or a local search at its end, produced the best scenario since the last restart or in its block."""
 
     generation: int
     local_generation: int
@@ -107,4 +107,4 @@ class CampaignFinished:
 AlgorithmEvent = GenerationFinished | NewBest | LocalSearchStarted | LocalSearchFinished | Restarted
 """The events that an algorithm returns from ``tell``."""
 
-Event = CampaignStarted | Evaluated | GroupEvaluated | AlgorithmEvent | CampaignFinished  # what a campaign yields
+Event = CampaignStarted | Evaluated | RunsEvaluated | AlgorithmEvent | CampaignFinished  # what a campaign yields

@@ -10,9 +10,8 @@ import numpy as np
 from pytest_pafot.campaign.search import search
 from pytest_pafot.campaign.search_session import search_seed
 from pytest_pafot.campaign.state import State
-from pytest_pafot.campaign.verdict import Verdict
+from pytest_pafot.campaign.verdict import Verdict, evaluated
 from pytest_pafot.campaign.watch import Watch
-from pytest_pafot.campaign.workers import evaluated
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.execution.scenario_pool import expectation
 from pytest_pafot.findings.finding import of_failure
@@ -86,7 +85,10 @@ class Workers:
     numbers: Iterator[int] = field(default_factory=count)
     has_reference: bool = False
 
-    def begin(self, plan, random_runs, fatal):
+    def begin(self, plan, random_runs):
+        """Do nothing, because there are no other processes."""
+
+    def give_blocks(self, plan, fatal, known):
         """Do nothing, because there are no other processes."""
 
     def next(self, plan, fatal):
@@ -101,8 +103,8 @@ class Workers:
     def evaluation(self, run, verdict, signature):
         return evaluated(run.trace, verdict, signature, lambda trace: 0.0, is_steered_by_checks=True)
 
-    def learn(self, news, known):
-        """Do nothing, because there are no other processes."""
+    def learn(self, plan):
+        return plan.learn()
 
     def is_common(self, scenario):
         """Return whether a scenario fails the reference: every second one does if a process dies."""

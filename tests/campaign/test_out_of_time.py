@@ -120,6 +120,9 @@ def test_time_left_is_true_within_a_factor_of_two_or_not_told(clock, monkeypatch
 
         expect = add_all
 
+        def arrived(self, scenario):
+            return None
+
         def fetch(self, scenario):
             clock.now = max(clock.now, self.ends.pop(scenario))
             return rollout_of(self.job.world)(scenario, self.job.ads), CapturedOutput(), 10.0

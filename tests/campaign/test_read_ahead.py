@@ -7,7 +7,8 @@ import pytest
 
 import pytest_pafot as pafot
 from pytest_pafot import Cell, Highway, PositionInstruction, Scenario
-from pytest_pafot.campaign.workers import FITNESS, read_ahead
+from pytest_pafot.campaign.tallies import read_ahead
+from pytest_pafot.campaign.verdict import FITNESS
 from pytest_pafot.execution import runner as execution_runner
 from pytest_pafot.searching.evaluation import Evaluation
 from pytest_pafot.searching.events import Evaluated

@@ -240,22 +240,27 @@ def test_process_that_writes_into_the_pipe_is_ended(pool_of):
     assert [*answers[:3], *answers[4:]] == [0, 1, 4, 16, 25]
 
 
-def test_task_of_a_dead_process_is_retried_alone(pool_of, tmp_path):
+@pytest.mark.parametrize("is_killed", [True, False])
+def test_task_of_a_dead_process_is_retried_and_alone_if_it_was_killed(pool_of, tmp_path, is_killed):
+    """A process that ends by itself does not lack the memory that others use, so these need not wait."""
+
     def work(number):
         running = tmp_path / f"running-{number}"
         if number == 0 and running.exists():
             (tmp_path / "meanwhile").write_text(" ".join(path.name for path in tmp_path.glob("running-*")))
             return
         running.touch()
+        if number == 0 and is_killed:
+            os.kill(os.getpid(), signal.SIGKILL)
         if number == 0:
             os._exit(1)
-        time.sleep(0.1)
+        time.sleep(0.3)
         running.unlink()
 
     pool = pool_of(work)
     pool.expect(TASKS[:4])
     assert pool.fetch(0) == 0
-    assert (tmp_path / "meanwhile").read_text() == "running-0"
+    assert ((tmp_path / "meanwhile").read_text() == "running-0") == is_killed
     assert [lost.task for lost in pool.recovered] == [0]
     assert fetched(pool, TASKS[1:4]) == [1, 4, 9]
 

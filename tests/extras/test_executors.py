@@ -139,6 +139,13 @@ def test_announced_runs_wait_for_more_until_one_is_requested(pool_of, cheap):
     assert ran == [1, 6, 6, 3]
 
 
+def test_an_answer_that_has_arrived_can_still_be_fetched(pool_of, cheap):
+    pool = pool_of(Inline(lost=(2,)))
+    pool.expect(SCENARIOS[:3])
+    assert numbers(filter(None, map(pool.arrived, SCENARIOS[:4]))) == [0, 1]
+    assert numbers(map(pool.fetch, SCENARIOS[:4])) == [0, 1, 2, 3]
+
+
 def test_dear_runs_have_a_task_each(pool_of):
     pool = pool_of(Inline(), ads=lambda: lambda number: time.sleep(0.03))
     for _ in range(2):

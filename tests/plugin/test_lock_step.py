@@ -68,7 +68,7 @@ def test_lock_step_search_finds_the_same_files(project, in_highway_env):
     [
         ("Batched", 2, ["not in use, since the ADS decides for many runs at once, by its `batch`"]),
         ("Batched", 1, []),
-        ("Planner", 2, ["in use after 1 run of this process, which also judge their runs"]),
+        ("Planner", 2, ["not in use, since a run took ... ms, and it pays off from 60000 ms on"]),
     ],
 )
 def test_a_search_tells_once_why_workers_are_idle(project, ads, workers, notes, monkeypatch):

@@ -60,16 +60,14 @@ def through_json(algorithm, checkpoint):
     """Return a checkpoint after JSON, as from a file."""
     parts = [
         algorithm.stored(checkpoint.state),
-        *map(plain, (checkpoint.sums, checkpoint.remembered, checkpoint.begun, checkpoint.news, checkpoint.done)),
+        *map(plain, (checkpoint.sums, checkpoint.remembered, checkpoint.begun)),
     ]
-    state, sums, remembered, begun, news, done = json.loads(json.dumps(parts, allow_nan=False))
+    state, sums, remembered, begun = json.loads(json.dumps(parts, allow_nan=False))
     return Checkpoint(
         state=algorithm.restored(state),
         sums=from_plain(CampaignFinished, sums),
         remembered=from_plain(tuple[Remembered, ...], remembered),
         begun=from_plain(tuple[tuple[Evaluation, bool], ...], begun),
-        news=from_plain(tuple[tuple[Evaluation, ...], ...], news),
-        done=done,
     )
 
 

@@ -77,10 +77,6 @@ class NicheSearch(GenerationalSearch[GenerationStateT]):
         """Return a scenario that is a variation of one or two parents."""
 
 
-AHEAD = 512
-"""The largest number of scenarios that are drawn before the evaluation of an earlier one is learnt. With it, each of
-sixteen processes can run one generation while the next is ready."""
-
 SPEED_NICHE = 5.0  # width of a niche in closing speed [m/s]
 FASTEST_NICHE = 5  # index of the last niche, which has no upper end
 
@@ -116,6 +112,7 @@ class DistinctSearch(NicheSearch[DistinctState]):
        and parents are selected in a group by binary tournament on the fitness. A child has one to three mutations.
     3. A run that shows a failure of a known kind (:attr:`~pytest_pafot.searching.Evaluation.kind`) is no longer a
        parent, because the shrinker simplifies such failures.
+    4. The search begins anew after some generations, so that any process can drive such a block by itself.
 
     Attributes:
         population: number of scenarios in a generation.
@@ -125,6 +122,7 @@ class DistinctSearch(NicheSearch[DistinctState]):
 
     name: ClassVar[str] = "distinct"
     batch_population: ClassVar[int] = 64
+    block_runs: ClassVar[int] = 64  # as good as one population of all runs, also where a margin has to be climbed
 
     population: int = field(default=16, kw_only=True)
     most_mutations: int = field(default=3, kw_only=True)
@@ -145,30 +143,6 @@ class DistinctSearch(NicheSearch[DistinctState]):
     def restored(self, data: Any) -> DistinctState:
         """Return the state from the data of :meth:`stored`."""
         return from_plain(DistinctState, data)
-
-    def waits_for(self, generation: int) -> int:
-        """Return how many generations must be learnt: the first half at the beginning, later all but about 512 runs."""
-        return generation - min((generation + 1) // 2, max(1, AHEAD // self.population))
-
-    def matters(self, state: DistinctState, evaluation: Evaluation) -> bool:
-        """Return whether an evaluation shows a new failure, or may be the best of a niche or of the search.
-
-        Later states have only better runs in their niches, so they refuse all that a niche of ``state`` refuses.
-        """
-        if improves(evaluation, state.best):
-            return True
-        if evaluation.failing and evaluation.mistake not in (None, *state.mistakes):
-            return True
-        if evaluation.failing and evaluation.kind is not None:  # it becomes no parent, see _elites
-            return evaluation.kind not in state.kinds
-        place = niche(evaluation, self.space.crossings)
-        if improves(evaluation, dict(state.elites).get(place)):
-            return True
-        return any(
-            name not in state.mistakes
-            and improves(replace(evaluation, fitness=-margin), dict(state.strained.get(name, ())).get(place))
-            for name, margin in evaluation.margins
-        )
 
     def parents(self, state: DistinctState) -> list[list[Evaluation]]:
         """Return the equally likely groups of parents: elites by fitness, and elites by the margin of each check."""

@@ -15,13 +15,8 @@ from numpy.random import Generator
 
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.searching.ask_tell import GenerationalSearch, GenerationState
-from pytest_pafot.searching.evaluation import Evaluation
-from pytest_pafot.searching.operators import improves
 from pytest_pafot.searching.plain import from_plain, plain
 from pytest_pafot.searching.space import sample, sample_manoeuvres
-
-AHEAD = 1024
-"""The largest number of scenarios that are drawn before an earlier one is evaluated."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,6 +25,7 @@ class RandomSearch(GenerationalSearch[GenerationState]):
 
     name: ClassVar[str] = "random"
     counted_at_first: ClassVar[float] = math.inf  # all scenarios are random
+    block_runs: ClassVar[int] = 64  # nothing is learnt, so this only lets processes work by themselves
 
     def start(self, rng: Generator) -> GenerationState:
         """Return the state before the first generation, without using a random number."""
@@ -46,14 +42,6 @@ class RandomSearch(GenerationalSearch[GenerationState]):
     def propose(self, state: GenerationState, rng: Generator) -> tuple[GenerationState, Iterable[Scenario]]:
         """Propose a generation of random scenarios."""
         return state, (self.drawn(rng) for _ in range(self.population))
-
-    def waits_for(self, generation: int) -> int:
-        """Return a number of generations that only limits how many scenarios are under evaluation."""
-        return max(0, generation - max(1, AHEAD // self.population))
-
-    def matters(self, state: GenerationState, evaluation: Evaluation) -> bool:
-        """Return whether an evaluation may be the best so far; nothing else is learnt."""
-        return improves(evaluation, state.best)
 
     def drawn(self, rng: Generator) -> Scenario:
         """Sample one scenario."""

@@ -1,0 +1,259 @@
+"""A search is the same whether the session drives its blocks, scenario by scenario, or other processes drive them."""
+
+import json
+import math
+import multiprocessing
+import os
+import re
+import signal
+import sys
+import time
+
+import pytest
+
+from pytest_pafot.campaign import explore, search, tallies, workers
+from pytest_pafot.campaign.store import Store
+from pytest_pafot.campaign.watch import TimedWatch
+from pytest_pafot.execution import runner
+from pytest_pafot.searching import DistinctSearch, RandomSearch
+
+pytestmark = [
+    pytest.mark.processes,
+    pytest.mark.skipif(sys.platform != "linux", reason="processes are forked on Linux alone"),
+]
+
+SESSION = os.getpid()
+SPACE = {"npcs": 2, "genes": 3, "gene_seconds": 4, "ego_lane": 1, "ego_speed": 22}
+STOP = 3  # findings, of which the last is in a block of another process
+RUNS = 98  # six blocks and a part of one
+
+
+def keep(observation):
+    return 0.0, 0.0
+
+
+def mortal(observation):
+    """Drive on, but end the process in some scenarios."""
+    if os.getpid() != SESSION and int(observation.others[0].x * 1000) % 40 == 7:
+        os._exit(3)
+    return 0.0, 0.0
+
+
+def holds(run):
+    assert not run.collision
+    assert run.min_distance > 1.9
+
+
+@pytest.fixture
+def searched(tmp_path, monkeypatch):
+    """Return a function that searches in blocks of 16 runs, and tells all about it and which blocks were given away."""
+    for each in (DistinctSearch, RandomSearch):
+        monkeypatch.setattr(each, "block_runs", 16)
+    given, task = [], workers.BlockTask
+    monkeypatch.setattr(
+        workers, "BlockTask", lambda number, *more, **named: given.append(number) or task(number, *more, **named)
+    )
+
+    def search(name, *, drives=False, ads=keep, runs=RUNS, **settings):
+        monkeypatch.setattr(workers, "DRIVEN_SECONDS", 60.0 if drives else -1.0)
+        monkeypatch.setattr(workers, "FED_SECONDS", 0.0)
+        settings = SPACE | {"population": 4, "shrink_rollouts": 0, "neighbours": 0} | settings
+        given.clear()
+        corpus, own = tmp_path / name, {"node_id": "test_it.py::test_it", "runs": runs}
+        found = explore.explore(lambda: ads, holds=holds, corpus=str(corpus), **own, **settings)
+        summary = found.summary
+        texts = {each.name: each.read_text() for each in corpus.rglob("*.yaml")}
+        counts = (summary.coverage, summary.failing, summary.runs, summary.random_runs, summary.random_failing)
+        return {
+            "rows": [{name: value for name, value in row.items() if name != "run"} for row in found.runs],
+            "events": [each for each in found.events if type(each).__module__.endswith("searching.events")],
+            "files": texts,
+            "counts": counts,
+            "failures": summary.failures,
+            "notes": [each for each in summary.process_notes if "in use" not in each],
+        }, [*given]
+
+    return search
+
+
+def test_processes_drive_blocks_while_the_session_makes_the_runs_of_the_first(searched, monkeypatch):
+    monkeypatch.setattr(runner, "DEAR", math.inf)  # so that processes only drive blocks
+    alone, _ = searched("alone")
+    began, give = [], workers.Workers.give_blocks
+
+    def note(self, plan, *more):
+        give(self, plan, *more)
+        began.extend([plan.generation] if self._driven else [])
+
+    monkeypatch.setattr(workers.Workers, "give_blocks", note)
+    assert searched("driven", drives=True, workers=2) == (alone, [1, 2, 3, 4])
+    assert began[0] == 1
+
+
+@pytest.mark.parametrize("algorithm", ["distinct", "random"])
+def test_whoever_drives_the_blocks_the_search_is_the_same(searched, algorithm):
+    alone, blocks = searched("alone", drives=True, algorithm=algorithm)
+    assert not blocks
+    assert len(alone["files"]) >= 2
+    for count, driven in ((2, [1, 2, 3, 4]), (3, [])):  # fewer than two blocks for each process are not given away
+        assert searched(f"{count}", workers=count, algorithm=algorithm) == (alone, [])
+        assert searched(f"{count} driven", drives=True, workers=count, algorithm=algorithm) == (alone, driven)
+
+
+def test_a_search_goes_on_inside_of_a_block_that_another_process_drove(searched, tmp_path):
+    alone, _ = searched("alone", runs=144, seed=7)
+    given = {"seed": 7, "drives": True, "workers": 2, "resume": str(tmp_path / "states")}
+    first, _ = searched("parts", runs=144, stop_after=STOP, **given)
+    done = len(first["rows"])
+    assert done > 16
+    assert done % 4
+    rest, blocks = searched("parts", runs=144 - done, **given)
+    assert blocks
+    assert rest["files"] == alone["files"]
+    assert rest["counts"] == alone["counts"]
+    assert first["rows"] + rest["rows"] == alone["rows"]
+
+
+def test_a_dead_process_costs_its_run_and_not_its_block(searched, monkeypatch):
+    """At the first death the session goes on with the block; later ones are in processes of those that drive."""
+    given = {"ads": mortal, "isolate": True, "workers": 2, "runs": 162}
+    one_by_one, _ = searched("one by one", **given)
+    assert any(name.startswith("crash") for name in one_by_one["files"])
+    lost, lose = [], search.lose
+    monkeypatch.setattr(search, "lose", lambda died, *more: lost.append(died.task) or lose(died, *more))
+    broken_off, next_ = [], workers.Workers.next
+    monkeypatch.setattr(
+        workers.Workers, "next", lambda self, *more: broken_off.append(self._suspect) or next_(self, *more)
+    )
+    driven, blocks = searched("driven", drives=True, **given)
+    assert blocks == [1, 2, 3, 4, 5, 6, 7, 8]
+    assert driven == one_by_one
+    assert len({each.task.number for each in broken_off if each is not None}) < len(lost)
+
+
+@pytest.mark.parametrize("is_apart", [False, True])
+def test_what_a_process_ran_that_was_killed_from_outside_is_run_again_with_a_note(
+    searched, tmp_path, monkeypatch, is_apart
+):
+    monkeypatch.setattr(runner, "DEAR", math.inf)  # so that processes only drive blocks
+    task = workers.BlockTask
+    if is_apart:
+        monkeypatch.setattr(workers, "BlockTask", lambda *given, is_apart: task(*given, is_apart=True))
+    alone, _ = searched("alone")
+    flag = tmp_path / "flag"
+
+    def killed(observation):
+        """End the process once, after some runs of the session."""
+        if os.getpid() != SESSION and not flag.exists():
+            flag.touch()
+            os._exit(3)
+        return 0.0, 0.0
+
+    found, blocks = searched("killed", drives=True, ads=killed, workers=2)
+    assert flag.exists()
+    assert blocks
+    (note,) = found.pop("notes")
+    what = "<Scenario .*>" if is_apart else r"block \d of the search"
+    assert re.search(rf"ended with exit code 3 while it ran {what}, which ran to its end", note)
+    assert alone.pop("notes") == []
+    assert found == alone
+
+
+def speed(trace):
+    return float(trace.states[1:, :, 3].max())
+
+
+def test_runs_of_later_blocks_that_only_the_session_may_judge_are_judged_when_they_come(searched, monkeypatch):
+    monkeypatch.setattr(runner, "DEAR", 0.0)
+    alone, _ = searched("alone", fitness=speed)
+    early, evaluated = [], workers.Workers._evaluated_early
+    monkeypatch.setattr(workers.Workers, "_evaluated_early", lambda *given: early.append(given) or evaluated(*given))
+    assert searched("ahead", workers=3, fitness=speed) == (alone, [])
+    assert early
+
+
+@pytest.fixture
+def saved_early(monkeypatch):
+    """Return a list of the files that are saved before their block is counted, while block 1 takes long."""
+    saved, add_early, drive = [], Store.add_early, tallies.Driver.__call__
+
+    def add(self, *given):
+        before = {*self.early}
+        add_early(self, *given)
+        saved.extend(self.early[each][0] for each in self.early.keys() - before)
+
+    def late(self, task, *given):
+        time.sleep(1.5 if task.number == 1 else 0)
+        drive(self, task, *given)
+
+    monkeypatch.setattr(Store, "add_early", add)
+    monkeypatch.setattr(tallies.Driver, "__call__", late)
+    return saved
+
+
+@pytest.mark.parametrize("drives", [True, False])
+def test_a_failure_of_a_later_block_is_saved_before_its_turn(searched, saved_early, monkeypatch, drives):
+    monkeypatch.setattr(runner, "DEAR", 0.0)
+    alone, _ = searched("alone")
+    assert not saved_early
+    assert searched("early", drives=drives, workers=2)[0] == alone
+    names = [each.name for each in saved_early]
+    assert names
+    if drives:  # Block 1 has failures of the same kinds.
+        assert not {*names} <= {*alone["files"]}
+
+
+def test_a_death_in_a_later_block_is_saved_before_its_turn(searched, saved_early, monkeypatch):
+    driven, drive = [], tallies.Driver.__call__
+
+    def dies(observation):
+        """End the process of the process that drives one of the last blocks."""
+        return mortal(observation) if driven and driven[-1] > 2 else keep(observation)
+
+    monkeypatch.setattr(
+        tallies.Driver, "__call__", lambda self, task, *more: driven.append(task.number) or drive(self, task, *more)
+    )
+    task = workers.BlockTask
+    monkeypatch.setattr(workers, "BlockTask", lambda *given, is_apart: task(*given, is_apart=True))
+    found, _ = searched("early", ads=dies, drives=True, workers=2)
+    crashes = {each.name for each in saved_early if each.name.startswith("crash")}
+    assert crashes
+    assert crashes <= {*found["files"]}
+
+
+def test_a_search_that_stops_at_its_findings_forgets_those_of_later_blocks(searched, saved_early):
+    alone, _ = searched("alone", stop_after=STOP)
+    assert searched("early", drives=True, workers=2, stop_after=STOP)[0] == alone
+    assert saved_early
+
+
+def test_a_search_whose_time_is_over_counts_the_failures_of_later_blocks(searched, saved_early, monkeypatch):
+    reached = TimedWatch.reached
+    monkeypatch.setattr(TimedWatch, "reached", lambda self, plan: "time" if saved_early else reached(self, plan))
+    found, _ = searched("early", drives=True, workers=2)
+    assert {each.name for each in saved_early} <= {*found["files"]}
+    assert {f"{id_}.pafot.yaml" for id_ in found["failures"].values()} == {*found["files"]}
+
+
+@pytest.mark.parametrize("end", [signal.SIGKILL, signal.SIGINT])
+def test_a_session_that_is_killed_keeps_what_failed_and_the_next_one_has_all_in_order(
+    searched, saved_early, tmp_path, monkeypatch, end
+):
+    alone, _ = searched("alone")
+    given = {"drives": True, "workers": 2, "resume": str(tmp_path / "states")}
+
+    def killed():
+        add_early = Store.add_early
+        monkeypatch.setattr(Store, "add_early", lambda *given: add_early(*given) or os.kill(os.getpid(), end))
+        searched("parts", **given)
+
+    session = multiprocessing.get_context("fork").Process(target=killed)
+    session.start()
+    session.join()
+    left = {each.name for each in (tmp_path / "parts").rglob("*.yaml")}
+    assert left - {*alone["files"]}
+    (state,) = (tmp_path / "states").glob("*.json")
+    done = json.loads(state.read_text())["sums"][3]
+    rest, _ = searched("parts", **given | {"runs": RUNS - done})
+    assert rest["files"] == alone["files"]
+    assert rest["counts"] == alone["counts"]
