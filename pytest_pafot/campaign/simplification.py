@@ -355,10 +355,10 @@ class Simplification:
                 if hardest >= braked + HARDER and hardest > answers.masked:
                     answers = replace(answers, masking=other, masked=round(hardest, 3))
         if number is not None:
-            decided = number
+            decided, begun = number, None if trace.drew else whole.ads
 
             def ask(instead: Any) -> Aside | None:
-                return self._beside(found, None, Question(number=decided, instead=instead))
+                return self._beside(found, None, Question(number=decided, instead=instead, ads=begun))
 
             sight = sight_of(harness.ads)
             moment = moment_of(trace, npc, number, whole, without_it, ask, sight)
@@ -424,8 +424,10 @@ class Simplification:
         isolate = harness.request.settings.isolate
         try:
             with refusals():
-                if isolate:  # the other process notes what is decided in a copy
-                    aside = call_apart(job, found.scenario, lambda *run: (rollout_of(job.world)(*run), aside)[1])
+                if isolate:  # the other process notes what is decided in a copy, and no ADS leaves it
+                    aside = call_apart(
+                        job, found.scenario, lambda *run: (rollout_of(job.world)(*run), replace(aside, ads=None))[1]
+                    )
                     return aside
                 with runner_for(job, record, isolate=False) as runner:
                     runner.run(found.scenario, afresh=True)
