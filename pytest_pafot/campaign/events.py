@@ -240,8 +240,8 @@ class SearchSummary:
         decisions, confirm_decisions, shrink_decisions, neighbour_decisions: numbers of decisions that the policy made
             in the `runs` of this session, in those that confirmed findings, in `shrink_runs` and in `neighbour_runs`,
             without those of replays.
-        reused_decisions: number of decisions in all these runs that it did not make, because it is `pure` and had made
-            them in a run that began alike.
+        reused_decisions: number of decisions in all these runs that it did not make, because it is `pure` or `copyable`
+            and had made them in a run that began alike.
         known_runs: number of scenarios that were not run again.
         failing, invalid, npc, avoidable, unpreventable, common, rejected, skipped, no_interaction: numbers of runs, as
             in the summary; there `npc` is npc at fault, `unpreventable` is not preventable, `common` is failing with

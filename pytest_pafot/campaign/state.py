@@ -170,7 +170,8 @@ class State:
     first: FirstGeneration = field(init=False, default_factory=FirstGeneration)
     # number of runs that failed in lock step, by whether they failed alone, too
     repeated: Counter[bool] = field(init=False, default_factory=Counter)
-    impure: str = field(init=False, default="")  # a scenario in which an ADS that is marked as pure decided otherwise
+    # a scenario in which an ADS decided otherwise than it must, and the mark by which it must not
+    impure: tuple[str, str] | None = field(init=False, default=None)
     # the numbers of runs and generations of earlier sessions; None if there is none
     done_before: tuple[int, int] | None = field(init=False, default=None)
     # ids of findings that still must be shrunk, but not in this session, which has no time left for them
@@ -227,9 +228,14 @@ class State:
                 "passed when the ADS was called for each alone, which is all that counts; let both decide the same"
             )
         if self.impure:
+            scenario, mark = self.impure
+            why, fix = "remembers earlier ones", "remove `pure`"
+            if mark == "copyable":
+                why = "shares with its copies what it remembers, such as a list or a counter of the class"
+                fix = "let `__deepcopy__` copy it, or remove `copyable`"
             warnings.append(
-                f"the ADS is marked as pure, but decided otherwise in {self.impure} when it made all decisions, "
-                "as it must if it remembers earlier ones: runs may have passed or failed by that; remove `pure`"
+                f"the ADS is marked as {mark}, but decided otherwise in {scenario} when it made all decisions, "
+                f"as it must if it {why}: runs may have passed or failed by that; {fix}"
             )
         if self.broken:
             warnings.append(

@@ -93,19 +93,23 @@ class Workers:
         """Return what the algorithm sees of a run that this process has judged."""
         return evaluated(run.trace, verdict, signature, self.fitness, self.is_steered_by_checks)
 
-    def impure(self) -> str:
+    def impure(self) -> tuple[str, str] | None:
         """Make some runs again with all decisions by the ADS, if decisions of earlier runs took their place.
 
-        Return the id of a scenario that ended otherwise; empty if there is none.
+        Each is made up to as many decisions after those as they were. Return the id of a scenario with another run, and
+        the mark of the ADS that allows no other; None if there is none.
         """
         asked = 0
-        for _, trace in self.runner.resumed:
+        for reused, trace in self.runner.resumed:
             if asked > self.runner.reused * PURE_SHARE:
-                return ""
-            asked += len(trace.actions)
-            if not is_same_run(self.harness.seen(trace), self.rerun(trace.scenario)):
-                return trace.scenario.id
-        return ""
+                break
+            again = self.rerun(trace.scenario, most=2 * reused)
+            asked += len(again.trace.actions)
+            is_cut = len(again.trace.actions) == 2 * reused < len(trace.actions)
+            same = again.trace.states.tobytes() == trace.states[: len(again.trace.states)].tobytes()
+            if not (same if is_cut else is_same_run(self.harness.seen(trace), again)):
+                return trace.scenario.id, self.runner.mark
+        return None
 
     def begin(self, plan: Plan[Any], random_runs: float) -> None:
         """Prepare for the blocks of a plan; ``random_runs`` is as in :class:`~pytest_pafot.campaign.tallies.Driver`."""
@@ -335,10 +339,10 @@ class Workers:
         self.record.clear()
         return not verdict.passes
 
-    def rerun(self, scenario: Scenario) -> Run:
-        """Run a scenario from scratch, without a verdict."""
+    def rerun(self, scenario: Scenario, *, most: int | None = None) -> Run:
+        """Run a scenario from scratch, without a verdict; ``most`` is as for :meth:`run`."""
         __tracebackhide__ = True
-        run = self.run(scenario, afresh=True)
+        run = self.run(scenario, afresh=True, most=most)
         self.record.clear()
         return run
 

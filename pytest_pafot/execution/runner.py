@@ -7,16 +7,18 @@ parts.
 
 from __future__ import annotations
 
+import copy
 import sys
 import tempfile
 import threading
 import time
 from bisect import bisect_right
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field, replace
+from functools import partial, wraps
 from pathlib import Path
 from typing import Any, Self, TypeVar, cast
 
@@ -48,13 +50,15 @@ from pytest_pafot.oracle.run import Run
 from pytest_pafot.searching.evaluation import Chains, plain_chains
 from pytest_pafot.support.errors import flag
 from pytest_pafot.support.isolation import isolates
-from pytest_pafot.support.text import listed, plural, visible
+from pytest_pafot.support.text import listed, one_line, plural, visible
 from pytest_pafot.world import Highway
 from pytest_pafot.world.base_world import WorldLike
-from pytest_pafot.world.driving.ads import is_vehicle_class, make_ads, wants_env
+from pytest_pafot.world.driving.ads import is_copyable, is_vehicle_class, make_ads, wants_env
+from pytest_pafot.world.driving.perception import ads_and_sight
+from pytest_pafot.world.driving.seeing import SeeingAds
 from pytest_pafot.world.driving.shadow import ending_after
 from pytest_pafot.world.guard.chance import GENERATORS
-from pytest_pafot.world.guard.failure import closing
+from pytest_pafot.world.guard.failure import UNFIT, Around, closing, let_through
 from pytest_pafot.world.guard.own_worlds import base_world, rollout_of
 
 ResultT = TypeVar("ResultT")
@@ -121,12 +125,13 @@ class Runner:
     The end of a ``with`` statement ends the processes that the runner has started, at once after an exception, and
     drops the announced scenarios. The runner can still be used after that, also in a second ``with`` statement.
 
-    If runs begin with the same situations, a pure ADS decides in them only once. Physics is always simulated, so a
-    trace is the same to the last bit. That the ADS is pure is only a promise of the user, so the runs that decide on a
-    finding are made without cached decisions, and some others are made again at the end of a search.
+    If runs begin with the same situations, a pure ADS decides in them only once, and so does a copyable one, a copy of
+    which then goes on. Physics is always simulated, so a trace is the same to the last bit. That the ADS is pure or
+    copyable is only a promise of the user, so the runs that decide on a finding are made without cached decisions, and
+    some others are made again at the end of a search.
 
     ``processes`` makes announced runs in advance. As soon as the ADS shows that it has ``batch``, ``lock_step`` makes
-    them instead. With ``can_resume``, decisions are cached as soon as the ADS shows that it is pure.
+    them instead. With ``can_resume``, decisions are cached as soon as the ADS shows that it is pure or copyable.
     """
 
     job: Job
@@ -142,8 +147,8 @@ class Runner:
     reused: int = field(default=0, init=False)
     """The number of cached decisions in these runs, which the ADS did not make."""
     resumed: list[tuple[int, Trace]] = field(default_factory=list, init=False)
-    """The runs that would best show that the ADS remembers something, the best first, each with the number of cached
-    decisions or of those after them, whichever is smaller."""
+    """The runs that would best show that the ADS breaks its promise, the best first, each with the number of cached
+    decisions. The best has the most of them or of decisions after them, whichever are fewer."""
 
     def __post_init__(self) -> None:
         self._prefetching: Processes | LockStep = self.processes
@@ -151,11 +156,19 @@ class Runner:
         self._decisions: DecisionCache | None = None
         is_of_interest = (self.lock_step is not None or self.can_resume) and not is_vehicle_class(self.job.ads)
         self._factory = self._showing(self.job.ads) if is_of_interest else self.job.ads
+        self._copies: Copies | None = None
+        if self.can_resume and is_of_interest and isinstance(world := self.job.world.given, Highway):
+            self._copies = Copies(world.physics_hz, world.physics_hz // world.ads_hz)
 
     @property
     def notes(self) -> list[str]:
         """Notes on how the runs were made; complete after the processes have ended."""
-        return self._prefetching.notes
+        return self._prefetching.notes + ([self._copies.ended] if self._copies and self._copies.ended else [])
+
+    @property
+    def mark(self) -> str:
+        """The attribute by which the ADS allows that its decisions are reused."""
+        return "pure" if self._copies is None else "copyable"
 
     @property
     def ready(self) -> int:
@@ -220,23 +233,30 @@ class Runner:
         self.is_alone = trace is None or self._prefetching is not self.lock_step
         self.record.write(scenario, reference=self.job.reference)
         reused = 0
+        copies: dict[int, Any] = {}
         if trace is None:
-            decisions = () if afresh or self._decisions is None else self._decisions.recall(scenario)
-            started = self.clock()
+            decisions, begun = ((), None) if afresh or self._decisions is None else self._decisions.recall(scenario)
+            started, factory = self.clock(), self._factory
+            if self._copies is not None and not (afresh or self._copies.ended):
+                factory, decisions, copies = self._copies.around(factory, scenario, decisions, begun)
             given = {"decisions": decisions} if decisions else {}  # the user's own world need not have this argument
-            factory = self._factory
             if most is not None and not isinstance(self.job.ads, DrivesElsewhere):
                 factory = ending_after(factory, most - len(decisions))
             trace = rollout_of(self.job.world)(scenario, factory, **given)
             reused = min(len(decisions), len(trace.actions))  # a run may end earlier
+            seconds = self.clock() - started
             if not self.decides_for_many:
-                self.processes.ran_here(self.clock() - started)
+                self.processes.ran_here(seconds)
+            if self._copies is not None:
+                self._copies.count(trace, seconds)
+                self._decisions = None if self._copies.ended else self._decisions
             if 0 < reused < len(trace.actions) and (most is None or len(trace.actions) < most):
-                self.resumed.append((min(reused, len(trace.actions) - reused), trace))
-                self.resumed = sorted(self.resumed, key=lambda pair: -pair[0])[:RESUMED]
+                self.resumed.insert(0, (reused, trace))  # Of those that are as good, the last has most to share.
+                self.resumed.sort(key=lambda pair: -min(pair[0], len(pair[1].actions) - pair[0]))
+                del self.resumed[RESUMED:]
         self.asked, self.reused = self.asked + len(trace.actions) - reused, self.reused + reused
         if self._decisions is not None and self.is_alone:  # decisions of a batch may differ, so they are not cached
-            self._decisions.remember(trace)
+            self._decisions.remember(trace, None if self._copies is None else copies)
         return trace
 
     def _showing(self, factory: Callable[..., Any]) -> Callable[..., Any]:
@@ -246,7 +266,10 @@ class Runner:
             __tracebackhide__ = True
             ads = factory(*arguments, **named)
             self._factory = factory
-            if self.can_resume and getattr(ads, "pure", False) is True:
+            is_pure = getattr(ads, "pure", False) is True
+            if is_pure or not is_copyable(ads):
+                self._copies = None
+            if self.can_resume and (is_pure or self._copies is not None):
                 self._decisions = DecisionCache()
             if self.lock_step is not None and callable(getattr(ads, "batch", None)):
                 self.lock_step.announce(self.processes.announced)
@@ -261,6 +284,15 @@ class Runner:
 
 DECISIONS = 100_000
 """The largest number of cached decisions, which are about 300 runs of a minute at 5 Hz and take about 15 MB."""
+
+COPIES = 100
+"""The largest number of places in runs with a copy of the ADS."""
+
+COPY_SECONDS = 1.0
+"""The time that copies may take before it is compared with the time of the runs [s]."""
+
+COPY_SHARE = 1 / 10
+"""The largest share of the time of runs that copies may take. Hardly more decisions than this can be saved."""
 
 RESUMED = 20
 """The largest number of runs with cached decisions that are made again at the end of a search, with all decisions."""
@@ -277,20 +309,27 @@ class DecisionCache:
     decisions if their chains as driven are the same, or if their requested chains and their seeds are the same (see
     :class:`~pytest_pafot.searching.evaluation.EvaluationCache`).
 
-    The cache is valid only for an ADS that decides only from its observation.
+    The cache is valid only for an ADS that decides only from its observation, or that goes on as a copy of the ADS that
+    has made the decisions.
 
     Args:
         decisions: the largest number of cached decisions; the oldest runs are removed first.
+        copies: the largest number of genes after which there is a copy; those that were not used longest are removed.
     """
 
-    def __init__(self, decisions: int = DECISIONS) -> None:
+    def __init__(self, decisions: int = DECISIONS, copies: int = COPIES) -> None:
         self._room = decisions
+        self._copies = copies
         self._kept = 0
-        self._known: dict[_Key, tuple[_Actions, int]] = {}
+        self._known: dict[_Key, tuple[_Actions, int, Any]] = {}
         self._runs: deque[tuple[_Actions, list[_Key]]] = deque()
 
-    def remember(self, trace: Trace) -> None:
-        """Cache the decisions of a run; they replace older decisions after the same genes."""
+    def remember(self, trace: Trace, copies: Mapping[int, Any] | None = None) -> None:
+        """Cache the decisions of a run; they replace older decisions after the same genes.
+
+        ``copies`` are those of the ADS in this run, by the number of decisions that it had made. Then only beginnings
+        are cached after which there is a copy from this run or an earlier one. It is None if no copy is needed.
+        """
         actions, scenario = trace.actions, trace.scenario
         if not actions or trace.plans or len(actions) > self._room:  # a run with cached decisions would have no plans
             return
@@ -301,9 +340,17 @@ class DecisionCache:
             count = min(bisect_right(ticks, genes * gene_ticks), len(actions))
             by_chains, by_seed = _key(scenario, driven, genes, None), _key(scenario, asked, genes, scenario.seed)
             by_both = [by_chains] if by_chains[-1] == by_seed[-1] else [by_chains, by_seed]
+            _, earlier, copied = self._known.get(by_chains, ((), 0, None))
+            if copies is not None and earlier != count:
+                if count not in copies:
+                    continue
+                copied = copies[count]
             for key in by_both:
-                self._known[key] = (actions, count)
+                self._known.pop(key, None)  # it becomes the latest
+                self._known[key] = (actions, count, copied)
                 keys.append(key)
+        while copies is not None and len(self._known) > self._copies:
+            del self._known[next(iter(self._known))]
         self._runs.append((actions, keys))
         self._kept += len(actions)
         while self._kept > self._room:
@@ -313,21 +360,119 @@ class DecisionCache:
                 if key in self._known and self._known[key][0] is oldest:  # unless a later run has replaced it
                     del self._known[key]
 
-    def recall(self, scenario: Scenario) -> _Actions:
-        """Return the cached decisions with which a run of a scenario begins; empty if there are none."""
+    def recall(self, scenario: Scenario) -> tuple[_Actions, Any]:
+        """Return the cached decisions with which a run of a scenario begins, and the copy of the ADS after them.
+
+        There are no decisions if none are known, and there is no copy if none is needed.
+        """
         chains = plain_chains(scenario)
         for genes in range(scenario.genes, 0, -1):
             for seed in (None, scenario.seed):
                 known = self._known.get(_key(scenario, chains, genes, seed))
                 if known is not None:
-                    actions, count = known
-                    return actions[:count]
-        return ()
+                    actions, count, copied = known
+                    return actions[:count], copied
+        return (), None
 
 
 def _key(scenario: Scenario, chains: Chains, genes: int, seed: int | None) -> _Key:
     shared = tuple([chain[:genes] for chain in chains])
     return scenario.ego_lane, scenario.ego_speed, scenario.gene_seconds, scenario.traffic, seed, shared
+
+
+class Copies:
+    """The copying of an ADS in runs: before the first decision after each gene, and at the end.
+
+    ``every`` is the number of ticks between decisions, of which the world has ``hz`` per second.
+    """
+
+    def __init__(self, hz: int, every: int) -> None:
+        self._hz, self._every = hz, every
+        self._seconds = self._run_seconds = 0.0
+        self.ended = ""
+        """Why there are no more copies, for the user; empty as long as there are."""
+
+    def around(
+        self, factory: Callable[..., Any], scenario: Scenario, decisions: _Actions, begun: Any
+    ) -> tuple[Callable[..., Any], _Actions, dict[int, Any]]:
+        """Return the factory of a run, the decisions with which it begins, and a dictionary for the copies made in it.
+
+        ``begun`` is the copy of the ADS after the decisions, a copy of which goes on. If that cannot be copied again, a
+        new ADS makes all decisions.
+        """
+        first = None if begun is None else self._copied(begun)
+        decisions, ready = () if first is None else decisions, [first]
+        ticks = round(scenario.gene_seconds * self._hz)
+        copies: dict[int, Any] = {}
+        borders = {genes * ticks // self._every + 1 for genes in range(1, scenario.genes + 1)}
+
+        def make(*arguments: Any, **named: Any) -> Any:
+            __tracebackhide__ = True
+            copies.clear()
+            # There is a second call only if the ADS drew random numbers, because the run is then made again.
+            go_on = ready.pop if ready else partial(copy.deepcopy, begun)
+            ads = factory(*arguments, **named) if first is None else go_on()
+            if not is_copyable(ads):
+                return ads
+
+            def take(number: int) -> None:
+                copied = self._copied(ads)
+                if copied is not None:
+                    copies[number] = copied
+
+            inner, sight = ads_and_sight(ads)
+            counted = _Counted(inner, len(decisions), borders, take)
+            return counted if sight is None else SeeingAds(counted, sight)
+
+        return wraps(factory, updated=())(make), decisions, copies
+
+    def count(self, trace: Trace, seconds: float) -> None:
+        """Count a run and its duration [s], and end the copies if they take too long or cannot be right."""
+        self._run_seconds += seconds
+        if trace.drew:
+            self._end("random numbers from global generators")
+        elif self._seconds > max(COPY_SECONDS, COPY_SHARE * self._run_seconds):
+            self._end(f"copies that took {self._seconds:.1f} s of the {self._run_seconds:.1f} s of runs")
+
+    def _copied(self, ads: Any) -> Any:
+        """Return a copy of an ADS; None if there are no more copies."""
+        started = time.perf_counter()
+        try:
+            copied = None if self.ended else copy.deepcopy(ads)
+        except UNFIT as error:
+            let_through(error)
+            self._end(one_line(f"{type(error).__name__}: {error}"))
+            return None
+        self._seconds += time.perf_counter() - started
+        if copied is not None and ads_and_sight(copied)[0] is ads_and_sight(ads)[0]:
+            self._end("the ADS itself as its copy")
+        return None if self.ended else copied
+
+    def _end(self, received: str) -> None:
+        self.ended = self.ended or (
+            "copyable: expected an ADS of which copy.deepcopy copies all that it remembers, in a tenth of the time of "
+            f"its runs, received {received}; it makes all decisions from now on; mend its `__deepcopy__`, draw from a "
+            "generator in an attribute, or remove `copyable`"
+        )
+
+
+class _Counted(Around):
+    """An ADS before some of whose decisions, and before whose end, a function is called with their number so far."""
+
+    def __init__(self, ads: Any, number: int, borders: Collection[int], take: Callable[[int], object]) -> None:
+        super().__init__(ads)
+        self._number, self._borders, self._take = number, borders, take
+
+    def __call__(self, observation: Any) -> Any:
+        if self._number in self._borders:
+            self._take(self._number)
+        self._number += 1
+        return self._ads(observation)
+
+    def close(self) -> None:
+        """Take the last copy while the ADS is open."""
+        self._take(self._number)
+        super().close()
 
 
 # Simulation of runs before a search requests them: many at once in lock step, or in other processes.

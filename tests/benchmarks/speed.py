@@ -406,7 +406,7 @@ def _saved_by_shrinking(seed: int) -> float:
     world, rng, prefixes, counts = Highway(), np.random.default_rng(seed), DecisionCache(), [0, 0]
 
     def attempt(scenario: Scenario) -> Scenario | None:
-        decisions = prefixes.recall(scenario)
+        decisions = prefixes.recall(scenario)[0]
         trace = world.rollout(scenario, steady, decisions=decisions)
         prefixes.remember(trace)
         counts[0] += min(len(decisions), len(trace.actions))
@@ -431,7 +431,7 @@ def _searched(name: str, seed: int, *, resumed: bool) -> tuple[float, int, list[
 
     def evaluate(scenario: Any) -> Evaluation:
         nonlocal asked
-        decisions = prefixes.recall(scenario) if resumed else ()
+        decisions = prefixes.recall(scenario)[0] if resumed else ()
         trace = world.rollout(scenario, Slow, decisions=decisions)
         if resumed:
             prefixes.remember(trace)

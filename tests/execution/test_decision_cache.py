@@ -1,5 +1,7 @@
 """A run that takes its first decisions from an earlier one equals the run that makes all decisions."""
 
+import random
+from collections import deque
 from dataclasses import replace
 
 import numpy as np
@@ -9,7 +11,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from pytest_pafot import Highway, LaneInstruction, Outcome, PositionInstruction, Scenario
-from pytest_pafot.execution.runner import DecisionCache
+from pytest_pafot.execution.runner import DecisionCache, runner_here
 from pytest_pafot.searching.operators import mutate
 from pytest_pafot.searching.space import SearchSpace, sample
 from pytest_pafot.support.errors import BadAction
@@ -65,7 +67,7 @@ def remembering(*scenarios):
 
 def shared_decisions(child, parent=PARENT):
     """Return how many decisions of a child are known, after checking that it drives the same with and without them."""
-    decisions = remembering(parent).recall(child)
+    decisions = remembering(parent).recall(child)[0]
     whole, all_of_them = driven(child)
     resumed, asked = driven(child, decisions)
     assert differences(resumed, whole) == []
@@ -87,13 +89,44 @@ def test_related_runs_with_recalled_decisions_drive_the_same(seed, npcs, lanes, 
     space = SearchSpace(npcs=npcs, genes=4, gene_seconds=gene_seconds, ego_lane=ego_lane)
     scenario = laned(sample(space, rng), rng) if lanes else sample(space, rng)
     for _ in range(12):
-        decisions = prefixes.recall(scenario)
+        decisions = prefixes.recall(scenario)[0]
         whole, all_of_them = driven(scenario)
         resumed, asked = driven(scenario, decisions)
         assert differences(resumed, whole) == []
         assert all_of_them - asked == min(len(decisions), all_of_them)
         prefixes.remember(resumed)
         scenario = varied(resumed.executed if rng.random() < 0.6 else scenario, space, rng, lanes)
+
+
+@settings(max_examples=8)
+@given(seed=st.integers(0, 2**32), npcs=st.integers(1, 3), gene_seconds=st.sampled_from([10 / 15, 2.6]))
+def test_copies_of_a_policy_with_a_state_go_on_as_the_policy(seed, npcs, gene_seconds):
+    rng = np.random.default_rng(seed)
+    blend, sway, late = rng.uniform(0.1, 0.9), rng.uniform(0.0, 0.5), int(rng.integers(1, 9))
+
+    class Remembering(Counting):
+        copyable = True
+
+        def __init__(self):
+            super().__init__()
+            self.random, self.past, self.speed = random.Random(seed), deque(maxlen=late), {"mean": 20.0}
+
+        def __call__(self, observation):
+            self.speed["mean"] += blend * (observation.ego.speed - self.speed["mean"])
+            self.past.append(super().__call__(observation))
+            acceleration, steering = self.past[0]
+            return acceleration + sway * self.random.uniform(-1, 1) + 0.1 * (22.0 - self.speed["mean"]), steering
+
+    space = SearchSpace(npcs=npcs, genes=4, gene_seconds=gene_seconds)
+    scenario = sample(space, rng)
+    with runner_here(WORLD, Remembering) as runner:
+        for _ in range(12):
+            trace = runner.run(scenario)
+            assert differences(trace, WORLD.rollout(scenario, Remembering)) == []
+            scenario = varied(trace.executed if rng.random() < 0.6 else scenario, space, rng, lanes=False)
+        before = runner.reused
+        runner.run(trace.scenario)
+        assert runner.reused - before >= len(trace.actions) - (trace.error is not None)
 
 
 def laned(scenario, rng):
@@ -158,9 +191,9 @@ def test_seed_matters_only_if_genes_were_repaired():
     assert trace.executed.npcs != to_the_left.npcs, "there is no lane to the left"
     prefixes = DecisionCache()
     prefixes.remember(trace)
-    assert prefixes.recall(to_the_left) == trace.actions
-    assert prefixes.recall(replace(to_the_left, seed=5)) == ()
-    assert prefixes.recall(replace(trace.executed, seed=5)) == trace.actions
+    assert prefixes.recall(to_the_left)[0] == trace.actions
+    assert prefixes.recall(replace(to_the_left, seed=5))[0] == ()
+    assert prefixes.recall(replace(trace.executed, seed=5))[0] == trace.actions
 
 
 def test_seed_never_matters_for_lane_instructions():
@@ -168,7 +201,7 @@ def test_seed_never_matters_for_lane_instructions():
     scenarios = [Scenario(npcs=chains, ego_lane=3, gene_seconds=3.0, seed=seed) for seed in range(8)]
     assert len({driven(each)[0].states.tobytes() for each in scenarios}) == 1
     prefixes = remembering(scenarios[0])
-    assert [len(prefixes.recall(each)) for each in scenarios] == [30] * 8
+    assert [len(prefixes.recall(each)[0]) for each in scenarios] == [30] * 8
 
 
 def test_decisions_before_a_collision_are_shared_completely():
@@ -181,8 +214,8 @@ def test_decisions_before_a_collision_are_shared_completely():
     begun = -(-trace.ticks // 45)
     assert 1 <= begun < 4
     later = replace(crash, npcs=((*crash.npcs[0][:begun], PI(3, 20.0)),))
-    assert prefixes.recall(later) == trace.actions
-    again, asked = driven(later, prefixes.recall(later))
+    assert prefixes.recall(later)[0] == trace.actions
+    again, asked = driven(later, prefixes.recall(later)[0])
     assert (asked, again.outcome) == (0, Outcome.COLLISION)
     assert again.states.tobytes() == trace.states.tobytes()
 
@@ -197,8 +230,8 @@ def test_raising_ads_is_asked_again_and_raises_again():
     trace = WORLD.rollout(PARENT, Failing)
     prefixes = DecisionCache()
     prefixes.remember(trace)
-    assert len(prefixes.recall(PARENT)) == 6
-    assert differences(WORLD.rollout(PARENT, Failing, decisions=prefixes.recall(PARENT)), trace) == []
+    assert len(prefixes.recall(PARENT)[0]) == 6
+    assert differences(WORLD.rollout(PARENT, Failing, decisions=prefixes.recall(PARENT)[0]), trace) == []
 
 
 def test_oldest_runs_are_forgotten_before_recently_used_ones():
@@ -208,16 +241,16 @@ def test_oldest_runs_are_forgotten_before_recently_used_ones():
     prefixes = DecisionCache(decisions=sum(counts) - 1)
     for run in runs:
         prefixes.remember(run)
-    assert [len(prefixes.recall(each)) for each in scenarios] == [0, *counts[1:]]
+    assert [len(prefixes.recall(each)[0]) for each in scenarios] == [0, *counts[1:]]
     prefixes.remember(driven(scenarios[1])[0])
     prefixes.remember(runs[0])
-    assert [len(prefixes.recall(each)) for each in scenarios] == [*counts[:2], 0]
+    assert [len(prefixes.recall(each)[0]) for each in scenarios] == [*counts[:2], 0]
 
 
 def test_run_larger_than_the_cache_is_not_stored():
     prefixes = DecisionCache(decisions=10)
     prefixes.remember(driven(PARENT)[0])
-    assert prefixes.recall(PARENT) == ()
+    assert prefixes.recall(PARENT)[0] == ()
 
 
 def test_only_asked_decisions_are_timed():

@@ -435,6 +435,38 @@ def test_a_policy_is_asked_no_more_than_a_question_needs(pure, instead, asked):
     assert aside.at == 2
 
 
+@pytest.mark.parametrize("fails", [False, True])
+def test_a_copy_of_a_policy_is_asked_only_the_question(fails):
+    class Ads:
+        copyable = True
+
+        def __init__(self):
+            self.seen = []
+
+        def __call__(self, observation):
+            self.seen.append(observation)
+            return float(len(self.seen)), 0.0
+
+        def __deepcopy__(self, memo):
+            if fails:
+                raise TypeError
+            copied = Ads()
+            copied.seen = [*self.seen]
+            return copied
+
+    def told(question):
+        aside = Aside()
+        drive = beside(Ads, [(1.0, 0.0)] * 5, lambda action: action, aside, question)()
+        assert [drive(number) for number in range(5)] == [(1.0, 0.0)] * 5
+        return aside
+
+    whole = told(Question(number=2))
+    assert (whole.asked, whole.ads is None) == (5, fails)
+    for _ in range(2):
+        other = told(Question(number=2, instead="other", ads=whole.ads))
+        assert (other.asked, other.of(2)) == (3 if fails else 1, (3.0, 0.0))
+
+
 def test_the_deciding_moment_of_a_missing_response_is_the_last_that_avoids_it():
     run = crash(lambda: lambda seen: KEEPS)
     hz = run.trace.ads_hz

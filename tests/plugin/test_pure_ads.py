@@ -1,4 +1,4 @@
-"""A search calls an ADS that is declared pure less often, and finds and saves the same."""
+"""A search calls an ADS that is declared pure or copyable less often, and finds and saves the same."""
 
 import json
 import re
@@ -21,6 +21,18 @@ class Planner:
 
 class Pure(Planner):
     pure = True
+
+class Integrating(Planner):
+    def __init__(self):
+        super().__init__()
+        self.sums = [0.0]
+
+    def decided(self, observation):
+        self.sums[0] += 0.2 * (20.0 - observation.ego.speed)
+        return (0.3 + 0.1 * (20.0 - observation.ego.speed) + 0.01 * self.sums[0], 0.0)
+
+class Copyable(Integrating):
+    copyable = True
 
 calls = []
 """
@@ -47,17 +59,19 @@ def searched(project, ads, source=PLANNERS + SEARCH, args=()):
     return finds, int(re.search(r"calls: (\d+)", output).group(1)), output
 
 
-def test_pure_ads_is_asked_less_for_same_findings(project):
-    finds, calls, output = searched(project, "lambda: Pure()")
-    plain_finds, plain_calls, plain_output = searched(project, "Planner")
+@pytest.mark.parametrize(("ads", "plain", "most"), [("Pure", "Planner", 0.9), ("Copyable", "Integrating", 0.95)])
+def test_ads_is_asked_less_for_same_findings(project, ads, plain, most):
+    source = PLANNERS + SEARCH.replace("shrink_rollouts=8", "shrink_rollouts=80")
+    finds, calls, output = searched(project, f"lambda: {ads}()", source)
+    plain_finds, plain_calls, plain_output = searched(project, plain, source)
     assert finds == plain_finds != {}
-    assert calls < 0.9 * plain_calls
+    assert calls < most * plain_calls
     assert "marked as pure" not in output
     counts = [re.findall(r"^  (\d+ runs.*) in ", text, re.MULTILINE) for text in (output, plain_output)]
     assert counts[0] == counts[1] != []
 
 
-@pytest.mark.parametrize("ads", ["Pure", "Planner"])
+@pytest.mark.parametrize("ads", ["Pure", "Copyable", "Planner"])
 def test_decisions_are_counted_as_often_as_the_ads_is_asked(project, ads):
     """All of them, for whatever they were needed: the owner of an expensive policy pays for each."""
     path = project.path / "results.json"
@@ -66,7 +80,7 @@ def test_decisions_are_counted_as_often_as_the_ads_is_asked(project, ads):
     purposes = ("decisions", "confirm_decisions", "shrink_decisions", "neighbour_decisions")
     assert sum(search[each] for each in purposes) == calls
     assert all(search[each] for each in purposes)
-    assert (search["reused_decisions"] > 0.05 * calls) == (ads == "Pure")
+    assert (search["reused_decisions"] > 0.05 * calls) == (ads != "Planner")
 
 
 def test_ads_wrongly_declared_pure_has_flaky_findings(project):
@@ -136,6 +150,48 @@ class Remembering(Pure):
     assert "marked as pure" not in output
 
 
+SHARED = {
+    "a counter of the class": """
+    count = 0
+
+    def decided(self, observation):
+        Sharing.count = 1 if observation.time == 0 else Sharing.count + 1
+        return (super().decided(observation)[0] + 0.01 * (Sharing.count % 7), 0.0)""",
+    "a list of all copies": """
+    def __deepcopy__(self, memo):
+        copied = Sharing()
+        copied.sums = self.sums
+        return copied""",
+}
+
+
+@pytest.mark.parametrize("shared", SHARED)
+def test_copies_that_share_a_state_are_found_out_at_the_end(project, shared):
+    source = PLANNERS + f"class Sharing(Copyable):{SHARED[shared]}\n"
+    search = SEARCH.replace("shrink_rollouts=8", "shrink_rollouts=80").replace("gene_seconds=2", "gene_seconds=1")
+    _, _, output = searched(project, "lambda: Sharing()", source + search)
+    told = " ".join(output.split())
+    assert told.count("warning: the ADS is marked as copyable, but decided otherwise in ") == 1
+    assert "let `__deepcopy__` copy it, or remove `copyable`" in told
+    _, _, output = searched(project, "lambda: Sharing()", source.replace("(Copyable)", "(Integrating)") + search)
+    assert "marked as" not in output
+
+
+def test_copyable_ads_finds_the_same_when_isolated(project):
+    assert searched(project, "Copyable", args=["--pafot-isolate"])[0] == searched(project, "Integrating")[0] != {}
+
+
+def test_copyable_ads_finds_the_same_in_several_sessions(project):
+    finds = []
+    for ads in ("Copyable", "Integrating"):
+        project.write((PLANNERS + SEARCH).replace("ads=ADS", f"ads={ads}"))
+        for runs in (3, 10):
+            project.run(f"--pafot-runs={runs}", f"--pafot-resume=states-{ads}", generations=None)
+        finds.append([re.sub(".*slowest.*", "", text) for text in project.contents.values()])
+        project.forget()
+    assert finds[0] == finds[1] != []
+
+
 OWN_WORLD = """
 class Own(pafot.Highway):
     def rollout(self, scenario, ads_factory):
@@ -146,9 +202,10 @@ class Own(pafot.Highway):
 @pytest.mark.parametrize(
     "search", ["decision_limit=1.0", "world=Own()"], ids=["a limit of time for decisions", "a world of ones own"]
 )
-def test_without_resuming_a_pure_ads_makes_all_decisions(project, search):
+def test_without_resuming_the_ads_makes_all_decisions_of_runs(project, search):
     source = PLANNERS + OWN_WORLD + SEARCH.replace("genes=4", f"{search}, genes=4")
     assert searched(project, "Pure", source)[:2] == searched(project, "Planner", source)[:2]
+    assert searched(project, "Copyable", source)[:2] == searched(project, "Integrating", source)[:2]
 
 
 def test_lock_step_finds_the_same_with_a_pure_ads(project):
@@ -191,6 +248,7 @@ def slow():
     return KIND()
 """
     source = PLANNERS + slow + SEARCH.replace("=12", "=4").replace("ads=ADS", "ads=slow")
-    finds, _, output = searched(project, "", source.replace("KIND", "Pure"), ["--pafot-workers=2"])
-    assert finds == searched(project, "", source.replace("KIND", "Planner"))[0] != {}
-    assert "--pafot-workers=2: in use" in output
+    for kind, plain in (("Pure", "Planner"), ("Copyable", "Integrating")):
+        finds, _, output = searched(project, "", source.replace("KIND", kind), ["--pafot-workers=2"])
+        assert finds == searched(project, "", source.replace("KIND", plain))[0] != {}
+        assert "--pafot-workers=2: in use" in output

@@ -171,7 +171,7 @@ def test_cached_runs_equal_fresh_ones_in_mixed_scenarios(name, seed):
         known = runs.recall(scenario)
         assert known in (None, fresh)
         if name == "Highway":
-            resumed = world.rollout(scenario, ego, decisions=decisions.recall(scenario))
+            resumed = world.rollout(scenario, ego, decisions=decisions.recall(scenario)[0])
             assert resumed.states.tobytes() == trace.states.tobytes()
             decisions.remember(trace)
         runs.add(fresh)

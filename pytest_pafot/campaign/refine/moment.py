@@ -115,6 +115,8 @@ def _on_vehicles(
     whole = yield from ask(None, question)
     if whole is None or any(differ(action, whole.of(each)) for each, action in enumerate(trace.actions)):
         return None, None
+    if trace.drew:  # a copy has no part in the generators that the policy draws from
+        whole = replace(whole, ads=None)
     numbers, since = counted(trace, *window(run, expect))
     others = [each for each in range(len(run.scenario.npcs)) if each != npc]
     answers = Answers(
@@ -180,8 +182,10 @@ def _asked(
     job = job if npc is None else replace(job, ads=without(job.ads, npc))
     try:
         with refusals():
-            if isolate:  # the other process notes what is decided in a copy
-                aside = call_apart(job, scenario, lambda *run: (rollout_of(job.world)(*run), aside)[1])
+            if isolate:  # the other process notes what is decided in a copy, and no ADS leaves it
+                aside = call_apart(
+                    job, scenario, lambda *run: (rollout_of(job.world)(*run), replace(aside, ads=None))[1]
+                )
                 return aside
             with runner_for(job, record, isolate=False) as runner:
                 runner.run(scenario, afresh=True)
@@ -216,7 +220,7 @@ def _moment_of(
     if is_planner and npc in seen.ids:
         tries = [(words, changed(seen, npc, by)) for words, by in _changes(seen, npc)]
     for words, instead in tries:
-        aside = yield from ask(None, Question(number=number, instead=instead))
+        aside = yield from ask(None, Question(number=number, instead=instead, ads=whole.ads))
         # Only a policy that decides as the run's until there says what the run's would answer: one that keeps state
         # in a module or a class still has that of other runs.
         if aside is None or any(differ(each, aside.of(before)) for before, each in enumerate(trace.actions[:number])):
@@ -244,7 +248,7 @@ def _braked_for(
     """
     action, found, largest = whole.of(number), None, 0.0
     for npc, without_it in others.items():
-        aside = yield from ask(None, Question(number=number, instead=without_it.at))
+        aside = yield from ask(None, Question(number=number, instead=without_it.at, ads=whole.ads))
         if aside is None or aside.of(number) is None:
             continue
         answer = aside.of(number)

@@ -50,6 +50,11 @@ class SeeingAds:
         return self.sight.is_memoryless and getattr(self.ads, "pure", False) is True
 
     @property
+    def copyable(self) -> bool:
+        """True if the ADS is copyable and the sight has no memory, so a copy of the ADS sees and decides the same."""
+        return self.sight.is_memoryless and getattr(self.ads, "copyable", False) is True
+
+    @property
     def batch(self) -> Any:
         """The ADS's own ``batch``, which receives an imperfect observation for each run."""
         return self.ads.batch

@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from pytest_pafot.support.errors import AdsFactoryError
-from pytest_pafot.world.driving.ads import AdsFactory, is_vehicle_class
+from pytest_pafot.world.driving.ads import AdsFactory, is_copyable, is_vehicle_class
 from pytest_pafot.world.driving.conditions import Conditions
 from pytest_pafot.world.driving.perception import DRIVES_ITSELF, ads_and_sight
 from pytest_pafot.world.driving.seeing import SeeingAds, lane_nearest, with_others
@@ -38,6 +38,7 @@ class Aside:
         seen: digests of its observations; those that cannot be pickled are left out.
         at: what it would have seen at the decision of a question, had nothing been changed; None without one.
         conditions: those that it evaluated in this decision, with their values, if the question is about them.
+        ads: a copy of the ADS as it was before this decision; None if it is not copyable.
     """
 
     is_noted: bool = True
@@ -46,6 +47,7 @@ class Aside:
     seen: list[bytes] = field(default_factory=list)
     at: Any = None
     conditions: list[str] = field(default_factory=list)
+    ads: Any = None
 
     def of(self, number: int) -> Any:
         """Return the action of a decision; None without one."""
@@ -60,11 +62,13 @@ class Question:
         number: the number of the decision.
         instead: what it sees there instead; None for what there is to see.
         conditions: what records the conditions that it evaluates there; None if nothing does.
+        ads: the ADS that is asked; None for a fresh one, which makes the decisions before, too.
     """
 
     number: int
     instead: Any = None
     conditions: Conditions | None = None
+    ads: Any = None
 
 
 class Shadow(Around):
@@ -83,19 +87,24 @@ class Shadow(Around):
         question = self._question
         recording: AbstractContextManager[None] = nullcontext()
         if question is not None and question.instead is not None and number != question.number:
-            is_over = number > question.number or getattr(self._ads, "pure", False) is True
+            is_ready = question.ads is not None or getattr(self._ads, "pure", False) is True
+            is_over = number > question.number or is_ready
             if is_over and number < len(self._actions):  # What it would decide here says nothing about the question.
                 aside.answers.append(self._actions[number])
                 return self._actions[number]
         if question is not None and number == question.number:
             aside.at = copy.deepcopy(observation)  # the ADS may write into it
+            if is_copyable(self._ads):
+                with suppress(Exception):  # the user's own code, or an attribute that cannot be copied
+                    aside.ads = copy.deepcopy(self._ads)
             observation = observation if question.instead is None else question.instead
             if question.conditions is not None:
                 recording = question.conditions.recorded(self._ads, aside.conditions)
         aside.asked += 1
         try:
             with recording:
-                answer = self._check(plain_action(self._ads(observation)))
+                ads = self._ads if question is None or question.ads is None else copy.deepcopy(question.ads)
+                answer = self._check(plain_action(ads(observation)))
         except Exception:  # noqa: BLE001  (an ADS may raise anything about an observation that it never had)
             answer = None
         aside.answers.append(answer)

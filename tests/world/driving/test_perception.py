@@ -307,7 +307,7 @@ def test_planner_in_environment_finds_only_visible_vehicles():
 class OfItsOwn:
     """An ADS that says how it was made, and is closed."""
 
-    pure = True
+    pure = copyable = True
 
     def __init__(self):
         self.closed = []
@@ -359,8 +359,9 @@ def test_policies_in_lock_step_see_the_same():
         ({"own_bias": {"speed": 1}}, False),
     ],
 )
-def test_ads_stays_pure_without_delay_or_noise(imperfections, is_pure):
+def test_ads_stays_pure_or_copyable_without_delay_or_noise(imperfections, is_pure):
     assert pafot.Perception(OfItsOwn, **imperfections)().pure is is_pure
+    assert pafot.Perception(OfItsOwn, **imperfections)().copyable is is_pure
     assert not getattr(pafot.Perception(Watching)(), "pure", False)
 
 

@@ -270,9 +270,9 @@ def test_decisions_with_plans_are_not_cached():
     """A run that begins with cached decisions would lack their plans."""
     cache, world = DecisionCache(), Highway(duration=4.0)
     cache.remember(world.rollout(SCENARIO, Planner))
-    assert cache.recall(SCENARIO) == ()
+    assert cache.recall(SCENARIO)[0] == ()
     cache.remember(world.rollout(SCENARIO, lambda: Planner(False)))
-    assert cache.recall(SCENARIO) != ()
+    assert cache.recall(SCENARIO)[0] != ()
 
 
 def test_fitness_sees_the_plans_of_the_part_that_counts():
