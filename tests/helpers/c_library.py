@@ -32,7 +32,8 @@ def of_the_c_library(name: str) -> Callable[..., Any]:
     numpys, maths = getattr(np, name), FUNCTIONS[name]
 
     def function(x: Any, *args: Any, **kwargs: Any) -> Any:
-        return numpys(x, *args, **kwargs) if np.ndim(x) else np.float64(maths(x, *args, **kwargs))
+        is_single = isinstance(x, (float, int, np.number)) or not np.ndim(x)  # numpy's own answer is slow for numbers
+        return np.float64(maths(x, *args, **kwargs)) if is_single else numpys(x, *args, **kwargs)
 
     return function
 
