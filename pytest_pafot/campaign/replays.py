@@ -27,7 +27,6 @@ from pytest_pafot.findings.failure_rate import FailureRate, with_other_seed
 from pytest_pafot.findings.finding import (
     DRIVEN_ON,
     HAS_EVENT,
-    NEARBY,
     Expect,
     Finding,
     beyond_acceptance,
@@ -39,6 +38,7 @@ from pytest_pafot.findings.finding import (
     replay_label,
     unhandled,
 )
+from pytest_pafot.findings.labels import FLAKY, Facts, RunLabel
 from pytest_pafot.findings.neighbours import FEWEST, around
 from pytest_pafot.findings.signature import SLOW_DECISION, Failure, Signature
 from pytest_pafot.findings.situation import missed
@@ -57,8 +57,6 @@ from pytest_pafot.world.driving.perception import sight_of
 from pytest_pafot.world.guard.failure import is_interruption
 from pytest_pafot.world.guard.own_worlds import base_world, rollout_of
 
-FLAKY = "flaky"
-
 Sought = Callable[[Run, Failure], bool]
 """Whether a failure of a run is the one that is looked for."""
 
@@ -70,9 +68,6 @@ PAST_END = "driven on past the file's end"
 
 SOON = 2.0
 """The time after a file's end in which a collision with the file's NPC stands for the saved one, only later [s]."""
-
-BESIDE = {True: "introduced", False: "common", None: ""}
-"""The label of a saved scenario that fails, by whether the reference passes the same scenario."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,26 +136,28 @@ class Replayed:
     """The result of a replay.
 
     Attributes:
-        label: the label of the replay.
+        facts: what was observed, from which the label follows.
         run: the run that shows the failure; the first run if all of them pass.
         verdict: the verdict on that run.
         note: a text on the time after the file's end, or on neighbours; empty if nothing is to be said.
         is_lost: True if a process died or hung in that time. Then the crash record must stay, or the next session would
             drive on in its own process, and die.
-        is_hit: True if the NPC of the file's collision still touches the ego soon after the file's end, as the note
-            says. Then the pass is no fix, whatever a reference does.
         around: the neighbours of the scenario.
         rate: how often it fails now; None unless the file has a rate.
     """
 
-    label: str
+    facts: Facts
     run: Run
     verdict: Verdict
     note: str = ""
     is_lost: bool = False
-    is_hit: bool = False
     around: Around = Around()
     rate: FailureRate | None = None
+
+    @property
+    def label(self) -> str:
+        """The label of the replay."""
+        return self.facts.label
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -225,7 +222,7 @@ class Replays:
         The other values say whether a run that passes showed it when it was repeated, and whether only a neighbour did.
         """
         try:
-            first = Replayed("", *self.tried(saved, world, owner))
+            first = Replayed(Facts(), *self.tried(saved, world, owner))
             now = first
             if not first.verdict.failed and not first.verdict.discarded and world.can_last:
                 now = self._repeated(saved, world, owner, first)
@@ -439,20 +436,18 @@ class Replays:
         __tracebackhide__ = True
         finding, second = _finding(saved), self._driven_on(saved, world, owner, first)
         run, verdict, is_alike = second.run, second.verdict, begins_alike(first.run, second.run)
-        label = FLAKY if finding.flaky is not None or not is_alike else first.label
-        passed = replace(second, label=label, run=first.run, verdict=first.verdict)
-        failure = verdict.failure if verdict.failed else None
         is_hit = is_alike and _is_hit_soon(finding, first.run, run)
+        facts = replace(first.facts, is_unsteady=finding.flaky is not None or not is_alike, is_hit=is_hit)
+        passed = replace(second, facts=facts, run=first.run, verdict=first.verdict)
+        failed = replace(second, facts=replace(facts, shows="still failing", fails=True, is_unsteady=True))
+        failure = verdict.failure if verdict.failed else None
         if is_hit:
-            later = f"{PAST_END}: the same NPC still hits the ego: {headline(run, verdict)}"
-            passed = replace(
-                passed, label="drifted" if passed.label == "fixed" else passed.label, note=later, is_hit=True
-            )
+            passed = replace(passed, note=f"{PAST_END}: the same NPC still hits the ego: {headline(run, verdict)}")
         if failure is None:
             return passed
         # The failure is in the time after the end, unless the test function or a clock decides by chance.
         if not is_alike or run.trace.ticks <= first.run.trace.ticks or self.harness.judge(first.run).failed:
-            return replace(second, label=FLAKY)
+            return failed
         if not has_time(run, failure):
             return passed
         is_event = failure.check is not None or run.outcome in HAS_EVENT
@@ -464,7 +459,7 @@ class Replays:
         note = f"{PAST_END}: the same {'mistake' if finding.signature.mistake else 'failure'}, {when}"
         is_firm = finding.flaky is None and failure.kind != SLOW_DECISION
         is_firm = is_firm and self._is_repeatable(saved, world, owner, run)
-        return replace(second, label="still failing" if is_firm else FLAKY, note=note)
+        return replace(failed, facts=replace(failed.facts, is_unsteady=not is_firm), note=note)
 
     def _is_repeatable(self, saved: Saved, world: BaseWorld, owner: str, run: Run) -> bool:
         """Return whether a run that was driven on is the same run, and fails, when it is made again."""
@@ -476,7 +471,7 @@ class Replays:
         return verdict.failed and is_same_run(run, again)
 
     def labelled(self, saved: Saved, owner: str) -> Replayed:
-        """Replay a saved scenario, and return the result.
+        """Replay a saved scenario, and return the result, with all that its label follows from.
 
         A replay that passes is run again, and driven on for :data:`~pytest_pafot.findings.finding.DRIVEN_ON`. If it
         then fails as the file says, and once more in a third run, it is ``still failing``. Any other failure in that
@@ -502,12 +497,11 @@ class Replays:
         run, verdict = self.tried(saved, world, owner)
         failure = verdict.failure if verdict.failed else None
         # What the file's own run says, in the file's world.
-        label: str = replay_label(finding, run, failure, self.harness.versions)
+        shows = replay_label(finding, run, failure, self.harness.versions)
         if finding.expect.is_crash:
-            label = "drifted" if verdict.failed else "fixed"  # The process survived, whatever the run shows.
-        if label == "fixed" and (self.world_changes(finding) or self.sight_change(finding)):
-            label = "drifted"  # It passes in another world or with another sight.
-        now = Replayed(label, run, verdict)
+            shows = "drifted" if verdict.failed else "fixed"  # The process survived, whatever the run shows.
+        is_elsewhere = bool(self.world_changes(finding) or self.sight_change(finding))
+        now = Replayed(Facts(shows=shows, fails=verdict.failed, is_elsewhere=is_elsewhere), run, verdict)
         if verdict.discarded:
             return now
         # A pass is tried once more and past the end of the file, because a slower policy fails a little later.
@@ -515,24 +509,20 @@ class Replays:
             now = self._repeated(saved, world, owner, now)
         if finding.rate is not None:
             now = self._by_rate(saved, world, owner, now)
-        if now.label == FLAKY:
+        if now.facts.is_unsteady:
             return now
         # With a reference: is the failure, or its absence, new with the policy?
+        sought: Sought = partial(is_same_failure, finding)
+        if now.verdict.failed and now.verdict.failure is not None:
+            shown = of_failure(now.run, now.verdict.failure)
+            sought = lambda *its: of_failure(*its) == shown  # noqa: E731
+        reference, is_lost = self.of_reference(saved, world, owner, sought)
+        facts = replace(now.facts, reference_passes=None if reference is None else reference.passes)
+        now = replace(now, facts=facts, is_lost=now.is_lost or is_lost)
         if now.verdict.failed:
-            shown = None if now.verdict.failure is None else of_failure(now.run, now.verdict.failure)
-            reference, is_lost = self.of_reference(
-                saved, world, owner, lambda run, failure: of_failure(run, failure) == shown
-            )
-            label = BESIDE[None if reference is None else reference.passes] or now.label
-            now = replace(now, label=label, verdict=replace(now.verdict, reference=reference))
-        else:
-            reference, is_lost = self.of_reference(saved, world, owner, partial(is_same_failure, finding))
-            if reference is not None and reference.passes and now.label == "fixed":
-                now = replace(now, label="fixed before")
-            elif reference is not None and not reference.passes and not (now.is_hit or unhandled(finding, now.run)):
-                now = replace(now, label="fixed")
-            now = self._with_neighbours(saved, world, owner, now)
-        return replace(now, is_lost=now.is_lost or is_lost)
+            return replace(now, verdict=replace(now.verdict, reference=reference))
+        facts = replace(facts, is_handled=not unhandled(finding, now.run))
+        return self._with_neighbours(saved, world, owner, replace(now, facts=facts))
 
     def _by_rate(self, saved: Saved, world: BaseWorld, owner: str, now: Replayed) -> Replayed:
         """Run the scenario of a file with a rate with other seeds, or again and again, and compare how often it fails.
@@ -544,7 +534,7 @@ class Replays:
         finding, harness = _finding(saved), self.harness
         then, job = finding.rate, harness.job(world, owner)
         assert then is not None  # noqa: S101  (only of such files)
-        shown, is_handled, runs, failing = _by_chance(finding, now), False, 0, 0
+        shown, runs, failing = _by_chance(finding, now), 0, 0
         with (
             harness.recording(job) as record,
             runner_for(job, record, isolate=self._is_apart(saved, owner)) as runner,
@@ -555,16 +545,15 @@ class Replays:
                 run = finding.expect.known_of(harness.seen(runner.run(scenario, afresh=True), world))
                 verdict = harness.judge(run)
                 failing += verdict.failed
-                if verdict.failed and shown.label != "still failing":
+                if verdict.failed and shown.facts.shows != "still failing":
                     shown = _by_chance(finding, replace(now, run=run, verdict=verdict))
-                is_handled |= verdict.passes and replay_label(finding, run, None, harness.versions) == "fixed"
+                is_fixed = verdict.passes and replay_label(finding, run, None, harness.versions) == "fixed"
+                if is_fixed and shown.facts.shows == "drifted" and not shown.facts.fails:
+                    shown = replace(shown, facts=replace(shown.facts, shows="fixed"))
         rate = FailureRate(failing=failing, runs=runs)
-        label, is_other = shown.label, bool(self.world_changes(finding) or self.sight_change(finding))
-        if label in ("fixed", "drifted") and not (shown.verdict.failed or shown.is_hit or is_other):
-            is_fixed = then.change(rate) == "fixed" and (label == "fixed" or is_handled)
-            label = "fixed" if is_fixed else "drifted"
+        facts = replace(shown.facts, is_as_often=then.change(rate) != "fixed")
         note = "; ".join(filter(None, [now.note, then.compared(rate, finding.drawn)]))
-        return replace(shown, label=label, note=note, rate=rate)
+        return replace(shown, facts=facts, note=note, rate=rate)
 
     def _with_neighbours(self, saved: Saved, world: BaseWorld, owner: str, now: Replayed) -> Replayed:
         """Run neighbours of a scenario that passes; if one of them fails as the file says, the replay is that run.
@@ -576,7 +565,7 @@ class Replays:
         finding, began = _finding(saved), self.clock()
         is_firm = finding.flaky is None and not finding.expect.is_crash and finding.signature.failure != SLOW_DECISION
         is_asked = self._number(finding) and not self.sight_change(finding)
-        if now.label == FLAKY or not now.verdict.passes or not is_firm or not is_asked:
+        if now.facts.is_unsteady or not now.verdict.passes or not is_firm or not is_asked:
             return now
         note, is_lost, passing, failing = "", now.is_lost, 0, None
         try:
@@ -603,7 +592,7 @@ class Replays:
         its = Around(passing=passing, failing=shown, seconds=self.clock() - began)
         if now.rate is not None:
             now = replace(now, note=f"{now.note}; nearby in 1 of {plural(passing + 1, 'neighbour')}")
-        return replace(now, label=NEARBY, run=run, verdict=verdict, around=its)
+        return replace(now, facts=replace(now.facts, is_nearby=True), run=run, verdict=verdict, around=its)
 
     def _number(self, finding: Finding) -> int:
         """Return how many neighbours of a file's scenario are run: the more, the narrower its failure was."""
@@ -704,11 +693,12 @@ def happened(finding: Finding, run: Run, failure: Failure | None) -> str:
 
 
 def _by_chance(finding: Finding, now: Replayed) -> Replayed:
-    """Return a replay with the label of a failure that occurs by chance, and so at no certain time."""
+    """Return a replay with what a failure shows that occurs by chance, and so at no certain time."""
     failure = now.verdict.failure if now.verdict.failed else None
     if failure is None:
         return now
-    return replace(now, label="still failing" if is_same_failure(finding, now.run, failure) else "drifted")
+    shows: RunLabel = "still failing" if is_same_failure(finding, now.run, failure) else "drifted"
+    return replace(now, facts=replace(now.facts, shows=shows, fails=True, is_unsteady=False))
 
 
 def _is_hit_soon(finding: Finding, run: Run, longer: Run) -> bool:

@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, field, fields, replace
 from datetime import date
 from types import TracebackType
-from typing import Any, Literal, NamedTuple, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 
@@ -19,6 +19,7 @@ from pytest_pafot.attribution.mistakes import Manoeuvre, Mistake, manoeuvre_befo
 from pytest_pafot.attribution.responsibility import Fault, Responsibility
 from pytest_pafot.attribution.takeovers import Avoidance
 from pytest_pafot.findings.failure_rate import FailureRate
+from pytest_pafot.findings.labels import JUDGED_OTHERWISE, RunLabel
 from pytest_pafot.findings.neighbours import Breadth
 from pytest_pafot.findings.shrink import Shrunk
 from pytest_pafot.findings.signature import (
@@ -620,14 +621,6 @@ def _statements(tb: TracebackType | None) -> Iterator[tuple[str, str]]:
 
 # The meaning of a replay: whether a saved finding is fixed, still fails or has drifted.
 
-Label = Literal["fixed", "still failing", "drifted", "judged otherwise"]
-
-JUDGED_OTHERWISE: Literal["judged otherwise"] = "judged otherwise"
-"""The label of a replay with the file's collision that passes because rules of another version excuse the ego."""
-
-NEARBY = "still failing, nearby"
-"""The label of a replay that passes while a neighbour of its scenario fails as the file says."""
-
 SAME_PLACE = 0.5
 """Largest distance [m] between the positions of a vehicle in two runs without contact that count as the same run."""
 
@@ -647,8 +640,8 @@ HAS_EVENT = frozenset({Outcome.COLLISION, Outcome.ADS_ERROR, Outcome.HANG, Outco
 """Outcomes that have a time, which is the run's event. For any other outcome the event is the most critical moment."""
 
 
-def replay_label(finding: Finding, run: Run, failure: Failure | None, versions: Mapping[str, str]) -> Label:
-    """Return the label of a replay, which says more than that the replay passes or fails.
+def replay_label(finding: Finding, run: Run, failure: Failure | None, versions: Mapping[str, str]) -> RunLabel:
+    """Return what the run of a replay says by itself, which is more than that it passes or fails.
 
     ``still failing``: the run fails with the saved event.
 

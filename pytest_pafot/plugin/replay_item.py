@@ -11,7 +11,7 @@ import pytest
 
 from pytest_pafot.campaign.events import Find
 from pytest_pafot.campaign.options import BY_NAME
-from pytest_pafot.campaign.replays import BESIDE, FLAKY, Around, Replayed, ReplayResult, Replays, happened, was_lost
+from pytest_pafot.campaign.replays import Around, Replayed, ReplayResult, Replays, happened, was_lost
 from pytest_pafot.campaign.request import Request
 from pytest_pafot.campaign.setup_fault import Cause, SetupFaultError, cause_of
 from pytest_pafot.campaign.store import cause
@@ -21,7 +21,8 @@ from pytest_pafot.corpus.saved import Saved
 from pytest_pafot.corpus.writer import scenario_lines
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.execution.scenario_pool import LostRun
-from pytest_pafot.findings.finding import JUDGED_OTHERWISE, NEARBY, Finding, of_failure, unhandled
+from pytest_pafot.findings.finding import Finding, of_failure, unhandled
+from pytest_pafot.findings.labels import COMMON, FLAKY, JUDGED_OTHERWISE, NEARBY, Facts, RunLabel
 from pytest_pafot.oracle.checks import CheckFailed
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.plugin import messages, node_ids
@@ -60,17 +61,19 @@ def run_replay(item: pytest.Function, request: Request, saved: Saved) -> None:
         now = replays.labelled(saved, item.nodeid)
     except ProcessLostError as error:
         lost = error
-    beside = ""
+    facts = Facts()
     if lost is not None:  # Outside of the handler, so that pytest does not print the error twice, once as a cause.
-        beside = BESIDE[replays.passes_reference(saved, replays.world_of(saved), item.nodeid)]
+        passes = replays.passes_reference(saved, replays.world_of(saved), item.nodeid)
+        shows: RunLabel = "still failing" if was_lost(finding, lost) else "drifted"
+        facts = Facts(shows=shows, fails=True, reference_passes=passes)
     for leftover in harness.left_behind(item.nodeid) if lost is not None or not now.is_lost else ():
         leftover.discard()  # The item reports its result now.
     if lost is not None:
-        _conclude_lost(item, replays, saved, finding, lost, beside)
+        _conclude_lost(item, replays, saved, finding, lost, facts)
     label, run, verdict, note, nearby = now.label, now.run, now.verdict, now.note, now.around.failing
     if nearby is None:
         _check_set_up(item, replays, saved, run, verdict)
-    worse = verdict.worsening if label == BESIDE[False] else ""
+    worse = verdict.worsening if label == COMMON else ""
     # The marker xfail of the item accepts every exception, so the report needs to know which one it must not accept.
     beyond = "" if verdict.failure is None else replays.beyond_acceptance(finding, run, verdict.failure)
     if beyond:
@@ -148,20 +151,16 @@ def _tell_pass(item: pytest.Function, finding: Finding, find: Find, path: str, *
 
 
 def _conclude_lost(
-    item: pytest.Function, replays: Replays, saved: Saved, finding: Finding, lost: LostRun, beside: str
+    item: pytest.Function, replays: Replays, saved: Saved, finding: Finding, lost: LostRun, facts: Facts
 ) -> NoReturn:
-    """Report and fail the replay of a saved scenario whose process died or hung.
-
-    ``beside`` is the label of the replay if it is compared with a reference ADS; empty without a reference.
-    """
+    """Report and fail the replay of a saved scenario whose process died or hung."""
     __tracebackhide__ = True
-    label = "still failing" if was_lost(finding, lost) else "drifted"
-    beyond = "" if label == "still failing" or not replays.accepts(finding) else f"a process that {lost.how}"
+    beyond = "" if facts.shows == "still failing" or not replays.accepts(finding) else f"a process that {lost.how}"
     if beyond:
         item.stash[NOT_ACCEPTED] = beyond
     note = "; ".join(getattr(lost, "__notes__", ()))
-    item.stash[REPLAYED] = ReplayResult(finding, label, None, None, note)
-    label = beside or label
+    item.stash[REPLAYED] = ReplayResult(finding, facts.shows, None, None, note)
+    label = facts.label
     told = [_against(replays), *replays.setting_changes(finding)]
     if label == "drifted":
         told = [replays.changes(finding, f"the process {lost.how}")]

@@ -26,7 +26,7 @@ from urllib.parse import quote
 from pytest_pafot.campaign.events import NEW, NO_WORSE, Find, SearchSummary, concluded
 from pytest_pafot.campaign.options import is_page_file
 from pytest_pafot.corpus.layout import SUFFIX
-from pytest_pafot.findings.finding import JUDGED_OTHERWISE
+from pytest_pafot.findings.labels import JUDGED_OTHERWISE
 from pytest_pafot.findings.severity import Severity
 from pytest_pafot.report.animation import AnimationError, animate
 from pytest_pafot.report.page_data import (

@@ -16,7 +16,8 @@ from types import MappingProxyType
 from typing import Any, Self
 
 from pytest_pafot.campaign.events import ELSEWHERE, NEW, NO_WORSE, PASSES, PASSING, Find, SearchSummary, passing
-from pytest_pafot.findings.finding import JUDGED_OTHERWISE, NEARBY, Finding, portable
+from pytest_pafot.findings.finding import Finding, portable
+from pytest_pafot.findings.labels import JUDGED_OTHERWISE, NEARBY
 from pytest_pafot.findings.neighbours import Breadth
 from pytest_pafot.findings.severity import Severity, worsening
 from pytest_pafot.findings.shrink import size_of

@@ -154,7 +154,8 @@ def simplest_of(
                 turn.is_over = True
                 raise OutOfBudget from None
             answers.append(given)
-            turn.took(workers.clock() - began, None if shown is None else _seconds_to_confirm(shown[0], workers))
+            seconds = 0.0 if shown is None else min(shown[0].seconds, harness.world.longest_run)
+            turn.took(workers.clock() - began, None if shown is None else workers.pace * seconds)
             state.offer(store)
         asked += 1
         return answers[asked - 1]
@@ -236,11 +237,9 @@ def simplest_of(
 
 def _repeats_collision(sighting: FindTold, harness: Harness) -> Trace | None:
     """Return the run of a collision that another run with the same decisions of the ADS repeats here; else None."""
-    is_sure = not sighting.find.is_flaky and sighting.finding.rate is None
-    is_here = is_sure and codec.is_built_in(harness.world)
     trace = None if sighting.run is None else sighting.run.trace
-    is_one = is_here and trace is not None and trace.collision is not None and bool(trace.actions)
-    return trace if is_one else None
+    is_sure = not sighting.find.is_flaky and sighting.finding.rate is None and codec.is_built_in(harness.world)
+    return trace if is_sure and trace is not None and trace.collision is not None and trace.actions else None
 
 
 def _likely(
@@ -272,11 +271,6 @@ def _likely(
         return trace.collision is not None and is_same(of_failure(harness.seen(trace), failure), found)
 
     return likely
-
-
-def _seconds_to_confirm(scenario: Scenario, workers: Workers) -> float:
-    """Return the estimated time to confirm a scenario [s], from the slowest confirmation so far."""
-    return workers.pace * min(scenario.seconds, workers.harness.world.longest_run)
 
 
 def rollouts_for(harness: Harness) -> int:

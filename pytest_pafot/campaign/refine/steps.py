@@ -6,7 +6,6 @@ No finding depends on it: each is saved and reported before, and what a step lea
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import replace
 
 from pytest_pafot.campaign.events import FindTold, Note, Refining
@@ -26,9 +25,7 @@ from pytest_pafot.support.text import one_line
 from pytest_pafot.world.guard.failure import is_interruption
 from pytest_pafot.world.guard.hang_guard import runs_end_in
 
-Step = Callable[[FindTold, State, Workers, Store], Refining[FindTold]]
-
-EXAMINATIONS: dict[str, Step] = {"neighbours": with_breadth, "decisions": with_moment, "conditions": with_conditions}
+EXAMINATIONS = {"neighbours": with_breadth, "decisions": with_moment, "conditions": with_conditions}
 """The steps that examine the simplest scenario of a finding, by what they are about. The first one that finds no time,
 or raises an error, ends them for this finding."""
 
