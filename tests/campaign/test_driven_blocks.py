@@ -243,6 +243,7 @@ def test_a_search_whose_time_is_over_counts_the_failures_of_later_blocks(searche
     found, _ = searched("early", drives=True, workers=2)
     assert {each.name for each in saved_early} <= {*found["files"]}
     assert {f"{id_}.pafot.yaml" for id_ in found["failures"].values()} == {*found["files"]}
+    assert found["counts"][1] >= len(found["files"])
 
 
 @pytest.mark.parametrize("end", [signal.SIGKILL, signal.SIGINT])
