@@ -347,8 +347,9 @@ class SearchSession:
     def _settle(self, reason: str) -> None:
         """Take the failures of blocks that were not counted as findings, or forget them if the order says so."""
         is_cut = reason in ("interrupted", "error", self.limit.flag)
-        for signature, find_id in self.store.settle(self.state.runs, keeps=is_cut):
+        for signature, find_id in self.store.settle(self.state.runs + 1, keeps=is_cut):
             self.state.add(signature, find_id)
+            self.state.verdicts["failed"] += 1
 
     def _refine(self, reason: str) -> None:
         """Shrink the findings, and look at their neighbours and at decisions."""

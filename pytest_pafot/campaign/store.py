@@ -118,14 +118,14 @@ class Store:
     def settle(self, number: int, *, keeps: bool) -> Iterator[tuple[Signature, str]]:
         """End the search with failures that are saved early: take them as findings, or remove their files.
 
-        Yield what is taken, with the ids. ``number`` is that of the last run that counts. What an earlier session has
-        left stays.
+        Yield what is taken, with the ids; ``number`` is that of its run. What an earlier session has left stays.
         """
         for signature, (path, early) in [*self.early.items()]:
             if early is None:
                 continue
             if not keeps:
-                path.unlink(missing_ok=True)
+                with suppress(OSError):  # A file that cannot be removed stays.
+                    path.unlink()
             elif isinstance(early.of, ProcessLostError):
                 yield signature, self.add_lost(early.of, early.generation, number).find.id
             else:

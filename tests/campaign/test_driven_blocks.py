@@ -172,6 +172,16 @@ def test_runs_of_later_blocks_that_only_the_session_may_judge_are_judged_when_th
     assert early
 
 
+def test_sessions_of_5_16_and_40_runs_are_one_long_one(searched, tmp_path):
+    alone, _ = searched("alone", runs=161)
+    given = {"drives": True, "workers": 2, "resume": str(tmp_path / "states")}
+    sessions = [searched("parts", runs=runs, **given) for runs in (5, 16, 40, 100)]
+    assert sessions[-1][1] == [4, 5, 6, 7, 8, 9]
+    assert sessions[-1][0]["files"] == alone["files"]
+    assert sessions[-1][0]["counts"] == alone["counts"]
+    assert [row for session, _ in sessions for row in session["rows"]] == alone["rows"]
+
+
 @pytest.fixture
 def saved_early(monkeypatch):
     """Return a list of the files that are saved before their block is counted, while block 1 takes long."""
@@ -233,6 +243,7 @@ def test_a_search_whose_time_is_over_counts_the_failures_of_later_blocks(searche
     found, _ = searched("early", drives=True, workers=2)
     assert {each.name for each in saved_early} <= {*found["files"]}
     assert {f"{id_}.pafot.yaml" for id_ in found["failures"].values()} == {*found["files"]}
+    assert found["counts"][1] >= len(found["files"])
 
 
 @pytest.mark.parametrize("end", [signal.SIGKILL, signal.SIGINT])
