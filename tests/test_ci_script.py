@@ -178,17 +178,14 @@ def test_night_resumes_in_fresh_clone_from_cached_states(repository, tmp_path):
     assert git(repository, "show", f"FETCH_HEAD:{filed}") == (tmp_path / "next" / "pafot.json").read_text().strip()
 
 
-@pytest.mark.parametrize(
-    "jobs", [["test_a.py", "test_b.py"], ["--splits 2 --group 1", "--splits 2 --group 2 -n 2"]], ids=["files", "groups"]
-)
-def test_jobs_that_divide_the_replays_replay_each_file_once(repository, jobs):
+def test_jobs_that_divide_the_replays_replay_each_file_once(repository):
     pytest.importorskip("pytest_split")
     pytest.importorskip("xdist")
     commit(repository, {"test_a.py": FAILS, "test_b.py": FAILS}, "Two tests")
     plugins = "pytest_pafot.plugin,pytest_split.plugin,xdist.plugin"
     assert shell(f"sh {SCRIPT} search {QUICK}", repository, RUNS="4")[0] == 1
     replayed = []
-    for job in jobs:
+    for job in ("--splits 2 --group 1", "--splits 2 --group 2 -n 2"):
         code, printed = shell(f"sh {SCRIPT} replay {job}", repository, PYTEST_PLUGINS=plugins)
         record = record_of(repository)
         assert (code, record.exit, record.orphans) == (1, 1, []), printed
@@ -262,8 +259,9 @@ def test_bypassing_pytest_with_exit_code_0_fails(repository, leave):
     assert (code, "pytest ended with 0: expected 0 as exit in pafot.json" in printed) == (2, True), printed
 
 
-@pytest.mark.parametrize("shells", ["sh", "bash"])
-@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])
+@pytest.mark.parametrize(
+    ("shells", "name"), [("sh", "SIGINT"), ("bash", "SIGINT"), ("sh", "SIGTERM"), ("bash", "SIGHUP")]
+)
 def test_signal_ends_pytest_and_then_the_script(repository, tmp_path, shells, name):
     begins = tmp_path / "begun"
     slow = TEST.replace("npcs=2", "npcs=2, runs=100000").replace(
