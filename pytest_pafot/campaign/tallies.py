@@ -147,7 +147,7 @@ class Tally(Digest):
         health: the figures on the search's health.
         verdicts, caught, responsibilities, outcomes: numbers of runs by kind of verdict, check, responsible, outcome.
         failed: numbers of runs by their known failures.
-        manners: for each known failure and manner the id of the first scenario.
+        manners: of each run with a known failure, its manner and the id of its scenario.
         random: the counts of :class:`~pytest_pafot.campaign.state.RandomRuns`, in the order of its fields.
         rows: rows for the table of runs, unless ``judged`` has their columns.
         doubt: see :func:`unit_doubt`.
@@ -195,12 +195,10 @@ class Tally(Digest):
             outcomes=Counter(str(each.outcome) for each in evaluations),
             failed=Counter(each.signature for each in runs if each.signature is not None),
             manners=tuple(
-                {
-                    (each.signature, each.manner): (each.signature, each.manner, each.event.executed.id)
-                    for each in reversed(runs)
-                    if each.signature is not None and each.manner is not None
-                }.values()
-            )[::-1],
+                (each.signature, each.manner, each.event.executed.id)
+                for each in runs
+                if each.signature is not None and each.manner is not None
+            ),
             random=(len(runs), len(valid), at_fault, failed - at_fault),
             rows=tuple(rows),
             doubt=next((each.doubt for each in runs if each.doubt), ""),
