@@ -79,7 +79,8 @@ class Workers:
     _driven: dict[int, deque[Any]] = field(default_factory=dict)
     _failed: deque[Early] = field(default_factory=deque)  # failures of later blocks that are new to this process
     _later: dict[int, Block[Any]] = field(default_factory=dict)  # later blocks as far as other processes have run them
-    _early: dict[Scenario, Verdict] = field(default_factory=dict)  # on runs that this process has not counted yet
+    # verdicts on runs that this process has not counted yet, with their traces
+    _early: dict[Scenario, tuple[Trace, Verdict]] = field(default_factory=dict)
     _suspect: ProcessLostError[Any] | None = None  # a death in a block, as long as no scenario is known to be the cause
     _has_died: bool = False  # True if a process has died while it drove a block
     _last: int = 0  # number of the first block that they leave to the session
@@ -251,7 +252,8 @@ class Workers:
         if scenario not in self._early:
             self.record.write(scenario)
             run = self.harness.seen(made)
-            verdict = self._early[scenario] = self.judge(run)
+            verdict = self.judge(run)
+            self._early[scenario] = made, verdict
             if verdict.failed:
                 self._failed.append(Early(run, verdict, generation))
 
@@ -296,7 +298,7 @@ class Workers:
         if isinstance(made, Tally):
             evaluation: Evaluation = pickle.loads(made.evaluations)[0]  # noqa: S301  (from our own process)
             return evaluation
-        run, verdict, signature = self.harness.seen(made), self._early[made.scenario], None
+        run, (_, verdict), signature = self.harness.seen(made), self._early[made.scenario], None
         if verdict.failed and verdict.failure is not None:
             signature, _ = failed_as(run, verdict.failure)
         return self.evaluation(run, verdict, signature)
@@ -319,8 +321,8 @@ class Workers:
     def judge(self, run: Run, scenario: Scenario | None = None) -> Verdict:
         """Judge the last run. If it fails, the reference is run in ``scenario``, by default in the run's scenario."""
         __tracebackhide__ = True
-        early = self._early.pop(run.trace.scenario, None)
-        if early is not None:
+        trace, early = self._early.pop(run.trace.scenario, (None, None))
+        if early is not None and trace is run.trace:  # Another run of the scenario may have another verdict.
             self.record.clear()
             return early
         with self._recorded():
