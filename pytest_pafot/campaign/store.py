@@ -125,7 +125,8 @@ class Store:
             if early is None:
                 continue
             if not keeps:
-                path.unlink(missing_ok=True)
+                with suppress(OSError):  # A file that cannot be removed stays.
+                    path.unlink()
             elif isinstance(early.of, ProcessLostError):
                 yield signature, self.add_lost(early.of, early.generation, number).find.id
             else:

@@ -8,6 +8,7 @@ import re
 import signal
 import sys
 import time
+from pathlib import Path
 
 import pytest
 
@@ -225,6 +226,20 @@ def test_a_search_that_stops_at_its_findings_forgets_those_of_later_blocks(searc
     alone, _ = searched("alone", stop_after=STOP)
     assert searched("early", drives=True, workers=2, stop_after=STOP)[0] == alone
     assert saved_early
+
+
+def test_a_failure_of_a_later_block_whose_file_cannot_be_removed_stays(searched, saved_early, monkeypatch):
+    unlink = Path.unlink
+
+    def refuse(self, *given, **named):
+        if self in saved_early:
+            raise PermissionError(self)
+        unlink(self, *given, **named)
+
+    monkeypatch.setattr(Path, "unlink", refuse)
+    found, _ = searched("early", drives=True, workers=2, stop_after=STOP)
+    assert {each.name for each in saved_early} <= {*found["files"]}
+    assert len(found["failures"]) == STOP
 
 
 def test_a_search_whose_time_is_over_counts_the_failures_of_later_blocks(searched, saved_early, monkeypatch):
