@@ -69,6 +69,7 @@ def search(
             match done:
                 case Tally():
                     yield from done.judged or ()
+                    workers.counted_decisions += done.decisions
                     state.take_tally(done)
                     yield from _taken(done, plan)
                     yield from watch.seen()

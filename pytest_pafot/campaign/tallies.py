@@ -6,7 +6,7 @@ import pickle
 from collections import Counter
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
-from functools import reduce
+from functools import partial, reduce
 from typing import Any
 
 from pytest_pafot.attribution.mistakes import mistake_of
@@ -101,15 +101,15 @@ class Reader:
 
     def __call__(self, trace: Trace) -> Tally | None:
         """Read a trace; return the tally of the run, or None if the trace must be sent."""
-        read_ahead(self.fitness, trace)
         digested = self.digested(trace)
         return None if digested is None or digested.trace is not None else Tally.of([digested])
 
     def digested(self, trace: Trace, known: Collection[Signature] = ()) -> Digested | None:
-        """Return what a search needs of a run; None if only the session may judge it.
+        """Read a trace; return what a search needs of the run, or None if only the session may judge it.
 
         Of the ``known`` failures no further trace must be sent.
         """
+        read_ahead(self.fitness, trace)
         if self.fitness is None or self.harness is None:
             return None
         run = self.harness.seen(trace)
@@ -230,11 +230,7 @@ class Driver:
     def __call__(self, task: BlockTask, job: Job, record: CrashRecord, say: Callable[[Said], object]) -> None:
         """Drive a block and say what comes of it, until it ends or only the session can go on."""
         known = set(task.known)
-
-        def read(trace: Trace) -> Digested | None:
-            read_ahead(self.reader.fitness, trace)
-            return self.reader.digested(trace, known)
-
+        read = partial(self.reader.digested, known=known)
         if not task.is_apart:
             self._drive(task, known, lambda scenario: run_recorded(job, record, scenario, read), say)
             return
@@ -291,7 +287,8 @@ class Driver:
                 else:
                     count()
                     say((digested.trace, output, seconds))
-                    known |= {each for each in (digested.signature,) if each is not None}
+                    if digested.signature is not None:
+                        known.add(digested.signature)
                 if first + block.index == self.random_runs:
                     count()
             count()

@@ -164,13 +164,10 @@ class Workers:
             RequestError: as for :meth:`run`.
         """
         __tracebackhide__ = True
-        scenario, said = None, self._said(plan, stops=True)
+        said = self._said(plan, stops=True)
         if self._failed:
             return self._failed.popleft()
-        if isinstance(said, Tally):
-            self.counted_decisions += said.decisions
-            return said
-        if isinstance(said, ProcessLostError):
+        if isinstance(said, (Tally, ProcessLostError)):
             return said
         if isinstance(said, Trace):
             scenario = said.scenario
@@ -190,10 +187,7 @@ class Workers:
         except ProcessLostError as error:
             self._suspect = None
             return error
-        if isinstance(made, Tally):
-            self.counted_decisions += made.decisions
-            return made
-        return self.harness.seen(made)
+        return made if isinstance(made, Tally) else self.harness.seen(made)
 
     def learn(self, plan: Plan[Any]) -> Sequence[AlgorithmEvent]:
         """Let the algorithm learn from a whole generation, if the process that drives its block has not done so."""
