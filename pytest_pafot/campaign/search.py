@@ -8,13 +8,12 @@ from __future__ import annotations
 
 import pickle
 from collections.abc import Generator, Iterable, Iterator, Sequence
-from dataclasses import replace
 from typing import Any
 
 from pytest_pafot.campaign.events import Judged, SearchEvent
 from pytest_pafot.campaign.setup_fault import unit_doubt
 from pytest_pafot.campaign.state import State, lose
-from pytest_pafot.campaign.store import UNCONFIRMED, Store
+from pytest_pafot.campaign.store import Store
 from pytest_pafot.campaign.tallies import Tally
 from pytest_pafot.campaign.verdict import Verdict, caught_in, unknown
 from pytest_pafot.campaign.watch import Watch
@@ -156,7 +155,7 @@ def saved_as(
             if differs := workers.difference(run):
                 kept = store.call_flaky(kept, differs)
         except OutOfTime:
-            kept = store.findings[kept.find.id] = replace(kept, find=replace(kept.find, unshrunk=UNCONFIRMED))
+            kept = store.call_unconfirmed(kept)
     if not store.is_holding:
         yield from store.report(kept)
     return kept.find.id

@@ -73,12 +73,12 @@ class Store:
         """The number of findings that can be shrunk."""
         return sum(kept.is_firm for kept in self.findings.values())
 
-    def add(self, run: Run, verdict: Verdict | None, generation: int, number: int) -> FindTold | str:
+    def add(self, run: Run, verdict: Verdict, generation: int, number: int) -> FindTold | str:
         """Save a new finding, and hold it back; return its id alone if as many are saved as the search may save.
 
         ``generation`` is counted from 0; ``number``, the number of the run in the search, from 1.
         """
-        if verdict is None or verdict.exception is None:
+        if verdict.exception is None:
             raise ValueError(f"verdict: expected the verdict on a failed run, received {verdict!r}")
         harness, finding = self.harness, self._failure(run, verdict, generation)
         self._forget_early(finding)
@@ -98,7 +98,7 @@ class Store:
         if isinstance(early.of, ProcessLostError):
             finding = self._death(early.of.task, expectation(early.of), self._found(early.generation), None)
         else:
-            finding = self._failure(early.of, early.verdict, early.generation)
+            finding = self._failure(*early.of, early.generation)
         signature = finding.signature
         if signature in known or signature in self.early or self._is_full:
             return
@@ -130,10 +130,8 @@ class Store:
             elif isinstance(early.of, ProcessLostError):
                 yield signature, self.add_lost(early.of, early.generation, number).find.id
             else:
-                kept = self.add(early.of, early.verdict, early.generation, number)
-                if not isinstance(kept, str):
-                    kept = self.findings[kept.find.id] = replace(kept, find=replace(kept.find, unshrunk=UNCONFIRMED))
-                yield signature, kept if isinstance(kept, str) else kept.find.id
+                kept = self.add(*early.of, early.generation, number)
+                yield signature, kept if isinstance(kept, str) else self.call_unconfirmed(kept).find.id
         self.early.clear()
 
     @property
@@ -142,8 +140,8 @@ class Store:
         files = files_in(self.harness.folder)  # Empty if the folder cannot be read; writing into it reports why.
         return max(len(files) - len(self.early), len(self.findings)) >= self.harness.request.settings.max_saved
 
-    def _failure(self, run: Run, verdict: Verdict | None, generation: int) -> Finding:
-        if verdict is None or verdict.failure is None:
+    def _failure(self, run: Run, verdict: Verdict, generation: int) -> Finding:
+        if verdict.failure is None:
             raise ValueError(f"verdict: expected the verdict on a failed run, received {verdict!r}")
         return Finding.of(
             run,
@@ -216,6 +214,11 @@ class Store:
         """Mark a finding as flaky, also in its file; return it. ``difference`` is what did not repeat."""
         marked = self.rewritten(kept, replace(kept.finding, flaky=portable(difference, str(self.harness.root))))
         self.findings[kept.find.id] = replace(marked, find=replace(kept.find, difference=difference, unshrunk=""))
+        return self.findings[kept.find.id]
+
+    def call_unconfirmed(self, kept: FindTold) -> FindTold:
+        """Mark a finding as one that there was no time to run again; return it."""
+        self.findings[kept.find.id] = replace(kept, find=replace(kept.find, unshrunk=UNCONFIRMED))
         return self.findings[kept.find.id]
 
     def rewritten(self, kept: FindTold, finding: Finding) -> FindTold:

@@ -42,8 +42,7 @@ from pytest_pafot.world.guard.hang_guard import runs_end_in
 class Early:
     """A failure in a block that is not counted yet, of some generation from 0: a run with its verdict, or a death."""
 
-    of: Run | LostRun
-    verdict: Verdict | None
+    of: tuple[Run, Verdict] | LostRun
     generation: int
 
 
@@ -239,7 +238,7 @@ class Workers:
         if isinstance(made, Trace):
             self._judge_early(made, generation)
         elif isinstance(made, ProcessLostError):
-            self._failed.append(Early(made, None, generation))
+            self._failed.append(Early(made, generation))
 
     def _judge_early(self, made: Trace, generation: int) -> None:
         scenario = made.scenario
@@ -249,7 +248,7 @@ class Workers:
             verdict = self.judge(run)
             self._early[scenario] = made, verdict
             if verdict.failed:
-                self._failed.append(Early(run, verdict, generation))
+                self._failed.append(Early((run, verdict), generation))
 
     def _foresee(self, plan: Plan[Any], fatal: Set[Scenario]) -> None:
         """Let other processes run scenarios of the next blocks, while the last runs of a generation are waited for."""
