@@ -170,6 +170,12 @@ class Tally(Digest):
     doubt: str
     avoidable: str
 
+    @property
+    def unpacked(self) -> Sequence[Evaluation]:
+        """The evaluations."""
+        each: Sequence[Evaluation] = pickle.loads(self.evaluations)  # noqa: S301  (from a process of this session)
+        return each
+
     @classmethod
     def of(cls, runs: Sequence[Digested], generation: int | None = None) -> Tally:
         """Count runs of a generation; without its number, the tally has the event of each run."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import pickle
 import time
 from collections import deque
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence, Set
@@ -289,8 +288,7 @@ class Workers:
     def _evaluated_early(self, made: Trace | Tally) -> Evaluation:
         """Return what the algorithm sees of a run that is not requested yet."""
         if isinstance(made, Tally):
-            evaluation: Evaluation = pickle.loads(made.evaluations)[0]  # noqa: S301  (from our own process)
-            return evaluation
+            return made.unpacked[0]
         run, (_, verdict), signature = self.harness.seen(made), self._early[made.scenario], None
         if verdict.failed and verdict.failure is not None:
             signature, _ = failed_as(run, verdict.failure)
