@@ -58,9 +58,9 @@ class Store:
     first: BaseException | None = None  # the exception of the first finding, for a debugger
     held: list[str] = field(default_factory=list)  # ids of findings that are saved and not reported yet
     dismissed: dict[str, str] = field(default_factory=dict)  # headlines of findings that do not count, by id
-    # failures of blocks that are not counted yet, whose files are saved; without the failure, what a session that was
+    # failures of blocks that are not counted yet, and their files, if any; without the failure, what a session that was
     # killed has left
-    early: dict[Signature, tuple[Path, Early | None]] = field(default_factory=dict)
+    early: dict[Signature, tuple[Path | None, Early | None]] = field(default_factory=dict)
     is_holding: bool = True  # False once findings are reported at once, because they are no fault of the set-up
 
     @property
@@ -99,13 +99,14 @@ class Store:
             finding = self._death(early.of.task, expectation(early.of), self._found(early.generation), None)
         else:
             finding = self._failure(*early.of, early.generation)
-        signature = finding.signature
-        if signature in known or signature in self.early or self._is_full:
+        signature, saved = finding.signature, None
+        if signature in known or signature in self.early:
             return
-        path, finding = free_path(self.harness.folder, finding, self.replayed)
-        with suppress(CorpusWriteError):  # which is reported in its turn
-            if self.harness.request.settings.save != "none" and write(path, finding):
-                self.early[signature] = path, early
+        if self.harness.request.settings.save != "none" and not self._is_full:
+            path, finding = free_path(self.harness.folder, finding, self.replayed)
+            with suppress(CorpusWriteError):  # which is reported in its turn
+                saved = path if write(path, finding) else None
+        self.early[signature] = saved, early
 
     def _forget_early(self, finding: Finding) -> None:
         """Remove what was saved early if a failure of its kind comes before it, or if there is no room for it."""
@@ -126,7 +127,8 @@ class Store:
                 continue
             if not keeps:
                 with suppress(OSError):  # A file that cannot be removed stays.
-                    path.unlink()
+                    if path is not None:
+                        path.unlink()
             elif isinstance(early.of, ProcessLostError):
                 yield signature, self.add_lost(early.of, early.generation, number).find.id
             else:
@@ -138,7 +140,8 @@ class Store:
     def _is_full(self) -> bool:
         """True if as many findings are saved as may be, without those that are saved early."""
         files = files_in(self.harness.folder)  # Empty if the folder cannot be read; writing into it reports why.
-        return max(len(files) - len(self.early), len(self.findings)) >= self.harness.request.settings.max_saved
+        early = sum(path is not None for path, _ in self.early.values())
+        return max(len(files) - early, len(self.findings)) >= self.harness.request.settings.max_saved
 
     def _failure(self, run: Run, verdict: Verdict, generation: int) -> Finding:
         if verdict.failure is None:

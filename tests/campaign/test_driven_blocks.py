@@ -55,13 +55,13 @@ def searched(tmp_path, monkeypatch):
         workers, "BlockTask", lambda number, *more, **named: given.append(number) or task(number, *more, **named)
     )
 
-    def search(name, *, drives=False, ads=keep, test=holds, runs=RUNS, **settings):
+    def search(name, *, drives=False, ads=keep, test=holds, runs=RUNS, saves=True, **settings):
         monkeypatch.setattr(workers, "DRIVEN_SECONDS", 60.0 if drives else -1.0)
         monkeypatch.setattr(workers, "FED_SECONDS", 0.0)
         settings = SPACE | {"population": 4, "shrink_rollouts": 0, "neighbours": 0} | settings
         given.clear()
         corpus, own = tmp_path / name, {"node_id": "test_it.py::test_it", "runs": runs}
-        found = explore.explore(lambda: ads, holds=test, corpus=str(corpus), **own, **settings)
+        found = explore.explore(lambda: ads, holds=test, corpus=str(corpus) if saves else None, **own, **settings)
         summary = found.summary
         texts = {each.name: each.read_text() for each in corpus.rglob("*.yaml")}
         counts = (summary.coverage, summary.failing, summary.runs, summary.random_runs, summary.random_failing)
@@ -248,6 +248,18 @@ def test_a_search_whose_time_is_over_counts_the_failures_of_later_blocks(searche
     found, _ = searched("early", drives=True, workers=2)
     assert {each.name for each in saved_early} <= {*found["files"]}
     assert {f"{id_}.pafot.yaml" for id_ in found["failures"].values()} == {*found["files"]}
+
+
+def test_a_search_that_saves_nothing_counts_the_failures_of_later_blocks_when_its_time_is_over(
+    searched, saved_early, monkeypatch
+):
+    reached = TimedWatch.reached
+    monkeypatch.setattr(TimedWatch, "reached", lambda self, plan: "time" if saved_early else reached(self, plan))
+    searched("early", drives=True, workers=2)
+    (early,) = saved_early
+    saved_early.clear()
+    found, _ = searched("none", saves=False, drives=True, workers=2)
+    assert early.name.partition(".")[0] in found["failures"].values()
 
 
 def test_a_failure_of_a_later_block_that_is_not_repeated_is_flaky(searched, saved_early, monkeypatch):
