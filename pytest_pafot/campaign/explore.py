@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import hashlib
 import math
-import pickle
 import tempfile
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -91,7 +90,7 @@ def _unpacked(events: Iterable[SearchEvent]) -> Iterator[SearchEvent]:
             case Evaluated():
                 population.append(event.evaluation)
             case RunsEvaluated(generation=generation, index=first, counts=counts):
-                evaluations = pickle.loads(counts.evaluations)  # noqa: S301  (from a process of this session)
+                evaluations = counts.unpacked
                 population += evaluations
                 for index, each in enumerate(evaluations, first):
                     yield Evaluated(

@@ -60,7 +60,8 @@ class MadeWorse:
         # Numbers that follow those of a generation, so no generation of the search draws the same.
         drawn = (sample(space, generation_rng(self.store.seed, 0, 0, number)) for number in range(self.most))
         runner = self.workers.runner
-        runner.read_here()  # Other processes judge by the failures that the search knows, which do not matter here.
+        # Other processes judge by the failures that the search knows, which do not matter here.
+        runner.processes.read_here()
         with runner, suppress(OutOfTime):
             while ahead := list(islice(drawn, AHEAD)):
                 runner.announce(ahead)

@@ -6,15 +6,13 @@ What is around it, such as the replays of saved scenarios and the simplification
 
 from __future__ import annotations
 
-import pickle
 from collections.abc import Generator, Iterable, Iterator, Sequence
-from dataclasses import replace
 from typing import Any
 
 from pytest_pafot.campaign.events import Judged, SearchEvent
 from pytest_pafot.campaign.setup_fault import unit_doubt
 from pytest_pafot.campaign.state import State, lose
-from pytest_pafot.campaign.store import UNCONFIRMED, Store
+from pytest_pafot.campaign.store import Store
 from pytest_pafot.campaign.tallies import Tally
 from pytest_pafot.campaign.verdict import Verdict, caught_in, unknown
 from pytest_pafot.campaign.watch import Watch
@@ -69,6 +67,7 @@ def search(
             match done:
                 case Tally():
                     yield from done.judged or ()
+                    workers.counted_decisions += done.decisions
                     state.take_tally(done)
                     yield from _taken(done, plan)
                     yield from watch.seen()
@@ -103,7 +102,7 @@ def _seen(happened: Iterable[Event], state: State, watch: Watch) -> Iterator[Sea
 def _taken(tally: Tally, plan: Plan[Any]) -> Sequence[Event]:
     """Return the events of runs that another process has judged: one for each, or one for all."""
     if tally.judged is not None:
-        return [plan.take(each) for each in pickle.loads(tally.evaluations)]  # noqa: S301  (from our own process)
+        return [*map(plan.take, tally.unpacked)]
     first = plan.block.index
     plan.skip(tally.runs, tally.evaluations)
     return [RunsEvaluated(generation=plan.generation, index=first, runs=tally.runs, counts=tally)]
@@ -155,7 +154,7 @@ def saved_as(
             if differs := workers.difference(run):
                 kept = store.call_flaky(kept, differs)
         except OutOfTime:
-            kept = store.findings[kept.find.id] = replace(kept, find=replace(kept.find, unshrunk=UNCONFIRMED))
+            kept = store.call_unconfirmed(kept)
     if not store.is_holding:
         yield from store.report(kept)
     return kept.find.id

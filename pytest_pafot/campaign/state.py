@@ -358,7 +358,8 @@ class State:
         if self.first.is_alike:
             self.first.see_others(tally.verdicts)
         for signature, runs in tally.failed.items():
-            self.repeat(signature, runs)
+            if self.knows(signature):  # unless this process has judged the first of these runs otherwise
+                self.repeat(signature, runs)
         for signature, manner, id_ in tally.manners:
             self.see_manner(signature, manner, id_)
 

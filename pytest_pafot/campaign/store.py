@@ -58,9 +58,9 @@ class Store:
     first: BaseException | None = None  # the exception of the first finding, for a debugger
     held: list[str] = field(default_factory=list)  # ids of findings that are saved and not reported yet
     dismissed: dict[str, str] = field(default_factory=dict)  # headlines of findings that do not count, by id
-    # failures of blocks that are not counted yet, whose files are saved; without the failure, what a session that was
+    # failures of blocks that are not counted yet, and their files, if any; without the failure, what a session that was
     # killed has left
-    early: dict[Signature, tuple[Path, Early | None]] = field(default_factory=dict)
+    early: dict[Signature, tuple[Path | None, Early | None]] = field(default_factory=dict)
     is_holding: bool = True  # False once findings are reported at once, because they are no fault of the set-up
 
     @property
@@ -73,12 +73,12 @@ class Store:
         """The number of findings that can be shrunk."""
         return sum(kept.is_firm for kept in self.findings.values())
 
-    def add(self, run: Run, verdict: Verdict | None, generation: int, number: int) -> FindTold | str:
+    def add(self, run: Run, verdict: Verdict, generation: int, number: int) -> FindTold | str:
         """Save a new finding, and hold it back; return its id alone if as many are saved as the search may save.
 
         ``generation`` is counted from 0; ``number``, the number of the run in the search, from 1.
         """
-        if verdict is None or verdict.exception is None:
+        if verdict.exception is None:
             raise ValueError(f"verdict: expected the verdict on a failed run, received {verdict!r}")
         harness, finding = self.harness, self._failure(run, verdict, generation)
         self._forget_early(finding)
@@ -98,14 +98,15 @@ class Store:
         if isinstance(early.of, ProcessLostError):
             finding = self._death(early.of.task, expectation(early.of), self._found(early.generation), None)
         else:
-            finding = self._failure(early.of, early.verdict, early.generation)
-        signature = finding.signature
-        if signature in known or signature in self.early or self._is_full:
+            finding = self._failure(*early.of, early.generation)
+        signature, saved = finding.signature, None
+        if signature in known or signature in self.early:
             return
-        path, finding = free_path(self.harness.folder, finding, self.replayed)
-        with suppress(CorpusWriteError):  # which is reported in its turn
-            if self.harness.request.settings.save != "none" and write(path, finding):
-                self.early[signature] = path, early
+        if self.harness.request.settings.save != "none" and not self._is_full:
+            path, finding = free_path(self.harness.folder, finding, self.replayed)
+            with suppress(CorpusWriteError):  # which is reported in its turn
+                saved = path if write(path, finding) else None
+        self.early[signature] = saved, early
 
     def _forget_early(self, finding: Finding) -> None:
         """Remove what was saved early if a failure of its kind comes before it, or if there is no room for it."""
@@ -125,24 +126,24 @@ class Store:
                 continue
             if not keeps:
                 with suppress(OSError):  # A file that cannot be removed stays.
-                    path.unlink()
+                    if path is not None:
+                        path.unlink()
             elif isinstance(early.of, ProcessLostError):
                 yield signature, self.add_lost(early.of, early.generation, number).find.id
             else:
-                kept = self.add(early.of, early.verdict, early.generation, number)
-                if not isinstance(kept, str):
-                    kept = self.findings[kept.find.id] = replace(kept, find=replace(kept.find, unshrunk=UNCONFIRMED))
-                yield signature, kept if isinstance(kept, str) else kept.find.id
+                kept = self.add(*early.of, early.generation, number)
+                yield signature, kept if isinstance(kept, str) else self.call_unconfirmed(kept).find.id
         self.early.clear()
 
     @property
     def _is_full(self) -> bool:
         """True if as many findings are saved as may be, without those that are saved early."""
         files = files_in(self.harness.folder)  # Empty if the folder cannot be read; writing into it reports why.
-        return max(len(files) - len(self.early), len(self.findings)) >= self.harness.request.settings.max_saved
+        early = sum(path is not None for path, _ in self.early.values())
+        return max(len(files) - early, len(self.findings)) >= self.harness.request.settings.max_saved
 
-    def _failure(self, run: Run, verdict: Verdict | None, generation: int) -> Finding:
-        if verdict is None or verdict.failure is None:
+    def _failure(self, run: Run, verdict: Verdict, generation: int) -> Finding:
+        if verdict.failure is None:
             raise ValueError(f"verdict: expected the verdict on a failed run, received {verdict!r}")
         return Finding.of(
             run,
@@ -215,6 +216,11 @@ class Store:
         """Mark a finding as flaky, also in its file; return it. ``difference`` is what did not repeat."""
         marked = self.rewritten(kept, replace(kept.finding, flaky=portable(difference, str(self.harness.root))))
         self.findings[kept.find.id] = replace(marked, find=replace(kept.find, difference=difference, unshrunk=""))
+        return self.findings[kept.find.id]
+
+    def call_unconfirmed(self, kept: FindTold) -> FindTold:
+        """Mark a finding as one that there was no time to run again; return it."""
+        self.findings[kept.find.id] = replace(kept, find=replace(kept.find, unshrunk=UNCONFIRMED))
         return self.findings[kept.find.id]
 
     def rewritten(self, kept: FindTold, finding: Finding) -> FindTold:

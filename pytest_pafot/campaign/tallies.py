@@ -6,7 +6,7 @@ import pickle
 from collections import Counter
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
-from functools import reduce
+from functools import partial, reduce
 from typing import Any
 
 from pytest_pafot.attribution.mistakes import mistake_of
@@ -101,15 +101,15 @@ class Reader:
 
     def __call__(self, trace: Trace) -> Tally | None:
         """Read a trace; return the tally of the run, or None if the trace must be sent."""
-        read_ahead(self.fitness, trace)
         digested = self.digested(trace)
         return None if digested is None or digested.trace is not None else Tally.of([digested])
 
     def digested(self, trace: Trace, known: Collection[Signature] = ()) -> Digested | None:
-        """Return what a search needs of a run; None if only the session may judge it.
+        """Read a trace; return what a search needs of the run, or None if only the session may judge it.
 
         Of the ``known`` failures no further trace must be sent.
         """
+        read_ahead(self.fitness, trace)
         if self.fitness is None or self.harness is None:
             return None
         run = self.harness.seen(trace)
@@ -147,7 +147,7 @@ class Tally(Digest):
         health: the figures on the search's health.
         verdicts, caught, responsibilities, outcomes: numbers of runs by kind of verdict, check, responsible, outcome.
         failed: numbers of runs by their known failures.
-        manners: for each known failure and manner the id of the first scenario.
+        manners: of each run with a known failure, its manner and the id of its scenario.
         random: the counts of :class:`~pytest_pafot.campaign.state.RandomRuns`, in the order of its fields.
         rows: rows for the table of runs, unless ``judged`` has their columns.
         doubt: see :func:`unit_doubt`.
@@ -169,6 +169,12 @@ class Tally(Digest):
     rows: tuple[dict[str, Any], ...]
     doubt: str
     avoidable: str
+
+    @property
+    def unpacked(self) -> Sequence[Evaluation]:
+        """The evaluations."""
+        each: Sequence[Evaluation] = pickle.loads(self.evaluations)  # noqa: S301  (from a process of this session)
+        return each
 
     @classmethod
     def of(cls, runs: Sequence[Digested], generation: int | None = None) -> Tally:
@@ -195,12 +201,10 @@ class Tally(Digest):
             outcomes=Counter(str(each.outcome) for each in evaluations),
             failed=Counter(each.signature for each in runs if each.signature is not None),
             manners=tuple(
-                {
-                    (each.signature, each.manner): (each.signature, each.manner, each.event.executed.id)
-                    for each in reversed(runs)
-                    if each.signature is not None and each.manner is not None
-                }.values()
-            )[::-1],
+                (each.signature, each.manner, each.event.executed.id)
+                for each in runs
+                if each.signature is not None and each.manner is not None
+            ),
             random=(len(runs), len(valid), at_fault, failed - at_fault),
             rows=tuple(rows),
             doubt=next((each.doubt for each in runs if each.doubt), ""),
@@ -232,11 +236,7 @@ class Driver:
     def __call__(self, task: BlockTask, job: Job, record: CrashRecord, say: Callable[[Said], object]) -> None:
         """Drive a block and say what comes of it, until it ends or only the session can go on."""
         known = set(task.known)
-
-        def read(trace: Trace) -> Digested | None:
-            read_ahead(self.reader.fitness, trace)
-            return self.reader.digested(trace, known)
-
+        read = partial(self.reader.digested, known=known)
         if not task.is_apart:
             self._drive(task, known, lambda scenario: run_recorded(job, record, scenario, read), say)
             return
@@ -293,7 +293,8 @@ class Driver:
                 else:
                     count()
                     say((digested.trace, output, seconds))
-                    known |= {each for each in (digested.signature,) if each is not None}
+                    if digested.signature is not None:
+                        known.add(digested.signature)
                 if first + block.index == self.random_runs:
                     count()
             count()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import pickle
 import time
 from collections import deque
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence, Set
@@ -42,8 +41,7 @@ from pytest_pafot.world.guard.hang_guard import runs_end_in
 class Early:
     """A failure in a block that is not counted yet, of some generation from 0: a run with its verdict, or a death."""
 
-    of: Run | LostRun
-    verdict: Verdict | None
+    of: tuple[Run, Verdict] | LostRun
     generation: int
 
 
@@ -79,7 +77,8 @@ class Workers:
     _driven: dict[int, deque[Any]] = field(default_factory=dict)
     _failed: deque[Early] = field(default_factory=deque)  # failures of later blocks that are new to this process
     _later: dict[int, Block[Any]] = field(default_factory=dict)  # later blocks as far as other processes have run them
-    _early: dict[Scenario, Verdict] = field(default_factory=dict)  # on runs that this process has not counted yet
+    # verdicts on runs that this process has not counted yet, with their traces
+    _early: dict[Scenario, tuple[Trace, Verdict]] = field(default_factory=dict)
     _suspect: ProcessLostError[Any] | None = None  # a death in a block, as long as no scenario is known to be the cause
     _has_died: bool = False  # True if a process has died while it drove a block
     _last: int = 0  # number of the first block that they leave to the session
@@ -163,13 +162,10 @@ class Workers:
             RequestError: as for :meth:`run`.
         """
         __tracebackhide__ = True
-        scenario, said = None, self._said(plan, stops=True)
+        said = self._said(plan, stops=True)
         if self._failed:
             return self._failed.popleft()
-        if isinstance(said, Tally):
-            self.counted_decisions += said.decisions
-            return said
-        if isinstance(said, ProcessLostError):
+        if isinstance(said, (Tally, ProcessLostError)):
             return said
         if isinstance(said, Trace):
             scenario = said.scenario
@@ -189,10 +185,7 @@ class Workers:
         except ProcessLostError as error:
             self._suspect = None
             return error
-        if isinstance(made, Tally):
-            self.counted_decisions += made.decisions
-            return made
-        return self.harness.seen(made)
+        return made if isinstance(made, Tally) else self.harness.seen(made)
 
     def learn(self, plan: Plan[Any]) -> Sequence[AlgorithmEvent]:
         """Let the algorithm learn from a whole generation, if the process that drives its block has not done so."""
@@ -244,16 +237,17 @@ class Workers:
         if isinstance(made, Trace):
             self._judge_early(made, generation)
         elif isinstance(made, ProcessLostError):
-            self._failed.append(Early(made, None, generation))
+            self._failed.append(Early(made, generation))
 
     def _judge_early(self, made: Trace, generation: int) -> None:
         scenario = made.scenario
         if scenario not in self._early:
             self.record.write(scenario)
             run = self.harness.seen(made)
-            verdict = self._early[scenario] = self.judge(run)
+            verdict = self.judge(run)
+            self._early[scenario] = made, verdict
             if verdict.failed:
-                self._failed.append(Early(run, verdict, generation))
+                self._failed.append(Early((run, verdict), generation))
 
     def _foresee(self, plan: Plan[Any], fatal: Set[Scenario]) -> None:
         """Let other processes run scenarios of the next blocks, while the last runs of a generation are waited for."""
@@ -294,9 +288,8 @@ class Workers:
     def _evaluated_early(self, made: Trace | Tally) -> Evaluation:
         """Return what the algorithm sees of a run that is not requested yet."""
         if isinstance(made, Tally):
-            evaluation: Evaluation = pickle.loads(made.evaluations)[0]  # noqa: S301  (from our own process)
-            return evaluation
-        run, verdict, signature = self.harness.seen(made), self._early[made.scenario], None
+            return made.unpacked[0]
+        run, (_, verdict), signature = self.harness.seen(made), self._early[made.scenario], None
         if verdict.failed and verdict.failure is not None:
             signature, _ = failed_as(run, verdict.failure)
         return self.evaluation(run, verdict, signature)
@@ -319,8 +312,8 @@ class Workers:
     def judge(self, run: Run, scenario: Scenario | None = None) -> Verdict:
         """Judge the last run. If it fails, the reference is run in ``scenario``, by default in the run's scenario."""
         __tracebackhide__ = True
-        early = self._early.pop(run.trace.scenario, None)
-        if early is not None:
+        trace, early = self._early.pop(run.trace.scenario, (None, None))
+        if early is not None and trace is run.trace:  # Another run of the scenario may have another verdict.
             self.record.clear()
             return early
         with self._recorded():

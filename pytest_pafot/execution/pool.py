@@ -226,10 +226,7 @@ class WorkerPool(Generic[TaskT, ResultT]):
         Raises:
             OutOfTime: if the time of the search is over; all processes are ended.
         """
-        if task not in self._wanted:
-            self._wanted.add(task)
-            self._pending.appendleft(task)
-        self._send()
+        self.add_first([task])
         first: ProcessLostError[TaskT] | None = None
         while task not in self._answers:
             if task not in self._suspects:

@@ -196,10 +196,6 @@ class Runner:
         """
         self._prefetching.announce(scenarios, more=more)
 
-    def read_here(self) -> None:
-        """Let this process read the traces of all runs that are announced from now on; other processes judge none."""
-        self.processes.read_here()
-
     def run(self, scenario: Scenario, *, afresh: bool = False, most: int | None = None) -> Trace:
         """Return the trace of a run of a scenario that was not announced; arguments and errors as :meth:`made`."""
         __tracebackhide__ = True
@@ -641,7 +637,10 @@ class Processes:
         return self._pool.hear(waits=waits) if isinstance(self._pool, WorkerPool) else None
 
     def read_here(self) -> None:
-        """See :meth:`Runner.read_here`. The workers of an executor, which may be elsewhere, judge no runs anyway."""
+        """Let this process read the traces of all runs that are announced from now on; other processes judge none.
+
+        The workers of an executor, which may be elsewhere, judge no runs anyway.
+        """
         if self._executor is None:
             self._job = replace(self._job, read=read_nothing, drive=None)
             self.end()

@@ -171,7 +171,8 @@ def block_runs(algorithm: object) -> int | None:
     """Return the attribute ``block_runs`` of the class of an algorithm, the runs after which its search begins anew.
 
     It is None if the search has one population from its beginning to its end. So has a subclass that changes how
-    scenarios are drawn or learnt, since it may need all runs; it can give the attribute itself.
+    scenarios are drawn or learnt, since it may need all runs; it can give the attribute itself. A search in blocks must
+    propose as many scenarios in each generation as its ``population`` says.
     """
     names = [set(vars(each)) for each in type(algorithm).__mro__]
     given = next((place for place, has in enumerate(names) if "block_runs" in has), None)

@@ -46,7 +46,8 @@ def refine(
     """
     __tracebackhide__ = True
     workers.until = until
-    workers.runner.read_here()  # Candidates are judged by the failure of one finding, which no other process knows.
+    # Candidates are judged by the failure of one finding, which no other process knows.
+    workers.runner.processes.read_here()
     before = workers.decisions
     with workers.runner:
         try:
