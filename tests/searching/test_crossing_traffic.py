@@ -210,9 +210,9 @@ WITHOUT = {
     "bend": SearchSpace(npcs=2, genes=3, gene_seconds=4.3, traffic="everyday", ego_lane=1, ego_speed=8.0),
 }  # fmt: skip
 AS_BEFORE = {
-    ("distinct", "papers"): "915106beb4ea",
-    ("distinct", "wide"): "95bd1421036f",
-    ("distinct", "bend"): "069037396ff8",
+    ("distinct", "papers"): "d20bead4697f",
+    ("distinct", "wide"): "43673f479476",
+    ("distinct", "bend"): "75287a7ae989",
     ("pafot", "papers"): "fc535b075c81",
     ("pafot", "wide"): "a6156b0451be",
     ("pafot", "bend"): "c7ee8c480c56",
