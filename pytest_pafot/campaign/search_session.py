@@ -512,8 +512,13 @@ class SearchSession:
         return checkpoint
 
     def _is_own(self, saved: Saved) -> bool:
-        """Return whether a saved scenario is a finding of this search from an earlier session."""
+        """Return whether a saved scenario is a finding of this search from an earlier session.
+
+        What a session that was killed has left is none, but a known failure, if somebody has accepted it since.
+        """
         found = None if saved.finding is None else saved.finding.found
+        if saved.finding is not None and saved.finding.xfail is not None:
+            found = found if any(each.id == saved.id for each in self.state.earlier) else None
         algorithm = self.harness.request.algorithm.name
         is_of_search = found is not None and (found.seed, found.algorithm) == (self.store.seed, algorithm)
         return self.state.file is not None and is_of_search and saved.id not in self.state.before

@@ -147,7 +147,8 @@ class StateFile:
             self._refuse(f"a state of version {VERSION}", "version unknown")
         then = settings.get("versions") if isinstance(settings, dict) else None
         if version != VERSION or (then is not None and then != self.settings["versions"]):
-            self._begin_anew(f"version {version}" if then is None else visible(f"{then!r:.200}"))
+            of_format = f"of version {version} of its format, not {VERSION}"
+            self._begin_anew(of_format if version != VERSION else f"of other versions ({visible(f'{then!r:.200}')})")
             return None
         if set(data) != set(PARTS):
             self._refuse(f"the keys {', '.join(PARTS)}", "others")
@@ -210,7 +211,7 @@ class StateFile:
         self._written_at = self.clock()
         self._cost = self._written_at - began
 
-    def _begin_anew(self, versions: str) -> None:
+    def _begin_anew(self, what: str) -> None:
         """Rename the state, because no search can resume the state of other versions.
 
         An upgrade is no mistake of the user, and a refusal would leave every night without a search. The state is not
@@ -222,7 +223,7 @@ class StateFile:
             self.path.rename(aside)
         except OSError as error:
             raise self._unreadable(self.path, error) from None
-        self.anew = f"began anew, because the state is of other versions ({versions}); it is kept as {aside}"
+        self.anew = f"began anew, because the state is {what}; it is kept as {aside}"
 
     def _part(self, data: Mapping[str, Any], name: str, read: Callable[[Any], Any]) -> Any:
         try:

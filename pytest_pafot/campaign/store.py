@@ -15,6 +15,7 @@ from pytest_pafot.campaign.harness import Harness
 from pytest_pafot.campaign.verdict import PlainFailure, Verdict, headline
 from pytest_pafot.campaign.workers import Early
 from pytest_pafot.corpus.layout import SUFFIX, files_in, relative
+from pytest_pafot.corpus.reader import load
 from pytest_pafot.corpus.writer import CorpusWriteError, free_path, rewrite, text_of, write
 from pytest_pafot.execution.crash_records import Leftover
 from pytest_pafot.execution.pool import OUT_OF_MEMORY, WORLD_HANGS, ProcessLostError
@@ -24,7 +25,7 @@ from pytest_pafot.findings.signature import PROCESS_CRASH, Signature
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.oracle.run import Run
-from pytest_pafot.support.errors import flag
+from pytest_pafot.support.errors import CorpusError, flag
 from pytest_pafot.support.interrupts import postponed
 from pytest_pafot.world import codec
 from pytest_pafot.world.driving.ads import weights_digest
@@ -113,8 +114,7 @@ class Store:
         path, _ = self.early.pop(finding.signature, (None, None))
         is_same = path == free_path(self.harness.folder, finding, self.replayed)[0]
         if path is not None and (self._is_full or not is_same):
-            with suppress(OSError):
-                path.unlink()
+            _remove_early(path)
 
     def settle(self, number: int, *, keeps: bool) -> Iterator[tuple[Signature, str]]:
         """End the search with failures that are saved early: take them as findings, or remove their files.
@@ -125,9 +125,8 @@ class Store:
             if early is None:
                 continue
             if not keeps:
-                with suppress(OSError):  # A file that cannot be removed stays.
-                    if path is not None:
-                        path.unlink()
+                if path is not None:
+                    _remove_early(path)
             elif isinstance(early.of, ProcessLostError):
                 yield signature, self.add_lost(early.of, early.generation, number).find.id
             else:
@@ -339,6 +338,13 @@ class Store:
             file=None if problem else path,
             content=content,
         )
+
+
+def _remove_early(path: Path) -> None:
+    """Remove a file that was saved early, unless somebody has accepted its failure meanwhile or put another there."""
+    with suppress(OSError, CorpusError):
+        if load(path).xfail is None:
+            path.unlink()
 
 
 def _headline(lost: LostRun) -> str:

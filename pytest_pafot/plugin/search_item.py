@@ -489,8 +489,14 @@ def _report(item: pytest.Item, kept: FindTold, section: str) -> dict[str, Any]:
 
 
 def _call(kept: FindTold) -> pytest.CallInfo[None]:
+    error = shown(kept.exception)
+    context = error.__context__
+
     def fail() -> None:
-        raise shown(kept.exception)
+        try:
+            raise error
+        finally:  # If an interrupt ends the search, Python has made it the context of the failure.
+            error.__context__ = context
 
     return pytest.CallInfo.from_call(fail, when="call")
 

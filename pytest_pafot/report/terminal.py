@@ -340,8 +340,7 @@ def _comparison(search: SearchSummary) -> list[str]:
 
 def _unsaved_lines(search: SearchSummary) -> list[str]:
     names = [f"{id_} ({plural(count, 'run')})" for id_, count in search.unsaved.items()]
-    count = plural(len(names), "further finding")
-    return [f"  {count} not saved ({flag('max_saved')}): {_listed(names)}"] if names else []
+    return [f"  {len(names)} of them not saved ({flag('max_saved')}): {_listed(names)}"] if names else []
 
 
 def replay_lines(replays: Sequence[Find], width: int = WIDTH, *, seconds: float = 0.0) -> list[str]:

@@ -299,21 +299,57 @@ def test_a_test_function_that_judges_otherwise_in_other_processes_does_not_end_t
     assert not found["files"]
 
 
+@pytest.mark.parametrize("change", ["xfail: known\n", "no YAML: ["])
+def test_a_file_that_somebody_changes_before_its_turn_is_not_removed(searched, saved_early, monkeypatch, change):
+    add_early, changed = Store.add_early, {}
+
+    def add(self, *given):
+        add_early(self, *given)
+        for path in {*saved_early} - {*changed}:
+            changed[path] = path.read_text() + change
+            path.write_text(changed[path])
+
+    monkeypatch.setattr(Store, "add_early", add)
+    searched("early", drives=True, workers=2, stop_after=STOP)
+    assert changed
+    assert {path: path.read_text() for path in changed} == changed
+
+
+def end_when_something_is_saved_early(end, search, monkeypatch):
+    """Search in a process that gets a signal as soon as a failure is saved early."""
+
+    def ended():
+        add_early = Store.add_early
+        monkeypatch.setattr(Store, "add_early", lambda *given: add_early(*given) or os.kill(os.getpid(), end))
+        search()
+
+    session = multiprocessing.get_context("fork").Process(target=ended)
+    session.start()
+    session.join()
+
+
+def test_what_a_session_that_was_killed_has_left_is_known_if_it_is_accepted(
+    searched, saved_early, tmp_path, monkeypatch
+):
+    given = {"drives": True, "workers": 2, "resume": str(tmp_path / "states")}
+    end_when_something_is_saved_early(signal.SIGKILL, lambda: searched("parts", **given), monkeypatch)
+    before = {path.name: path for path in (tmp_path / "parts").rglob("*.yaml")}
+    alone, _ = searched("alone")
+    (left,) = before.keys() - {*alone["files"]}
+    before[left].write_text(before[left].read_text() + "xfail: known\n")
+    rest, _ = searched("parts", **given)
+    kind = left.rpartition("-")[0]
+    assert [name for name in rest["files"] if name.startswith(kind)] == [left]
+    assert "xfail: known" in rest["files"][left]
+
+
 @pytest.mark.parametrize("end", [signal.SIGKILL, signal.SIGINT])
 def test_a_session_that_is_killed_keeps_what_failed_and_the_next_one_has_all_in_order(
     searched, saved_early, tmp_path, monkeypatch, end
 ):
     alone, _ = searched("alone")
     given = {"drives": True, "workers": 2, "resume": str(tmp_path / "states")}
-
-    def killed():
-        add_early = Store.add_early
-        monkeypatch.setattr(Store, "add_early", lambda *given: add_early(*given) or os.kill(os.getpid(), end))
-        searched("parts", **given)
-
-    session = multiprocessing.get_context("fork").Process(target=killed)
-    session.start()
-    session.join()
+    end_when_something_is_saved_early(end, lambda: searched("parts", **given), monkeypatch)
     left = {each.name for each in (tmp_path / "parts").rglob("*.yaml")}
     assert left - {*alone["files"]}
     (state,) = (tmp_path / "states").glob("*.json")

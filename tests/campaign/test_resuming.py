@@ -340,20 +340,21 @@ def test_invalid_state_is_refused_and_left_unchanged(search, begun, fault):
 
 
 @pytest.mark.parametrize(
-    "upgrade",
+    ("upgrade", "what"),
     [
-        changed(lambda data: data["settings"]["versions"].update(numpy="1.0")),
-        changed(lambda data: data.update(version=2)),
+        (changed(lambda data: data["settings"]["versions"].update(numpy="1.0")), "of other versions ({"),
+        (changed(lambda data: data.update(version=2)), "of version 2 of its format, not "),
     ],
     ids=["numpy", "format"],
 )
-def test_search_begins_anew_after_an_upgrade(search, begun, upgrade):
+def test_search_begins_anew_after_an_upgrade(search, begun, upgrade, what):
     text = upgrade(begun.read_text())
     for number in (1, 2):
         begun.write_text(text)
         again = search(runs=4)
         kept = begun.with_suffix(f".old-{number}.json")
         (note,) = (each for each in again.summary.notes if each.startswith("began anew"))
+        assert note.startswith(f"began anew, because the state is {what}")
         assert note.endswith(f"it is kept as {kept}")
         assert (again.summary.runs, kept.read_text()) == (4, text)
     assert not any(each.startswith("began anew") for each in search(runs=4).summary.notes)

@@ -165,6 +165,17 @@ def test_an_interrupted_session_does_not_wait_for_pictures(project):
     assert "FAILED test_it.py::test_fails[saved-" in text
 
 
+def test_the_report_of_a_finding_does_not_show_what_interrupted_its_confirmation(project, monkeypatch):
+    def interrupted(*arguments):
+        raise KeyboardInterrupt
+
+    project.write(FAILS)
+    monkeypatch.setattr("pytest_pafot.campaign.workers.difference", interrupted)
+    text = text_of(project.run(no_reraise_ctrlc=True))
+    assert "AssertionError: the text of the failure" in text
+    assert "During handling of the above exception" not in text
+
+
 EXITS = """
 @pytest.fixture
 def leaves():

@@ -355,7 +355,7 @@ def test_many(run):
     result = run(project, "--pafot-max-saved=2", "--pafot-shrink-rollouts=1", generations=2)
     assert len(project.files) == 2
     result.assert_outcomes(failed=3)
-    result.stdout.fnmatch_lines(["* new findings in *", "* findings not saved (--pafot-max-saved): *-?????? (1*"])
+    result.stdout.fnmatch_lines(["* new findings in *", "* of them not saved (--pafot-max-saved): *-?????? (1*"])
 
 
 def test_new_finding_fails_even_beyond_max_saved(project):
@@ -371,7 +371,7 @@ def test_one(run):
     result = run(project, seed=3, generations=1)
     assert project.contents == first
     result.assert_outcomes(failed=2)
-    result.stdout.fnmatch_lines(["*further findings not saved (--pafot-max-saved): *"])
+    result.stdout.fnmatch_lines(["* of them not saved (--pafot-max-saved): *"])
 
 
 IMPATIENT = """
