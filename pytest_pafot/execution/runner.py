@@ -561,7 +561,7 @@ class Processes:
         self._executor = executor
         self._pool: ScenarioPool | ExecutorPool | None = None
         self._failure = ""
-        self._is_measured = False
+        self._is_measured = self._drives = False
         self._runs = self._runs_before = 0  # all runs, and the runs before processes were started
         self._warm_seconds = 0.0
 
@@ -630,6 +630,7 @@ class Processes:
         if not isinstance(self._pool, WorkerPool) or self._pool.failure:
             return False
         self._pool.follow(task)
+        self._drives = True
         return True
 
     def hear(self, *, waits: bool) -> tuple[BlockTask, Any] | None:
@@ -697,7 +698,7 @@ class Processes:
     def _learn(self, seconds: float) -> None:
         self.count(1, seconds)
         is_dear = self._warm_seconds >= DEAR * (self._runs - 1) if self._runs > WARM_RUNS else seconds >= DEAR
-        if self._pool is not None and self._runs == WARM_RUNS + 1 and not is_dear:
+        if self._pool is not None and self._runs == WARM_RUNS + 1 and not is_dear and not self._drives:
             self._pool.close(at_once=True)
             self._pool, self._runs_before = None, 0
         elif self._pool is None and is_dear and self._workers > 1 and not self._failure:
