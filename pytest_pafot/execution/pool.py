@@ -13,6 +13,7 @@ import math
 import multiprocessing
 import os
 import pickle
+import select
 import signal
 import subprocess
 import sys
@@ -135,7 +136,8 @@ class WorkerPool(Generic[TaskT, ResultT]):
         memory: the memory that a process may use in addition to the memory with which it starts [bytes], or None for no
             limit. Beyond the limit, allocations fail. Processes that it starts have the same limit. Only on Linux.
         idle: the longest time that a process waits for a task before it ends by itself [s], or None for no limit.
-        ended: a function that is called with the id of each process of the pool that has ended.
+        ended: a function that is called with the id of each process of the pool that has ended, or that one of them had
+            started.
         clock: a monotonic clock [s].
     """
 
@@ -377,12 +379,13 @@ class WorkerPool(Generic[TaskT, ResultT]):
 
     def _remove(self, worker: _Worker[TaskT]) -> None:
         """Kill a process of the pool, and on Linux also the processes that it has started."""
-        _end_children(worker.pid)
+        children = _end_children(worker.pid)
         worker.process.kill()
         worker.process.join()
         worker.connection.close()
         self._workers.remove(worker)
-        self.ended(worker.pid)
+        for pid in (*children, worker.pid):  # Children may be processes of a pool of its own.
+            self.ended(pid)
 
 
 class _Worker(Generic[TaskT]):
@@ -470,17 +473,22 @@ def ending(code: int | None) -> str:
     return f"ended with exit code {code}"
 
 
-def _end_children(pid: int) -> None:
-    """Kill the processes that a process has started, also in their own groups.
+def _end_children(pid: int) -> list[int]:
+    """Kill the processes that a process has started, also in their own groups; return their ids.
 
     The process must still exist: until it ends, the ids of its children are not reused.
     """
+    ended: list[int] = []
     for listed in Path(f"/proc/{pid}/task").glob("*/children"):
         with suppress(OSError):
             for child in map(int, listed.read_text("utf-8").split()):
-                _end_children(child)
+                ended += [*_end_children(child), child]
                 with suppress(OSError):
                     os.kill(child, signal.SIGKILL) if os.getpgid(child) != child else os.killpg(child, signal.SIGKILL)
+                    descriptor = os.pidfd_open(child)
+                    select.select([descriptor], [], [], POLL)  # until its files are closed
+                    os.close(descriptor)
+    return ended
 
 
 def _serve(

@@ -395,6 +395,26 @@ def test_unneeded_process_ends_by_itself(pool_of, tmp_path):
     assert (tmp_path / "ended").exists()
 
 
+def test_pool_tells_which_processes_of_its_processes_have_ended_with_them(pool_of, tmp_path):
+    """A process that drives a block has a pool of its own, whose crash records the session must forget."""
+    ended, started = [], tmp_path / "started"
+
+    def work(number):
+        child = subprocess.Popen(["sleep", "60"])
+        started.with_suffix(".new").write_text(str(child.pid))
+        started.with_suffix(".new").rename(started)
+        child.wait()
+
+    with pool_of(work, ended=ended.append) as pool:
+        pool.expect([1])
+        while not started.exists():
+            time.sleep(0.01)
+        pool.close(at_once=True)
+    child = int(started.read_text())
+    assert child in ended
+    assert not Path(f"/proc/{child}/exe").exists()
+
+
 def test_the_end_of_each_process_is_told(pool_of):
     ended = []
     with pool_of(lambda number: os._exit(1) if number == 1 else None, ended=ended.append) as pool:
