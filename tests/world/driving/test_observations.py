@@ -63,11 +63,6 @@ vehicles = st.tuples(
 )
 
 
-@pytest.fixture(autouse=True, scope="module")
-def quick_tables():
-    """Leave highway-env as it is: these tests compare with its own tables."""
-
-
 @functools.cache
 def environment(env_id):
     env = World(env_id).make().unwrapped
