@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import hashlib
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import ExitStack, closing, contextmanager, suppress
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
@@ -261,15 +261,19 @@ class SearchSession:
         return DONE, ALL_RUN, self.limit.flag
 
     def _send(self, happened: Iterable[SearchEvent | Phase | Note]) -> None:
-        for event in happened:
-            match event:
-                case Phase():
-                    self._send(self.watch.progress(*event))
-                case Note():  # such as on a driver that no finding can be tried with
-                    if event.text not in self.driver_notes:
-                        self.driver_notes.append(event.text)
-                case _:
-                    self.listener(event)
+        try:
+            for event in happened:
+                match event:
+                    case Phase():
+                        self._send(self.watch.progress(*event))
+                    case Note():  # such as on a driver that no finding can be tried with
+                        if event.text not in self.driver_notes:
+                            self.driver_notes.append(event.text)
+                    case _:
+                        self.listener(event)
+        finally:
+            if isinstance(happened, Generator):  # If the listener raised, it would hold back interrupts from then on.
+                happened.close()
 
     def run(self) -> SearchResult:
         """Replay saved scenarios, search, simplify the findings, and report a summary.
@@ -356,10 +360,9 @@ class SearchSession:
         __tracebackhide__ = True
         state = self.state
         way_on = "" if state.file is None else f"; {flag('resume')} goes on"
-        steps = refine(state, self.workers, self.store, until=self.limit.until, way_on=way_on)
         try:
-            with GENERATORS.held(), closing(steps):
-                self._send(steps)
+            with GENERATORS.held():
+                self._send(refine(state, self.workers, self.store, until=self.limit.until, way_on=way_on))
                 if self._worse is not None:
                     self._send(self._worse.conclude())
                 if reason in self._ends_with_warnings:
@@ -456,8 +459,7 @@ class SearchSession:
             )
             if resumed is None:
                 state.offer(self.store)
-            with closing(search(plan, state, self.workers, self.store, watch)) as events:
-                self._send(events)
+            self._send(search(plan, state, self.workers, self.store, watch))
         except CheckpointError as error:
             raise RequestError(str(error)) if state.file is None else state.file.refused(error) from None
         except FitnessError as error:

@@ -5,6 +5,7 @@ import importlib
 import json
 import os
 import shutil
+import signal
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from itertools import pairwise
@@ -192,6 +193,23 @@ def test_killed_session_continues_from_last_state(search, tmp_path, monkeypatch,
     assert files(tmp_path / "corpus") == saved != {}
     assert body(heard) == body(whole.events)
     assert {each.id for each in last.findings} <= {each.id for each in whole.findings}
+
+
+def test_an_interrupt_is_not_held_back_after_a_listener_has_raised(search):
+    def raises_at(kind):
+        def listen(event):
+            if isinstance(event, kind):
+                raise RuntimeError
+
+        return listen
+
+    before = signal.getsignal(signal.SIGINT)
+    search(runs=20, max_time=1e-9)
+    for kind in (FindTold, Evaluated, GenerationFinished):
+        with pytest.raises(RuntimeError) as raised:
+            search(runs=24, on_event=raises_at(kind))
+        # The traceback has all that was open.
+        assert signal.getsignal(signal.SIGINT) is before, raised.tb
 
 
 def test_session_interrupted_while_it_runs_neighbours_is_continued_with_them(search, tmp_path):
