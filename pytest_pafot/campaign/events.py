@@ -465,7 +465,7 @@ class Phase(NamedTuple):
 
 
 class Note(NamedTuple):
-    """What could not be found out about a finding, for the summary."""
+    """A text for the summary on what could not be found out about a finding."""
 
     text: str
 

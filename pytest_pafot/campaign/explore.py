@@ -12,6 +12,7 @@ import tempfile
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
+from contextlib import closing
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
@@ -267,10 +268,12 @@ class AlgorithmRun:
             # Blame affects all fitnesses except AV-Fuzzer's, which its authors used without it.
             is_steered = request.fitness != "av-fuzzer"
             with prepared(harness, space=self.space, is_steered=is_steered) as parts:
-                for event in parts.search(
+                events = parts.search(
                     self._made(), generations=self.generations, seed=self.seed, stop=lambda: seconds >= self.seconds
-                ):
-                    see(event)
+                )
+                with closing(events):
+                    for event in events:
+                        see(event)
         tick(1.0)
         return table.taken()
 

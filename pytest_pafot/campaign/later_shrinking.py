@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Generator
 from dataclasses import dataclass, replace
 
 from pytest_pafot.campaign.events import Find, FindTold, Note, Phase
@@ -36,7 +36,9 @@ class Later:
     notes: tuple[str, ...] = ()
 
 
-def shrink_saved(parts: Prepared, saved: Saved, *, path: str, until: float = math.inf) -> Iterator[Phase | Later]:
+def shrink_saved(
+    parts: Prepared, saved: Saved, *, path: str, until: float = math.inf
+) -> Generator[Phase | Later, None, None]:
     """Shrink the scenario of a file further, from what it is now, and try drivers and neighbours in the result.
 
     Yield the work that goes on, often, and at last the result.

@@ -109,7 +109,7 @@ class Prepared:
 
     def search(
         self, algorithm: Algorithm[Any], *, generations: int, seed: int, stop: Callable[[], bool]
-    ) -> Iterator[SearchEvent]:
+    ) -> Generator[SearchEvent, None, None]:
         """Search with an algorithm, without limits of time, until ``stop()`` says so between two scenarios."""
         plan = plan_of(algorithm, generations=generations, seed=seed)
         return search(plan, self.state, self.workers, self.store, Watch(stop))

@@ -214,7 +214,7 @@ class Tally(Digest):
 
 @dataclass(frozen=True, slots=True)
 class Recovered:
-    """What a process says that drives a block if a process of its own died in a run that was made again."""
+    """The message of a process that drives a block on the death of its own process in a run that was made again."""
 
     lost: LostRun
 

@@ -232,11 +232,13 @@ class Workers:
 
     def _look_at(self, made: object, plan: Plan[Any], number: int) -> None:
         """Judge a run of a later block that has failed, so that it is saved before its turn."""
+        if not isinstance(made, (Trace, ProcessLostError)):
+            return
         learnt = sum(isinstance(each, tuple) and isinstance(each[0], Learnt) for each in self._driven[number])
         generation = number * (plan.length or 0) + learnt
         if isinstance(made, Trace):
             self._judge_early(made, generation)
-        elif isinstance(made, ProcessLostError):
+        else:
             self._failed.append(Early(made, generation))
 
     def _judge_early(self, made: Trace, generation: int) -> None:

@@ -53,9 +53,9 @@ from pytest_pafot.support.isolation import isolates
 from pytest_pafot.support.text import listed, one_line, plural, visible
 from pytest_pafot.world import Highway
 from pytest_pafot.world.base_world import WorldLike
-from pytest_pafot.world.driving.ads import is_copyable, is_vehicle_class, make_ads, wants_env
+from pytest_pafot.world.driving.ads import is_vehicle_class, make_ads, wants_env
 from pytest_pafot.world.driving.perception import ads_and_sight
-from pytest_pafot.world.driving.seeing import SeeingAds
+from pytest_pafot.world.driving.seeing import SeeingAds, is_copyable, is_pure
 from pytest_pafot.world.driving.shadow import ending_after
 from pytest_pafot.world.guard.chance import GENERATORS
 from pytest_pafot.world.guard.failure import UNFIT, Around, closing, let_through
@@ -262,10 +262,9 @@ class Runner:
             __tracebackhide__ = True
             ads = factory(*arguments, **named)
             self._factory = factory
-            is_pure = getattr(ads, "pure", False) is True
-            if is_pure or not is_copyable(ads):
+            if is_pure(ads) or not is_copyable(ads):
                 self._copies = None
-            if self.can_resume and (is_pure or self._copies is not None):
+            if self.can_resume and (is_pure(ads) or self._copies is not None):
                 self._decisions = DecisionCache()
             if self.lock_step is not None and callable(getattr(ads, "batch", None)):
                 self.lock_step.announce(self.processes.announced)

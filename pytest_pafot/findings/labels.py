@@ -23,7 +23,7 @@ RunLabel = Literal["fixed", "still failing", "drifted", "judged otherwise"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Facts:
-    """What was observed in a replay.
+    """The observations in a replay.
 
     Attributes:
         shows: what the saved scenario shows, in its own run, or in that of other runs which fails.

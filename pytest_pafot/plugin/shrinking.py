@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import argparse
 import time
+from contextlib import closing
 from dataclasses import asdict, replace
 from functools import partial
 from typing import TYPE_CHECKING
@@ -60,9 +61,12 @@ def run_shrink(item: pytest.Function, request: Request, saved: Saved) -> None:
     harness = replace(harness, world=world, request=replace(harness.request, settings=settings))
     now = time.monotonic()
     limit = time_limit(request.settings, now=now, began=item.config.stash[SHARED].began, left=1)
-    with prepared(harness, space=space) as parts:
+    with (
+        prepared(harness, space=space) as parts,
+        closing(shrink_saved(parts, saved, path=path, until=limit.until)) as its,
+    ):
         told_at = now
-        for event in shrink_saved(parts, saved, path=path, until=limit.until):
+        for event in its:
             if isinstance(event, Later):
                 later = event
             elif (time_now := time.monotonic()) - told_at >= item.config.stash[SHARED].progress_seconds:

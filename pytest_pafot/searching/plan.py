@@ -316,7 +316,7 @@ class Plan(Generic[StateT]):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Learnt:
-    """What another process has learnt from a generation of a block: the algorithm's state, packed, and its events."""
+    """The state of an algorithm, packed, and its events, after it has learnt from a generation in another process."""
 
     state: bytes
     events: tuple[AlgorithmEvent, ...]

@@ -190,12 +190,17 @@ def test_it(run):
 
 
 @pytest.mark.processes
-@pytest.mark.parametrize(("seconds", "note"), [(0.0, "*in use*"), (0.001, "in use after 1 run *")])
-def test_record_is_the_same_for_any_number_of_workers(project, seconds, note):
+@pytest.mark.parametrize(
+    ("seconds", "generations", "note"),
+    [(0.0, 100, "in use after *"), (0.001, 1, "in use after 1 run *")],
+    ids=["whole blocks", "one generation"],
+)
+def test_record_is_the_same_for_any_number_of_workers(project, seconds, generations, note):
     project.write(SLOW_ADS.format(seconds=seconds))
     texts = []
     for workers in (1, 2, 2):
-        result = project.run("--pafot-json=pafot.json", f"--pafot-workers={workers}", "--pafot-save=none")
+        options = "--pafot-json=pafot.json", f"--pafot-workers={workers}", "--pafot-save=none"
+        result = project.run(*options, generations=generations)
         texts.append((project.path / "pafot.json").read_text())
     result.stdout.fnmatch_lines([f"*note: --pafot-workers=2: {note}"])
     assert texts[0] == texts[1] == texts[2]

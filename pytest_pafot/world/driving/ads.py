@@ -34,11 +34,6 @@ def is_vehicle_class(candidate: object) -> bool:
     return kinematics is not None and isinstance(inner, type) and issubclass(inner, kinematics.Vehicle)
 
 
-def is_copyable(ads: Any) -> bool:
-    """Return whether a copy of an ADS decides as the ADS itself would have, by the user's promise."""
-    return getattr(ads, "copyable", False) is True and not isinstance(ads, type)
-
-
 def wants_env(factory: AdsFactory) -> bool:
     """Return whether a factory has a parameter ``env``."""
     if _takes_nothing(factory):

@@ -15,10 +15,10 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from pytest_pafot.support.errors import AdsFactoryError
-from pytest_pafot.world.driving.ads import AdsFactory, is_copyable, is_vehicle_class
+from pytest_pafot.world.driving.ads import AdsFactory, is_vehicle_class
 from pytest_pafot.world.driving.conditions import Conditions
 from pytest_pafot.world.driving.perception import DRIVES_ITSELF, ads_and_sight
-from pytest_pafot.world.driving.seeing import SeeingAds, lane_nearest, with_others
+from pytest_pafot.world.driving.seeing import SeeingAds, is_copyable, is_pure, lane_nearest, with_others
 from pytest_pafot.world.guard.failure import Around
 from pytest_pafot.world.kernel.action import plain_action
 from pytest_pafot.world.kernel.observation import Observation
@@ -87,7 +87,7 @@ class Shadow(Around):
         question = self._question
         recording: AbstractContextManager[None] = nullcontext()
         if question is not None and question.instead is not None and number != question.number:
-            is_ready = question.ads is not None or getattr(self._ads, "pure", False) is True
+            is_ready = question.ads is not None or is_pure(self._ads)
             is_over = number > question.number or is_ready
             if is_over and number < len(self._actions):  # What it would decide here says nothing about the question.
                 aside.answers.append(self._actions[number])
