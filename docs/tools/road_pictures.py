@@ -21,7 +21,7 @@ DOCS = Path(__file__).parents[1]
 sys.path.insert(0, str(DOCS.parent))
 
 from pytest_pafot import Run, World  # noqa: E402
-from pytest_pafot.attribution.responsibility import is_ego_responsible  # noqa: E402
+from pytest_pafot.attribution.responsibility import rss_rule  # noqa: E402
 from pytest_pafot.findings.finding import Finding, Found  # noqa: E402
 from pytest_pafot.findings.signature import Failure  # noqa: E402
 from pytest_pafot.model.trace import Trace  # noqa: E402
@@ -54,7 +54,7 @@ def found(world: World) -> Trace:
         trace = world.rollout(sample(space, rng), lambda: ControlledVehicle)
         if trace.collision is None or trace.collision.time < EARLIEST:
             continue
-        rank = 2 * is_ego_responsible(trace) + (np.ptp(trace.npcs[:, trace.collision.npc, 6]) > 0)
+        rank = 2 * rss_rule(trace).blames_ego + (np.ptp(trace.npcs[:, trace.collision.npc, 6]) > 0)
         if best is None or rank > best[0]:
             best = rank, trace
         if rank == 2 + (world.lanes > 1):

@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from types import MappingProxyType
 from typing import Literal
 
-from pytest_pafot.attribution.responsibility import Attribution, Fault, frame_of, rss_rule
+from pytest_pafot.attribution.responsibility import Attribution, Fault, Mistake, frame_of, rss_rule
 from pytest_pafot.model.crossings import Origin
 from pytest_pafot.model.trace import ACROSS, LANE, Trace, X, Y
 
@@ -39,23 +40,6 @@ def manoeuvre_before(trace: Trace, vehicle: int, tick: int) -> Manoeuvre:
         across = states[:, Y] * math.cos(heading) - states[:, X] * math.sin(heading)
     return "lane-change" if float(abs(across - across[-1]).max()) > DISPLACEMENT else "lane-keeping"
 
-
-Mistake = Literal[
-    "kept-no-distance",
-    "moved-into-side",
-    "moved-in-front",
-    "braked-for-nothing",
-    "stopped-for-nothing",
-    "did-not-give-way-left",
-    "did-not-give-way-right",
-    "did-not-give-way-ahead",
-    "did-not-give-way-behind",
-    "entered-taken-zone",
-]
-"""The mistakes of the ego, in this order. It did not keep its distance to a vehicle ahead, also after a lane change
-behind that vehicle or after that vehicle's cut-in. It changed lanes into a vehicle next to it, or in front of a vehicle
-behind. It braked hard, or stopped, with nothing in its way. It did not give way to a vehicle from the left, the right,
-ahead or behind. It drove into a zone in which another vehicle visibly was."""
 
 LANE_CHANGES: tuple[Mistake, ...] = ("kept-no-distance", "moved-into-side", "moved-in-front")
 """The mistakes of an ego that entered a lane."""
@@ -108,6 +92,7 @@ def mistake(trace: Trace, attribution: Attribution) -> Mistake | None:
     return "moved-in-front" if ahead < -both else "moved-into-side"
 
 
-def mistake_of(trace: Trace) -> Mistake | None:
-    """Return the ego's mistake in a run by the verdict of :func:`rss_rule`; None if the ego is not responsible."""
-    return trace.reading("mistake", lambda trace: mistake(trace, rss_rule(trace)))
+def attributed(trace: Trace) -> Attribution:
+    """Return the verdict of :func:`rss_rule` on a run's collision, together with the ego's mistake in it."""
+    found = rss_rule(trace)
+    return found if found.fault is None else replace(found, mistake=mistake(trace, found))

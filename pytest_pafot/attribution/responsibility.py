@@ -355,6 +355,23 @@ Fault = Literal[
 cut-in, or to a vehicle ahead in its lane. It braked hard, or stopped, with nothing in its way. In a zone where its way
 meets the NPC's, it did not give way, or it drove in while the NPC visibly was there."""
 
+Mistake = Literal[
+    "kept-no-distance",
+    "moved-into-side",
+    "moved-in-front",
+    "braked-for-nothing",
+    "stopped-for-nothing",
+    "did-not-give-way-left",
+    "did-not-give-way-right",
+    "did-not-give-way-ahead",
+    "did-not-give-way-behind",
+    "entered-taken-zone",
+]
+"""The mistakes of the ego, in this order. It did not keep its distance to a vehicle ahead, also after a lane change
+behind that vehicle or after that vehicle's cut-in. It changed lanes into a vehicle next to it, or in front of a vehicle
+behind. It braked hard, or stopped, with nothing in its way. It did not give way to a vehicle from the left, the right,
+ahead or behind. It drove into a zone in which another vehicle visibly was."""
+
 TOGETHER = 1.0
 """The longest time between two lane changes into the same lane that count as simultaneous [s]."""
 SOON = 5.0
@@ -411,6 +428,8 @@ class Attribution:
         facts: facts that explain the verdict.
         avoidable: whether the rules excuse the ego for want of time, although braking with 6 m/s^2 from 1.4 s after
             ``time`` on would have avoided the collision, by the rules' computation.
+        mistake: what the ego did wrong, in a few words; None if it is not responsible, and in the result of
+            :func:`rss_rule`, which does not ask for it.
     """
 
     responsibility: Responsibility
@@ -419,6 +438,12 @@ class Attribution:
     fault: Fault | None = None
     facts: Reason = ()
     avoidable: bool = False
+    mistake: Mistake | None = None
+
+    @property
+    def blames_ego(self) -> bool:
+        """True if the ego is responsible for the collision, alone or with the NPC."""
+        return self.responsibility in ("ego", "both")
 
     @property
     def sentences(self) -> tuple[str, ...]:
@@ -443,7 +468,7 @@ class Attribution:
     def __reduce__(self) -> tuple[Callable[[], Attribution], tuple[()]]:
         facts = tuple(fact.in_full for fact in self.facts)  # what is still unread needs the trace
         whole = partial(Attribution, responsibility=self.responsibility, tick=self.tick, time=self.time)
-        return partial(whole, fault=self.fault, facts=facts, avoidable=self.avoidable), ()
+        return partial(whole, fault=self.fault, facts=facts, avoidable=self.avoidable, mistake=self.mistake), ()
 
     @property
     def _said(self) -> tuple[object, ...]:
@@ -475,8 +500,8 @@ def rss_rule(trace: Trace) -> Attribution:
         return Attribution(responsibility="ego", tick=hit.tick, time=hit.time)
     zone = trace.zones[npc] if trace.zones else None
     if zone is None:
-        return trace.reading("attribution", lambda trace: Conflict(trace, npc).attribution)
-    return trace.reading("attribution", lambda trace: _where_ways_meet(trace, npc, zone))
+        return Conflict(trace, npc).attribution
+    return _where_ways_meet(trace, npc, zone)
 
 
 def _where_ways_meet(trace: Trace, npc: int, zone: Zone) -> Attribution:
@@ -537,11 +562,6 @@ def _later(found: Attribution, ticks: int, trace: Trace) -> Attribution:
     )
     tick = (found.tick or 0) + ticks
     return replace(found, tick=tick, time=tick / hz, facts=facts)
-
-
-def is_ego_responsible(trace: Trace) -> bool:
-    """Return whether the ego is responsible for a collision by :func:`rss_rule`, alone or with the NPC."""
-    return rss_rule(trace).responsibility in ("ego", "both")
 
 
 def position_rule(trace: Trace) -> Responsibility:

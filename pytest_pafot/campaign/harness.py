@@ -25,7 +25,7 @@ from pytest_pafot.findings.neighbours import Limits
 from pytest_pafot.findings.signature import PROCESS_CRASH, Failure
 from pytest_pafot.model.scenario import Scenario, ScenarioError
 from pytest_pafot.model.trace import Outcome, Trace
-from pytest_pafot.oracle.run import ReferenceOutcome, Run
+from pytest_pafot.oracle.run import Facts, ReferenceOutcome, Run
 from pytest_pafot.support.errors import DriverError, RequestError, RevisionError
 from pytest_pafot.support.references import REVISION, factory_named, name_of
 from pytest_pafot.support.source_files import source_files
@@ -187,9 +187,11 @@ class Harness:
         is_seeded = not self.request.settings.unseeded or is_vehicle_class(ads) or isinstance(ads, DrivesElsewhere)
         return ads if is_seeded else Unseeded(ads)
 
-    def seen(self, trace: Trace, world: BaseWorld | None = None) -> Run:
+    def seen(self, made: Trace | Facts, world: BaseWorld | None = None) -> Run:
         """Return a trace as the test function sees it; ``world`` is by default the world of the search."""
-        return (self.world if world is None else world).run_of(trace, self.request.decision_limit)
+        trace, facts = (made.trace, made) if isinstance(made, Facts) else (made, None)
+        run = (self.world if world is None else world).run_of(trace, self.request.decision_limit)
+        return run if facts is None else replace(run, facts=facts)
 
     def judge(self, run: Run) -> Verdict:
         """Return the verdict on a run. The test function decides, unless the ADS itself failed."""

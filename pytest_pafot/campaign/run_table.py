@@ -9,7 +9,6 @@ from dataclasses import dataclass, field
 from itertools import islice
 from typing import Any
 
-from pytest_pafot.attribution.responsibility import rss_rule
 from pytest_pafot.campaign.events import Judged, SearchEvent, SearchStarted
 from pytest_pafot.campaign.verdict import Verdict
 from pytest_pafot.findings.signature import Signature
@@ -139,7 +138,7 @@ def row_of(evaluation: Evaluation, generation: int, local_generation: int = 0, *
 
 def columns_of(run: Run, verdict: Verdict) -> Row:
     """Return the columns of a row that only the run itself and its verdict show."""
-    blame = None if run.collision is None else rss_rule(run.trace)
+    blame = None if run.collision is None else run.attribution
     return {
         "verdict": verdict.kind,
         "responsibility": None if blame is None else blame.responsibility,

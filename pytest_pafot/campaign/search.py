@@ -123,7 +123,8 @@ def _judged(
     for event in judged:  # After both runs, because the time limit may end the second one, and then none counts.
         yield event
         state.see(event)
-    state.take(run, verdict, caught_in(verdict), unit_doubt(run.trace))
+    doubt = unit_doubt(run.trace) if run.facts is None else run.facts.doubt
+    state.take(run, verdict, caught_in(verdict), doubt)
     yield from _released(state, store)
     signature = None
     if verdict.failed and verdict.failure is not None:

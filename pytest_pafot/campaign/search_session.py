@@ -15,7 +15,6 @@ from typing import Any
 
 import numpy as np
 
-from pytest_pafot.attribution.responsibility import is_ego_responsible
 from pytest_pafot.campaign.beginnings import begun_with
 from pytest_pafot.campaign.events import (
     ALL_RUN,
@@ -51,7 +50,7 @@ from pytest_pafot.execution.runner import Retried, must_stay_here, retry, runner
 from pytest_pafot.findings.finding import Manner, of_failure
 from pytest_pafot.model.sight import Sight
 from pytest_pafot.searching.ask_tell import Algorithm, ResumableSearch
-from pytest_pafot.searching.fitness import FitnessError, is_built_in, resolve
+from pytest_pafot.searching.fitness import FitnessError, Steered, is_built_in, resolve
 from pytest_pafot.searching.plan import Checkpoint, CheckpointError, plan_of
 from pytest_pafot.searching.space import SearchSpace, sample
 from pytest_pafot.support.errors import OutOfTime, RequestError, command, flag
@@ -153,7 +152,7 @@ def prepared(
             space, begun = begun_with(request.settings.begin_with, space, harness.world, request, harness.folder)
     is_for_ego = is_steered and request.blame != "any"
     try:
-        fitness = resolve(request.fitness, responsible=is_ego_responsible if is_for_ego else None)
+        fitness = Steered(resolve(request.fitness), is_for_ego=is_for_ego)
     except FitnessError as error:
         raise request.error("fitness=...", error) from None
     job, settings = harness.job(), request.settings

@@ -155,10 +155,6 @@ def unit_doubt(trace: Trace) -> str:
 
     It is always empty for policies of an environment, whose actions are not in SI units.
     """
-    return trace.reading("unit doubt", _unit_doubt)
-
-
-def _unit_doubt(trace: Trace) -> str:
     pairs = [action for action in trace.actions if type(action) is tuple and len(action) == 2]
     steering = max((abs(pair[1]) for pair in pairs), default=0.0)
     if steering > NO_STEERING:

@@ -9,14 +9,12 @@ from dataclasses import dataclass, replace
 from functools import partial, reduce
 from typing import Any
 
-from pytest_pafot.attribution.mistakes import mistake_of
 from pytest_pafot.campaign.events import Judged
 from pytest_pafot.campaign.harness import Harness
 from pytest_pafot.campaign.run_table import columns_of, row_of
 from pytest_pafot.campaign.setup_fault import unit_doubt
 from pytest_pafot.campaign.verdict import (
     FAILING,
-    FITNESS,
     caught_in,
     evaluated,
     fails_by_ego,
@@ -39,33 +37,30 @@ from pytest_pafot.findings.finding import Manner, failed_as
 from pytest_pafot.findings.signature import Signature
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Trace
+from pytest_pafot.oracle.run import Facts, Run
 from pytest_pafot.searching.evaluation import Evaluation, interaction_of
 from pytest_pafot.searching.health import Health
 from pytest_pafot.searching.plan import Learnt, Plan
 
 
-def read_ahead(fitness: Callable[[Trace], float] | None, trace: Trace) -> None:
-    """Compute the values of a trace that the search will need, in the process that made the trace, which stores them.
-
-    ``fitness`` is None if the user's own function computes it, which runs only in the main process.
-    """
-    trace.reading("interaction", interaction_of)
-    unit_doubt(trace)
-    mistake_of(trace)
-    if fitness is not None:
-        trace.reading(FITNESS, fitness)
+def facts_of(run: Run, evaluation: Evaluation) -> Facts:
+    """Return the facts of a run from what the algorithm sees of it."""
+    if run.facts is not None:
+        return replace(run.facts, fitness=evaluation.fitness)
+    interaction = evaluation.interaction, evaluation.outran
+    return Facts(run.trace, run.attribution, interaction, unit_doubt(run.trace), evaluation.fitness)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Digested(Digest):
     """All that a search needs of a run, in the process that has made and judged it.
 
-    ``trace`` is the run itself if the session must judge it, because it failed in a way that is not known.
+    ``facts`` is the run itself if the session must judge it, because it failed in a way that is not known.
     """
 
     evaluation: Evaluation
     event: Judged
-    trace: Trace | None
+    facts: Facts | None
     signature: Signature | None  # of a failure that counts
     manner: Manner | None  # of the same failure
     is_at_fault: bool  # see :func:`fails_by_ego`
@@ -84,34 +79,37 @@ judged in the session, with their traces.
 class Reader:
     """Read the trace of a run in the process that made it, so that the process of the session need not.
 
-    With a harness, that process judges the run, too, and sends a tally if nothing failed. Otherwise it sends the trace,
-    which stores the values that the search will need.
+    With a harness, that process judges the run, too, and sends a tally if nothing failed. Otherwise it sends the trace
+    with what the search needs to know of it.
 
     Attributes:
         harness: has the test function; None if only the process of the session may call it.
-        fitness: the fitness of a trace; None if it is the user's own function, which runs only in the session.
+        fitness: the fitness of a run; None if it is the user's own function, which runs only in the session.
         is_steered_by_checks: True if margins of checks are objectives, in addition to the fitness.
         has_table: whether a tally has the columns of its runs for the table of runs.
     """
 
     harness: Harness | None
-    fitness: Callable[[Trace], float] | None
+    fitness: Callable[[Run], float] | None
     is_steered_by_checks: bool
     has_table: bool
 
-    def __call__(self, trace: Trace) -> Tally | None:
-        """Read a trace; return the tally of the run, or None if the trace must be sent."""
+    def __call__(self, trace: Trace) -> Tally | Facts:
+        """Read a trace; return the tally of the run, or its facts if the session must judge it."""
         digested = self.digested(trace)
-        return None if digested is None or digested.trace is not None else Tally.of([digested])
+        if isinstance(digested, Facts):
+            return digested
+        return digested.facts or Tally.of([digested])
 
-    def digested(self, trace: Trace, known: Collection[Signature] = ()) -> Digested | None:
-        """Read a trace; return what a search needs of the run, or None if only the session may judge it.
+    def digested(self, trace: Trace, known: Collection[Signature] = ()) -> Digested | Facts:
+        """Read a trace; return what a search needs of the run, or its facts if only the session may judge it.
 
         Of the ``known`` failures no further trace must be sent.
         """
-        read_ahead(self.fitness, trace)
         if self.fitness is None or self.harness is None:
-            return None
+            run = Run(trace)
+            fitness = None if self.fitness is None else self.fitness(run)
+            return Facts(trace, run.attribution, interaction_of(trace), unit_doubt(trace), fitness)
         run = self.harness.seen(trace)
         verdict, signature, manner = self.harness.judge(run), None, None
         if verdict.failed and verdict.failure is not None:
@@ -123,16 +121,18 @@ class Reader:
             known_responsibility=run.responsibility,
             columns=columns_of(run, verdict) if self.has_table else None,
         )
+        evaluation = evaluated(run, verdict, signature, self.fitness, self.is_steered_by_checks)
+        facts = facts_of(run, evaluation)
         return Digested(
-            evaluation=evaluated(trace, verdict, signature, self.fitness, self.is_steered_by_checks),
+            evaluation=evaluation,
             event=event,
-            trace=None if verdict.kind in UNREMARKABLE or signature in known else trace,
+            facts=None if verdict.kind in UNREMARKABLE or signature in known else facts,
             signature=signature,
             manner=manner,
             is_at_fault=signature is not None and fails_by_ego(run, verdict),
             decisions=len(trace.actions),
             caught=caught_in(verdict),
-            doubt=unit_doubt(trace),
+            doubt=facts.doubt,
         )
 
 
@@ -288,11 +288,11 @@ class Driver:
                     count()
                     return
                 block.take(digested.evaluation)
-                if digested.trace is None or digested.signature in known:
+                if digested.facts is None or digested.signature in known:
                     counted.append((digested, output, seconds))
                 else:
                     count()
-                    say((digested.trace, output, seconds))
+                    say((digested.facts, output, seconds))
                     if digested.signature is not None:
                         known.add(digested.signature)
                 if first + block.index == self.random_runs:

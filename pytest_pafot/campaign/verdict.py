@@ -9,13 +9,12 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal, Self
 
-from pytest_pafot.attribution.responsibility import is_ego_responsible
 from pytest_pafot.findings.finding import ads_failure, raised_failure
 from pytest_pafot.findings.severity import Severity, severity_of, worsening
 from pytest_pafot.findings.signature import Failure, Signature
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.scenario import Scenario
-from pytest_pafot.model.trace import Outcome, Trace
+from pytest_pafot.model.trace import Outcome
 from pytest_pafot.oracle.checks import Check, Recording, Rejected, recorded
 from pytest_pafot.oracle.run import ReferenceOutcome, Run, preventing, reference_outcome
 from pytest_pafot.searching.evaluation import Evaluation
@@ -253,7 +252,7 @@ def fails_by_ego(run: Run, verdict: Verdict) -> bool:
 
     An ADS that raised or was slow has failed by itself, even if a collision followed.
     """
-    return not verdict.is_ads and is_ego_responsible(run.trace)
+    return not verdict.is_ads and run.attribution.blames_ego
 
 
 def caught_in(verdict: Verdict) -> tuple[str, ...]:
@@ -261,15 +260,11 @@ def caught_in(verdict: Verdict) -> tuple[str, ...]:
     return tuple({check.name for check in verdict.checks if not check.holds}) if verdict.kind == "passed" else ()
 
 
-FITNESS = "fitness"
-"""The name under which a trace stores its fitness."""
-
-
 def evaluated(
-    trace: Trace,
+    run: Run,
     verdict: Verdict,
     signature: Signature | None,
-    fitness: Callable[[Trace], float],
+    fitness: Callable[[Run], float],
     is_steered_by_checks: bool,
 ) -> Evaluation:
     """Return what the algorithm sees of a judged run: how bad it was and how it failed, to look for other failures.
@@ -277,14 +272,16 @@ def evaluated(
     ``signature`` is None if the run is no failure that counts.
     """
     check = verdict.failure.check if verdict.failed and verdict.failure is not None else None
+    facts = run.facts
     return Evaluation.of(
-        trace,
-        fitness=trace.reading(FITNESS, fitness),
+        run.trace,
+        fitness=fitness(run) if facts is None or facts.fitness is None else facts.fitness,
         failing=verdict.failed,
         discarded=verdict.discarded,
         kind=signature,
         mistake=(None if signature is None else signature.mistake) if check is None else check.name,
         margins=verdict.margins if is_steered_by_checks else (),
+        interaction=None if facts is None else facts.interaction,
     )
 
 

@@ -7,13 +7,13 @@ import time
 from collections import deque
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence, Set
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import chain
 from typing import Any
 
 from pytest_pafot.campaign.events import NOT_REPEATED
 from pytest_pafot.campaign.harness import Harness, is_same_run, refusals
-from pytest_pafot.campaign.tallies import Driver, Recovered, Tally
+from pytest_pafot.campaign.tallies import Driver, Recovered, Tally, facts_of
 from pytest_pafot.campaign.verdict import Verdict, evaluated, skips
 from pytest_pafot.execution.crash_records import CrashRecord, Leftover
 from pytest_pafot.execution.elsewhere import DrivesElsewhere
@@ -24,7 +24,7 @@ from pytest_pafot.findings.finding import disagreement, failed_as, message_of
 from pytest_pafot.findings.signature import Signature
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Trace
-from pytest_pafot.oracle.run import Run
+from pytest_pafot.oracle.run import Facts, Run
 from pytest_pafot.searching.evaluation import Evaluation
 from pytest_pafot.searching.events import AlgorithmEvent
 from pytest_pafot.searching.fitness import FitnessError
@@ -65,7 +65,7 @@ class Workers:
     record: CrashRecord
     reference: Runner | None = None  # the runner of the reference
     driver: Driver | None = None  # how other processes drive blocks; None if they cannot
-    fitness: Callable[[Trace], float]  # the fitness of a trace; higher is worse for the ego
+    fitness: Callable[[Run], float]  # the fitness of a run; higher is worse for the ego
     is_steered_by_checks: bool = True  # as in :class:`~pytest_pafot.campaign.tallies.Reader`
     clock: Callable[[], float] = time.monotonic  # returns the seconds since some fixed moment
     counted_decisions: int = 0  # number of decisions of the ADS in runs that others judged, and beside runs
@@ -77,8 +77,8 @@ class Workers:
     _driven: dict[int, deque[Any]] = field(default_factory=dict)
     _failed: deque[Early] = field(default_factory=deque)  # failures of later blocks that are new to this process
     _later: dict[int, Block[Any]] = field(default_factory=dict)  # later blocks as far as other processes have run them
-    # verdicts on runs that this process has not counted yet, with their traces
-    _early: dict[Scenario, tuple[Trace, Verdict]] = field(default_factory=dict)
+    # runs that this process has judged and not counted yet, with their verdicts
+    _early: dict[Scenario, tuple[Run, Verdict]] = field(default_factory=dict)
     _suspect: ProcessLostError[Any] | None = None  # a death in a block, as long as no scenario is known to be the cause
     _has_died: bool = False  # True if a process has died while it drove a block
     _last: int = 0  # number of the first block that they leave to the session
@@ -90,7 +90,7 @@ class Workers:
 
     def evaluation(self, run: Run, verdict: Verdict, signature: Signature | None) -> Evaluation:
         """Return what the algorithm sees of a run that this process has judged."""
-        return evaluated(run.trace, verdict, signature, self.fitness, self.is_steered_by_checks)
+        return evaluated(run, verdict, signature, self.fitness, self.is_steered_by_checks)
 
     def impure(self) -> tuple[str, str] | None:
         """Make some runs again with all decisions by the ADS, if decisions of earlier runs took their place.
@@ -167,8 +167,8 @@ class Workers:
             return self._failed.popleft()
         if isinstance(said, (Tally, ProcessLostError)):
             return said
-        if isinstance(said, Trace):
-            scenario = said.scenario
+        if isinstance(said, Facts):
+            scenario = said.trace.scenario
         else:
             ahead = plan.ahead()
             # While all processes drive blocks, this one makes its runs itself, unless they may end it.
@@ -185,7 +185,11 @@ class Workers:
         except ProcessLostError as error:
             self._suspect = None
             return error
-        return made if isinstance(made, Tally) else self.harness.seen(made)
+        if isinstance(made, Tally):
+            return made
+        run = self.harness.seen(made)
+        early, _ = self._early.get(scenario, (run, None))
+        return early if early.trace is run.trace else run
 
     def learn(self, plan: Plan[Any]) -> Sequence[AlgorithmEvent]:
         """Let the algorithm learn from a whole generation, if the process that drives its block has not done so."""
@@ -199,7 +203,7 @@ class Workers:
                 self._suspect = None
         return events
 
-    def _said(self, plan: Plan[Any], *, stops: bool = False) -> Tally | Trace | LostRun | Learnt | None:
+    def _said(self, plan: Plan[Any], *, stops: bool = False) -> Tally | Facts | LostRun | Learnt | None:
         """Return what the process says next that drives the block of a plan; None if the session must go on.
 
         With ``stops``, return None as well as soon as something has failed in a later block.
@@ -218,10 +222,10 @@ class Workers:
             return None
         what = said.popleft() if said else None
         if isinstance(what, tuple):
-            made: Tally | Trace | LostRun | Learnt = what[0]
-            processes.count(made.runs if isinstance(made, Tally) else isinstance(made, Trace), what[2])
-            if isinstance(made, Trace):
-                processes.ready[made.scenario] = what
+            made: Tally | Facts | LostRun | Learnt = what[0]
+            processes.count(made.runs if isinstance(made, Tally) else isinstance(made, Facts), what[2])
+            if isinstance(made, Facts):
+                processes.ready[made.trace.scenario] = what
             else:
                 what[1].repeat()
             return made
@@ -232,22 +236,22 @@ class Workers:
 
     def _look_at(self, made: object, plan: Plan[Any], number: int) -> None:
         """Judge a run of a later block that has failed, so that it is saved before its turn."""
-        if not isinstance(made, (Trace, ProcessLostError)):
+        if not isinstance(made, (Facts, ProcessLostError)):
             return
         learnt = sum(isinstance(each, tuple) and isinstance(each[0], Learnt) for each in self._driven[number])
         generation = number * (plan.length or 0) + learnt
-        if isinstance(made, Trace):
+        if isinstance(made, Facts):
             self._judge_early(made, generation)
         else:
             self._failed.append(Early(made, generation))
 
-    def _judge_early(self, made: Trace, generation: int) -> None:
-        scenario = made.scenario
+    def _judge_early(self, made: Trace | Facts, generation: int) -> None:
+        run = self.harness.seen(made)
+        scenario = run.trace.scenario
         if scenario not in self._early:
             self.record.write(scenario)
-            run = self.harness.seen(made)
             verdict = self.judge(run)
-            self._early[scenario] = made, verdict
+            self._early[scenario] = run, verdict
             if verdict.failed:
                 self._failed.append(Early((run, verdict), generation))
 
@@ -274,11 +278,14 @@ class Workers:
                 runs = processes.arrived(block.drawn)
                 try:
                     for each in runs:
-                        if isinstance(each, Trace):
+                        if not isinstance(each, Tally):
                             self._judge_early(each, block.generation)
                     if len(runs) < len(block.drawn):
                         break
-                    evaluations = [self._evaluated_early(made) for made in runs]
+                    evaluations = [
+                        each.unpacked[0] if isinstance(each, Tally) else self._evaluated_early(scenario)
+                        for scenario, each in zip(block.drawn, runs, strict=True)
+                    ]
                 except unfit:  # raised again as soon as the search comes to this run
                     return
                 for each in evaluations:
@@ -287,14 +294,14 @@ class Workers:
                 if block.generation // plan.length == number:
                     processes.announce_later(each for each in plan.within(block) if each not in fatal)
 
-    def _evaluated_early(self, made: Trace | Tally) -> Evaluation:
+    def _evaluated_early(self, scenario: Scenario) -> Evaluation:
         """Return what the algorithm sees of a run that is not requested yet."""
-        if isinstance(made, Tally):
-            return made.unpacked[0]
-        run, (_, verdict), signature = self.harness.seen(made), self._early[made.scenario], None
+        (run, verdict), signature = self._early[scenario], None
         if verdict.failed and verdict.failure is not None:
             signature, _ = failed_as(run, verdict.failure)
-        return self.evaluation(run, verdict, signature)
+        evaluation = self.evaluation(run, verdict, signature)
+        self._early[scenario] = replace(run, facts=facts_of(run, evaluation)), verdict  # for its own turn
+        return evaluation
 
     def run(self, scenario: Scenario, *, afresh: bool = False, most: int | None = None) -> Run:
         """Run a scenario. The caller must call :meth:`judge` next, which also clears the crash record.
@@ -314,10 +321,10 @@ class Workers:
     def judge(self, run: Run, scenario: Scenario | None = None) -> Verdict:
         """Judge the last run. If it fails, the reference is run in ``scenario``, by default in the run's scenario."""
         __tracebackhide__ = True
-        trace, early = self._early.pop(run.trace.scenario, (None, None))
-        if early is not None and trace is run.trace:  # Another run of the scenario may have another verdict.
+        early, verdict = self._early.pop(run.trace.scenario, (None, None))
+        if early is not None and verdict is not None and early.trace is run.trace:  # Another run may have another one.
             self.record.clear()
-            return early
+            return verdict
         with self._recorded():
             verdict = self.harness.judge(run)
             if verdict.failed and self.reference is not None:

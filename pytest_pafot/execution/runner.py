@@ -36,17 +36,19 @@ from pytest_pafot.execution.scenario_pool import (
     ExecutorPool,
     Job,
     LostRun,
+    Made,
     ScenarioPool,
     Timed,
     capture_output,
+    made_apart,
+    made_from,
     pool_for,
     read_nothing,
-    trace_apart,
-    trace_from,
+    trace_of,
 )
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Outcome, Trace
-from pytest_pafot.oracle.run import Run
+from pytest_pafot.oracle.run import Facts, Run
 from pytest_pafot.searching.evaluation import Chains, plain_chains
 from pytest_pafot.support.errors import flag
 from pytest_pafot.support.isolation import isolates
@@ -199,15 +201,15 @@ class Runner:
     def run(self, scenario: Scenario, *, afresh: bool = False, most: int | None = None) -> Trace:
         """Return the trace of a run of a scenario that was not announced; arguments and errors as :meth:`made`."""
         __tracebackhide__ = True
-        trace = self.made(scenario, afresh=afresh, most=most)
-        if isinstance(trace, Digest):
+        made = self.made(scenario, afresh=afresh, most=most)
+        if isinstance(made, Digest):
             raise TypeError(f"scenario: expected one that no other process has judged, received {scenario}")
-        return trace
+        return trace_of(made)
 
-    def made(self, scenario: Scenario, *, afresh: bool = False, most: int | None = None) -> Trace | Digest:
-        """Return the trace of a run of a scenario, or the digest of an announced run that another process has judged.
+    def made(self, scenario: Scenario, *, afresh: bool = False, most: int | None = None) -> Made:
+        """Return the trace of a run of a scenario, or what the process has sent that made an announced run.
 
-        With a trace, the crash record of the scenario stays on disk, because the evaluation of the run may end the
+        Without a digest, the crash record of the scenario stays on disk, because the evaluation of the run may end the
         process, too.
 
         Args:
@@ -222,10 +224,11 @@ class Runner:
             Exception: any exception of the world, the factory or the ADS's ``batch``.
         """
         __tracebackhide__ = True
-        trace = self._prefetching.take(scenario, afresh=afresh)
-        if isinstance(trace, Digest):
+        made = self._prefetching.take(scenario, afresh=afresh)
+        if isinstance(made, Digest):
             self.is_alone = True
-            return trace
+            return made
+        trace = None if made is None else trace_of(made)
         self.is_alone = trace is None or self._prefetching is not self.lock_step
         self.record.write(scenario, reference=self.job.reference)
         reused = 0
@@ -253,7 +256,7 @@ class Runner:
         self.asked, self.reused = self.asked + len(trace.actions) - reused, self.reused + reused
         if self._decisions is not None and self.is_alone:  # decisions of a batch may differ, so they are not cached
             self._decisions.remember(trace, None if self._copies is None else copies)
-        return trace
+        return made or trace
 
     def _showing(self, factory: Callable[..., Any]) -> Callable[..., Any]:
         """Return a factory that inspects its first ADS, because the user's factory must be called only for runs."""
@@ -662,14 +665,14 @@ class Processes:
             self.announced[scenario] = None
             yield scenario
 
-    def take(self, scenario: Scenario, *, afresh: bool) -> Trace | Digest | None:
-        """Return the trace or digest of an announced scenario; None if the scenario must be run in this process.
+    def take(self, scenario: Scenario, *, afresh: bool) -> Made | None:
+        """Return what became of an announced scenario; None if the scenario must be run in this process.
 
-        Each trace can be taken once. With ``afresh`` the result is always None.
+        Each run can be taken once. With ``afresh`` the result is always None.
         """
         __tracebackhide__ = True
         if not afresh and scenario in self.ready:
-            return trace_from(self.ready.pop(scenario))
+            return made_from(self.ready.pop(scenario))
         if afresh or scenario not in self.announced:
             return None
         if self._executor is not None and self._pool is None:
@@ -681,7 +684,7 @@ class Processes:
         answer = self._pool.fetch(scenario)
         if isinstance(answer, tuple) and self._executor is None:
             self._learn(answer[2])
-        return trace_from(answer)
+        return made_from(answer)
 
     def ran_here(self, seconds: float) -> None:
         """Record the duration of the last run in this process [s]; only announced runs are used."""
@@ -735,15 +738,15 @@ class Isolated(Processes):
             return [] if pool.failure or pool.unable else pool.notes
         return self._retried
 
-    def take(self, scenario: Scenario, *, afresh: bool) -> Trace:
-        """Return the trace of a scenario from a different process, and raise the exceptions of that process.
+    def take(self, scenario: Scenario, *, afresh: bool) -> Trace | Facts:
+        """Return the run of a scenario from a different process, and raise the exceptions of that process.
 
         No run is repeated in this process. So if a worker of an executor raises, for example because it lacks a
         package, the result is an ``ExecutionError``.
         """
         __tracebackhide__ = True
         if not afresh and scenario in self.ready:
-            return trace_apart(self.ready.pop(scenario))
+            return made_apart(self.ready.pop(scenario))
         pool = self._begun()
         answer = pool.fetch(scenario)
         if isinstance(answer, tuple):
@@ -757,7 +760,7 @@ class Isolated(Processes):
                 f"{type(first).__name__}: {first}; install what the run needs on the workers, or search without "
                 f"{flag('isolate')}, so that this process makes such runs"
             )
-        return trace_apart(answer)
+        return made_apart(answer)
 
     def _begun(self) -> ScenarioPool | ExecutorPool:
         try:
@@ -844,7 +847,7 @@ def run_apart(
         in_own_session()
         return None
     try:
-        return trace_apart(answers[scenario])
+        return trace_of(made_apart(answers[scenario]))
     except ProcessLostError:
         raise
     except Exception as error:
@@ -869,7 +872,7 @@ def call_apart(job: Job, scenario: Scenario, drive: Callable[[Scenario, Callable
         answer = pool.fetch(scenario)
     if pool.failure:
         raise ExecutionError(f"{flag('isolate')}: expected processes to run the ADS in, received: {pool.failure}")
-    result: Any = trace_from(answer)
+    result: Any = made_from(answer)
     if isinstance(answer, Exception):
         raise answer
     return result  # type: ignore[no-any-return]

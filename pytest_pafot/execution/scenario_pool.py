@@ -26,6 +26,7 @@ from pytest_pafot.findings.finding import Expect
 from pytest_pafot.findings.signature import PROCESS_CRASH
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Outcome, Trace
+from pytest_pafot.oracle.run import Facts
 from pytest_pafot.world.base_world import BaseWorld
 from pytest_pafot.world.guard.chance import GENERATORS
 from pytest_pafot.world.guard.own_worlds import rollout_of
@@ -137,13 +138,16 @@ class Digest:
     __slots__ = ()
 
     @property
-    def trace(self) -> Trace | None:
-        """The trace, if the session must judge it again."""
+    def facts(self) -> Facts | None:
+        """The run, if the session must judge it again."""
         return None
 
 
-Timed: TypeAlias = tuple[Trace | Digest, CapturedOutput, float]
-"""A run or its digest, its captured output, and its duration in wall-clock time [s]."""
+Made: TypeAlias = Trace | Facts | Digest
+"""What a process sends of a run: its trace, the trace with what the process has read of it, or the digest alone."""
+
+Timed: TypeAlias = tuple[Made, CapturedOutput, float]
+"""What is sent of a run, its captured output, and its duration in wall-clock time [s]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -225,9 +229,9 @@ class Job:
     world_data: Mapping[str, Any] | None = None
     root: Path = Path()
     """The folder of the project, whose modules are sent with the ADS to other machines."""
-    read: Callable[[Trace], Digest | None] = read_nothing
-    """A function that reads a trace in the process that made the run. It returns the digest that is sent instead of the
-    trace. Without a digest the trace is sent, with the values that it stores by then."""
+    read: Callable[[Trace], Facts | Digest | None] = read_nothing
+    """A function that reads a trace in the process that made the run, and returns what is sent instead of the trace;
+    None if the trace is sent."""
     drive: Callable[[BlockTask, Job, CrashRecord, Callable[[Said], object]], None] | None = None
     """A function that drives a block in a process, with this job and its crash record; None if there is none."""
     remark: str = ""
@@ -319,16 +323,18 @@ def _run_task(job: Job, record: CrashRecord, task: Scenario | BlockTask, say: Ca
         return None
 
 
-def run_recorded(job: Job, record: CrashRecord, scenario: Scenario, read: Callable[[Trace], Digest | None]) -> Timed:
+def run_recorded(
+    job: Job, record: CrashRecord, scenario: Scenario, read: Callable[[Trace], Facts | Digest | None]
+) -> Timed:
     """Run a scenario with its crash record on disk. The trace is read as ``Job.read`` does."""
-    digest = None
+    made = None
     record.write(scenario, reference=job.reference)
     trace, output, seconds = Job.run(lambda: job, scenario)
     with capture_output() as said, suppress(Exception):  # it is raised again in the session, which reads the trace
-        digest = read(trace)
-    if digest is None:
-        return trace, output, seconds
-    return digest, output.followed_by(said) if digest.trace is None else output, seconds
+        made = read(trace)
+    if isinstance(made, Digest) and made.facts is None:
+        output = output.followed_by(said)
+    return made or trace, output, seconds
 
 
 def _forget(job: Job, pid: int) -> None:
@@ -338,8 +344,8 @@ def _forget(job: Job, pid: int) -> None:
             leftover.discard()
 
 
-def trace_from(answer: Answer) -> Trace | Digest | None:
-    """Return the trace or digest of an answer and repeat its output here; None if the scenario must be run here.
+def made_from(answer: Answer) -> Made | None:
+    """Return what an answer says of its run and repeat its output here; None if the scenario must be run here.
 
     Raises:
         ProcessLostError: if the process died or hung.
@@ -349,21 +355,26 @@ def trace_from(answer: Answer) -> Trace | Digest | None:
         raise answer
     if isinstance(answer, Exception):
         return None
-    trace, output, _ = answer
+    made, output, _ = answer
     output.repeat()
-    return trace
+    return made
 
 
-def trace_apart(answer: Answer) -> Trace:
-    """Return the trace of an answer; raise if there is none, because the ADS must not run in this process.
+def trace_of(made: Trace | Facts) -> Trace:
+    """Return the trace of a run that no other process has judged."""
+    return made.trace if isinstance(made, Facts) else made
+
+
+def made_apart(answer: Answer) -> Trace | Facts:
+    """Return the run of an answer; raise if there is none, because the ADS must not run in this process.
 
     Raises:
         Exception: the exception of the other process.
     """
     __tracebackhide__ = True
-    trace = trace_from(answer)
-    if isinstance(trace, Trace):
-        return trace
+    made = made_from(answer)
+    if isinstance(made, (Trace, Facts)):
+        return made
     if isinstance(answer, Exception):
         answer.add_note(NOT_REPEATED)
         raise answer

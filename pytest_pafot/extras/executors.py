@@ -366,10 +366,10 @@ def _bench(parcel: Parcel) -> _Bench:
 
 def _run(parcel: Parcel, scenario: Scenario, tell: object) -> Timed:
     """Run a scenario in the child process of a worker."""
-    done = Job.run(partial(_unpacked, parcel), scenario)
-    with suppress(Exception):  # it is raised again in the session, when the value is read there
-        _unpacked(parcel).read(done[0])
-    return done
+    trace, output, seconds = Job.run(partial(_unpacked, parcel), scenario)
+    with suppress(Exception):  # it is raised again in the session, which reads the trace
+        return _unpacked(parcel).read(trace) or trace, output, seconds
+    return trace, output, seconds
 
 
 @lru_cache(maxsize=1)

@@ -15,8 +15,8 @@ from typing import Any, NamedTuple, Self
 
 import numpy as np
 
-from pytest_pafot.attribution.mistakes import Manoeuvre, Mistake, manoeuvre_before, mistake_of
-from pytest_pafot.attribution.responsibility import Fault, Responsibility
+from pytest_pafot.attribution.mistakes import Manoeuvre, manoeuvre_before
+from pytest_pafot.attribution.responsibility import Fault, Mistake, Responsibility
 from pytest_pafot.attribution.takeovers import Avoidance
 from pytest_pafot.findings.failure_rate import FailureRate
 from pytest_pafot.findings.labels import JUDGED_OTHERWISE, RunLabel
@@ -201,7 +201,7 @@ class Expect:
 
     def known_of(self, run: Run) -> Run:
         """Return a run with what this finding knows of its collision: how it is avoided."""
-        return replace(run, avoided_by=self.avoided_by) if self.is_of(run) else run
+        return run.with_avoidance(self.avoided_by) if self.is_of(run) else run
 
     def is_of(self, run: Run) -> bool:
         """Return whether a run has the collision that this finding is about."""
@@ -255,7 +255,7 @@ class Expect:
             situation=situation_of(run, failure, event.time),
             responsibility=run.attribution.responsibility,
             fault=run.attribution.fault,
-            mistake=mistake_of(trace) if run.attribution.fault == "entered-lane" else None,
+            mistake=run.attribution.mistake if run.attribution.fault == "entered-lane" else None,
             npc_manoeuvre=None
             if hit is None or hit.npc is None or event.zone
             else manoeuvre_before(trace, hit.npc + 1, hit.tick),
@@ -517,7 +517,7 @@ class Manner(NamedTuple):
 
 def failed_as(run: Run, failure: Failure) -> tuple[Signature, Manner]:
     """Return the signature of a run that failed, and its manner."""
-    expect = replace(Expect.of(run, failure), mistake=mistake_of(run.trace))
+    expect = replace(Expect.of(run, failure), mistake=run.attribution.mistake)
     return expect.signature, Manner.of(expect)
 
 

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import Any, Literal, TypeVar
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -14,8 +14,6 @@ from pytest_pafot.model.crossings import Zone
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.scenario import Chromosome, Scenario, with_targets
 from pytest_pafot.support.shown import Shown
-
-ReadT = TypeVar("ReadT")
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -198,7 +196,6 @@ class Trace(Shown):
     begun: tuple[tuple[int, ...], ...] = ()
     obstacles: tuple[tuple[float, float, float, float, float], ...] = ()
     drew: bool = False
-    _readings: dict[Hashable, Any] = field(default_factory=dict, init=False, repr=False)
 
     def steps_begun(self, npc: int) -> tuple[int, ...]:
         """Return the ticks at which the steps of an NPC's manoeuvre began; empty without a manoeuvre."""
@@ -228,16 +225,6 @@ class Trace(Shown):
         for array in (self.states, self.sizes, self.track, self.on_way):
             if array is not None:
                 array.flags.writeable = False
-
-    def reading(self, name: Hashable, read: Callable[[Trace], ReadT]) -> ReadT:
-        """Return the result of a pure function of the trace, computed once and stored in the trace under ``name``.
-
-        A trace that is sent to another process carries the stored results.
-        """
-        if name not in self._readings:
-            self._readings[name] = read(self)
-        value: ReadT = self._readings[name]
-        return value
 
     @property
     def ticks(self) -> int:

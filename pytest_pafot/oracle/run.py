@@ -15,7 +15,8 @@ import numpy as np
 import numpy.typing as npt
 
 from pytest_pafot import criticality
-from pytest_pafot.attribution.responsibility import Attribution, position_rule, rss_rule
+from pytest_pafot.attribution.mistakes import attributed
+from pytest_pafot.attribution.responsibility import Attribution, position_rule
 from pytest_pafot.attribution.sentences import due_by, responsible_sentence
 from pytest_pafot.attribution.takeovers import Avoidance, TakeOver
 from pytest_pafot.criticality import Passage, passages
@@ -139,6 +140,27 @@ def reference_outcome(run: Run, *, fails: bool) -> ReferenceOutcome:
     return "hit" if run.responsibility == "npc" else "at-fault"
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Facts:
+    """The trace of a run, with what its search needs to know of it besides the verdict and is expensive to compute.
+
+    The process that has made the run computes it, so that the process of the session need not.
+
+    Attributes:
+        trace: the trace.
+        attribution: the attribution of its collision.
+        interaction: see :func:`pytest_pafot.searching.evaluation.interaction_of`.
+        doubt: see :func:`pytest_pafot.campaign.setup_fault.unit_doubt`.
+        fitness: the fitness of the run; None if the user's own function computes it, which only the session calls.
+    """
+
+    trace: Trace
+    attribution: Attribution
+    interaction: tuple[bool, bool]
+    doubt: str
+    fitness: float | None
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class Run(Shown):
     """One simulated run with its outcome, measures and verdict. Measures are computed at their first use.
@@ -151,6 +173,7 @@ class Run(Shown):
         avoided_by: last decision from which braking avoids the collision in simulation, which a search finds out for
             its findings. The sentences then require no braking that would come later.
         driver: name of the reference driver that drives the ego, or None if the ADS does.
+        facts: what the process that made the run has computed of its trace, or None if it has computed nothing.
     """
 
     trace: Trace
@@ -159,6 +182,7 @@ class Run(Shown):
     take_over: TakeOver | None = field(default=None, kw_only=True)
     avoided_by: Avoidance | None = field(default=None, kw_only=True)
     driver: str | None = field(default=None, kw_only=True)
+    facts: Facts | None = field(default=None, kw_only=True)
 
     if not TYPE_CHECKING:  # type checkers know every name
 
@@ -359,8 +383,18 @@ class Run(Shown):
     @cached_property
     def attribution(self) -> Attribution:
         """The attribution of the collision: which vehicle caused it, the time of what decides, and the reason."""
-        found = rss_rule(self.trace)
+        found = self._attributed
         return found if self.avoided_by is None else replace(found, facts=due_by(found.facts, self.avoided_by.time))
+
+    @cached_property
+    def _attributed(self) -> Attribution:
+        return attributed(self.trace) if self.facts is None else self.facts.attribution
+
+    def with_avoidance(self, avoided_by: Avoidance | None) -> Run:
+        """Return the run with what a simulation has found out about its collision, as in :attr:`avoided_by`."""
+        known = replace(self, avoided_by=avoided_by)
+        known.__dict__["_attributed"] = self._attributed  # the rules only read the trace, so they are not asked again
+        return known
 
     @property
     def responsibility(self) -> str | None:

@@ -278,8 +278,9 @@ def finding_view(
     expect = finding.expect
     clearance = finding.world.get("clearance", CLEARANCE)
     clearance = float(clearance) if isinstance(clearance, (int, float)) else CLEARANCE
-    sentences = () if trace is None else expect.sentences_on(Run(trace))
-    explanation = "" if trace is None else _explanation(expect.known_of(Run(trace)), sentences)
+    run = None if trace is None else expect.known_of(Run(trace))
+    sentences = () if run is None else expect.sentences_on(run)
+    explanation = "" if run is None else _explanation(run, sentences)
     first, _, rest = explanation.partition("\n")
     told = [(rest if check is None else explanation) or expect.message, *simplified_lines(finding)]
     view = FindingView(

@@ -122,9 +122,13 @@ class Evaluation:
         kind: Hashable | None = None,
         mistake: str | None = None,
         margins: tuple[tuple[str, float], ...] = (),
+        interaction: tuple[bool, bool] | None = None,
     ) -> Self:
-        """Make the evaluation of a run from its trace and from the given fitness and verdict."""
-        interaction, left_behind = trace.reading("interaction", interaction_of)
+        """Make the evaluation of a run from its trace and from the given fitness and verdict.
+
+        ``interaction`` is the result of :func:`interaction_of`, if it is known.
+        """
+        interacted, left_behind = interaction_of(trace) if interaction is None else interaction
         arrived = tuple([tuple([tick is not None for tick in arrivals]) for arrivals in trace.arrivals])
         return cls(
             scenario=trace.scenario,
@@ -135,7 +139,7 @@ class Evaluation:
             duration=trace.duration,
             genes_started=sum(map(len, trace.arrivals)),
             genes_reached=sum(map(sum, arrived)),
-            interaction=interaction,
+            interaction=interacted,
             discarded=discarded,
             outran=left_behind,
             barely_moved=barely_moved(trace),

@@ -26,12 +26,12 @@ from pytest_pafot import criticality
 from pytest_pafot.criticality.measures import MANOEUVRE_SECONDS
 from pytest_pafot.criticality.signals import MEASURES
 from pytest_pafot.model.trace import HEADING, SPEED, FloatArray, Outcome, Trace
+from pytest_pafot.oracle.run import Run
 from pytest_pafot.support.errors import plain_number
 from pytest_pafot.support.references import referred_to
 from pytest_pafot.support.text import meant
 
 Fitness = Callable[[Trace], float]  # from a trace to a number; higher is worse for the ego
-Responsible = Callable[[Trace], bool]  # returns whether the ego is responsible for a run's collision
 WORST_RANK = -math.inf  # the fitness of invalid runs and NaN, which must never be preferred
 
 
@@ -170,21 +170,18 @@ FITNESSES: Mapping[str, Fitness] = MappingProxyType(
 """The functions by the names that ``fitness=`` accepts; the name of a measure stands for its worst value in the run."""
 
 
-def resolve(fitness: str | Weights | Fitness = "default", *, responsible: Responsible | None = None) -> Fitness:
-    """Return the function that a search maximises. If a user's function fails, it raises a :class:`FitnessError`.
+def resolve(fitness: str | Weights | Fitness = "default") -> Fitness:
+    """Return the fitness of a trace. If a user's function fails, it raises a :class:`FitnessError`.
 
     Args:
         fitness: ``"default"``, ``"paper"``, ``"av-fuzzer"``, a measure or its name, :class:`Weights` for the default
             with other weights, a function from a Trace to a number (higher is worse for the ego), or
             ``module:function``.
-        responsible: returns whether the ego is responsible for a run's collision; the fitness is then
-            :class:`Steered`. None for ``blame="any"``.
 
     Raises:
         FitnessError: for anything else.
     """
-    checked = _Checked(_function(fitness))
-    return checked if responsible is None else Steered(checked, responsible)
+    return _Checked(_function(fitness))
 
 
 def is_built_in(fitness: str | Weights | Fitness) -> bool:
@@ -194,9 +191,10 @@ def is_built_in(fitness: str | Weights | Fitness) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class Steered:
-    """The fitness of a search for collisions that the ego is responsible for (``blame`` other than ``any``).
+    """The fitness of a run, which a search maximises.
 
-    Two rules hold for every fitness:
+    With ``is_for_ego``, the search is for collisions that the ego is responsible for (``blame`` other than ``any``).
+    Then two rules hold for every fitness of a trace:
 
     1. A collision for which the ego is responsible is in [2, 4], every other run in [-1, 1]; minus infinity does not
        change. Within each range, the given fitness f decides the order, because f / (1 + |f|) increases with f.
@@ -206,13 +204,16 @@ class Steered:
     """
 
     fitness: Fitness
-    responsible: Responsible
+    is_for_ego: bool = True
 
-    def __call__(self, trace: Trace) -> float:
+    def __call__(self, run: Run) -> float:
         """Return the fitness of a run."""
+        trace = run.trace
+        if not self.is_for_ego:
+            return self.fitness(trace)
         if trace.outcome != Outcome.COLLISION:
             return _bounded(self.fitness(trace))
-        if self.responsible(trace):
+        if run.attribution.blames_ego:
             return 3.0 + _bounded(self.fitness(trace))
         return _bounded(self.fitness(before_impact(trace)))
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from pytest_pafot.attribution.manoeuvres import Stop, hard_braking
 from pytest_pafot.attribution.responses import DISTANCES
-from pytest_pafot.attribution.responsibility import Conflict, is_ego_responsible, position_rule, rss_rule
+from pytest_pafot.attribution.responsibility import Conflict, position_rule, rss_rule
 from pytest_pafot.attribution.sentences import (
     ANSWERS,
     Doing,
@@ -21,11 +21,12 @@ from pytest_pafot.attribution.sentences import (
     responsible_sentence,
     sentences,
 )
+from pytest_pafot.attribution.takeovers import Avoidance
 from pytest_pafot.criticality import RoadFrame
 from pytest_pafot.model.crossings import Zone
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.trace import HEADING, SPEED, STEERING, Outcome, X, Y
-from pytest_pafot.oracle.run import LINE_LENGTH
+from pytest_pafot.oracle.run import LINE_LENGTH, Run
 from tests.helpers.drives import HZ, crash, driven
 from tests.helpers.pencil_and_paper import judge
 from tests.helpers.situations import cut_in, lane_change
@@ -476,6 +477,7 @@ def test_the_collision_of_a_run_is_judged_once(monkeypatch):
     trace = crash(driven(0.0), driven(-60.0, speed=26.0), side="rear", cell=Cell.REAR)
     judged, rule = [], Conflict._in_one_lane
     monkeypatch.setattr(Conflict, "_in_one_lane", lambda conflict: judged.append(conflict) or rule(conflict))
-    assert rss_rule(trace) == rss_rule(trace)
-    assert not is_ego_responsible(trace)
+    run = Run(trace)
+    assert run.with_avoidance(Avoidance(time=1.0, braking=6.0)).attribution == run.attribution
+    assert (run.responsibility, run.attribution.blames_ego) == ("npc", False)
     assert len(judged) == 1

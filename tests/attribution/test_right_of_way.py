@@ -7,7 +7,7 @@ from typing import get_args
 import numpy as np
 import pytest
 
-from pytest_pafot.attribution.mistakes import NOT_GIVEN_WAY, mistake_of
+from pytest_pafot.attribution.mistakes import NOT_GIVEN_WAY, attributed
 from pytest_pafot.attribution.responsibility import Passing, position_rule, rss_rule, stopping
 from pytest_pafot.attribution.sentences import Doing, Fact, What, sentences
 from pytest_pafot.model.crossings import Holder, Kind, Origin, Zone
@@ -66,7 +66,7 @@ def test_every_zone_entry_is_one_uncut_sentence(kind, origin, priority, vehicle,
 def test_where_the_other_comes_from_tells_the_mistake(origin):
     trace = ignored(FROM[origin])
     assert rss_rule(trace).fault == "did-not-give-way"
-    assert mistake_of(trace) == NOT_GIVEN_WAY[origin]
+    assert attributed(trace).mistake == NOT_GIVEN_WAY[origin]
 
 
 def test_reason_says_what_happened_before_what_was_due():

@@ -18,12 +18,11 @@ from typing import Any
 
 from example_ads import idm_mobil
 from pytest_pafot import Highway, Run, Scenario
-from pytest_pafot.attribution.responsibility import is_ego_responsible
 from pytest_pafot.campaign.request import drawn_space
 from pytest_pafot.findings.finding import of_failure
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.searching import DistinctSearch, Evaluation, PafotSearch, RandomSearch, SearchSpace
-from pytest_pafot.searching.fitness import Weights, resolve
+from pytest_pafot.searching.fitness import Steered, Weights, resolve
 from tests.benchmarks.command import in_processes, options, print_head
 from tests.benchmarks.positive_controls import NOT_RUN_COLLISION
 from tests.helpers.campaigns import run_campaign
@@ -99,12 +98,13 @@ def measured(named: tuple[str, bool], seed: int, hours: float) -> Tally:
     """Run a search for some simulated hours, with blame if it is from the second table."""
     name, blame = named
     variant, tally = (FAILURES if blame else COLLISIONS)[name], Tally()
-    fitness = resolve(variant.fitness, responsible=is_ego_responsible if blame else None)
+    fitness = Steered(resolve(variant.fitness), is_for_ego=blame)
 
     def one(scenario: Scenario) -> Evaluation:
         trace = variant.world.rollout(scenario, idm_mobil.make)
-        is_hit, is_blamed = trace.outcome is Outcome.COLLISION, is_ego_responsible(trace)
-        kind = of_failure(Run(trace), NOT_RUN_COLLISION) if is_blamed else None
+        run = Run(trace)
+        is_hit, is_blamed = trace.outcome is Outcome.COLLISION, run.attribution.blames_ego
+        kind = of_failure(run, NOT_RUN_COLLISION) if is_blamed else None
         tally.runs += 1
         tally.seconds += trace.duration
         tally.collisions += is_hit
@@ -112,7 +112,7 @@ def measured(named: tuple[str, bool], seed: int, hours: float) -> Tally:
         tally.kinds |= {kind} - {None}
         return Evaluation.of(
             trace,
-            fitness=fitness(trace),
+            fitness=fitness(run),
             failing=is_blamed if blame else is_hit,
             kind=kind if variant.tells_kinds else None,
             mistake=None if kind is None else kind.mistake,

@@ -31,7 +31,6 @@ from pathlib import Path
 
 from example_ads import defects
 from pytest_pafot import Highway, Run, Scenario
-from pytest_pafot.attribution.responsibility import is_ego_responsible
 from pytest_pafot.campaign.refine.runs import driven
 from pytest_pafot.campaign.refine.simplest import ROLLOUTS, ROLLOUTS_IN_KERNEL, starts_of
 from pytest_pafot.findings.finding import of_failure
@@ -101,7 +100,7 @@ def row_of(found: Found, brute_force: int) -> Row:
 
     def signature_of(scenario: Scenario) -> tuple[Run, Signature | None]:
         run = Run(world.rollout(scenario, factory_of(found.policy)))
-        return run, of_failure(run, NOT_RUN_COLLISION) if is_ego_responsible(run.trace) else None
+        return run, of_failure(run, NOT_RUN_COLLISION) if run.attribution.blames_ego else None
 
     def attempt(candidate: Scenario) -> Scenario | None:
         try:

@@ -27,7 +27,7 @@ import numpy as np
 import pytest_pafot as pafot
 from example_ads.ppo import PpoPolicy, read_actor
 from example_ads.ppo.train import actor_modules, actor_of, give_actor, untrained
-from pytest_pafot.attribution.responsibility import Fault, is_ego_responsible, rss_rule
+from pytest_pafot.attribution.responsibility import Fault, rss_rule
 from pytest_pafot.extras.episodes.rate import Pair, Rate, driven
 from pytest_pafot.extras.training import random_scenarios
 from pytest_pafot.support.proportions import interval_text
@@ -63,7 +63,7 @@ def scenarios(seed: int, count: int) -> list[pafot.Scenario]:
 def faults(policy: PpoPolicy, given: Sequence[pafot.Scenario]) -> tuple[Fault | None, ...]:
     """Return for each scenario the fault by which a policy is responsible for a crash, or None."""
     traces = WORLD.rollout_batch(given, lambda: policy)
-    return tuple(rss_rule(trace).fault if is_ego_responsible(trace) else None for trace in traces)
+    return tuple(rss_rule(trace).fault for trace in traces)
 
 
 def measured(name: str, policy: PpoPolicy, given: Sequence[pafot.Scenario], episodes: int) -> Measured:

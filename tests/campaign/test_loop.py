@@ -101,7 +101,7 @@ class Workers:
         return self.verdicts(next(self.numbers))
 
     def evaluation(self, run, verdict, signature):
-        return evaluated(run.trace, verdict, signature, lambda trace: 0.0, is_steered_by_checks=True)
+        return evaluated(run, verdict, signature, lambda run: 0.0, is_steered_by_checks=True)
 
     def learn(self, plan):
         return plan.learn()

@@ -7,12 +7,14 @@ import pytest
 
 import pytest_pafot as pafot
 from pytest_pafot import Cell, Highway, PositionInstruction, Scenario
-from pytest_pafot.campaign.tallies import read_ahead
-from pytest_pafot.campaign.verdict import FITNESS
+from pytest_pafot.campaign.tallies import Reader
+from pytest_pafot.campaign.verdict import Verdict, evaluated
 from pytest_pafot.execution import runner as execution_runner
-from pytest_pafot.searching.evaluation import Evaluation
+from pytest_pafot.oracle import run as oracle_run
+from pytest_pafot.oracle.run import Run
+from pytest_pafot.searching import evaluation
 from pytest_pafot.searching.events import Evaluated
-from pytest_pafot.searching.fitness import resolve
+from pytest_pafot.searching.fitness import Steered, resolve
 
 
 def brakes_late(observation):
@@ -56,12 +58,19 @@ def test_search_learns_the_same_wherever_runs_are_read(monkeypatch, settings):
     assert (here, found) == elsewhere
 
 
-def test_evaluation_computed_in_worker_is_not_computed_again(monkeypatch):
+@pytest.mark.parametrize("is_own", [False, True], ids=["built-in fitness", "own fitness"])
+def test_what_a_process_reads_of_a_run_is_not_computed_again(monkeypatch, is_own):
     chains = [[PositionInstruction(Cell.FRONT, 12.0)], [PositionInstruction(Cell.REAR, 26.0)]]
     trace = Highway().rollout(Scenario.repaired(chains, gene_seconds=10.0), lambda: brakes_late)
-    fitness = resolve("default")
-    expected = Evaluation.of(trace, fitness=fitness(trace), failing=False)
-    read_ahead(fitness, trace)
-    sent = pickle.loads(pickle.dumps(trace))
-    again = sent.reading(FITNESS, lambda trace: pytest.fail("read again"))
-    assert Evaluation.of(sent, fitness=again, failing=False) == expected
+    fitness, passed = Steered(resolve("default")), Verdict(kind="passed")
+    expected = evaluated(Run(trace), passed, None, fitness, is_steered_by_checks=True)
+    read = Reader(harness=None, fitness=None if is_own else fitness, is_steered_by_checks=True, has_table=False)
+    sent = pickle.loads(pickle.dumps(read(trace)))
+    monkeypatch.setattr(evaluation, "interaction_of", lambda trace: pytest.fail("read again"))
+    monkeypatch.setattr(oracle_run, "attributed", lambda trace: pytest.fail("read again"))
+    computed = []
+    own = lambda run: computed.append(run) or fitness(run)  # noqa: E731
+    run = Run(sent.trace, facts=sent)
+    assert evaluated(run, passed, None, own, is_steered_by_checks=True) == expected
+    assert len(computed) == is_own
+    assert run.attribution == sent.attribution

@@ -12,7 +12,7 @@ import pytest
 
 from pytest_pafot.execution import scenario_pool
 from pytest_pafot.execution.crash_records import leftovers
-from pytest_pafot.execution.scenario_pool import ExecutionError, Job, expectation, pool_for, trace_from
+from pytest_pafot.execution.scenario_pool import ExecutionError, Job, expectation, made_from, pool_for
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.world.guard.own_worlds import base_world
 from tests.helpers.toy_world import Toy, idle, scenario
@@ -50,7 +50,7 @@ def fetched(pool, scenario=SCENARIOS[0]):
 
 
 def test_traces_come_back_read_only(pool_of):
-    states = trace_from(fetched(pool_of(lambda number: None), SCENARIOS[3])).states
+    states = made_from(fetched(pool_of(lambda number: None), SCENARIOS[3])).states
     assert np.array_equal(states, np.full((2, 2, 7), 3.0))
     assert not states.flags.writeable
 
@@ -59,7 +59,7 @@ def test_what_raises_is_left_to_this_process(pool_of):
     def fail(number):
         raise SystemExit("no such planner")
 
-    assert trace_from(fetched(pool_of(fail))) is None
+    assert made_from(fetched(pool_of(fail))) is None
 
 
 def test_result_that_cannot_be_sent_is_an_exception(pool_of):
@@ -107,7 +107,7 @@ def test_what_the_ads_says_is_said_again_here(pool_of, capsys, caplog):
     answer = fetched(pool_of(chat))
     assert capsys.readouterr() == ("", "")
     with pytest.warns(DeprecationWarning, match="old interface") as warned:
-        trace_from(answer)
+        made_from(answer)
     assert warned[0].filename == __file__
     assert capsys.readouterr() == ("driving 0\nbytes\n", "careful\n")
     assert caplog.record_tuples == [("planner", logging.WARNING, "gap of 0 m")]
@@ -123,7 +123,7 @@ def test_exception_in_a_thread_of_another_process_is_told_to_the_hook_of_this_on
     monkeypatch.setattr(threading, "excepthook", told.append)
     answer = fetched(pool_of(drive))
     assert not told
-    trace_from(answer)
+    made_from(answer)
     (ended,) = told
     assert ended.thread.name == "planning"
     assert "1 / number" in str(ended.exc_value)
@@ -135,7 +135,7 @@ def test_ads_that_closes_stdout_closes_only_its_own(pool_of, capsys):
         print("last words")
         sys.stdout.close()
 
-    assert trace_from(fetched(pool_of(close))) is not None
+    assert made_from(fetched(pool_of(close))) is not None
     assert capsys.readouterr().out == "last words\n"
 
 
@@ -143,7 +143,7 @@ def test_warning_filters_apply_in_the_scenario_process(pool_of, recwarn):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         answer = fetched(pool_of(lambda number: warnings.warn("old interface", DeprecationWarning, stacklevel=1)))
-    trace_from(answer)
+    made_from(answer)
     assert not recwarn.list
 
 
@@ -151,7 +151,7 @@ def test_warning_filters_apply_in_the_scenario_process(pool_of, recwarn):
 def test_spawned_processes_run_a_picklable_factory(job_of, monkeypatch):
     monkeypatch.setattr(scenario_pool, "METHOD", "spawn")
     with pool_for(job_of(idle), 1) as pool:
-        assert trace_from(fetched(pool, SCENARIOS[1])).scenario == SCENARIOS[1]
+        assert made_from(fetched(pool, SCENARIOS[1])).scenario == SCENARIOS[1]
     assert pool.failure == ""
 
 

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from pytest_pafot.attribution.responsibility import Attribution
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.scenario import PositionInstruction, Scenario
 from pytest_pafot.model.trace import Collision, Lane, Outcome, Trace
+from pytest_pafot.oracle.run import Facts, Run
 
 LENGTH, WIDTH, LANE_WIDTH = 5.0, 2.0, 4.0
 
@@ -95,3 +97,9 @@ def random_states(rng, rows, vehicles, *, spread=25.0):
     states[..., 4] = rng.uniform(-8, 5, (rows, vehicles))
     states[..., 6] = rng.integers(-1, 4, (rows, vehicles))
     return states
+
+
+def blamed_on(responsible, trace):
+    """Return a run for whose collision some vehicles are responsible, whatever the rules say."""
+    found = Attribution(responsibility=responsible, tick=None, time=None)
+    return Run(trace, facts=Facts(trace, found, interaction=(True, False), doubt="", fitness=None))

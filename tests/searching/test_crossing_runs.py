@@ -10,6 +10,7 @@ from pytest_pafot.searching.evaluation import Evaluation, interaction_of, neares
 from pytest_pafot.searching.fitness import FITNESSES, Steered, av_fuzzer, before_impact, resolve, weighted
 from tests.helpers.junctions import driven, hit, plan
 from tests.helpers.tables import table
+from tests.helpers.traces import blamed_on
 
 EGO = plan("west straight", 8.0, 10.0)
 
@@ -67,8 +68,8 @@ def test_run_before_impact_includes_all_crossing_ways():
 
 def test_npc_caused_collision_is_rated_by_earlier_run():
     trace, fitness = collision(), resolve("default")
-    assert Steered(fitness, lambda trace: True)(trace) > 2
-    assert -1 <= Steered(fitness, lambda trace: False)(trace) <= 1
+    assert Steered(fitness)(blamed_on("ego", trace)) > 2
+    assert -1 <= Steered(fitness)(blamed_on("npc", trace)) <= 1
 
 
 @table(

@@ -10,11 +10,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pytest_pafot import criticality
+from pytest_pafot.attribution.responsibility import Attribution
 from pytest_pafot.criticality.signals import Measure
 from pytest_pafot.model.trace import SPEED, Outcome
+from pytest_pafot.oracle.run import Run
 from pytest_pafot.searching.fitness import FitnessError, Steered, Weights, before_impact, paper, resolve, weighted
 from tests.helpers.tables import table
-from tests.helpers.traces import collision_at, random_states, scenario_of, trace_of, vehicle
+from tests.helpers.traces import blamed_on, collision_at, random_states, scenario_of, trace_of, vehicle
 
 seeds = st.integers(0, 2**32 - 1)
 without_collision = st.sampled_from([Outcome.SAFE, Outcome.OFF_ROAD, Outcome.ADS_ERROR, Outcome.HANG])
@@ -251,9 +253,14 @@ class TestMeasures:
             resolve("ego.lane")
 
 
-def front_is_to_blame(trace):
-    """Return whether the ego hit the NPC with its front, which decides responsibility in these tests."""
-    return trace.collision is not None and trace.collision.side == "front"
+def steered(fitness):
+    """Return the fitness of traces in a search that blames the ego, which is responsible if it hits with its front."""
+
+    def rank(trace):
+        hits = trace.collision is not None and trace.collision.side == "front"
+        return Steered(fitness)(blamed_on("ego" if hits else "npc", trace))
+
+    return rank
 
 
 REAR_END = collision_at(90, side="rear", ego_speed=20, npc_speed=30)
@@ -263,7 +270,7 @@ FITNESSES = ["default", "paper", lambda trace: -trace.duration, lambda trace: 0.
 @pytest.mark.parametrize("fitness", FITNESSES, ids=["default", "paper", "quick", "constant", "huge"])
 class TestSteered:
     def rank(self, fitness):
-        return resolve(fitness, responsible=front_is_to_blame)
+        return steered(resolve(fitness))
 
     def test_collision_by_the_ego_outranks_every_other_run(self, fitness):
         rank = self.rank(fitness)
@@ -284,16 +291,21 @@ class TestSteered:
     def test_invalid_runs_stay_last(self, fitness):
         assert self.rank(fitness)(crash(outcome=Outcome.INVALID)) == -math.inf
 
-    def test_the_rule_is_asked_about_collisions_only(self, fitness):
-        asked = []
-        rank = resolve(fitness, responsible=lambda trace: asked.append(trace.outcome) or True)
-        for run in (harmless(), near_miss(), crash()):
-            rank(run)
+    def test_the_rule_is_asked_about_collisions_only(self, fitness, monkeypatch):
+        asked, blamed = [], Attribution(responsibility="ego", tick=None, time=None)
+        monkeypatch.setattr(Run, "attribution", property(lambda run: asked.append(run.outcome) or blamed))
+        for trace in (harmless(), near_miss(), crash()):
+            Steered(resolve(fitness))(Run(trace))
         assert asked == [Outcome.COLLISION]
+
+    def test_blame_on_any_vehicle_leaves_the_fitness_as_it_is(self, fitness):
+        plain, rank = resolve(fitness), Steered(resolve(fitness), is_for_ego=False)
+        for trace in (harmless(), crash(), rammed(collision=REAR_END)):
+            assert rank(Run(trace)) == plain(trace)
 
 
 class TestSteeredDefault:
-    rank = staticmethod(resolve(responsible=front_is_to_blame))
+    rank = staticmethod(steered(resolve()))
 
     def test_being_rammed_ranks_below_a_near_miss(self):
         assert self.rank(rammed(collision=REAR_END)) < self.rank(near_miss())
@@ -306,11 +318,11 @@ class TestSteeredDefault:
         assert self.rank(alone) < self.rank(miss) <= self.rank(both)
 
     def test_a_fitness_that_is_minus_infinity_stays_so(self):
-        assert Steered(lambda trace: -math.inf, front_is_to_blame)(crash()) == -math.inf
+        assert steered(lambda trace: -math.inf)(crash()) == -math.inf
 
     def test_a_fitness_that_is_infinite_keeps_its_shelf(self):
-        assert Steered(lambda trace: math.inf, front_is_to_blame)(crash()) == 4
-        assert Steered(lambda trace: math.inf, front_is_to_blame)(harmless()) == 1
+        assert steered(lambda trace: math.inf)(crash()) == 4
+        assert steered(lambda trace: math.inf)(harmless()) == 1
 
 
 class TestBeforeImpact:

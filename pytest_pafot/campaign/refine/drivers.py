@@ -40,7 +40,7 @@ def with_drivers(
         errors.append(error)
     for each in errors:
         yield Note(f"{each}; findings say nothing of what this driver would have done")
-    shown = run if avoided is None else replace(run, avoided_by=avoided)
+    shown = run if avoided is None else run.with_avoidance(avoided)
     if shown.sentences != run.sentences:  # the message of the failure may contain them
         again = harness.judge(shown)
         exception = (again.exception if again.failed else None) or exception
