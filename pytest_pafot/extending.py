@@ -34,7 +34,6 @@ if TYPE_CHECKING:
     from pytest_pafot.corpus.layout import files_below as files_below
     from pytest_pafot.corpus.saved import Saved as Saved
     from pytest_pafot.criticality.measures import Encounters as Encounters
-    from pytest_pafot.execution.elsewhere import DrivesElsewhere as DrivesElsewhere
     from pytest_pafot.execution.pool import ProcessLostError as ProcessLostError
     from pytest_pafot.execution.pool import Requests as Requests
     from pytest_pafot.execution.pool import WorkerPool as WorkerPool
@@ -83,10 +82,9 @@ if TYPE_CHECKING:
     from pytest_pafot.world.codec import WorldData as WorldData
     from pytest_pafot.world.codec import code_of as code_of
     from pytest_pafot.world.driving.ads import AdsFactory as AdsFactory
-    from pytest_pafot.world.driving.ads import loading_hint as loading_hint
-    from pytest_pafot.world.driving.ads import needs_env as needs_env
-    from pytest_pafot.world.driving.ads import preload as preload
-    from pytest_pafot.world.driving.policy import checked_action as checked_action
+    from pytest_pafot.world.driving.policy import DrivesElsewhere as DrivesElsewhere
+    from pytest_pafot.world.driving.policy import Policy as Policy
+    from pytest_pafot.world.driving.policy_driver import checked_action as checked_action
     from pytest_pafot.world.engines.ordinary_traffic import SteppedWorld as SteppedWorld
     from pytest_pafot.world.engines.ordinary_traffic import drive_episode as drive_episode
     from pytest_pafot.world.guard.hang_guard import check_time as check_time
@@ -101,7 +99,7 @@ _HOMES = {
     "AlgorithmClass": "searching.algorithms.catalogue",
     "AlgorithmEvent": "searching.events",
     "AlgorithmRun": "campaign.explore",
-    "DrivesElsewhere": "execution.elsewhere",
+    "DrivesElsewhere": "world.driving.policy",
     "Encounters": "criticality.measures",
     "Evaluation": "searching.evaluation",
     "ExecutionError": "execution.scenario_pool",
@@ -118,6 +116,7 @@ _HOMES = {
     "LocalSearchStarted": "searching.events",
     "NewBest": "searching.events",
     "NicheSearch": "searching.algorithms.distinct",
+    "Policy": "world.driving.policy",
     "ProcessLostError": "execution.pool",
     "RequestError": "support.errors",
     "Requests": "execution.pool",
@@ -145,7 +144,7 @@ _HOMES = {
     "check_function": "commands.policy_reference",
     "check_parameters": "searching.ask_tell",
     "check_time": "world.guard.hang_guard",
-    "checked_action": "world.driving.policy",
+    "checked_action": "world.driving.policy_driver",
     "code_of": "world.codec",
     "config_of": "commands.policy_reference",
     "drawn_episode": "report.animation",
@@ -158,11 +157,8 @@ _HOMES = {
     "identity": "commands.policy_reference",
     "judged_runs": "campaign.explore",
     "judged_with_drivers": "campaign.verdict",
-    "loading_hint": "world.driving.ads",
     "mutate": "searching.operators",
-    "needs_env": "world.driving.ads",
     "policy_of": "plugin.collection",
-    "preload": "world.driving.ads",
     "refusals": "campaign.harness",
     "replay_of": "plugin.failure_reports",
     "replay_saved": "campaign.explore",

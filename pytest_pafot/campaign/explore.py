@@ -47,6 +47,7 @@ from pytest_pafot.support.shown import Shown
 from pytest_pafot.support.versions import installed_versions
 from pytest_pafot.world import Highway
 from pytest_pafot.world.driving.ads import AdsFactory
+from pytest_pafot.world.driving.policy import Policy
 from pytest_pafot.world.guard.own_worlds import base_world
 
 PLACE = "pafot.explore"
@@ -373,10 +374,11 @@ def replays_of(
         raise request.error("corpus", refusal(link))
     if settings.resume is not None:
         check_states(settings.resume, Path.cwd())
+    policy = Policy(request.ads)
     harness = Harness(
         request=request,
         world=build_world(request, Highway()),
-        ads=request.ads,
+        policy=policy,
         test=holds,
         test_file=source_file(holds),
         node_id=node_id,
@@ -385,7 +387,7 @@ def replays_of(
         records=scratch / "records",
         root=Path.cwd(),
         versions=installed_versions(),
-        against=reference_of(settings.against, fixture, request.ads),
+        against=reference_of(settings.against, fixture, policy),
         executor=executor,
         needs_only_run=needs_only_run,
         states=None if settings.resume is None else Path.cwd() / settings.resume,

@@ -17,7 +17,6 @@ from pytest_pafot.attribution.takeovers import Avoidance, avoidance
 from pytest_pafot.campaign.request import AgainstError, Request
 from pytest_pafot.campaign.verdict import Test, Verdict, judge, no_skip, reference_outcomes, skips
 from pytest_pafot.execution.crash_records import CrashRecord, Leftover, left_by
-from pytest_pafot.execution.elsewhere import DrivesElsewhere
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.execution.runner import Runner, runner_for
 from pytest_pafot.execution.scenario_pool import ExecutionError, Job
@@ -31,7 +30,8 @@ from pytest_pafot.support.references import REVISION, factory_named, name_of
 from pytest_pafot.support.source_files import source_files
 from pytest_pafot.world import AdsFactoryError, WorldError, codec
 from pytest_pafot.world.base_world import BaseWorld
-from pytest_pafot.world.driving.ads import hint_at_object, is_vehicle_class, preload, weights_digest
+from pytest_pafot.world.driving.ads import hint_at_object
+from pytest_pafot.world.driving.policy import DrivesElsewhere, Policy
 from pytest_pafot.world.guard.chance import Unseeded
 from pytest_pafot.world.guard.failure import exits, let_through
 
@@ -42,7 +42,7 @@ from pytest_pafot.world.guard.failure import exits, let_through
 class Reference:
     """The reference of a search: a failure of the tested policy counts only if this policy passes the same scenario."""
 
-    ads: Callable[..., Any]  # the factory
+    policy: Policy
     name: str  # the name in saved files; empty for a factory that no text can refer to
     commit: str = ""  # the hash of the commit, if the reference is a revision
 
@@ -52,10 +52,8 @@ class Reference:
         return self.name or "the reference"
 
 
-def reference_of(
-    given: object, fixture: Callable[[str], Callable[..., Any]], ads: Callable[..., Any]
-) -> Reference | None:
-    """Return the reference of the option ``against`` for a tested policy ``ads``.
+def reference_of(given: object, fixture: Callable[[str], Callable[..., Any]], tested: Policy) -> Reference | None:
+    """Return the reference of the option ``against`` for a tested policy.
 
     It is a factory, its ``module:factory[:argument]``, or the name of a fixture.
 
@@ -66,7 +64,7 @@ def reference_of(
     if given is None:
         return None
     if isinstance(given, DrivesElsewhere):
-        return Reference(ads=given, name=given.label, commit=given.commit)
+        return Reference(policy=Policy(given), name=given.label, commit=given.commit)
     if is_revision(given):
         raise AgainstError(
             f"against: expected a factory or its name as module:factory, received {given!r}; a revision is compared by "
@@ -83,8 +81,8 @@ def reference_of(
             "against: expected a factory such as `lambda: OldPlanner()`, its name as module:factory, or the name of a "
             f"fixture that returns a factory, received {found!r:.100}. {hint_at_object(found)}".removesuffix(". ")
         )
-    reference = Reference(ads=found, name=given if isinstance(given, str) else name_of(found))
-    if same := same_policy(ads, found):
+    reference = Reference(policy=Policy(found), name=given if isinstance(given, str) else name_of(found))
+    if same := same_policy(tested.factory, found):
         raise AgainstError(f"against ({reference.shown}): {same}")
     return reference
 
@@ -102,7 +100,7 @@ def same_policy(ads: Callable[..., Any], other: Callable[..., Any]) -> str:
     """
     if ads is not other:
         parts = [_parts(each) for each in (ads, other)]
-        if None in parts or parts[0] != parts[1] or weights_digest(ads) != weights_digest(other):
+        if None in parts or parts[0] != parts[1] or Policy(ads).weights != Policy(other).weights:
             return ""
         files, others = source_files(ads), source_files(other)
         if not files or _contents(files, others) != _contents(others, files):
@@ -142,7 +140,7 @@ class Harness:
 
     request: Request
     world: BaseWorld  # the world of the search; a saved scenario may have a different one
-    ads: Callable[..., Any]
+    policy: Policy
     test: Test
     test_file: str
     node_id: str  # the node id of the test, without the plugin's own part
@@ -169,12 +167,12 @@ class Harness:
         world = self.world if world is None else world
         with refusals():  # only making the environment of a pafot.World shows whether it can be used
             data = codec.described(world)
-            preload(self.ads)
+            self.policy.preload()
         owner = owner or self.node_id
         memory = self.request.settings.memory
         return Job(
             world=world,
-            ads=self.drawing(self.ads),
+            policy=self.drawing(self.policy),
             records=self.records,
             owner=owner,
             world_data=data,
@@ -182,10 +180,15 @@ class Harness:
             memory=memory,
         )
 
-    def drawing(self, ads: Callable[..., Any]) -> Callable[..., Any]:
-        """Return a factory with which the global random generators are seeded for each run, unless the test says no."""
-        is_seeded = not self.request.settings.unseeded or is_vehicle_class(ads) or isinstance(ads, DrivesElsewhere)
-        return ads if is_seeded else Unseeded(ads)
+    def drawing(self, policy: Policy) -> Policy:
+        """Return a policy with which the global random generators are seeded for each run, unless the test says no."""
+        is_seeded = not self.request.settings.unseeded or policy.drives_itself or policy.elsewhere is not None
+        return policy if is_seeded else Policy(Unseeded(policy.factory))
+
+    @property
+    def acts_in_si(self) -> bool:
+        """True if the policy acts in SI units, and not by an environment's actions."""
+        return self.policy.drives_itself or self.world.action_space is None
 
     def seen(self, made: Trace | Facts, world: BaseWorld | None = None) -> Run:
         """Return a trace as the test function sees it; ``world`` is by default the world of the search."""
@@ -240,9 +243,8 @@ class Harness:
         if self.against is None:
             return None
         with refusals():
-            return runner_for(
-                replace(job, ads=self.drawing(self.against.ads), reference=self.against.shown), record, isolate=isolate
-            )
+            job = replace(job, policy=self.drawing(self.against.policy), reference=self.against.shown)
+            return runner_for(job, record, isolate=isolate)
 
     def judge_reference(self, runner: Runner, scenario: Scenario, world: BaseWorld | None = None) -> Verdict:
         """Return the verdict on the reference in a scenario. A reference that raises, hangs or dies has failed."""
@@ -273,7 +275,7 @@ class Harness:
     def fails_with(self, ads: Callable[..., Any], scenario: Scenario, record: CrashRecord) -> bool:
         """Return whether the test fails in a scenario with another ADS, such as the same ADS with perfect sight."""
         __tracebackhide__ = True
-        job = replace(self.job(), ads=self.drawing(ads))
+        job = replace(self.job(), policy=self.drawing(Policy(ads)))
         with refusals(), runner_for(job, record, isolate=self.request.settings.isolate) as runner:
             try:
                 run = self.seen(runner.run(scenario, afresh=True))

@@ -15,8 +15,6 @@ from pytest_pafot.corpus.saved import Saved
 from pytest_pafot.findings.finding import Finding, Perceived, ending, of_failure
 from pytest_pafot.findings.shrink import Shrunk, size_of, sort_key
 from pytest_pafot.support.text import plural
-from pytest_pafot.world.driving.ads import weights_digest
-from pytest_pafot.world.driving.perception import sight_of
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -62,10 +60,10 @@ def shrink_saved(
         now = headline(run, verdict) if verdict.failed else ending(run)
         yield Later(told=f"it does not fail as the file says: {now}", is_refused=True)
         return
-    sight = sight_of(harness.ads)
+    sight = harness.policy.sight
     start = replace(
         before,
-        found=replace(before.found, versions=harness.versions, weights=weights_digest(harness.ads)),
+        found=replace(before.found, versions=harness.versions, weights=harness.policy.weights),
         perception=None if sight is None else Perceived(sight=sight),
         original=None,
         shrunk=None,

@@ -52,8 +52,6 @@ from pytest_pafot.support.errors import OutOfTime, RequestError
 from pytest_pafot.support.text import one_line, plural
 from pytest_pafot.world import WorldError, codec
 from pytest_pafot.world.base_world import BaseWorld
-from pytest_pafot.world.driving.ads import weights_digest
-from pytest_pafot.world.driving.perception import sight_of
 from pytest_pafot.world.guard.failure import is_interruption
 from pytest_pafot.world.guard.own_worlds import base_world, rollout_of
 
@@ -282,7 +280,7 @@ class Replays:
             record.write(scenario)
             if trace is None:
                 with refusals(), _naming(saved.path):
-                    trace = rollout_of(world)(scenario, job.ads)
+                    trace = rollout_of(world)(scenario, job.policy.factory)
             run = _finding(saved).expect.known_of(harness.seen(trace, world))
             return run, harness.judge(run)
 
@@ -652,12 +650,12 @@ class Replays:
     def sight_change(self, finding: Finding) -> list[str]:
         """Return how the ADS's sight in the file and now differ; empty if they are the same."""
         then = Sight() if finding.perception is None else finding.perception.sight
-        now = sight_of(self.harness.ads) or Sight()
+        now = self.harness.policy.sight or Sight()
         return [] if then == now else [f"found with {then.described()}, run with {now.described()}"]
 
     def ads_changes(self, finding: Finding) -> list[str]:
         """Return how the ADS in a file differs from the present ADS: its sight, and its weights if both are known."""
-        then, now = finding.found.weights, weights_digest(self.harness.ads)
+        then, now = finding.found.weights, self.harness.policy.weights
         return [*self.sight_change(finding), *(["found with other weights"] if then and now and then != now else [])]
 
     def changes(self, finding: Finding, now: str) -> str:

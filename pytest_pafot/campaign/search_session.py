@@ -58,8 +58,6 @@ from pytest_pafot.support.interrupts import postponed
 from pytest_pafot.support.text import plural
 from pytest_pafot.world import WorldError, codec
 from pytest_pafot.world.base_world import BaseWorld
-from pytest_pafot.world.driving.ads import is_vehicle_class, loading_hint, wants_env
-from pytest_pafot.world.driving.perception import sight_of
 from pytest_pafot.world.guard.chance import GENERATORS
 from pytest_pafot.world.guard.failure import is_interruption
 from pytest_pafot.world.guard.hang_guard import runs_end_in
@@ -289,7 +287,7 @@ class SearchSession:
                 node_id=self.watch.node_id,
                 seed=store.seed,
                 speed_limit=harness.world.speed_limit,
-                acts_in_si=harness.world.acts_in_si(harness.ads),
+                acts_in_si=harness.acts_in_si,
             )
         )
         began = state.clock()
@@ -342,7 +340,7 @@ class SearchSession:
             findings=tuple(store.findings.values()),
             count=store.count,
             first=store.first,
-            fault=None if fault is None else fault.shown(harness.world, harness.ads),
+            fault=None if fault is None else fault.shown(harness.world, harness.policy),
             skip=state.skip if state.skip is not None and state.verdicts["skipped"] == state.runs else None,
             is_vacuous=state.health.vacuous or bool(state.broken),
         )
@@ -453,7 +451,7 @@ class SearchSession:
                 seed=self.store.seed,
                 for_batches=for_batches,
                 decides_for_many=state.decides_for_many,
-                seeds_matter=(sight_of(self.harness.ads) or Sight()).is_drawn,
+                seeds_matter=(self.harness.policy.sight or Sight()).is_drawn,
                 resumed=resumed,
             )
             if resumed is None:
@@ -576,7 +574,7 @@ class SearchSession:
             self._without_effect,
             *self._unlike_episodes,
             self._out_of_reach,
-            loading_hint(self.harness.ads) if state.runs else "",
+            self.harness.policy.loading_hint if state.runs else "",
         )
         random, crossings = state.random, None if state.space is None else state.space.crossings
         ways = [] if crossings is None else [zone.way for zone in crossings.zones]
@@ -666,7 +664,7 @@ class SearchSession:
         runs = [each.run.ego.speed for each in kept if each.run is not None]  # which may begin slower, and speed up
         was_slower = any(((each[1:] < each[:-1]) & (each[1:] < speed - SLOWER)).any() for each in runs)
         is_avoided = any(each.avoided_by or "avoids" in (each.reference_drivers or {}).values() for each in expected)
-        if speed <= 0 or was_slower or not is_avoided or is_vehicle_class(self.harness.ads):
+        if speed <= 0 or was_slower or not is_avoided or self.harness.policy.drives_itself:
             return ""
         return (
             f"the environment's actions keep {speed:g} m/s or more, and what braking avoids may need less; "
@@ -679,10 +677,8 @@ class SearchSession:
         lane, world = self.harness.request.space.get("ego_lane"), self.harness.world
         if not self.state.runs:  # the environment may be one that cannot be made
             return ""
-        ads = self.harness.ads
-        drives_itself = is_vehicle_class(ads)
-        simulates = not drives_itself and wants_env(ads)
-        given = world.options_without_effect(drives_itself=drives_itself, simulates=simulates)
+        policy = self.harness.policy
+        given = world.options_without_effect(drives_itself=policy.drives_itself, simulates=policy.simulates)
         given.pop(f"write ego_lane={lane!r}", None)  # it has been written
         told = [f"{', '.join(names)} ({why})" for why, names in given.items()]
         return f"options of config= without effect in a search: {'; '.join(told)}" if told else ""
@@ -691,7 +687,7 @@ class SearchSession:
     def _unlike_episodes(self) -> Iterator[str]:
         """Notes on code of the user's environment that has no effect in runs."""
         world = self.harness.world
-        if not self.state.runs or is_vehicle_class(self.harness.ads):
+        if not self.state.runs or self.harness.policy.drives_itself:
             return
         if told := left_out_text(world):
             yield told

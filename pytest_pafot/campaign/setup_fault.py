@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,7 +16,7 @@ from pytest_pafot.campaign.verdict import PlainFailure, Verdict
 from pytest_pafot.model.trace import Trace
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.world.base_world import BaseWorld
-from pytest_pafot.world.driving.ads import is_vehicle_class
+from pytest_pafot.world.driving.policy import Policy
 from pytest_pafot.world.guard.own_worlds import base_world
 from pytest_pafot.world.kernel.action import Drive, possible_acceleration, possible_steering
 from pytest_pafot.world.limits import TOP_SPEED
@@ -49,15 +49,15 @@ class SetupFaultError(Exception):
         failure = self.verdict.failure
         return "" if failure is None else f"{failure.kind}: {failure.message}"
 
-    def asked(self, world: Any, ads: Callable[..., Any], *, of_si: str, of_env: str) -> str:
+    def asked(self, world: Any, policy: Policy, *, of_si: str, of_env: str) -> str:
         """Return a paragraph on the first decision that the world asks an ADS for; empty if no world can say it.
 
         It ends with ``of_si`` if the decision is in SI units, and with ``of_env`` if it is the environment's.
         """
-        asked = None if is_vehicle_class(ads) else base_world(world).first_decision(self.run.trace.scenario)
+        asked = None if policy.drives_itself else base_world(world).first_decision(self.run.trace.scenario)
         return "" if asked is None else f"\n\n{asked.text} {of_si if asked.is_si else of_env}"
 
-    def shown(self, world: BaseWorld, ads: Callable[..., Any]) -> BaseException:
+    def shown(self, world: BaseWorld, policy: Policy) -> BaseException:
         """Return the exception for the user: what was raised and where, why it is no finding, and what to do."""
         verdict = self.verdict
         nothing = "so nothing was saved" if not self.is_replay else "so it says nothing about any saved scenario"
@@ -65,7 +65,7 @@ class SetupFaultError(Exception):
         if verdict.is_ads or verdict.exception is None:
             asked = self.asked(
                 world,
-                ads,
+                policy,
                 of_si='A policy of a highway-env environment needs world=pafot.World("highway-v0", config=...).',
                 of_env="A policy needs the config= and the wrappers= with which it was trained; a planner in SI units "
                 "needs pafot.Highway, which is the default world, or pafot.World(..., planner_hz=5).",

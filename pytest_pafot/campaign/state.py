@@ -38,8 +38,6 @@ from pytest_pafot.support.references import referred_to
 from pytest_pafot.support.source_files import source_digests
 from pytest_pafot.support.text import plural
 from pytest_pafot.world import codec
-from pytest_pafot.world.driving.ads import weights_digest
-from pytest_pafot.world.driving.perception import sight_of
 
 COUNTED_AT_ONCE = 16
 """The number of evaluations after which their health is counted: then it takes less time than for each alone."""
@@ -207,7 +205,7 @@ class State:
 
     def warnings(self, harness: Harness) -> tuple[str, ...]:
         """Return warnings about the search's health, and about a test or reference with which nothing can fail."""
-        warnings = self.health.warnings(self.known.total(), acts_in_si=harness.world.acts_in_si(harness.ads))
+        warnings = self.health.warnings(self.known.total(), acts_in_si=harness.acts_in_si)
         excused = sum(self.verdicts[kind] for kind in ("npc", "avoidable", "unpreventable"))
         if excused and not self.verdicts["passed"] and not self.verdicts["failed"]:
             blame, what = harness.request.blame, "collisions that an NPC is responsible for"
@@ -448,7 +446,7 @@ def agreed(harness: Harness, algorithm: Algorithm[Any], space: SearchSpace) -> d
     They include the hashes of the user's source files: those of the test, the ADS, the reference, the algorithm, the
     fitness and the world, with all that these files import. The code of a notebook has no file, and is not included.
     """
-    request, sight = harness.request, sight_of(harness.ads)
+    request, sight = harness.request, harness.policy.sight
     names: list[str] = [each.name for each in fields(algorithm)] if is_dataclass(algorithm) else []
     values = {
         "test": harness.node_id,
@@ -461,7 +459,7 @@ def agreed(harness: Harness, algorithm: Algorithm[Any], space: SearchSpace) -> d
         "decision_limit": request.decision_limit,
         "against": None if harness.against is None else harness.against.commit or harness.against.shown,
         "sight": None if sight is None else asdict(sight),
-        "weights": weights_digest(harness.ads),
+        "weights": harness.policy.weights,
         "versions": harness.versions,
         "code": _code(harness),
     }
@@ -475,8 +473,8 @@ def _code(harness: Harness) -> dict[str, str]:
     of_file = next(
         (each for each in [*sys.modules.values()] if getattr(each, "__file__", None) == harness.test_file), None
     )
-    against = None if harness.against is None else harness.against.ads
-    given = (of_file, harness.test, harness.ads, against, request.algorithm.made_by, own)
+    against = None if harness.against is None else harness.against.policy.factory
+    given = (of_file, harness.test, harness.policy.factory, against, request.algorithm.made_by, own)
     return source_digests(*given, *codec.code_of(harness.world), here=harness.root)
 
 

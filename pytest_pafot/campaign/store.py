@@ -28,8 +28,6 @@ from pytest_pafot.oracle.run import Run
 from pytest_pafot.support.errors import CorpusError, flag
 from pytest_pafot.support.interrupts import postponed
 from pytest_pafot.world import codec
-from pytest_pafot.world.driving.ads import weights_digest
-from pytest_pafot.world.driving.perception import sight_of
 
 UNCONFIRMED = "not confirmed: out of time"
 """The remark on a finding that the time limit left no time to run again."""
@@ -276,7 +274,7 @@ class Store:
 
     @property
     def _perception(self) -> Perceived | None:
-        sight = sight_of(self.harness.ads)
+        sight = self.harness.policy.sight
         return None if sight is None else Perceived(sight=sight)
 
     def _found(self, generation: int, algorithm: str = "") -> Found:
@@ -286,7 +284,7 @@ class Store:
             generation=generation,
             algorithm=algorithm,
             versions=self.harness.versions,
-            weights=weights_digest(self.harness.ads),
+            weights=self.harness.policy.weights,
         )
 
     def _origin(self, generation: int, number: int) -> str:

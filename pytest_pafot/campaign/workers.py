@@ -16,7 +16,6 @@ from pytest_pafot.campaign.harness import Harness, is_same_run, refusals
 from pytest_pafot.campaign.tallies import Driver, Recovered, Tally, facts_of
 from pytest_pafot.campaign.verdict import Verdict, evaluated, skips
 from pytest_pafot.execution.crash_records import CrashRecord, Leftover
-from pytest_pafot.execution.elsewhere import DrivesElsewhere
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.execution.runner import Runner, replay_in_gym_apart
 from pytest_pafot.execution.scenario_pool import BlockTask, LostRun
@@ -31,7 +30,6 @@ from pytest_pafot.searching.fitness import FitnessError
 from pytest_pafot.searching.plan import Block, Learnt, Plan
 from pytest_pafot.support.errors import OutOfTime
 from pytest_pafot.world.base_world import BaseWorld
-from pytest_pafot.world.driving.ads import is_vehicle_class
 from pytest_pafot.world.guard.chance import GENERATORS
 from pytest_pafot.world.guard.failure import UNFIT, let_through
 from pytest_pafot.world.guard.hang_guard import runs_end_in
@@ -362,14 +360,14 @@ class Workers:
         if not world.replays_in_gym:
             return None
         self.record.write(scenario)
-        ads = self.harness.ads
+        policy = self.harness.policy
         with self._recorded(), refusals():
-            if isinstance(ads, DrivesElsewhere):
-                trace = ads.driven("rollout_in_gym", world, scenario)
+            if policy.elsewhere is not None:
+                trace = policy.elsewhere.driven("rollout_in_gym", world, scenario)
             elif self.harness.request.settings.isolate:
                 trace = replay_in_gym_apart(self.harness.job(), self.record, scenario)
             else:
-                trace = GENERATORS.run(world.rollout_in_gym, scenario, self.harness.drawing(ads))
+                trace = GENERATORS.run(world.rollout_in_gym, scenario, self.harness.drawing(policy).factory)
         self.runner.asked += len(trace.actions)
         self.record.clear()
         return Run(trace, decision_limit=self.harness.request.decision_limit)
@@ -417,7 +415,7 @@ def difference(run: Run, workers: Workers) -> str:
     if not differs:
         return ""
     harness = workers.harness
-    likely_cause = "" if is_vehicle_class(harness.ads) else left_out_text(harness.world)
+    likely_cause = "" if harness.policy.drives_itself else left_out_text(harness.world)
     return f"in highway-env's own environment: {differs}" + (f"; {likely_cause}" if likely_cause else "")
 
 

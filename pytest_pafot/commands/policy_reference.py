@@ -13,7 +13,7 @@ from pytest_pafot.support.errors import RequestError, check_asserts
 from pytest_pafot.support.references import factory_named
 from pytest_pafot.support.source_files import source_digests
 from pytest_pafot.support.text import meant
-from pytest_pafot.world.driving.ads import weights_digest
+from pytest_pafot.world.driving.policy import Policy
 
 BAD_USE = 2
 """The exit code for wrong arguments, which argparse uses as well."""
@@ -97,12 +97,12 @@ def identity(reference: str) -> dict[str, Any]:
     """
     factory = ads_factory(reference)
     code = source_digests(importlib.import_module(whole_name(reference).partition(":")[0]), factory, here=Path.cwd())
-    return {"weights": weights_digest(factory), "code": code}
+    return {"weights": Policy(factory).weights, "code": code}
 
 
 def caution(references: Iterable[str]) -> str:
     """Return a warning about policies whose weights have no hash, so that changes may go unnoticed; or empty."""
-    names = [each for each in references if not weights_digest(ads_factory(each))]
+    names = [each for each in references if not Policy(ads_factory(each)).weights]
     if not names:
         return ""
     return (

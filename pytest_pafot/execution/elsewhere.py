@@ -2,40 +2,13 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Any, NoReturn
+from typing import Any
 
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Trace
-from pytest_pafot.support.errors import AdsFactoryError
 from pytest_pafot.world.base_world import BaseWorld
-
-
-class DrivesElsewhere(ABC):
-    """A policy in place of a factory. It makes whole runs, and so may be a policy of any kind.
-
-    Attributes:
-        label: its name and commit, for texts.
-        commit: the hash of its commit.
-    """
-
-    __slots__ = ()
-    label: str
-    commit: str
-
-    def __call__(self) -> NoReturn:
-        """Refuse to make an ADS in this process."""
-        raise AdsFactoryError(f"{self.label}: expected a run in the process of this revision, received a call here")
-
-    @abstractmethod
-    def driven(self, method: str, world: BaseWorld, scenario: Scenario) -> Trace:
-        """Run a scenario by a method of a world, ``rollout`` or ``rollout_in_gym``.
-
-        Raises:
-            RevisionError: if the policy cannot drive, which says nothing about how it drives.
-            ProcessLostError: if its process dies or hangs.
-        """
+from pytest_pafot.world.driving.policy import DrivesElsewhere
 
 
 @dataclass(frozen=True, slots=True)

@@ -25,7 +25,7 @@ from typing import Any, Self, TypeVar, cast
 from pytest_pafot.door import EXECUTOR_POOL, opened
 from pytest_pafot.execution import scenario_pool
 from pytest_pafot.execution.crash_records import CrashRecord, Leftover
-from pytest_pafot.execution.elsewhere import DrivesElsewhere, Elsewhere, StandIn
+from pytest_pafot.execution.elsewhere import Elsewhere, StandIn
 from pytest_pafot.execution.pool import GRACE, ProcessLostError, WorkerPool
 from pytest_pafot.execution.scenario_pool import (
     NOT_REPEATED,
@@ -55,8 +55,8 @@ from pytest_pafot.support.isolation import isolates
 from pytest_pafot.support.text import listed, one_line, plural, visible
 from pytest_pafot.world import Highway
 from pytest_pafot.world.base_world import WorldLike
-from pytest_pafot.world.driving.ads import is_vehicle_class, make_ads, wants_env
 from pytest_pafot.world.driving.perception import ads_and_sight
+from pytest_pafot.world.driving.policy import Policy
 from pytest_pafot.world.driving.seeing import SeeingAds, is_copyable, is_pure
 from pytest_pafot.world.driving.shadow import ending_after
 from pytest_pafot.world.guard.chance import GENERATORS
@@ -92,11 +92,11 @@ def runner_for(
     Raises:
         WorldError: if the world cannot be used.
     """
-    if isinstance(job.ads, DrivesElsewhere):  # Its runs are in a process of its own already.
-        job, workers, isolate, executor = replace(job, world=Elsewhere(job.world, job.ads)), 1, False, None
+    if (elsewhere := job.policy.elsewhere) is not None:  # Its runs are in a process of its own already.
+        job, workers, isolate, executor = replace(job, world=Elsewhere(job.world, elsewhere)), 1, False, None
     if isolate:
         return Runner(job=job, record=record, processes=Isolated(job, workers=workers, executor=executor), clock=clock)
-    is_asked = not (times_decisions or is_vehicle_class(job.ads) or wants_env(job.ads))
+    is_asked = job.policy.only_observes and not times_decisions
     can_lock_step = is_asked and executor is None and job.world.has_lock_step
     # This process makes the first runs, which show what the ADS can do and how long a run takes. Then the announced
     # runs are made in lock step if the ADS decides for many runs at once, or else in other processes if runs are slow.
@@ -115,7 +115,7 @@ def runner_for(
 def runner_here(world: WorldLike, ads: Callable[..., Any]) -> Iterator[Runner]:
     """Provide a runner for a command, which makes all runs in this process and writes only temporary crash records."""
     with tempfile.TemporaryDirectory(prefix="pafot-") as records:
-        job = Job(world=base_world(world), ads=ads, records=Path(records), owner="command")
+        job = Job(world=base_world(world), policy=Policy(ads), records=Path(records), owner="command")
         with job.crash_record() as record, runner_for(job, record) as runner:
             yield runner
 
@@ -156,8 +156,9 @@ class Runner:
         self._prefetching: Processes | LockStep = self.processes
         self._held = ExitStack()
         self._decisions: DecisionCache | None = None
-        is_of_interest = (self.lock_step is not None or self.can_resume) and not is_vehicle_class(self.job.ads)
-        self._factory = self._showing(self.job.ads) if is_of_interest else self.job.ads
+        is_of_interest = (self.lock_step is not None or self.can_resume) and not self.job.policy.drives_itself
+        factory = self.job.policy.factory
+        self._factory = self._showing(factory) if is_of_interest else factory
         self._copies: Copies | None = None
         if self.can_resume and is_of_interest and isinstance(world := self.job.world.given, Highway):
             self._copies = Copies(world.physics_hz, world.physics_hz // world.ads_hz)
@@ -239,7 +240,7 @@ class Runner:
             if self._copies is not None and not (afresh or self._copies.ended):
                 factory, decisions, copies = self._copies.around(factory, scenario, decisions, begun)
             given = {"decisions": decisions} if decisions else {}  # the user's own world need not have this argument
-            if most is not None and not isinstance(self.job.ads, DrivesElsewhere):
+            if most is not None and self.job.policy.elsewhere is None:
                 factory = ending_after(factory, most - len(decisions))
             trace = rollout_of(self.job.world)(scenario, factory, **given)
             reused = min(len(decisions), len(trace.actions))  # a run may end earlier
@@ -540,7 +541,7 @@ class LockStep:
             self._announced = [each for each in self._announced if each not in together]
             if len(together) > 1:
                 self._record.write(*together)
-                traces = rollout_of(self._job.world, "rollout_batch")(together, self._job.ads)
+                traces = rollout_of(self._job.world, "rollout_batch")(together, self._job.policy.factory)
                 self._made |= dict(zip(together, traces, strict=True))
         return self._made.pop(scenario, None)
 
@@ -893,7 +894,8 @@ def driving(world: Any, ads: Callable[..., Any]) -> Iterator[Callable[[Scenario]
         pool = None
         if scenario_pool.METHOD == "fork" and isolates():
             records = stack.enter_context(tempfile.TemporaryDirectory(prefix="pafot-"))
-            pool = stack.enter_context(pool_for(Job(world=base, ads=ads, records=Path(records), owner="test"), 1))
+            job = Job(world=base, policy=Policy(ads), records=Path(records), owner="test")
+            pool = stack.enter_context(pool_for(job, 1))
 
         def drive(scenario: Scenario) -> Run:
             __tracebackhide__ = True
@@ -913,17 +915,17 @@ def must_stay_here(job: Job, scenario: Scenario) -> str:
     it may end its process. If it raises or hangs at its first decision, this process judges that. A policy that does
     without the answer of a thread decides otherwise there: so if a thread runs code of the project, both drive.
     """
-    if is_vehicle_class(job.ads) or isinstance(job.ads, DrivesElsewhere):
+    if job.policy.drives_itself or job.policy.elsewhere is not None:
         return ""
     patience = job.world.hang_limit
 
     def asked(_: str, tell: object) -> tuple[str, str]:
-        if not wants_env(job.ads):
-            ads = make_ads(job.ads)
-            with closing(ads, patience):  # as at the end of a run: it may have opened what only one can have
-                if callable(getattr(ads, "batch", None)):
+        if not job.policy.simulates:
+            ads = job.policy.make()
+            with closing(ads.given, patience):  # as at the end of a run: it may have opened what only one can have
+                if ads.decides_for_many:
                     return "decides for many runs at once", ""
-        trace = rollout_of(job.world)(scenario, job.ads)
+        trace = rollout_of(job.world)(scenario, job.policy.factory)
         if trace.error is None or trace.actions:
             return "", repr(trace.actions)
         return f"{'hangs' if trace.outcome is Outcome.HANG else f'raises {trace.error.kind}'} in another process", ""
@@ -941,7 +943,7 @@ def must_stay_here(job: Job, scenario: Scenario) -> str:
         folders.append(Path.cwd())  # a command's policy is there, and the rootdir of its session elsewhere
     threads = [] if why else _threads_below(folders)
     with capture_output():
-        if threads and repr(rollout_of(job.world)(scenario, job.ads).actions) != actions:
+        if threads and repr(rollout_of(job.world)(scenario, job.policy.factory).actions) != actions:
             return f"decides otherwise in another process, which does not have {listed(threads)}"
     return why
 

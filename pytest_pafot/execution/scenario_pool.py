@@ -28,6 +28,7 @@ from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Outcome, Trace
 from pytest_pafot.oracle.run import Facts
 from pytest_pafot.world.base_world import BaseWorld
+from pytest_pafot.world.driving.policy import Policy
 from pytest_pafot.world.guard.chance import GENERATORS
 from pytest_pafot.world.guard.own_worlds import rollout_of
 
@@ -222,8 +223,7 @@ class Job:
     """
 
     world: BaseWorld
-    ads: Callable[..., Any]
-    """The factory of the ADS, which is called once for each run."""
+    policy: Policy
     records: Path
     owner: str
     world_data: Mapping[str, Any] | None = None
@@ -255,7 +255,7 @@ class Job:
         with capture_output() as output:
             job = made()
             started = time.perf_counter()
-            trace = rollout_of(job.world)(scenario, job.ads)
+            trace = rollout_of(job.world)(scenario, job.policy.factory)
             seconds = time.perf_counter() - started
         return trace, output, seconds
 

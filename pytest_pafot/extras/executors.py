@@ -298,7 +298,9 @@ def packed(job: Job) -> Parcel:
             cloudpickle.register_pickle_by_value(module)
             stack.callback(cloudpickle.unregister_pickle_by_value, module)
         try:
-            content = cloudpickle.dumps(Job(world=job.world, ads=job.ads, read=job.read, records=Path(), owner=""))
+            content = cloudpickle.dumps(
+                Job(world=job.world, policy=job.policy, read=job.read, records=Path(), owner="")
+            )
         except Exception as error:  # noqa: BLE001  (pickling the user's objects may raise anything)
             raise ExecutionError(
                 "pafot_executor: expected a world and an ADS factory that can be sent to other machines, received one "

@@ -12,7 +12,6 @@ from pytest_pafot.corpus.saved import Saved
 from pytest_pafot.findings.decisions import deciding, seen_of, vehicle_of
 from pytest_pafot.plugin.session import is_worker
 from pytest_pafot.support.errors import RequestError, flag
-from pytest_pafot.world.driving.ads import is_vehicle_class
 from pytest_pafot.world.driving.shadow import wrapped
 from pytest_pafot.world.guard.failure import Around
 from pytest_pafot.world.guard.own_worlds import base_world, rollout_of
@@ -48,7 +47,7 @@ def stop_in_replay(item: pytest.Function, replays: Replays, saved: Saved) -> Non
         raise RequestError(
             f"{name}: expected a session in one process, received a worker of pytest-xdist; leave out -n"
         )
-    if finding is None or is_vehicle_class(replays.harness.ads):
+    if finding is None or replays.harness.policy.drives_itself:
         raise RequestError(f"{name}: expected a policy that decides, received a vehicle class, which has no decisions")
     if finding.expect.is_crash:
         raise RequestError(
@@ -69,5 +68,5 @@ def stop_in_replay(item: pytest.Function, replays: Replays, saved: Saved) -> Non
     where = "" if npc is None else f": NPC {npc} is {seen_of(run.trace, npc, number)}"
     time = run.trace.decision_ticks[number] / run.trace.physics_hz
     header = f"pafot: decision {number} at {time:.1f} s{where}; type s to step into the policy"
-    ads = wrapped(replays.harness.ads, lambda ads: Stopping(ads, number, header))
+    ads = wrapped(replays.harness.policy.factory, lambda ads: Stopping(ads, number, header))
     rollout_of(world)(finding.scenario, ads)

@@ -137,7 +137,7 @@ def _check_set_up(item: pytest.Function, replays: Replays, saved: Saved, run: Ru
             return
         except SetupFaultError as fault:
             faults[key] = item.nodeid
-            error = shown(fault.shown(replays.harness.world, replays.harness.ads))
+            error = shown(fault.shown(replays.harness.world, replays.harness.policy))
     item.stash[SUMMARY] = f"error of the set-up: {line}"
     raise error
 

@@ -68,6 +68,7 @@ from pytest_pafot.support.files import remove_unfinished
 from pytest_pafot.support.source_files import files_line, source_digests
 from pytest_pafot.support.text import plural
 from pytest_pafot.support.versions import installed_versions
+from pytest_pafot.world.driving.policy import Policy
 from pytest_pafot.world.guard.hang_guard import runs_end_in
 
 if TYPE_CHECKING:
@@ -132,12 +133,12 @@ def harness_of(item: pytest.Function, request: Request, *, writes: bool = True) 
     if request.settings.workers > 1 and is_worker(item.config):
         messages.send(item, "note", {"text": IN_WORKER})
         request = replace(request, settings=replace(request.settings, workers=1))
-    factory = policy_of(item)
+    policy = Policy(policy_of(item))
     given = against if revision is None else revision.policy
     harness = Harness(
         request=request,
         world=world,
-        ads=factory,
+        policy=policy,
         test=bound_test(item, request.arg),
         test_file=source_file(item.obj, str(item.path)),
         node_id=node_ids.base_id(item),
@@ -146,7 +147,7 @@ def harness_of(item: pytest.Function, request: Request, *, writes: bool = True) 
         records=records_folder(item, request.settings),
         root=item.config.rootpath,
         versions=installed_versions(),
-        against=reference_of(given, lambda name: checked_factory(item.funcargs[name], name), factory),
+        against=reference_of(given, lambda name: checked_factory(item.funcargs[name], name), policy),
         executor=_checked_executor(item.funcargs[EXECUTOR_FIXTURE]),
         needs_only_run=_needs_only_run(item, request.arg),
         states=None if resume is None else here / resume,
@@ -198,7 +199,8 @@ def _compare(item: pytest.Item, harness: Harness) -> None:
         except RevisionError as error:
             raise AgainstError(str(error)) from None
     elif against is not None:
-        before, after = (source_digests(ads, here=harness.root) for ads in (against.ads, harness.ads))
+        policies = against.policy, harness.policy
+        before, after = (source_digests(each.factory, here=harness.root) for each in policies)
         lines = [files_line(against.shown, before, "now", after)]
     for line in (*lines, same) if same else lines:
         messages.send(item, "compared", {"text": line})

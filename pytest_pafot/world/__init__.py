@@ -7,8 +7,8 @@ an ego has depends on the ADS:
 - a planner, which returns acceleration and steering: ``PlannerDriver`` of the kernel;
 - highway-env's IDM, on lanes that the kernel knows: ``ModelDriver`` of the kernel;
 - any other vehicle class: ``ObjectDriver`` (``driving/object_driver.py``), which calls the class's own code;
-- a policy with an environment's actions: ``ModelPolicyDriver`` (``driving/policy.py``), and where the kernel does not
-  know the lanes or the environment's vehicle, ``PolicyDriver``, which calls highway-env's code.
+- a policy with an environment's actions: ``ModelPolicyDriver`` (``driving/policy_driver.py``), and where the kernel
+  does not know the lanes or the environment's vehicle, ``PolicyDriver``, which calls highway-env's code.
 
 Only environments with wrappers, or with a step function of their own, are driven by ``env.step``
 (``engines/gym_replay.py``), as is the check of each finding.

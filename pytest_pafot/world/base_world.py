@@ -22,7 +22,7 @@ from pytest_pafot.model.scenario import PositionInstruction, Scenario, ScenarioE
 from pytest_pafot.model.trace import Trace
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.support.errors import driven_by, plain_number
-from pytest_pafot.world.driving.ads import AdsFactory, is_vehicle_class
+from pytest_pafot.world.driving.ads import AdsFactory
 from pytest_pafot.world.kernel.action import Drive
 from pytest_pafot.world.kernel.observation import Observation
 from pytest_pafot.world.limits import HANG_LIMIT
@@ -273,10 +273,6 @@ class BaseWorld(ABC):
         return None
 
     # What follows from these.
-
-    def acts_in_si(self, ads: Any) -> bool:
-        """Return whether an ADS, given by its factory, acts in SI units, and not by an environment's actions."""
-        return is_vehicle_class(ads) or self.action_space is None
 
     def space(self, given: Mapping[str, Any]) -> SearchSpace:
         """Return the space of scenarios with the given fields that fits the world, see ``space_on``."""

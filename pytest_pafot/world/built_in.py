@@ -14,7 +14,8 @@ from pytest_pafot.model.sight import Sight
 from pytest_pafot.model.trace import Trace
 from pytest_pafot.support.errors import WorldError
 from pytest_pafot.world.base_world import BaseWorld, FirstDecision, decision_asked
-from pytest_pafot.world.driving.ads import AdsFactory, check_drives_in
+from pytest_pafot.world.driving.ads import AdsFactory
+from pytest_pafot.world.driving.policy import Policy
 from pytest_pafot.world.engines.egos import planner_run
 from pytest_pafot.world.engines.lock_step import rollouts
 from pytest_pafot.world.engines.run import SteppedRun
@@ -219,10 +220,11 @@ class BuiltInWorld(BaseWorld):
         """
         for scenario in scenarios:
             self.check_fits(scenario)
-        check_drives_in(ads_factory, self)
+        policy = Policy(ads_factory)
+        policy.check_drives_in(self)
         if not self.has_lock_step:
             return [self.rollout(scenario, ads_factory) for scenario in scenarios]
-        return rollouts(scenarios, ads_factory, self._begin, self.rollout, self.hang_limit)
+        return rollouts(scenarios, policy, self._begin, self.rollout, self.hang_limit)
 
     def rollout_reference(self, scenario: Scenario, name: str) -> Trace:
         """Simulate a scenario with a reference driver in the ego's place.

@@ -14,7 +14,8 @@ from pytest_pafot.model.trace import Trace
 from pytest_pafot.support.errors import AdsFactoryError, WorldError
 from pytest_pafot.world.base_world import RoadStart
 from pytest_pafot.world.built_in import BuiltInWorld
-from pytest_pafot.world.driving.ads import AdsFactory, check_drives_in, is_vehicle_class, make_ads, wants_env
+from pytest_pafot.world.driving.ads import AdsFactory
+from pytest_pafot.world.driving.policy import Policy
 from pytest_pafot.world.engines.egos import planner_run
 from pytest_pafot.world.engines.run import SteppedRun
 from pytest_pafot.world.guard.failure import closing
@@ -202,31 +203,32 @@ class World(BuiltInWorld):
             Exception: any exception of the factory itself. An exception of the ADS ends the run as ``ads_error``.
         """
         self.check_fits(scenario)
-        check_drives_in(ads_factory, self)
-        if self.planner_hz is not None and not is_vehicle_class(ads_factory) and wants_env(ads_factory):
+        policy = Policy(ads_factory)
+        policy.check_drives_in(self)
+        if self.planner_hz is not None and policy.simulates:
             raise AdsFactoryError(
                 "ads: expected a factory without a parameter `env` in a pafot.World with planner_hz=, whose planner "
                 "sees a pafot.Observation; leave planner_hz= out for planners that simulate inside the environment"
             )
-        if not isinstance(self.road, StraightRoad) and not wants_env(ads_factory):
+        if not isinstance(self.road, StraightRoad) and not policy.simulates:
             # In some environments policies need the environment's own steps, and vehicle classes do not.
-            ads = make_ads(ads_factory)
-            ads_factory = ads if is_vehicle_class(ads) else wraps(ads_factory, updated=())(lambda: ads)
-        drives_itself = self.planner_hz is not None or is_vehicle_class(ads_factory)
+            ads = policy.make()
+            policy = Policy(ads.given if ads.drives_itself else wraps(ads_factory, updated=())(lambda: ads.given))
+        drives_itself = self.planner_hz is not None or policy.drives_itself
         if not drives_itself:
             self.environment.check_keeps_no_ego()
         if self.wrappers is not None or self.environment.episodes_itself(drives_itself=drives_itself):
-            return self.rollout_in_gym(scenario, ads_factory)
+            return self.rollout_in_gym(scenario, policy.factory)
         if self.planner_hz is not None:
-            ads = make_ads(ads_factory)
-            if is_vehicle_class(ads):
-                ads_factory = ads
+            ads = policy.make()
+            if ads.drives_itself:
+                policy = Policy(ads.given)
             else:
-                with closing(ads, self.hang_limit):
-                    return self._planned(self.rules, scenario, ads)
+                with closing(ads.given, self.hang_limit):
+                    return self._planned(self.rules, scenario, ads.given)
         from pytest_pafot.world.engines import policies  # noqa: PLC0415  (imports highway-env)
 
-        return policies.rollout(self.environment, self.rules, scenario, ads_factory)
+        return policies.rollout(self.environment, self.rules, scenario, policy)
 
     def rollout_in_gym(self, scenario: Scenario, ads_factory: AdsFactory) -> Trace:
         """Simulate a scenario as :meth:`rollout` does, but entirely with ``env.step`` of the registered environment.
@@ -238,7 +240,7 @@ class World(BuiltInWorld):
         from pytest_pafot.world.engines.gym_replay import replay_environment  # noqa: PLC0415  (imports highway-env)
 
         is_planner = self.planner_hz is not None
-        return replay_environment(self.environment, self.rules, scenario, ads_factory, is_planner=is_planner)
+        return replay_environment(self.environment, self.rules, scenario, Policy(ads_factory), is_planner=is_planner)
 
     def _begin(self, scenario: Scenario, guard: HangGuard, sight: Sight | None) -> SteppedRun:
         if self.planner_hz is not None:

@@ -13,8 +13,9 @@ from pytest_pafot.model.sight import Sight
 from pytest_pafot.model.trace import Trace
 from pytest_pafot.support.errors import AdsFactoryError, WorldError
 from pytest_pafot.world.built_in import BuiltInWorld
-from pytest_pafot.world.driving.ads import AdsFactory, check_drives_in, is_vehicle_class, make_ads, wants_env
+from pytest_pafot.world.driving.ads import AdsFactory
 from pytest_pafot.world.driving.idm_model import idm_model
+from pytest_pafot.world.driving.policy import Policy
 from pytest_pafot.world.engines.egos import planner_run, vehicle_run
 from pytest_pafot.world.engines.run import SteppedRun
 from pytest_pafot.world.guard.failure import closing
@@ -99,22 +100,23 @@ class Highway(BuiltInWorld):
             Exception: any exception of the factory itself. An exception of the ADS ends the run as ``ads_error``.
         """
         self.check_fits(scenario)
-        check_drives_in(ads_factory, self)
-        if not is_vehicle_class(ads_factory) and wants_env(ads_factory):
+        policy = Policy(ads_factory)
+        policy.check_drives_in(self)
+        if policy.simulates:
             raise AdsFactoryError(
                 "ads: expected a factory without a parameter `env`, because pafot.Highway has no environment; "
                 'use world=pafot.World("highway-v0") for planners that simulate inside one'
             )
-        ads = make_ads(ads_factory)
-        if is_vehicle_class(ads):
+        ads = policy.make()
+        if ads.drives_itself:
             if decisions:
                 raise WorldError(
-                    f"decisions: expected none for {ads!r}, a vehicle class, which drives itself and returns no "
+                    f"decisions: expected none for {ads.given!r}, a vehicle class, which drives itself and returns no "
                     f"actions, received {len(decisions)}; leave them out"
                 )
-            return vehicle_run(self.rules, scenario, lambda: self.network, ads).finish()
-        with closing(ads, self.hang_limit):
-            return self._planned(self.rules, scenario, ads, decisions)
+            return vehicle_run(self.rules, scenario, lambda: self.network, ads.given).finish()
+        with closing(ads.given, self.hang_limit):
+            return self._planned(self.rules, scenario, ads.given, decisions)
 
     @property
     def is_resumable(self) -> bool:
@@ -134,7 +136,7 @@ class Highway(BuiltInWorld):
         """
         from pytest_pafot.world.engines.gym_replay import replay_highway  # noqa: PLC0415  (imports highway-env)
 
-        return replay_highway(self.rules, scenario, ads_factory)
+        return replay_highway(self.rules, scenario, Policy(ads_factory))
 
     def _begin(self, scenario: Scenario, guard: HangGuard, sight: Sight | None) -> SteppedRun:
         return planner_run(self.rules, scenario, lambda: self.network, None, guard, sight=sight)

@@ -125,7 +125,7 @@ def test_time_left_is_true_within_a_factor_of_two_or_not_told(clock, monkeypatch
 
         def fetch(self, scenario):
             clock.now = max(clock.now, self.ends.pop(scenario))
-            return rollout_of(self.job.world)(scenario, self.job.ads), CapturedOutput(), 10.0
+            return rollout_of(self.job.world)(scenario, self.job.policy.factory), CapturedOutput(), 10.0
 
         def close(self, *, at_once=False):
             pass

@@ -13,6 +13,7 @@ from pytest_pafot.execution import scenario_pool
 from pytest_pafot.execution.crash_records import leftovers
 from pytest_pafot.execution.runner import runner_for
 from pytest_pafot.execution.scenario_pool import ExecutionError, Job
+from pytest_pafot.world.driving.policy import Policy
 from pytest_pafot.world.guard.chance import GENERATORS
 
 SCENARIOS = [
@@ -77,7 +78,9 @@ def frames():
 @pytest.fixture
 def job_of(tmp_path):
     callers.clear()
-    return lambda ads, **world: Job(world=Highway(**world), ads=ads, records=tmp_path, owner="test_it.py::test_it")
+    return lambda ads, **world: Job(
+        world=Highway(**world), policy=Policy(ads), records=tmp_path, owner="test_it.py::test_it"
+    )
 
 
 @pytest.fixture

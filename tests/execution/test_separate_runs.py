@@ -12,6 +12,7 @@ from pytest_pafot.execution.crash_records import leftovers
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.execution.runner import answers_apart, retry, run_apart
 from pytest_pafot.execution.scenario_pool import ExecutionError, Job
+from pytest_pafot.world.driving.policy import Policy
 from pytest_pafot.world.guard.own_worlds import base_world
 from tests.helpers.toy_world import Toy, scenario
 
@@ -24,7 +25,7 @@ ONE, TWO = scenario(1), scenario(2)
 def job_of(tmp_path):
     """Return a function that makes jobs whose ADS is a function of the scenario's number."""
     return lambda drive: Job(
-        world=base_world(Toy()), ads=lambda: drive, records=tmp_path / "records", owner="test_it.py::test_it"
+        world=base_world(Toy()), policy=Policy(lambda: drive), records=tmp_path / "records", owner="test_it.py::test_it"
     )
 
 
@@ -92,7 +93,7 @@ def open_nothing():
 @needs_fork
 @pytest.mark.parametrize("isolate", [True, False])
 def test_exception_of_the_factory_is_raised_with_advice(job_of, isolate):
-    job = replace(job_of(idle), ads=open_nothing)
+    job = replace(job_of(idle), policy=Policy(open_nothing))
     kind = OSError if isolate else ExecutionError
     with pytest.raises(kind, match="cannot re-initialize CUDA") as raised:
         run_apart(job, ONE, praise, isolate=isolate, in_own_session=pytest.fail)

@@ -20,6 +20,7 @@ from pytest_pafot.extras.executors import ExecutorPool, packed, versions_here
 from pytest_pafot.model.scenario import PositionInstruction, Scenario
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.world import Highway
+from pytest_pafot.world.driving.policy import Policy
 from pytest_pafot.world.guard.own_worlds import base_world
 from tests.helpers.toy_world import Toy, idle, scenario, trace_of
 
@@ -80,7 +81,9 @@ def pool_of(tmp_path, monkeypatch):
 
 
 def job_of(folder, ads=idle, world=None):
-    return Job(world=base_world(world or Toy()), ads=ads, records=folder, owner="test_it.py::test_it", root=folder)
+    return Job(
+        world=base_world(world or Toy()), policy=Policy(ads), records=folder, owner="test_it.py::test_it", root=folder
+    )
 
 
 def fetched(pool, scenarios=SCENARIOS):
@@ -261,7 +264,7 @@ def test_modules_of_the_project_travel_by_value(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "my_planner", module)
     parcel = packed(job_of(tmp_path, module.Planner))
     monkeypatch.delitem(sys.modules, "my_planner")
-    assert pickle.loads(parcel.content).ads()(1) == 7
+    assert pickle.loads(parcel.content).policy.factory()(1) == 7
 
 
 class Unable(InThisProcess):

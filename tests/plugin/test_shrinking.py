@@ -18,6 +18,7 @@ from pytest_pafot.findings.shrink import OutOfBudget, sort_key
 from pytest_pafot.model.scenario import PositionInstruction, Scenario
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.world import Highway
+from pytest_pafot.world.driving.policy import Policy
 from tests.plugin.test_progress import ON_A_TERMINAL
 
 COLLIDES = """
@@ -232,7 +233,7 @@ def test_simplification_unfit_for_the_road_is_skipped(monkeypatch):
 
 def rollouts_without_an_option(ads):
     request = SimpleNamespace(settings=SimpleNamespace(shrink_rollouts=None))
-    return rollouts_for(SimpleNamespace(request=request, world=Highway(), ads=ads))
+    return rollouts_for(SimpleNamespace(request=request, world=Highway(), policy=Policy(ads)))
 
 
 def test_vehicle_class_in_the_kernel_gets_more_rollouts():

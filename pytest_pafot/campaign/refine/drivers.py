@@ -77,7 +77,7 @@ def with_drivers(
 
 def _perceived(sighting: FindTold, scenario: Scenario, workers: Workers) -> Refining[Perceived | None]:
     """Return the imperfections of the ADS's perception that a finding needs; None if its perception is perfect."""
-    before, harness, ads = sighting.finding.perception, workers.harness, workers.harness.ads
+    before, harness, ads = sighting.finding.perception, workers.harness, workers.harness.policy.factory
     if before is None or not isinstance(ads, Perception):
         return None
     yield Phase(f"trying perfect sight in saved-{sighting.find.id}", sighting.find.id)

@@ -42,9 +42,9 @@ from pytest_pafot.oracle.run import Run
 from pytest_pafot.support.errors import RequestError
 from pytest_pafot.support.source_files import source_files
 from pytest_pafot.world import codec
-from pytest_pafot.world.driving.ads import is_vehicle_class, wants_env
 from pytest_pafot.world.driving.conditions import Conditions
-from pytest_pafot.world.driving.perception import sight_of, without
+from pytest_pafot.world.driving.perception import without
+from pytest_pafot.world.driving.policy import Policy
 from pytest_pafot.world.driving.shadow import Aside, Question, beside, changed
 from pytest_pafot.world.guard.own_worlds import rollout_of
 from pytest_pafot.world.kernel.action import checked_si_action, possible_acceleration, possible_steering
@@ -74,18 +74,18 @@ def with_moment(sighting: FindTold, state: State, workers: Workers, store: Store
     when it sees the same.
     """
     harness, run = workers.harness, sighting.run
-    if run is None or is_vehicle_class(harness.ads) or wants_env(harness.ads) or not codec.is_built_in(harness.world):
+    if run is None or not harness.policy.only_observes or not codec.is_built_in(harness.world):
         return sighting
     moment = None if harness.against is None else _first_difference(run.trace, state, workers)
     ask = partial(_asked, sighting, run.trace, state, workers)
-    answers, moment = yield from _on_vehicles(sighting, run, moment, sight_of(harness.ads), ask)
+    answers, moment = yield from _on_vehicles(sighting, run, moment, harness.policy.sight, ask)
     return replace(sighting, find=replace(sighting.find, answers=answers, moment=moment))
 
 
 def with_conditions(sighting: FindTold, state: State, workers: Workers, store: Store) -> Refining[FindTold]:
     """Return a finding with the conditions that a fresh policy evaluates in its moment, if it decides as the run's."""
     harness, moment, run = workers.harness, sighting.find.moment, sighting.run
-    conditions = None if moment is None else Conditions(source_files(harness.ads), harness.root)
+    conditions = None if moment is None else Conditions(source_files(harness.policy.factory), harness.root)
     if moment is None or run is None or not conditions:
         return sighting
     trace = run.trace
@@ -171,15 +171,15 @@ def _asked(
     check_time(workers)
     yield Phase(f"asking the policy of {trace.executed.id} again", sighting.find.id)
     state.neighbour_runs += 1
-    from pytest_pafot.world.driving.policy import checked_action  # noqa: PLC0415  (it needs highway-env, helps do not)
+    from pytest_pafot.world.driving.policy_driver import checked_action  # noqa: PLC0415  (it needs highway-env, helps do not)
 
     harness, record, scenario = workers.harness, workers.record, trace.executed
     space, isolate = harness.world.action_space, harness.request.settings.isolate
     check = partial(checked_si_action, lanes=MANY) if space is None else partial(checked_action, space=space)
     # A planner with perfect sight sees everybody.
-    aside = Aside(is_noted=space is not None or sight_of(harness.ads) is not None)
-    job = replace(harness.job(), ads=beside(harness.ads, trace.actions, check, aside, question))
-    job = job if npc is None else replace(job, ads=without(job.ads, npc))
+    aside = Aside(is_noted=space is not None or harness.policy.sight is not None)
+    factory = beside(harness.policy.factory, trace.actions, check, aside, question)
+    job = replace(harness.job(), policy=Policy(factory if npc is None else without(factory, npc)))
     try:
         with refusals():
             if isolate:  # the other process notes what is decided in a copy, and no ADS leaves it

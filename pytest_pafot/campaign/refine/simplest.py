@@ -278,7 +278,7 @@ def rollouts_for(harness: Harness) -> int:
     given = harness.request.settings.shrink_rollouts
     if given is not None:
         return given
-    return ROLLOUTS_IN_KERNEL if harness.world.runs_in_kernel(harness.ads) else ROLLOUTS
+    return ROLLOUTS_IN_KERNEL if harness.world.runs_in_kernel(harness.policy.factory) else ROLLOUTS
 
 
 def starts_of(run: Run, top_speed: float) -> tuple[Start, ...]:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, TextIO
 
 from pytest_pafot import WorldLike
-from pytest_pafot.extending import AlgorithmRun, SetupFaultError, caution
+from pytest_pafot.extending import AlgorithmRun, Policy, SetupFaultError, caution
 from pytest_pafot.extras.comparison.plan import DIFFERENT, Plan
 from pytest_pafot.extras.resumable import ResumableJob, Task, Tick, claim, run_job
 from pytest_pafot.support.errors import RequestError
@@ -69,17 +69,17 @@ def run_rows(plan: Plan, algorithm: str, run: int, tick: Tick = lambda share: No
     try:
         return [{**row, "algorithm": algorithm, "run": run} for row in made.rows(tick)]
     except SetupFaultError as fault:
-        raise _set_up(fault, made.world, made.ads) from None
+        raise _set_up(fault, made.world, Policy(made.ads)) from None
 
 
-def _set_up(fault: SetupFaultError, world: WorldLike, ads: Any) -> RequestError:
+def _set_up(fault: SetupFaultError, world: WorldLike, policy: Policy) -> RequestError:
     """Return the error for an ADS that does not drive at all, which says nothing about algorithms."""
     traceback = "" if fault.verdict.failure is None else fault.verdict.failure.traceback
     place = traceback.rfind("  File ")
     where = f"\n{traceback[place:].rstrip()}" if place >= 0 else ""
     asked = fault.asked(
         world,
-        ads,
+        policy,
         of_si="A policy of a highway-env environment needs that environment, such as --env highway-v0.",
         of_env="With --env the environment has its default configuration, because config= cannot be given; a planner "
         "in SI units needs the road without --env.",

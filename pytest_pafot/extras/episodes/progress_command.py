@@ -26,6 +26,7 @@ from pytest_pafot import Highway, Outcome, Run, World, WorldError, explore
 from pytest_pafot.extending import (
     ABOUT_POLICIES,
     GenerationFinished,
+    Policy,
     ProcessLostError,
     Saved,
     SetupFaultError,
@@ -406,7 +407,7 @@ def _check_set_up(plan: ProgressPlan, side: str) -> None:
         check_drives(plan.judged(side, range(min(FIRST, plan.scenarios))))
     except SetupFaultError as fault:
         received = f"received {fault.received} in {fault.runs}"
-        asked = fault.asked(plan.world, plan.factory(side), of_si="", of_env="").strip()
+        asked = fault.asked(plan.world, Policy(plan.factory(side)), of_si="", of_env="").strip()
         if not fault.verdict.is_ads:
             raise RequestError(f"--check: expected a function of a run that asserts, {received}; correct it") from None
         raise RequestError(

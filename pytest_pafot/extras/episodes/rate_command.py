@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from pytest_pafot import Outcome
-from pytest_pafot.extending import config_of, drawn_episode, loading_hint
+from pytest_pafot.extending import Policy, config_of, drawn_episode
 from pytest_pafot.extras.episodes.rate import (
     CHUNK,
     Pair,
@@ -246,7 +246,7 @@ def _pictures(plan: RatePlan, rates: Sequence[Rate], folder: Path) -> dict[str, 
 def _text(plan: RatePlan, rates: Sequence[Rate], arguments: argparse.Namespace) -> str:
     lines = []
     for rate in rates:
-        hint = loading_hint(factory_of(rate.ads)[0])
+        hint = Policy(factory_of(rate.ads)[0]).loading_hint
         notes = [*rate.notes, *filter(None, [hint])]
         lines += [f"{rate.ads} in {plan.env_id}: {rate.sentence}", *(f"  {note}" for note in notes)]
         if not rate.episodes and "@" not in rate.ads:

@@ -14,7 +14,7 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
-from pytest_pafot.extending import Requests, ads_factory, preload
+from pytest_pafot.extending import Policy, Requests, ads_factory
 from pytest_pafot.extras.revisions.revision_policy import PACKAGE, RevisionPolicy, mapped
 from pytest_pafot.support.errors import RequestError, RevisionError
 from pytest_pafot.support.references import described, name_of
@@ -241,7 +241,7 @@ def main(descriptor: int) -> None:
         policy = served.policy
         try:
             factory = ads_factory(policy.name, policy.label)
-            preload(factory)
+            Policy(factory).preload()
         except Exception as error:  # noqa: BLE001  (whatever it raises, the session says so)
             module = policy.name.partition(":")[0]
             served.connection.send(failed(policy, error, f"{module}:" if module in sys.modules else ""))

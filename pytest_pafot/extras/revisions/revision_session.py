@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from pytest_pafot.extending import policy_of, preload, searched_test
+from pytest_pafot.extending import Policy, policy_of, searched_test
 from pytest_pafot.extras.revisions.revision_process import NO_TEST, Served, begun, failed, serve
 from pytest_pafot.support.errors import RevisionError
 
@@ -64,7 +64,7 @@ class Serving:
     def pytest_runtest_call(self, item: pytest.Item) -> None:
         """Drive the policy of the test until the user's session has no more requests."""
         factory = policy_of(item)
-        preload(factory)
+        Policy(factory).preload()
         self.is_served = True
         serve(self.served, factory)
         pytest.skip("the user's session has ended")  # in place of the search of this revision

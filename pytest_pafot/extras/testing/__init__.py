@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from pytest_pafot import Cell, LaneInstruction, Outcome, Planned, PositionInstruction, Run, Scenario, Trace
-from pytest_pafot.extending import LANE, SPEED, WorldData, X, Y, base_world, needs_env, rollout_of, sample
+from pytest_pafot.extending import LANE, SPEED, Policy, WorldData, X, Y, base_world, rollout_of, sample
 from pytest_pafot.extras.testing import traces as rules
 from pytest_pafot.extras.testing.traces import DEEP, ROUNDING, Promises
 from pytest_pafot.support.errors import plain_number
@@ -60,14 +60,14 @@ class _Calls:
 
     def __init__(self, ads: Ads) -> None:
         self.ads = self.factory = ads
-        self.is_known = not (needs_env(ads) or hasattr(ads, "sight"))
+        self.is_known = Policy(ads).only_observes and not hasattr(ads, "sight")
         self.noted: list[_Noted] = []
         if self.is_known:
             self.factory = wraps(ads, updated=())(partial(self._make))
 
     def _make(self) -> Any:
         one, noted = self.ads(), _Noted()
-        if needs_env(one) or hasattr(one, "sight"):
+        if not Policy(one).only_observes or hasattr(one, "sight"):
             self.is_known = False
             return one
         self.noted.append(noted)
@@ -458,7 +458,7 @@ def _brakes_steadily(taken: Trace, tick: int) -> bool:
 
 def _check_batch(world: Any, done: Sequence[_Done], ads: Ads) -> None:
     """Check that runs in lock step give the traces of single runs, if the ADS of the check decides for many."""
-    if not base_world(world).has_lock_step or needs_env(ads) or not hasattr(ads(), "batch"):
+    if not base_world(world).has_lock_step or not Policy(ads).only_observes or not hasattr(ads(), "batch"):
         return
     with _no_error("rollout_batch runs scenarios"):
         traces = rollout_of(world, "rollout_batch")([each.scenario for each in done], ads)

@@ -34,56 +34,6 @@ def is_vehicle_class(candidate: object) -> bool:
     return kinematics is not None and isinstance(inner, type) and issubclass(inner, kinematics.Vehicle)
 
 
-def wants_env(factory: AdsFactory) -> bool:
-    """Return whether a factory has a parameter ``env``."""
-    if _takes_nothing(factory):
-        return False
-    try:
-        return "env" in inspect.signature(factory).parameters
-    except (TypeError, ValueError):  # builtins without a signature
-        return False
-
-
-def needs_env(candidate: Any) -> bool:
-    """Return whether an ADS or its factory belongs to an environment: it is a vehicle class, or asks for ``env``."""
-    return is_vehicle_class(candidate) or (callable(candidate) and wants_env(candidate))
-
-
-def check_drives_in(factory: AdsFactory, world: Any) -> None:
-    """Call a factory's ``check_world``, if it has one; its error reports what does not fit the world."""
-    check = _of_factory(factory, "check_world")
-    if check is not None:
-        check(world)
-
-
-def preload(factory: AdsFactory) -> None:
-    """Call a factory's ``preload``, if it has one, so that forked processes share what it loads."""
-    load = _of_factory(factory, "preload")
-    if load is not None:
-        load()
-
-
-def weights_digest(factory: AdsFactory) -> str:
-    """Return the hash of a factory's policy; empty if it states none."""
-    told = _of_factory(factory, "weights_digest")
-    return told if isinstance(told, str) else ""
-
-
-def loading_hint(factory: AdsFactory) -> str:
-    """Return a factory's note that its policy may need other options for loading; empty if it has none."""
-    told = _of_factory(factory, "loading_hint")
-    return told if isinstance(told, str) else ""
-
-
-def _of_factory(factory: AdsFactory, name: str) -> Any:
-    """Return an attribute of a factory or of the factory that it wraps; None if there is none.
-
-    A class has none, because its attributes belong to its instances, the ADSs.
-    """
-    inner = inspect.unwrap(factory)
-    return None if isinstance(inner, type) else getattr(inner, name, None)
-
-
 def make_ads(factory: AdsFactory, **arguments: Any) -> Any:
     """Make a fresh ADS; a vehicle class is returned as it is.
 
@@ -167,7 +117,7 @@ def hint_at_object(given: Any) -> str:
     return f"It has a method {method!r}: let the factory return a function of the observation that calls it{example}"
 
 
-def _takes_nothing(factory: AdsFactory) -> bool:
+def takes_nothing(factory: AdsFactory) -> bool:
     """Return whether a factory is a plain function without parameters; this is much faster than its signature."""
     if type(factory) is not FunctionType or factory.__dict__:
         return False
@@ -177,7 +127,7 @@ def _takes_nothing(factory: AdsFactory) -> bool:
 
 
 def _check_call(factory: AdsFactory, arguments: dict[str, Any]) -> None:
-    if not arguments and _takes_nothing(factory):
+    if not arguments and takes_nothing(factory):
         return
     try:
         signature = inspect.signature(factory)

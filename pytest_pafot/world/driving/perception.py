@@ -132,9 +132,7 @@ def without(factory: AdsFactory, npc: int | None, note: Callable[[Any], object] 
     sight = SightWithout(npc=npc, **{each.name: getattr(seen, each.name) for each in fields(Sight)})
 
     def make(*observations: Any, **arguments: Any) -> Any:
-        ads, _ = ads_and_sight(factory(*observations, **arguments))
-        if is_vehicle_class(ads):
-            raise AdsFactoryError(f"ads: {DRIVES_ITSELF}")
+        ads, _ = deciding(factory(*observations, **arguments))
         return SeeingAds(ads if note is None else _Noting(ads, note), sight)
 
     make = functools.wraps(factory, updated=())(make)
@@ -147,6 +145,13 @@ def sight_of(factory: Any) -> Sight | None:
     factory = inspect.unwrap(factory, stop=lambda each: isinstance(each, Perception))
     sight = factory.sight if isinstance(factory, Perception) else None
     return sight if sight is not None and sight.imperfections else None
+
+
+def deciding(ads: Any) -> tuple[Any, Sight | None]:
+    """Return the same as :func:`ads_and_sight`; refuse a vehicle class, which receives no observations."""
+    if is_vehicle_class(ads):
+        raise AdsFactoryError(f"ads: {DRIVES_ITSELF}")
+    return ads_and_sight(ads)
 
 
 def ads_and_sight(ads: Any) -> tuple[Any, Sight | None]:

@@ -1,246 +1,143 @@
-"""ADSs that use an environment's own observations and actions, and the environment in which they may simulate."""
+"""A policy as a value: what the user gives, and all that the package asks about it."""
 
 from __future__ import annotations
 
-import copy
-from collections.abc import Sequence
-from contextlib import nullcontext
-from typing import Any
+import inspect
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, NoReturn
 
-import numpy as np
-from gymnasium import spaces
-
-from pytest_pafot.model.trace import AdsError
-from pytest_pafot.support.errors import BadAction, WorldError
-from pytest_pafot.support.text import shown
-from pytest_pafot.world.driving.compiled_vehicle import CompiledRoad
-from pytest_pafot.world.driving.object_driver import ObjectDriver
-from pytest_pafot.world.driving.observations import observer
-from pytest_pafot.world.driving.seeing import PolicySight
-from pytest_pafot.world.guard.hang_guard import HangGuard
-from pytest_pafot.world.kernel.action import hint_at
-from pytest_pafot.world.kernel.bodies import Body
-from pytest_pafot.world.kernel.lane_network import Network
-from pytest_pafot.world.roads.straight import StraightRoad
-from pytest_pafot.world.stock import Road, class_from_path
+from pytest_pafot.model.scenario import Scenario
+from pytest_pafot.model.sight import Sight
+from pytest_pafot.model.trace import Trace
+from pytest_pafot.support.errors import AdsFactoryError
+from pytest_pafot.world.base_world import BaseWorld
+from pytest_pafot.world.driving.ads import AdsFactory, is_vehicle_class, make_ads, takes_nothing
+from pytest_pafot.world.driving.perception import ads_and_sight, sight_of
 
 
-class PolicyDriver(ObjectDriver):
-    """A driver that passes an environment's observation to an ADS, and applies the action that it returns.
+class DrivesElsewhere(ABC):
+    """A policy in place of a factory. It makes whole runs, and so may be a policy of any kind.
 
-    Args:
-        ads: the ADS; None if the decisions are passed to :meth:`take`.
-        env: the environment with the road and the ego of the run.
-        guard: the guard of the ADS's decisions.
-        every: the number of physics ticks between decisions.
-        view: a second environment, in which the ADS may simulate ahead; it shows the state of the run before each
-            decision.
-        sight: what limits the ADS's sight; then both environments contain only what it sees.
-        ego: the ego in the loop; by default a body that follows the environment's vehicle.
+    Attributes:
+        label: its name and commit, for texts.
+        commit: the hash of its commit.
     """
 
-    def __init__(
-        self,
-        ads: Any,
-        env: Any,
-        guard: HangGuard,
-        every: int,
-        view: View | None = None,
-        sight: PolicySight | None = None,
-        ego: Body | None = None,
-    ) -> None:
-        check_action_space(env.action_space)
-        super().__init__(env.vehicle, env.road, guard, every, ego)
-        self.env = env
-        self._ads = ads
-        self._observe = observer(env)
-        self._view = view
-        self._sight = sight
+    __slots__ = ()
+    label: str
+    commit: str
 
-    def decide(self, tick: int) -> AdsError | None:
-        """Observe, call the ADS, and check and apply its action, unless the decisions are passed in."""
-        return None if self._ads is None else super().decide(tick)
+    def __call__(self) -> NoReturn:
+        """Refuse to make an ADS in this process."""
+        raise AdsFactoryError(f"{self.label}: expected a run in the process of this revision, received a call here")
 
-    def decided(self, tick: int) -> Any:
-        """Observe, call the ADS, and check and apply its action."""
-        return self._applied(self._ads(self.observe(tick)))
-
-    def observe(self, tick: int) -> Any:
-        """Return the ADS's observation at the current tick."""
-        env = self.env
-        env.steps = tick
-        env.time = tick / env.config["simulation_frequency"]
-        with nullcontext() if self._sight is None else self._sight.shown():
-            if self._view is not None:
-                self._view.show(tick)
-            return self._observe()
-
-    def take(self, action: Any, seconds: float) -> None:
-        """Check and apply a decision that took ``seconds``.
+    @abstractmethod
+    def driven(self, method: str, world: BaseWorld, scenario: Scenario) -> Trace:
+        """Run a scenario by a method of a world, ``rollout`` or ``rollout_in_gym``.
 
         Raises:
-            BadAction: if the action is not valid.
+            RevisionError: if the policy cannot drive, which says nothing about how it drives.
+            ProcessLostError: if its process dies or hangs.
         """
-        self.actions.append(self._applied(action))
-        self.slowest = max(self.slowest, seconds)
-
-    def _applied(self, action: Any) -> Any:
-        """Check an action, apply it, and return the checked action."""
-        checked = checked_action(self.without_plan(action), self.env.action_space)
-        self.env.action_type.act(checked)
-        return checked
-
-    def actuate(self) -> None:
-        """Apply the low-level control of highway-env's controlled vehicles."""
-        if self._sight is not None:
-            self._sight.note()
-        self.vehicle.act()
 
 
-class ModelPolicyDriver(PolicyDriver):
-    """A driver whose ego the kernel moves, as highway-env's vehicle classes of its actions would.
+@dataclass(frozen=True, slots=True, eq=False)
+class Ads:
+    """What a policy has made for one run, or for all that run in lock step.
 
-    The environment's vehicle gets the state of the ego before anything reads it, which is once a decision, or at every
-    tick with an imperfect sight.
+    Attributes:
+        given: the ADS itself; it is closed after the run.
+        decides: what receives the observations that its sight lets through; or a vehicle class, which needs none.
+        sight: its sight; None for perfect sight.
+        drives_itself: True if it is a vehicle class, which a factory may also return.
     """
 
-    def __init__(
-        self,
-        ads: Any,
-        env: Any,
-        guard: HangGuard,
-        every: int,
-        view: View | None,
-        sight: PolicySight | None,
-        lanes: StraightRoad | Network,
-    ) -> None:
-        self._compiled = CompiledRoad(env.road, lanes)
-        self._model = self._compiled.vehicle(env.vehicle)
-        super().__init__(ads, env, guard, every, view, sight, self._model)
+    given: Any
+    decides: Any
+    sight: Sight | None
+    drives_itself: bool
 
-    def observe(self, tick: int) -> Any:
-        """Return the ADS's observation at the current tick."""
-        self._compiled.show(self.vehicle, self._model)
-        return super().observe(tick)
-
-    def _applied(self, action: Any) -> Any:
-        """Check an action, let the environment interpret it, and return the checked action."""
-        checked = super()._applied(action)
-        self._compiled.take(self.vehicle, self._model)
-        return checked
-
-    def actuate(self) -> None:
-        """Set the controls of a tick."""
-        if self._sight is not None:
-            self._compiled.show(self.vehicle, self._model)
-            self._sight.note()
-        self._model.act([])
-
-    def step(self, dt: float) -> None:
-        """Move the ego for one tick [s]."""
-        self._model.step(dt)
+    @property
+    def decides_for_many(self) -> bool:
+        """True if it has ``batch``, which decides for many runs at once."""
+        return not self.drives_itself and callable(getattr(self.given, "batch", None))
 
 
-def check_action_space(space: Any, wrappers: Sequence[str] = ()) -> None:
-    """Raise a :class:`WorldError` for an action space that is not for one vehicle.
+@dataclass(frozen=True, eq=False)
+class Policy:
+    """A policy: the factory of its ADSs, or a vehicle class, and what only these can say about it.
 
-    ``wrappers`` are the names of the wrappers that have made it from another; empty if it is the environment's own.
-    """
-    if isinstance(space, (spaces.Discrete, spaces.Box)):
-        return
-    expected, received = "a discrete or continuous action for one vehicle", f"the space {space}"
-    if wrappers:
-        received = f"{received} in {', '.join(wrappers)}"
-        fix = "let the wrappers' action_space be a Discrete or a Box"
-        raise WorldError(field="wrappers", expected=expected, received=received, fix=fix)
-    fix = "multi-agent actions have no single ego"
-    raise WorldError(field="config.action", expected=expected, received=received, fix=fix)
-
-
-def checked_action(action: Any, space: Any) -> Any:
-    """Return an action as its space requires: as an int, or as a float array with the shape of the space.
-
-    Raises:
-        BadAction: for an action of another kind or shape than the space has; numbers outside its bounds are the
-            environment's to limit.
-    """
-    is_choice = isinstance(space, spaces.Discrete)
-    expected = f"expected finite numbers of shape {space.shape}"
-    if is_choice:
-        expected = f"expected a whole number from {space.start} to {space.start + space.n - 1}"
-    try:
-        given = np.asarray(action)
-    except (TypeError, ValueError):  # such as rows of different lengths
-        raise _bad(expected, action) from None
-    if is_choice:
-        if given.size != 1 or given.dtype.kind not in "iu" or not space.contains(int(given.reshape(()))):
-            raise _bad(expected, action, _hint_at_choice(given, space))
-        return int(given.reshape(()))
-    if given.dtype.kind not in "iuf" or given.shape != space.shape or not np.isfinite(given).all():
-        raise _bad(expected, action)
-    return np.array(given, dtype=np.result_type(given, np.float32))  # a copy: the ADS may reuse its array
-
-
-def _bad(expected: str, action: Any, hint: str = "") -> BadAction:
-    hint = hint_at(action) or hint
-    return BadAction(f"{expected}, received {shown(action)}{f'; {hint}' if hint else ''}")
-
-
-def _hint_at_choice(array: Any, space: Any) -> str:
-    """Return a hint for an array that an ADS returned in place of an action's number; empty if none fits."""
-    if array.dtype.kind == "f" and array.shape == (2,) and space.n != 2:
-        return "planners in SI units drive without world=, or in a pafot.World(..., planner_hz=5)"
-    if array.dtype.kind == "f" and array.size == space.n:
-        return "if these are values of the actions, return the number of the largest: `int(np.argmax(...))`"
-    if array.dtype.kind == "f" and array.size == 1:
-        return "return `int(...)` of it"
-    return ""
-
-
-def copies_on(objects: Sequence[Any], road: Road) -> list[Any]:
-    """Copy a road's fixed objects to a different road."""
-    copies = [copy.copy(each) for each in objects]
-    for each in copies:
-        each.road = road
-    return copies
-
-
-class View:
-    """An environment for a planner to copy and simulate in, with the run's state but without the NPCs' genes.
-
-    The ego is a copy of the run's ego. Every other vehicle is of the environment's own traffic class, in the NPC's
-    state, and with the current speed as its desired speed, because an observer cannot know more.
+    What they say is asked once, when it is needed. What an ADS can do, such as ``batch``, only shows when it is made.
     """
 
-    def __init__(self, env: Any, run_env: Any) -> None:
-        self.env = env
-        self._run_env = run_env
-        self._traffic = class_from_path(env.config["other_vehicles_type"])
-        self.show(0)
+    factory: AdsFactory
 
-    def show(self, tick: int) -> None:
-        """Update the view to the run's state."""
-        source, env = self._run_env, self.env
-        road = Road(
-            source.road.network,
-            np_random=np.random.default_rng(tick),
-            neighbour_vehicles_connected_lanes=source.road.neighbour_vehicles_connected_lanes,
-        )
-        ego = copy.copy(source.vehicle)
-        ego.road = road
-        ego.position = np.array(source.vehicle.position)
-        ego.action = dict(source.vehicle.action)
-        ego.check_collisions = True
-        road.objects = copies_on(source.road.objects, road)
-        road.vehicles = [ego]
-        for each in source.road.vehicles:
-            if each is not source.vehicle:
-                state = np.array(each.position), float(each.heading), float(each.speed)
-                road.vehicles.append(self._traffic(road, *state))
-        env.road = road
-        env.controlled_vehicles = [ego]
-        env.np_random = road.np_random
-        env.steps, env.time, env.done = source.steps, source.time, False
-        env.define_spaces()
-        env.action_space.seed(tick)  # planners sample from it
-        env.observation_space.seed(tick)
+    @cached_property
+    def drives_itself(self) -> bool:
+        """True for a vehicle class of highway-env, which is no factory: it reads the road and returns no decisions."""
+        return is_vehicle_class(self.factory)
+
+    @cached_property
+    def simulates(self) -> bool:
+        """True if the factory has a parameter ``env``: its ADSs simulate inside the environment."""
+        if self.drives_itself or takes_nothing(self.factory):
+            return False
+        try:
+            return "env" in inspect.signature(self.factory).parameters
+        except (TypeError, ValueError):  # builtins without a signature
+            return False
+
+    @property
+    def only_observes(self) -> bool:
+        """True if its ADSs decide from observations alone, so that these can be made for any world and at any time."""
+        return not (self.drives_itself or self.simulates)
+
+    @property
+    def elsewhere(self) -> DrivesElsewhere | None:
+        """The policy itself if it makes whole runs in a process of its own; otherwise None."""
+        return self.factory if isinstance(self.factory, DrivesElsewhere) else None
+
+    @cached_property
+    def sight(self) -> Sight | None:
+        """The sight of its ADSs; None for perfect sight."""
+        return sight_of(self.factory)
+
+    @property
+    def weights(self) -> str:
+        """The hash of what the factory loads, its ``weights_digest``; empty if it states none."""
+        stated = self._own("weights_digest")
+        return stated if isinstance(stated, str) else ""
+
+    @property
+    def loading_hint(self) -> str:
+        """The factory's note that its policy may need other options for loading; empty if it has none."""
+        stated = self._own("loading_hint")
+        return stated if isinstance(stated, str) else ""
+
+    def preload(self) -> None:
+        """Call the factory's ``preload``, if it has one, so that forked processes share what it loads."""
+        load = self._own("preload")
+        if load is not None:
+            load()
+
+    def check_drives_in(self, world: Any) -> None:
+        """Call the factory's ``check_world``, if it has one; its error reports what does not fit the world."""
+        check = self._own("check_world")
+        if check is not None:
+            check(world)
+
+    def make(self, **arguments: Any) -> Ads:
+        """Make a fresh ADS, see :func:`make_ads`."""
+        given = make_ads(self.factory, **arguments)
+        decides, sight = ads_and_sight(given)
+        return Ads(given, decides, sight, drives_itself=is_vehicle_class(given))
+
+    def _own(self, name: str) -> Any:
+        """Return an attribute of the factory or of the factory that it wraps; None if there is none.
+
+        A class has none, because its attributes belong to its instances, the ADSs.
+        """
+        inner = inspect.unwrap(self.factory)
+        return None if isinstance(inner, type) else getattr(inner, name, None)

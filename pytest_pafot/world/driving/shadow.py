@@ -14,10 +14,9 @@ from contextlib import AbstractContextManager, nullcontext, suppress
 from dataclasses import dataclass, field
 from typing import Any
 
-from pytest_pafot.support.errors import AdsFactoryError
-from pytest_pafot.world.driving.ads import AdsFactory, is_vehicle_class
+from pytest_pafot.world.driving.ads import AdsFactory
 from pytest_pafot.world.driving.conditions import Conditions
-from pytest_pafot.world.driving.perception import DRIVES_ITSELF, ads_and_sight
+from pytest_pafot.world.driving.perception import deciding
 from pytest_pafot.world.driving.seeing import SeeingAds, is_copyable, is_pure, lane_nearest, with_others
 from pytest_pafot.world.guard.failure import Around
 from pytest_pafot.world.kernel.action import plain_action
@@ -154,9 +153,7 @@ def wrapped(factory: AdsFactory, wrap: Callable[[Any], Any]) -> AdsFactory:
     """
 
     def make(*observations: Any, **arguments: Any) -> Any:
-        ads, sight = ads_and_sight(factory(*observations, **arguments))
-        if is_vehicle_class(ads):
-            raise AdsFactoryError(f"ads: {DRIVES_ITSELF}")
+        ads, sight = deciding(factory(*observations, **arguments))
         return wrap(ads) if sight is None else SeeingAds(wrap(ads), sight)
 
     return functools.wraps(factory, updated=())(make)

@@ -16,7 +16,7 @@ from pytest_pafot.model.sight import Sight
 from pytest_pafot.model.trace import AdsError, FloatArray, Lane, Outcome
 from pytest_pafot.support.errors import WorldError
 from pytest_pafot.world.driving.ads import give_route
-from pytest_pafot.world.driving.policy import View, check_action_space, checked_action
+from pytest_pafot.world.driving.policy_driver import View, check_action_space, checked_action
 from pytest_pafot.world.driving.seeing import ImperfectSensor, PolicySight
 from pytest_pafot.world.driving.vehicles import compiled_network, straight_road
 from pytest_pafot.world.engines.gym_replay import StockVehicle

@@ -23,10 +23,9 @@ from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import AdsError, Trace
 from pytest_pafot.support.errors import WorldError
 from pytest_pafot.support.text import plural
-from pytest_pafot.world.driving.ads import AdsFactory, is_vehicle_class, make_ads, wants_env
 from pytest_pafot.world.driving.object_driver import GuardedDriver, body_of, follow, foresee
-from pytest_pafot.world.driving.perception import ads_and_sight
-from pytest_pafot.world.driving.policy import View, check_action_space, checked_action
+from pytest_pafot.world.driving.policy import Ads, Policy
+from pytest_pafot.world.driving.policy_driver import View, check_action_space, checked_action
 from pytest_pafot.world.driving.seeing import PolicySight, policy_sight
 from pytest_pafot.world.driving.vehicles import is_regulated
 from pytest_pafot.world.engines.egos import planner_driver, vehicle_of
@@ -181,7 +180,7 @@ def _reset_result(env: Any, seed: int, options: Mapping[str, Any] | None) -> tup
     return seen, env._info(seen, env.action_space.sample())
 
 
-def replay_highway(rules: Rules, scenario: Scenario, ads_factory: AdsFactory) -> Trace:
+def replay_highway(rules: Rules, scenario: Scenario, policy: Policy) -> Trace:
     """Repeat a run of a :class:`pytest_pafot.Highway` in highway-v0, with its lanes and speed limit."""
     lane, lanes = rules.straight.lanes[0], rules.straight.lane_count
     config = {
@@ -194,13 +193,13 @@ def replay_highway(rules: Rules, scenario: Scenario, ads_factory: AdsFactory) ->
     }
     env, _ = _reset(gymnasium.make("highway-v0", config=config, disable_env_checker=True), scenario)
     env.road.network = RoadNetwork.straight_road_network(lanes, length=lane.length, speed_limit=lane.speed_limit)
-    ads = make_ads(ads_factory)
-    with closing(ads, rules.hang_limit):
+    ads = policy.make()
+    with closing(ads.given, rules.hang_limit):
         return _si_run(rules, scenario, env, ads, None)
 
 
 def replay_environment(
-    environment: GymEnvironment, rules: Rules, scenario: Scenario, ads_factory: AdsFactory, *, is_planner: bool
+    environment: GymEnvironment, rules: Rules, scenario: Scenario, policy: Policy, *, is_planner: bool
 ) -> Trace:
     """Simulate a run of a :class:`pytest_pafot.World` with ``env.step`` of its environment.
 
@@ -209,9 +208,9 @@ def replay_environment(
     outer, route = environment.make(), environment.route
     env, objects = _reset(outer, scenario, environment.config_of_wrappers)
     view = None
-    if not (is_planner or is_vehicle_class(ads_factory)):
+    if not (is_planner or policy.drives_itself):
         put_policys_ego(environment, env, rules, scenario)
-    if not is_vehicle_class(ads_factory) and wants_env(ads_factory):
+    if policy.simulates:
         if environment.wrappers is not None:
             raise WorldError(
                 f"wrappers: expected no wrappers= for a factory with a parameter `env`, received "
@@ -219,10 +218,10 @@ def replay_environment(
                 f"simulates inside the environment uses the environment's observations and actions without wrappers"
             )
         view = View(environment.make().unwrapped, env)
-    ads = make_ads(ads_factory) if view is None else make_ads(ads_factory, env=view.env)
-    if is_vehicle_class(ads):
+    ads = policy.make() if view is None else policy.make(env=view.env)
+    if ads.drives_itself:
         return _si_run(rules, scenario, env, ads, route)
-    with closing(ads, rules.hang_limit):
+    with closing(ads.given, rules.hang_limit):
         if is_planner:
             return _si_run(rules, scenario, env, ads, route)
         seen, ego, guard = (
@@ -230,10 +229,9 @@ def replay_environment(
             body_of(env.vehicle),
             HangGuard(rules.hang_limit),
         )
-        ads, sight = ads_and_sight(ads)
-        every, eyes = rules.physics_hz // rules.ads_hz, policy_sight(env, sight, scenario)
-        policy = StockPolicy(ads, seen, ego, every, guard, view, eyes)
-        return _Loop(VehiclesOfRun(rules, scenario, ego, env.road.network), env, policy, guard, objects).run()
+        every, eyes = rules.physics_hz // rules.ads_hz, policy_sight(env, ads.sight, scenario)
+        driver = StockPolicy(ads.decides, seen, ego, every, guard, view, eyes)
+        return _Loop(VehiclesOfRun(rules, scenario, ego, env.road.network), env, driver, guard, objects).run()
 
 
 def _reset(outer: Any, scenario: Scenario, config: Mapping[str, Any] | None = None) -> tuple[Any, list[Any]]:
@@ -261,7 +259,7 @@ def _reset(outer: Any, scenario: Scenario, config: Mapping[str, Any] | None = No
     return env, objects
 
 
-def _si_run(rules: Rules, scenario: Scenario, env: Any, ads: Any, route: tuple[Any, ...] | None) -> Trace:
+def _si_run(rules: Rules, scenario: Scenario, env: Any, ads: Ads, route: tuple[Any, ...] | None) -> Trace:
     """Simulate a run of an ego that does not use the environment's observations and actions.
 
     Observations, rewards and infos are disabled. Observations would take longer than all the rest, and some
@@ -269,16 +267,16 @@ def _si_run(rules: Rules, scenario: Scenario, env: Any, ads: Any, route: tuple[A
     """
     guard, start = HangGuard(rules.hang_limit), rules.ego_position(scenario)
     # A vehicle class decides in every tick.
-    env.config["policy_frequency"] = env.config["simulation_frequency"] if is_vehicle_class(ads) else rules.ads_hz
-    put_ego(env, vehicle_of(ads if is_vehicle_class(ads) else StockVehicle, env.road, start, scenario.ego_speed, route))
+    env.config["policy_frequency"] = env.config["simulation_frequency"] if ads.drives_itself else rules.ads_hz
+    ego_class = ads.given if ads.drives_itself else StockVehicle
+    put_ego(env, vehicle_of(ego_class, env.road, start, scenario.ego_speed, route))
     ego = body_of(env.vehicle)
     vehicles = VehiclesOfRun(rules, scenario, ego, env.road.network)
     driver: EgoDriver
-    if is_vehicle_class(ads):
+    if ads.drives_itself:
         driver = _VehicleClass(env.vehicle, ego, guard)
     else:
-        ads, sight = ads_and_sight(ads)
-        driver = planner_driver(vehicles, ads, guard, sight)
+        driver = planner_driver(vehicles, ads.decides, guard, ads.sight)
     env.observation_type.observe = env._reward = env._info = _nothing
     return _Loop(vehicles, env, driver, guard).run()
 

@@ -18,8 +18,8 @@ from pytest_pafot.model.sight import Sight
 from pytest_pafot.model.trace import Trace
 from pytest_pafot.support.errors import AdsFactoryError
 from pytest_pafot.support.text import shown
-from pytest_pafot.world.driving.ads import AdsFactory, is_vehicle_class, make_ads, wants_env
-from pytest_pafot.world.driving.perception import ads_and_sight
+from pytest_pafot.world.driving.ads import AdsFactory
+from pytest_pafot.world.driving.policy import Ads, Policy
 from pytest_pafot.world.engines.run import SteppedRun
 from pytest_pafot.world.guard.failure import UNFIT, closing, let_through
 from pytest_pafot.world.guard.hang_guard import HangGuard
@@ -48,20 +48,20 @@ class Observations(list[Any]):
         return stacked(self) if isinstance(self[0], Observation) else np.stack(self)
 
 
-def batching_ads(factory: AdsFactory, hang_limit: float) -> Any:
+def batching_ads(policy: Policy, hang_limit: float) -> Ads | None:
     """Make a fresh ADS and return it if it has ``batch``, which decides for many runs at once; else return None."""
-    if is_vehicle_class(factory) or wants_env(factory):
+    if not policy.only_observes:
         return None
-    ads = make_ads(factory)
-    if not is_vehicle_class(ads) and callable(getattr(ads, "batch", None)):
+    ads = policy.make()
+    if ads.decides_for_many:
         return ads
-    with closing(ads, hang_limit):
+    with closing(ads.given, hang_limit):
         return None
 
 
 def rollouts(
     scenarios: Sequence[Scenario],
-    factory: AdsFactory,
+    policy: Policy,
     start: Callable[[Scenario, HangGuard, Sight | None], SteppedRun],
     rollout: Callable[[Scenario, AdsFactory], Trace],
     hang_limit: float,
@@ -76,15 +76,14 @@ def rollouts(
     Raises:
         AdsFactoryError: if the factory returns nothing that drives, or ``batch`` does not return one action per run.
     """
-    ads = batching_ads(factory, hang_limit) if len(scenarios) > 1 else None
+    ads = batching_ads(policy, hang_limit) if len(scenarios) > 1 else None
     if ads is not None:
-        with closing(ads, hang_limit), HangGuard(hang_limit * len(scenarios)) as guard:
-            sight = ads_and_sight(ads)[1]
-            runs = [start(scenario, guard, sight) for scenario in scenarios]
-            traces = _in_lock_step(runs, ads.batch, guard)
+        with closing(ads.given, hang_limit), HangGuard(hang_limit * len(scenarios)) as guard:
+            runs = [start(scenario, guard, ads.sight) for scenario in scenarios]
+            traces = _in_lock_step(runs, ads.given.batch, guard)
         if traces is not None:
             return traces
-    return [rollout(scenario, factory) for scenario in scenarios]
+    return [rollout(scenario, policy.factory) for scenario in scenarios]
 
 
 def _in_lock_step(

@@ -25,13 +25,13 @@ from highway_env.vehicle.objects import Obstacle
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import AdsError, Outcome, Trace
 from pytest_pafot.support.errors import AdsFactoryError, WorldError
-from pytest_pafot.world.driving.ads import AdsFactory, is_vehicle_class, make_ads, wants_env
+from pytest_pafot.world.driving.ads import AdsFactory
 from pytest_pafot.world.driving.compiled_vehicle import CompiledRoad, constants_of, obstacles_on, road_rules
 from pytest_pafot.world.driving.idm_model import CONSTANTS, ORDINARY, idm_model, is_patched, shadowed, takes
 from pytest_pafot.world.driving.object_driver import body_of
 from pytest_pafot.world.driving.observations import observe_fast, observer
-from pytest_pafot.world.driving.perception import ads_and_sight
-from pytest_pafot.world.driving.policy import View
+from pytest_pafot.world.driving.policy import Policy
+from pytest_pafot.world.driving.policy_driver import View
 from pytest_pafot.world.engines import policies
 from pytest_pafot.world.engines.episode import Episode, EpisodeRecording, Kind, Start, Step
 from pytest_pafot.world.guard.failure import UNFIT, closing, error_of
@@ -499,21 +499,27 @@ def drive(
         outer = environment.with_traffic()
         observe_fast(outer.unwrapped)
         seen, _ = outer.reset(seed=seed)
-        view = None
+        view, policy = None, Policy(factory)
         try:
-            if wants_env(factory) and not is_vehicle_class(factory):
+            if policy.simulates:
                 view = View(environment.make().unwrapped, outer.unwrapped)
-                ads = make_ads(factory, env=view.env)
-            else:
-                ads = make_ads(factory)
+            ads = policy.make() if view is None else policy.make(env=view.env)
         except (AdsFactoryError, WorldError):
             raise
         except UNFIT as error:
             return Episode(seed=seed, outcome=Outcome.ADS_ERROR, seconds=0.0, error=error_of(error, 0, guard))
-        with closing(ads, hang_limit), ExitStack() as at_the_end:
-            kind: Kind = "vehicle" if is_vehicle_class(ads) else "planner" if is_planner else "policy"
-            ads, sight = ads_and_sight(ads)
-            start = Start(outer=outer, seen=seen, ads=ads, kind=kind, guard=guard, view=view, seed=seed, sight=sight)
+        with closing(ads.given, hang_limit), ExitStack() as at_the_end:
+            kind: Kind = "vehicle" if ads.drives_itself else "planner" if is_planner else "policy"
+            start = Start(
+                outer=outer,
+                seen=seen,
+                ads=ads.decides,
+                kind=kind,
+                guard=guard,
+                view=view,
+                seed=seed,
+                sight=ads.sight,
+            )
             if start.eyes is not None:
                 at_the_end.callback(start.eyes.close)
             reason = why_not(start) if may_compile else "that was requested"

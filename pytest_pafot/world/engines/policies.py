@@ -18,12 +18,11 @@ from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.sight import Sight
 from pytest_pafot.model.trace import Trace
 from pytest_pafot.support.errors import WorldError
-from pytest_pafot.world.driving.ads import AdsFactory, is_vehicle_class, make_ads, wants_env
 from pytest_pafot.world.driving.compiled_vehicle import CompiledRoad, egos_rules, obstacles_on
 from pytest_pafot.world.driving.idm_model import idm_model
 from pytest_pafot.world.driving.object_driver import ObjectDriver
-from pytest_pafot.world.driving.perception import ads_and_sight
-from pytest_pafot.world.driving.policy import ModelPolicyDriver, PolicyDriver, View, copies_on
+from pytest_pafot.world.driving.policy import Policy
+from pytest_pafot.world.driving.policy_driver import ModelPolicyDriver, PolicyDriver, View, copies_on
 from pytest_pafot.world.driving.seeing import policy_sight
 from pytest_pafot.world.driving.vehicles import EgosRegulatedRoad
 from pytest_pafot.world.engines.egos import vehicle_of
@@ -46,32 +45,31 @@ OF_HIGHWAY_ENV = frozenset(
 """The attributes with which highway-env's classes and roads control some vehicles."""
 
 
-def rollout(environment: GymEnvironment, rules: Rules, scenario: Scenario, ads_factory: AdsFactory) -> Trace:
+def rollout(environment: GymEnvironment, rules: Rules, scenario: Scenario, policy: Policy) -> Trace:
     """Simulate a scenario, which fits the rules, with a fresh ADS that is a vehicle class or a policy."""
     with ExitStack() as at_the_end:
-        ads, env, view = ads_factory, _env_of(environment, scenario), None
-        if is_vehicle_class(ads):
-            ads = make_ads(ads)
+        env, view = _env_of(environment, scenario), None
+        if policy.drives_itself:
+            ads = policy.make()
         else:
             put_policys_ego(environment, env, rules, scenario)
-            if wants_env(ads_factory):
+            if policy.simulates:
                 view = View(environment.make().unwrapped, env)
-            ads = make_ads(ads_factory) if view is None else make_ads(ads_factory, env=view.env)
-            at_the_end.enter_context(closing(ads, rules.hang_limit))
+            ads = policy.make() if view is None else policy.make(env=view.env)
+            at_the_end.enter_context(closing(ads.given, rules.hang_limit))
         guard = HangGuard(rules.hang_limit)
-        if is_vehicle_class(ads):
+        if ads.drives_itself:
             start = rules.ego_position(scenario)
-            ego = vehicle_of(ads, env.road, start, scenario.ego_speed, environment.route)
+            ego = vehicle_of(ads.given, env.road, start, scenario.ego_speed, environment.route)
             lanes = _lanes_of_idm(environment, env.road)
-            if idm_model(ads) is None or lanes is None:
+            if idm_model(ads.given) is None or lanes is None:
                 return _begun(rules, scenario, ObjectDriver(ego, env.road, guard), guard).finish()
             model = CompiledRoad(env.road, lanes).vehicle(ego)
             vehicles = VehiclesOfRun(rules, scenario, model, env.road.network)
             others = [*vehicles.vehicles[1:], *obstacles_on(env.road)]
             model_driver = ModelDriver(model, others, egos_rules(ego, model, vehicles.places, rules, lanes))
             return SteppedRun(vehicles, model_driver, guard).finish()
-        ads, sight = ads_and_sight(ads)
-        driver = _policy_driver(environment, rules, scenario, ads, env, guard, view, sight)
+        driver = _policy_driver(environment, rules, scenario, ads.decides, env, guard, view, ads.sight)
         return _begun(rules, scenario, driver, guard).finish()
 
 

@@ -10,6 +10,7 @@ import pytest
 
 from pytest_pafot.execution.scenario_pool import ExecutionError, Job
 from pytest_pafot.extras.executors import ExecutorPool, dask_executor
+from pytest_pafot.world.driving.policy import Policy
 from pytest_pafot.world.guard.own_worlds import base_world
 from tests.helpers.toy_world import Toy, scenario
 from tests.plugin.test_workers import summary
@@ -118,7 +119,11 @@ def test_dask_worker_may_die_and_another_join(cluster, tmp_path):
 
     scenarios = [scenario(number) for number in range(60)]
     job = Job(
-        world=base_world(Toy()), ads=make, records=tmp_path, owner="test_it.py::test_it", root=Path(__file__).parents[2]
+        world=base_world(Toy()),
+        policy=Policy(make),
+        records=tmp_path,
+        owner="test_it.py::test_it",
+        root=Path(__file__).parents[2],
     )
     with dask_executor(cluster.scheduler_address, print) as executor:
         pool = ExecutorPool(job, executor)

@@ -9,6 +9,7 @@ from pytest_pafot import Highway, Outcome, World
 from pytest_pafot.model.scenario import PositionInstruction, Scenario, ScenarioError
 from pytest_pafot.searching import SearchSpace, sample
 from pytest_pafot.world import AdsFactoryError
+from pytest_pafot.world.driving.policy import Policy
 from pytest_pafot.world.engines.lock_step import batching_ads
 from tests.helpers.road_cases import space_of
 from tests.helpers.stages import oracle
@@ -154,7 +155,7 @@ def test_an_ads_without_batch_drives_one_by_one():
     world, made = Highway(duration=4.0), []
     traces = world.rollout_batch(scenarios(3), lambda: made.append(None) or Planner().decided)
     assert differences(traces, [world.rollout(scenario, Planner) for scenario in scenarios(3)]) == []
-    assert batching_ads(lambda: Planner().decided, 1.0) is None
+    assert batching_ads(Policy(lambda: Planner().decided), 1.0) is None
     assert len(made) >= 3
 
 
@@ -162,7 +163,7 @@ def test_vehicle_classes_and_inside_planners_have_no_batch():
     from highway_env.vehicle.behavior import IDMVehicle
 
     factories = (IDMVehicle, lambda: IDMVehicle, lambda env: Planner())
-    assert [batching_ads(factory, 1.0) for factory in factories] == [None, None, None]
+    assert [batching_ads(Policy(factory), 1.0) for factory in factories] == [None, None, None]
     assert len(Highway(duration=2.0).rollout_batch(scenarios(2), IDMVehicle)) == 2
 
 

@@ -1,0 +1,246 @@
+"""ADSs that use an environment's own observations and actions, and the environment in which they may simulate."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Sequence
+from contextlib import nullcontext
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+
+from pytest_pafot.model.trace import AdsError
+from pytest_pafot.support.errors import BadAction, WorldError
+from pytest_pafot.support.text import shown
+from pytest_pafot.world.driving.compiled_vehicle import CompiledRoad
+from pytest_pafot.world.driving.object_driver import ObjectDriver
+from pytest_pafot.world.driving.observations import observer
+from pytest_pafot.world.driving.seeing import PolicySight
+from pytest_pafot.world.guard.hang_guard import HangGuard
+from pytest_pafot.world.kernel.action import hint_at
+from pytest_pafot.world.kernel.bodies import Body
+from pytest_pafot.world.kernel.lane_network import Network
+from pytest_pafot.world.roads.straight import StraightRoad
+from pytest_pafot.world.stock import Road, class_from_path
+
+
+class PolicyDriver(ObjectDriver):
+    """A driver that passes an environment's observation to an ADS, and applies the action that it returns.
+
+    Args:
+        ads: the ADS; None if the decisions are passed to :meth:`take`.
+        env: the environment with the road and the ego of the run.
+        guard: the guard of the ADS's decisions.
+        every: the number of physics ticks between decisions.
+        view: a second environment, in which the ADS may simulate ahead; it shows the state of the run before each
+            decision.
+        sight: what limits the ADS's sight; then both environments contain only what it sees.
+        ego: the ego in the loop; by default a body that follows the environment's vehicle.
+    """
+
+    def __init__(
+        self,
+        ads: Any,
+        env: Any,
+        guard: HangGuard,
+        every: int,
+        view: View | None = None,
+        sight: PolicySight | None = None,
+        ego: Body | None = None,
+    ) -> None:
+        check_action_space(env.action_space)
+        super().__init__(env.vehicle, env.road, guard, every, ego)
+        self.env = env
+        self._ads = ads
+        self._observe = observer(env)
+        self._view = view
+        self._sight = sight
+
+    def decide(self, tick: int) -> AdsError | None:
+        """Observe, call the ADS, and check and apply its action, unless the decisions are passed in."""
+        return None if self._ads is None else super().decide(tick)
+
+    def decided(self, tick: int) -> Any:
+        """Observe, call the ADS, and check and apply its action."""
+        return self._applied(self._ads(self.observe(tick)))
+
+    def observe(self, tick: int) -> Any:
+        """Return the ADS's observation at the current tick."""
+        env = self.env
+        env.steps = tick
+        env.time = tick / env.config["simulation_frequency"]
+        with nullcontext() if self._sight is None else self._sight.shown():
+            if self._view is not None:
+                self._view.show(tick)
+            return self._observe()
+
+    def take(self, action: Any, seconds: float) -> None:
+        """Check and apply a decision that took ``seconds``.
+
+        Raises:
+            BadAction: if the action is not valid.
+        """
+        self.actions.append(self._applied(action))
+        self.slowest = max(self.slowest, seconds)
+
+    def _applied(self, action: Any) -> Any:
+        """Check an action, apply it, and return the checked action."""
+        checked = checked_action(self.without_plan(action), self.env.action_space)
+        self.env.action_type.act(checked)
+        return checked
+
+    def actuate(self) -> None:
+        """Apply the low-level control of highway-env's controlled vehicles."""
+        if self._sight is not None:
+            self._sight.note()
+        self.vehicle.act()
+
+
+class ModelPolicyDriver(PolicyDriver):
+    """A driver whose ego the kernel moves, as highway-env's vehicle classes of its actions would.
+
+    The environment's vehicle gets the state of the ego before anything reads it, which is once a decision, or at every
+    tick with an imperfect sight.
+    """
+
+    def __init__(
+        self,
+        ads: Any,
+        env: Any,
+        guard: HangGuard,
+        every: int,
+        view: View | None,
+        sight: PolicySight | None,
+        lanes: StraightRoad | Network,
+    ) -> None:
+        self._compiled = CompiledRoad(env.road, lanes)
+        self._model = self._compiled.vehicle(env.vehicle)
+        super().__init__(ads, env, guard, every, view, sight, self._model)
+
+    def observe(self, tick: int) -> Any:
+        """Return the ADS's observation at the current tick."""
+        self._compiled.show(self.vehicle, self._model)
+        return super().observe(tick)
+
+    def _applied(self, action: Any) -> Any:
+        """Check an action, let the environment interpret it, and return the checked action."""
+        checked = super()._applied(action)
+        self._compiled.take(self.vehicle, self._model)
+        return checked
+
+    def actuate(self) -> None:
+        """Set the controls of a tick."""
+        if self._sight is not None:
+            self._compiled.show(self.vehicle, self._model)
+            self._sight.note()
+        self._model.act([])
+
+    def step(self, dt: float) -> None:
+        """Move the ego for one tick [s]."""
+        self._model.step(dt)
+
+
+def check_action_space(space: Any, wrappers: Sequence[str] = ()) -> None:
+    """Raise a :class:`WorldError` for an action space that is not for one vehicle.
+
+    ``wrappers`` are the names of the wrappers that have made it from another; empty if it is the environment's own.
+    """
+    if isinstance(space, (spaces.Discrete, spaces.Box)):
+        return
+    expected, received = "a discrete or continuous action for one vehicle", f"the space {space}"
+    if wrappers:
+        received = f"{received} in {', '.join(wrappers)}"
+        fix = "let the wrappers' action_space be a Discrete or a Box"
+        raise WorldError(field="wrappers", expected=expected, received=received, fix=fix)
+    fix = "multi-agent actions have no single ego"
+    raise WorldError(field="config.action", expected=expected, received=received, fix=fix)
+
+
+def checked_action(action: Any, space: Any) -> Any:
+    """Return an action as its space requires: as an int, or as a float array with the shape of the space.
+
+    Raises:
+        BadAction: for an action of another kind or shape than the space has; numbers outside its bounds are the
+            environment's to limit.
+    """
+    is_choice = isinstance(space, spaces.Discrete)
+    expected = f"expected finite numbers of shape {space.shape}"
+    if is_choice:
+        expected = f"expected a whole number from {space.start} to {space.start + space.n - 1}"
+    try:
+        given = np.asarray(action)
+    except (TypeError, ValueError):  # such as rows of different lengths
+        raise _bad(expected, action) from None
+    if is_choice:
+        if given.size != 1 or given.dtype.kind not in "iu" or not space.contains(int(given.reshape(()))):
+            raise _bad(expected, action, _hint_at_choice(given, space))
+        return int(given.reshape(()))
+    if given.dtype.kind not in "iuf" or given.shape != space.shape or not np.isfinite(given).all():
+        raise _bad(expected, action)
+    return np.array(given, dtype=np.result_type(given, np.float32))  # a copy: the ADS may reuse its array
+
+
+def _bad(expected: str, action: Any, hint: str = "") -> BadAction:
+    hint = hint_at(action) or hint
+    return BadAction(f"{expected}, received {shown(action)}{f'; {hint}' if hint else ''}")
+
+
+def _hint_at_choice(array: Any, space: Any) -> str:
+    """Return a hint for an array that an ADS returned in place of an action's number; empty if none fits."""
+    if array.dtype.kind == "f" and array.shape == (2,) and space.n != 2:
+        return "planners in SI units drive without world=, or in a pafot.World(..., planner_hz=5)"
+    if array.dtype.kind == "f" and array.size == space.n:
+        return "if these are values of the actions, return the number of the largest: `int(np.argmax(...))`"
+    if array.dtype.kind == "f" and array.size == 1:
+        return "return `int(...)` of it"
+    return ""
+
+
+def copies_on(objects: Sequence[Any], road: Road) -> list[Any]:
+    """Copy a road's fixed objects to a different road."""
+    copies = [copy.copy(each) for each in objects]
+    for each in copies:
+        each.road = road
+    return copies
+
+
+class View:
+    """An environment for a planner to copy and simulate in, with the run's state but without the NPCs' genes.
+
+    The ego is a copy of the run's ego. Every other vehicle is of the environment's own traffic class, in the NPC's
+    state, and with the current speed as its desired speed, because an observer cannot know more.
+    """
+
+    def __init__(self, env: Any, run_env: Any) -> None:
+        self.env = env
+        self._run_env = run_env
+        self._traffic = class_from_path(env.config["other_vehicles_type"])
+        self.show(0)
+
+    def show(self, tick: int) -> None:
+        """Update the view to the run's state."""
+        source, env = self._run_env, self.env
+        road = Road(
+            source.road.network,
+            np_random=np.random.default_rng(tick),
+            neighbour_vehicles_connected_lanes=source.road.neighbour_vehicles_connected_lanes,
+        )
+        ego = copy.copy(source.vehicle)
+        ego.road = road
+        ego.position = np.array(source.vehicle.position)
+        ego.action = dict(source.vehicle.action)
+        ego.check_collisions = True
+        road.objects = copies_on(source.road.objects, road)
+        road.vehicles = [ego]
+        for each in source.road.vehicles:
+            if each is not source.vehicle:
+                state = np.array(each.position), float(each.heading), float(each.speed)
+                road.vehicles.append(self._traffic(road, *state))
+        env.road = road
+        env.controlled_vehicles = [ego]
+        env.np_random = road.np_random
+        env.steps, env.time, env.done = source.steps, source.time, False
+        env.define_spaces()
+        env.action_space.seed(tick)  # planners sample from it
+        env.observation_space.seed(tick)
