@@ -27,6 +27,7 @@ from pytest_pafot.campaign.request import Request, SearchArguments, build_world,
 from pytest_pafot.campaign.run_table import RunTable
 from pytest_pafot.campaign.search_session import SearchSession, prepared
 from pytest_pafot.campaign.state import check_states
+from pytest_pafot.campaign.tallies import Tally
 from pytest_pafot.campaign.verdict import Verdict, judge, source_file
 from pytest_pafot.campaign.watch import time_limit
 from pytest_pafot.corpus.layout import folder_of_test, link_below
@@ -39,7 +40,7 @@ from pytest_pafot.oracle.run import Run
 from pytest_pafot.searching.algorithms.catalogue import AlgorithmClass
 from pytest_pafot.searching.ask_tell import Algorithm
 from pytest_pafot.searching.evaluation import Evaluation
-from pytest_pafot.searching.events import Evaluated, GenerationFinished, RunsEvaluated
+from pytest_pafot.searching.events import Evaluated, GenerationFinished
 from pytest_pafot.searching.fitness import resolve
 from pytest_pafot.searching.space import SearchSpace
 from pytest_pafot.support.errors import RequestError, check_asserts, command
@@ -91,12 +92,12 @@ def _unpacked(events: Iterable[SearchEvent]) -> Iterator[SearchEvent]:
         match event:
             case Evaluated():
                 population.append(event.evaluation)
-            case RunsEvaluated(generation=generation, index=first, counts=counts):
-                evaluations = counts.unpacked
+            case Tally():
+                evaluations = event.unpacked
                 population += evaluations
-                for index, each in enumerate(evaluations, first):
+                for index, each in enumerate(evaluations, event.index):
                     yield Evaluated(
-                        generation=generation, local_generation=0, index=index, evaluation=each, reused=False
+                        generation=event.generation, local_generation=0, index=index, evaluation=each, reused=False
                     )
                 continue
             case GenerationFinished():

@@ -88,7 +88,7 @@ class RunTable:
                 # A run knows its scenario as it was driven.
                 self._add(row | self._judged.get(event.evaluation.executed.id, {}))
             case RunsEvaluated():
-                for row in event.counts.rows:
+                for row in event.rows:
                     self._add(row)
 
     def taken(self) -> list[Row]:

@@ -7,6 +7,7 @@ What is around it, such as the replays of saved scenarios and the simplification
 from __future__ import annotations
 
 from collections.abc import Generator, Iterable, Iterator, Sequence
+from dataclasses import replace
 from typing import Any
 
 from pytest_pafot.campaign.events import Judged, SearchEvent
@@ -21,7 +22,7 @@ from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.findings.finding import failed_as
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.searching.evaluation import Evaluation
-from pytest_pafot.searching.events import EndReason, Event, RunsEvaluated
+from pytest_pafot.searching.events import EndReason, Event
 from pytest_pafot.searching.plan import Plan
 from pytest_pafot.support.errors import OutOfTime
 from pytest_pafot.world.guard.hang_guard import runs_end_in
@@ -105,7 +106,7 @@ def _taken(tally: Tally, plan: Plan[Any]) -> Sequence[Event]:
         return [*map(plan.take, tally.unpacked)]
     first = plan.block.index
     plan.skip(tally.runs, tally.evaluations)
-    return [RunsEvaluated(generation=plan.generation, index=first, runs=tally.runs, counts=tally)]
+    return [replace(tally, index=first)]
 
 
 def _judged(

@@ -103,9 +103,8 @@ class RandomRuns:
             if judged is None or judged.verdict.discarded or judged.verdict.kind == "invalid":
                 self._add(1, 0, 0, 0)
             else:
-                has_failed = judged.verdict.kind in FAILING
-                is_at_fault = has_failed and judged.run is not None and fails_by_ego(judged.run, judged.verdict)
-                self._add(1, 1, is_at_fault, has_failed and not is_at_fault)
+                is_at_fault = fails_by_ego(judged.verdict, judged.responsibility)
+                self._add(1, 1, is_at_fault, judged.verdict.kind in FAILING and not is_at_fault)
 
     def take(self, evaluated: int, runs: int, at_fault: int, otherwise: int) -> None:
         """Count runs that another process has judged, which are all of the beginning or none."""

@@ -29,7 +29,7 @@ from pytest_pafot.execution.scenario_pool import (
     Digest,
     Job,
     LostRun,
-    Said,
+    Timed,
     pool_for,
     run_recorded,
 )
@@ -39,6 +39,7 @@ from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Trace
 from pytest_pafot.oracle.run import Facts, Run
 from pytest_pafot.searching.evaluation import Evaluation, interaction_of
+from pytest_pafot.searching.events import RunsEvaluated
 from pytest_pafot.searching.health import Health
 from pytest_pafot.searching.plan import Learnt, Plan
 
@@ -63,7 +64,6 @@ class Digested(Digest):
     facts: Facts | None
     signature: Signature | None  # of a failure that counts
     manner: Manner | None  # of the same failure
-    is_at_fault: bool  # see :func:`fails_by_ego`
     decisions: int  # of the ADS
     caught: tuple[str, ...]  # the names of checks that failed although the test function passed
     doubt: str  # see :func:`unit_doubt`
@@ -129,7 +129,6 @@ class Reader:
             facts=None if verdict.kind in UNREMARKABLE or signature in known else facts,
             signature=signature,
             manner=manner,
-            is_at_fault=signature is not None and fails_by_ego(run, verdict),
             decisions=len(trace.actions),
             caught=caught_in(verdict),
             doubt=facts.doubt,
@@ -137,24 +136,23 @@ class Reader:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Tally(Digest):
-    """The counts of consecutive runs that another process has made and judged.
+class Tally(Digest, RunsEvaluated):
+    """The counts of consecutive runs that another process has made and judged; as an event, those of a whole block.
 
     Attributes:
-        runs, decisions: the numbers of runs, and of decisions of the ADS in them.
+        decisions: the number of decisions of the ADS in the runs.
         evaluations: the evaluations, packed, because the session seldom needs each of them.
-        judged: the event of each run if it was no process that drives a block that made it; otherwise None.
+        judged: the event of each run, with its columns of the table of runs, if it was no process that drives a block
+            that made it; otherwise None.
         health: the figures on the search's health.
         verdicts, caught, responsibilities, outcomes: numbers of runs by kind of verdict, check, responsible, outcome.
         failed: numbers of runs by their known failures.
         manners: of each run with a known failure, its manner and the id of its scenario.
         random: the counts of :class:`~pytest_pafot.campaign.state.RandomRuns`, in the order of its fields.
-        rows: rows for the table of runs, unless ``judged`` has their columns.
         doubt: see :func:`unit_doubt`.
         avoidable: see :class:`~pytest_pafot.campaign.state.State`.
     """
 
-    runs: int
     decisions: int
     evaluations: bytes
     judged: tuple[Judged, ...] | None
@@ -166,7 +164,6 @@ class Tally(Digest):
     failed: Counter[Signature]
     manners: tuple[tuple[Signature, Manner, str], ...]
     random: tuple[int, int, int, int]
-    rows: tuple[dict[str, Any], ...]
     doubt: str
     avoidable: str
 
@@ -181,7 +178,8 @@ class Tally(Digest):
         """Count runs of a generation; without its number, the tally has the event of each run."""
         evaluations, verdicts = [each.evaluation for each in runs], [each.event.verdict for each in runs]
         valid = [each for each in verdicts if not (each.discarded or each.kind == "invalid")]
-        failed, at_fault = sum(each.kind in FAILING for each in valid), sum(each.is_at_fault for each in runs)
+        failed = sum(each.kind in FAILING for each in valid)
+        at_fault = sum(fails_by_ego(each.event.verdict, each.event.responsibility) for each in runs)
         rows: list[dict[str, Any]] = []
         if generation is not None:
             rows = [
@@ -190,6 +188,7 @@ class Tally(Digest):
                 if each.event.columns is not None
             ]
         return cls(
+            generation=generation or 0,
             runs=len(runs),
             decisions=sum(each.decisions for each in runs),
             evaluations=pickle.dumps(evaluations),
@@ -233,7 +232,7 @@ class Driver:
     plan: Plan[Any] | None = None
     random_runs: float = 0.0
 
-    def __call__(self, task: BlockTask, job: Job, record: CrashRecord, say: Callable[[Said], object]) -> None:
+    def __call__(self, task: BlockTask, job: Job, record: CrashRecord, say: Callable[[Timed], object]) -> None:
         """Drive a block and say what comes of it, until it ends or only the session can go on."""
         known = set(task.known)
         read = partial(self.reader.digested, known=known)
@@ -255,7 +254,7 @@ class Driver:
         task: BlockTask,
         known: set[Signature],
         run: Callable[[Scenario], Answer],
-        say: Callable[[Said], object],
+        say: Callable[[Timed], object],
     ) -> None:
         assert self.plan is not None and self.plan.length is not None  # noqa: S101, PT018  (only then there are tasks)
         block = self.plan.beginning(task.number)

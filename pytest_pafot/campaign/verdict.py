@@ -247,12 +247,12 @@ FAILING = ("failed", "unpreventable", "common")
 """The kinds of verdicts on runs that failed, including failures that do not count for some reason."""
 
 
-def fails_by_ego(run: Run, verdict: Verdict) -> bool:
-    """Return whether a failed run is a collision for which the ego is responsible.
+def fails_by_ego(verdict: Verdict, responsible: str | None) -> bool:
+    """Return whether a run failed by a collision for which the ego is ``responsible``, alone or with the NPC.
 
     An ADS that raised or was slow has failed by itself, even if a collision followed.
     """
-    return not verdict.is_ads and run.attribution.blames_ego
+    return verdict.kind in FAILING and not verdict.is_ads and responsible in ("ego", "both")
 
 
 def caught_in(verdict: Verdict) -> tuple[str, ...]:

@@ -147,8 +147,9 @@ class Digest:
 Made: TypeAlias = Trace | Facts | Digest
 """What a process sends of a run: its trace, the trace with what the process has read of it, or the digest alone."""
 
-Timed: TypeAlias = tuple[Made, CapturedOutput, float]
-"""What is sent of a run, its captured output, and its duration in wall-clock time [s]."""
+Timed: TypeAlias = tuple[Any, CapturedOutput, float]
+"""What a process sends of a run (:data:`Made`), or of the block that it drives, with the captured output of the runs
+that this is about, and their duration in wall-clock time [s]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -171,15 +172,12 @@ class BlockTask:
         return f"block {self.number} of the search"
 
 
-Said: TypeAlias = tuple[Any, CapturedOutput, float]
-"""What a process says of the block that it drives, with the output and the duration of the runs that it is about."""
-
 Answer: TypeAlias = Timed | Exception
 """The answer to a scenario: a run, or an exception. This process may repeat the run after any exception, except after a
 :class:`~pytest_pafot.execution.pool.ProcessLostError`."""
 
 ScenarioPool: TypeAlias = WorkerPool[Any, Any]
-"""Its tasks are scenarios with an :data:`Answer`, or a :class:`BlockTask`, of which it says :data:`Said`."""
+"""Its tasks are scenarios with an :data:`Answer`, or a :class:`BlockTask`, of which it says several :data:`Timed`."""
 
 
 class ExecutorPool(Protocol):
@@ -232,7 +230,7 @@ class Job:
     read: Callable[[Trace], Facts | Digest | None] = read_nothing
     """A function that reads a trace in the process that made the run, and returns what is sent instead of the trace;
     None if the trace is sent."""
-    drive: Callable[[BlockTask, Job, CrashRecord, Callable[[Said], object]], None] | None = None
+    drive: Callable[[BlockTask, Job, CrashRecord, Callable[[Timed], object]], None] | None = None
     """A function that drives a block in a process, with this job and its crash record; None if there is none."""
     remark: str = ""
     """What the note on the use of processes says in addition."""
@@ -310,7 +308,9 @@ def _memory(job: Job, size: int) -> int | None:
     return max(min(limits) * 3 // 4 // size, LEAST_MEMORY)
 
 
-def _run_task(job: Job, record: CrashRecord, task: Scenario | BlockTask, say: Callable[[Said], object]) -> Timed | None:
+def _run_task(
+    job: Job, record: CrashRecord, task: Scenario | BlockTask, say: Callable[[Timed], object]
+) -> Timed | None:
     """Run a scenario or a block in a process of the pool; the crash record of each scenario is on disk during its run.
 
     The record is closed after each task, since nothing would remove it after the session.
@@ -355,8 +355,8 @@ def made_from(answer: Answer) -> Made | None:
         raise answer
     if isinstance(answer, Exception):
         return None
-    made, output, _ = answer
-    output.repeat()
+    made: Made = answer[0]
+    answer[1].repeat()
     return made
 
 

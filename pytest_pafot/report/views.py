@@ -18,6 +18,7 @@ import numpy as np
 
 from pytest_pafot.attribution.manoeuvres import stretches
 from pytest_pafot.campaign.events import Find, Judged, SearchEvent, SearchStarted
+from pytest_pafot.campaign.tallies import Tally
 from pytest_pafot.corpus.writer import text_of
 from pytest_pafot.criticality import Encounters, Passage, gap, passages, time_advantage, ttc
 from pytest_pafot.criticality.asked import Asked, asked
@@ -59,7 +60,6 @@ from pytest_pafot.searching.events import (
     CampaignStarted,
     Evaluated,
     GenerationFinished,
-    RunsEvaluated,
 )
 from pytest_pafot.searching.health import Health
 from pytest_pafot.world.kernel.driver import following_gap
@@ -579,10 +579,10 @@ class CampaignCounts:
                 self.health = self.health.counted(event.evaluation, reused=event.reused)
                 if not event.reused:
                     self.outcomes[str(event.evaluation.outcome)] += 1
-            case RunsEvaluated():
-                self.health += event.counts.health
-                self.outcomes.update(event.counts.outcomes)
-                self.responsibilities.update(event.counts.responsibilities)
+            case Tally():
+                self.health += event.health
+                self.outcomes.update(event.outcomes)
+                self.responsibilities.update(event.responsibilities)
             case CampaignStarted():
                 self.started = event
             case CampaignFinished():

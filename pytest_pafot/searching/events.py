@@ -38,12 +38,15 @@ class Evaluated:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RunsEvaluated:
-    """Consecutive scenarios of a generation were evaluated in another process, which sent only what it counted."""
+    """Consecutive scenarios of a generation were evaluated in another process, which sent only what it counted.
+
+    What it counts is in a subclass.
+    """
 
     generation: int
-    index: int  # position of the first one in the generation, from 0
+    index: int = 0  # position of the first one in the generation, from 0
     runs: int  # the number of scenarios; each was simulated
-    counts: Any  # what the caller of the campaign counts
+    rows: tuple[dict[str, Any], ...] = ()  # of the table of runs, if the process makes them
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

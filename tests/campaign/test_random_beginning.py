@@ -7,7 +7,13 @@ import pytest
 import pytest_pafot as pafot
 from example_ads import constant_speed
 from pytest_pafot.campaign.events import Judged
+from pytest_pafot.campaign.state import RandomRuns
+from pytest_pafot.campaign.tallies import Digested, Tally
+from pytest_pafot.campaign.verdict import Verdict, evaluated
+from pytest_pafot.model.trace import Outcome
 from pytest_pafot.report.terminal import search_lines
+from pytest_pafot.searching.events import Evaluated
+from tests.helpers.traces import blamed_on, trace_of, vehicle
 
 
 def no_collision(run):
@@ -86,3 +92,21 @@ def test_random_share_uses_only_initial_random_scenarios():
     summary = explored(runs=24, algorithm="distinct").summary
     assert 12 <= summary.random_runs <= 20
     assert summary.random_failing <= summary.random_runs
+
+
+@pytest.mark.parametrize("kind", ["failed", "unpreventable", "passed", "rejected"])
+@pytest.mark.parametrize("responsible", ["ego", "npc"])
+def test_session_and_processes_count_the_same_runs_as_failures_of_the_ego(kind, responsible):
+    crash = trace_of(vehicle(0, ticks=9), vehicle(0, ticks=9), outcome=Outcome.COLLISION)
+    run, verdict = blamed_on(responsible, crash), Verdict(kind=kind)
+    judged, evaluation = Judged.here(run, verdict), evaluated(run, verdict, None, lambda run: 0.0, False)
+    here, elsewhere = RandomRuns(), RandomRuns()
+    here.most = elsewhere.most = 1
+    here.see(judged)
+    here.see(Evaluated(generation=0, local_generation=0, index=0, evaluation=evaluation, reused=False))
+    digested = Digested(
+        evaluation=evaluation, event=judged, facts=None, signature=None, manner=None, decisions=0, caught=(), doubt=""
+    )
+    elsewhere.take(*Tally.of([digested], generation=0).random)
+    counts = [(each.evaluated, each.runs, each.at_fault, each.otherwise) for each in (here, elsewhere)]
+    assert counts[0] == counts[1]
