@@ -19,7 +19,7 @@ from pytest_pafot.campaign.verdict import Test, Verdict, judge, no_skip, referen
 from pytest_pafot.execution.crash_records import CrashRecord, Leftover, left_by
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.execution.runner import Runner, runner_for
-from pytest_pafot.execution.scenario_pool import ExecutionError, Job
+from pytest_pafot.execution.scenario_pool import ExecutionError, Job, trace_of
 from pytest_pafot.findings.neighbours import Limits
 from pytest_pafot.findings.signature import PROCESS_CRASH, Failure
 from pytest_pafot.model.scenario import Scenario, ScenarioError
@@ -192,9 +192,8 @@ class Harness:
 
     def seen(self, made: Trace | Facts, world: BaseWorld | None = None) -> Run:
         """Return a trace as the test function sees it; ``world`` is by default the world of the search."""
-        trace, facts = (made.trace, made) if isinstance(made, Facts) else (made, None)
-        run = (self.world if world is None else world).run_of(trace, self.request.decision_limit)
-        return run if facts is None else replace(run, facts=facts)
+        run = (self.world if world is None else world).run_of(trace_of(made), self.request.decision_limit)
+        return replace(run, facts=made) if isinstance(made, Facts) else run
 
     def judge(self, run: Run) -> Verdict:
         """Return the verdict on a run. The test function decides, unless the ADS itself failed."""

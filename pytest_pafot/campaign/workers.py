@@ -18,7 +18,7 @@ from pytest_pafot.campaign.verdict import Verdict, evaluated, skips
 from pytest_pafot.execution.crash_records import CrashRecord, Leftover
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.execution.runner import Runner, replay_in_gym_apart
-from pytest_pafot.execution.scenario_pool import BlockTask, LostRun
+from pytest_pafot.execution.scenario_pool import BlockTask, LostRun, trace_of
 from pytest_pafot.findings.finding import disagreement, failed_as, message_of
 from pytest_pafot.findings.signature import Signature
 from pytest_pafot.model.scenario import Scenario
@@ -244,10 +244,10 @@ class Workers:
             self._failed.append(Early(made, generation))
 
     def _judge_early(self, made: Trace | Facts, generation: int) -> None:
-        run = self.harness.seen(made)
-        scenario = run.trace.scenario
+        scenario = trace_of(made).scenario
         if scenario not in self._early:
             self.record.write(scenario)
+            run = self.harness.seen(made)
             verdict = self.judge(run)
             self._early[scenario] = run, verdict
             if verdict.failed:

@@ -503,23 +503,15 @@ def drive(
         try:
             if policy.simulates:
                 view = View(environment.make().unwrapped, outer.unwrapped)
-            ads = policy.make() if view is None else policy.make(env=view.env)
+            made = policy.make() if view is None else policy.make(env=view.env)
         except (AdsFactoryError, WorldError):
             raise
         except UNFIT as error:
             return Episode(seed=seed, outcome=Outcome.ADS_ERROR, seconds=0.0, error=error_of(error, 0, guard))
-        with closing(ads.given, hang_limit), ExitStack() as at_the_end:
-            kind: Kind = "vehicle" if ads.drives_itself else "planner" if is_planner else "policy"
-            start = Start(
-                outer=outer,
-                seen=seen,
-                ads=ads.decides,
-                kind=kind,
-                guard=guard,
-                view=view,
-                seed=seed,
-                sight=ads.sight,
-            )
+        with closing(made.given, hang_limit), ExitStack() as at_the_end:
+            kind: Kind = "vehicle" if made.drives_itself else "planner" if is_planner else "policy"
+            ads, sight = made.decides, made.sight
+            start = Start(outer=outer, seen=seen, ads=ads, kind=kind, guard=guard, view=view, seed=seed, sight=sight)
             if start.eyes is not None:
                 at_the_end.callback(start.eyes.close)
             reason = why_not(start) if may_compile else "that was requested"
