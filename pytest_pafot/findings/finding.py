@@ -38,7 +38,7 @@ from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.sight import Sight
 from pytest_pafot.model.trace import SPEED, Outcome, Side, Trace, Y
 from pytest_pafot.oracle.checks import Check, CheckFailed
-from pytest_pafot.oracle.run import ReferenceOutcome, Run, preventing
+from pytest_pafot.oracle.run import ReferenceOutcome, Run, preventing, with_avoidance
 from pytest_pafot.support.errors import plain_number
 from pytest_pafot.support.shown import Shown
 from pytest_pafot.support.text import visible
@@ -201,7 +201,7 @@ class Expect:
 
     def known_of(self, run: Run) -> Run:
         """Return a run with what this finding knows of its collision: how it is avoided."""
-        return run.with_avoidance(self.avoided_by) if self.is_of(run) else run
+        return with_avoidance(run, self.avoided_by) if self.is_of(run) else run
 
     def is_of(self, run: Run) -> bool:
         """Return whether a run has the collision that this finding is about."""

@@ -390,12 +390,6 @@ class Run(Shown):
     def _attributed(self) -> Attribution:
         return attributed(self.trace) if self.facts is None else self.facts.attribution
 
-    def with_avoidance(self, avoided_by: Avoidance | None) -> Run:
-        """Return the run with what a simulation has found out about its collision, as in :attr:`avoided_by`."""
-        known = replace(self, avoided_by=avoided_by)
-        known.__dict__["_attributed"] = self._attributed  # the rules only read the trace, so they are not asked again
-        return known
-
     @property
     def responsibility(self) -> str | None:
         """The responsibility for the collision, ``"ego"``, ``"npc"`` or ``"both"``, or None."""
@@ -629,6 +623,13 @@ class Run(Shown):
         if not due:
             return text
         return f"{text}, {'before a response was due' if time <= due[0] else 'too little to be a response'}"
+
+
+def with_avoidance(run: Run, avoided_by: Avoidance | None) -> Run:
+    """Return a run with what a simulation has found out about its collision, as in :attr:`Run.avoided_by`."""
+    known = replace(run, avoided_by=avoided_by)
+    known.__dict__["_attributed"] = run._attributed  # the rules only read the trace, so they are not asked again
+    return known
 
 
 def _no_world(name: str, argument: str) -> NoReferenceDriversError:

@@ -26,7 +26,7 @@ from pytest_pafot.criticality import RoadFrame
 from pytest_pafot.model.crossings import Zone
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.trace import HEADING, SPEED, STEERING, Outcome, X, Y
-from pytest_pafot.oracle.run import LINE_LENGTH, Run
+from pytest_pafot.oracle.run import LINE_LENGTH, Run, with_avoidance
 from tests.helpers.drives import HZ, crash, driven
 from tests.helpers.pencil_and_paper import judge
 from tests.helpers.situations import cut_in, lane_change
@@ -478,6 +478,6 @@ def test_the_collision_of_a_run_is_judged_once(monkeypatch):
     judged, rule = [], Conflict._in_one_lane
     monkeypatch.setattr(Conflict, "_in_one_lane", lambda conflict: judged.append(conflict) or rule(conflict))
     run = Run(trace)
-    assert run.with_avoidance(Avoidance(time=1.0, braking=6.0)).attribution == run.attribution
+    assert with_avoidance(run, Avoidance(time=1.0, braking=6.0)).attribution == run.attribution
     assert (run.responsibility, run.attribution.blames_ego) == ("npc", False)
     assert len(judged) == 1

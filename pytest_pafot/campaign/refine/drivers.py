@@ -13,7 +13,7 @@ from pytest_pafot.campaign.workers import Workers
 from pytest_pafot.findings.finding import Expect, Perceived
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.sight import Sight
-from pytest_pafot.oracle.run import Run
+from pytest_pafot.oracle.run import Run, with_avoidance
 from pytest_pafot.support.errors import DriverError
 from pytest_pafot.world.driving.perception import Perception
 
@@ -40,7 +40,7 @@ def with_drivers(
         errors.append(error)
     for each in errors:
         yield Note(f"{each}; findings say nothing of what this driver would have done")
-    shown = run if avoided is None else run.with_avoidance(avoided)
+    shown = run if avoided is None else with_avoidance(run, avoided)
     if shown.sentences != run.sentences:  # the message of the failure may contain them
         again = harness.judge(shown)
         exception = (again.exception if again.failed else None) or exception
