@@ -19,7 +19,7 @@ from types import MappingProxyType
 from typing import Any, ClassVar, NoReturn
 
 from pytest_pafot.campaign import run_table
-from pytest_pafot.campaign.events import FindTold, Judged, Listener, SearchEvent, SearchSummary
+from pytest_pafot.campaign.events import Judged, Listener, SearchEvent, SearchSummary
 from pytest_pafot.campaign.harness import Harness, reference_of
 from pytest_pafot.campaign.options import BY_NAME, LOCAL, OPTIONS, PROFILES, Settings
 from pytest_pafot.campaign.replays import Replayed, Replays
@@ -33,6 +33,7 @@ from pytest_pafot.corpus.layout import folder_of_test, link_below
 from pytest_pafot.corpus.saved import Saved, refusal
 from pytest_pafot.execution.runner import runner_here
 from pytest_pafot.findings.finding import Finding, ads_failure, event_of, of_failure
+from pytest_pafot.findings.sighting import Sighting
 from pytest_pafot.findings.signature import Failure
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.oracle.run import Run
@@ -77,9 +78,9 @@ class Exploration(Shown):
         return tuple(_unpacked(self.seen))
 
     @property
-    def told(self) -> tuple[FindTold, ...]:
+    def sightings(self) -> tuple[Sighting, ...]:
         """The last event of each finding, in the order of discovery, with the finding's run, exception and headline."""
-        last = {event.finding.id: event for event in self.seen if isinstance(event, FindTold)}
+        last = {event.finding.id: event for event in self.seen if isinstance(event, Sighting)}
         return tuple(last[finding.id] for finding in self.findings)
 
 

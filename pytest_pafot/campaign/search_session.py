@@ -20,7 +20,6 @@ from pytest_pafot.campaign.beginnings import begun_with
 from pytest_pafot.campaign.events import (
     ALL_RUN,
     DONE,
-    FindTold,
     Listener,
     Note,
     Phase,
@@ -49,6 +48,7 @@ from pytest_pafot.execution.crash_records import Leftover
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.execution.runner import Retried, must_stay_here, retry, runner_for
 from pytest_pafot.findings.finding import Manner, of_failure
+from pytest_pafot.findings.sighting import Sighting
 from pytest_pafot.model.sight import Sight
 from pytest_pafot.searching.ask_tell import Algorithm, ResumableSearch
 from pytest_pafot.searching.fitness import FitnessError, is_built_in, resolve
@@ -91,7 +91,7 @@ class SearchResult:
     """The result of a search."""
 
     summary: SearchSummary
-    findings: tuple[FindTold, ...]
+    findings: tuple[Sighting, ...]
     count: int  # number of distinct new findings, saved or only counted
     first: BaseException | None  # the exception of the first finding; None without one
     fault: BaseException | None  # a fault of the set-up, as the exception to raise instead of findings
@@ -568,7 +568,6 @@ class SearchSession:
         budget, generations = state.budget(settings)
         is_cut = reason == self.limit.flag and self.state.file is None
         cut = [f"cut by {reason}: the same seed may find other scenarios next time"] * is_cut
-        finds = [kept.find for kept in self.store.findings.values()]
         notes = (
             state.doubt,
             self._excused_late,
@@ -606,7 +605,7 @@ class SearchSession:
             reached=health.reached_share if health.genes_started and health.goals else None,
             no_interaction=health.no_interaction,
             failing=state.verdicts["failed"],
-            finds=tuple(replace(find, repeats=state.repeats[find.id]) for find in finds),
+            finds=tuple(replace(each, repeats=state.repeats[each.id]) for each in self.store.findings.values()),
             unsaved={id_: 1 + state.repeats[id_] for id_ in self.store.unsaved},
             shrink_runs=state.shrink_runs,
             neighbour_runs=state.neighbour_runs,
@@ -662,9 +661,11 @@ class SearchSession:
     @property
     def _out_of_reach(self) -> str:
         """A note on what reference drivers can do and the ADS cannot; empty if its actions can stop the ego."""
-        speed, kept = self.harness.world.least_action_speed, self.store.findings.values()
-        expected = [each.finding.expect for each in kept]
-        runs = [each.run.ego.speed for each in kept if each.run is not None]  # which may begin slower, and speed up
+        speed, sightings = self.harness.world.least_action_speed, self.store.findings.values()
+        expected = [each.finding.expect for each in sightings]
+        runs = [
+            each.run.ego.speed for each in sightings if each.run is not None
+        ]  # which may begin slower, and speed up
         was_slower = any(((each[1:] < each[:-1]) & (each[1:] < speed - SLOWER)).any() for each in runs)
         is_avoided = any(each.avoided_by or "avoids" in (each.reference_drivers or {}).values() for each in expected)
         if speed <= 0 or was_slower or not is_avoided or is_vehicle_class(self.harness.ads):
@@ -718,14 +719,14 @@ class SearchSession:
         request, store = self.harness.request, self.store
         settings = request.settings
         is_broken_off = reason in ("interrupted", "error")
-        firm = [kept for kept in store.findings.values() if kept.is_firm]
-        left = [kept for kept in firm if (kept.finding.shrunk is None if is_broken_off else kept.find.unshrunk)]
+        firm = [each for each in store.findings.values() if each.is_firm]
+        left = [each for each in firm if (each.finding.shrunk is None if is_broken_off else each.unshrunk)]
         if left and settings.shrink_rollouts != 0:
             what = "1 new finding was" if len(left) == 1 else f"{len(left)} new findings were"
-            first = "delete its files and " if any(kept.file for kept in left) else ""
+            first = "delete its files and " if any(each.file for each in left) else ""
             again = f"{first}search again with {request.option('seed', settings.seed)}"
             resume = request.option("resume", settings.resume or "FOLDER")
-            by_command = self.shrinks_later and all(kept.file for kept in left)
+            by_command = self.shrinks_later and all(each.file for each in left)
             shrink = f"{command('pytest_pafot', 'corpus', 'shrink', 'FILE')} goes on"
             if not is_broken_off:
                 how = shrink if by_command else f"{again} and more time, or with {resume}"

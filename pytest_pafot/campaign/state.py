@@ -420,9 +420,9 @@ def lose(lost: LostRun, state: State, workers: Workers, store: Store) -> Generat
     if state.knows(signature):
         state.repeat(signature)
     else:
-        kept = store.add_lost(lost, state.generation, state.runs + 1)
-        yield from store.report(kept)
-        state.add(signature, kept.find.id)
+        sighting = store.add_lost(lost, state.generation, state.runs + 1)
+        yield from store.report(sighting)
+        state.add(signature, sighting.id)
     return True
 
 

@@ -52,9 +52,8 @@ class Pages:
                 self._take(report.nodeid, message.data)
             if message.kind == "search":
                 from pytest_pafot.campaign.events import SearchSummary  # noqa: PLC0415
-                from pytest_pafot.searching.plain import from_plain  # noqa: PLC0415
 
-                self._searches.append(from_plain(SearchSummary, message.data["summary"]))
+                self._searches.append(messages.unpacked(SearchSummary, message.data["summary"]))
             self._is_compared |= message.kind == "compared"  # so that it is known why no search ran
             return
         told = Traced.of_properties(report.user_properties)
@@ -85,7 +84,7 @@ class Pages:
             lines.problems.append(f"{flag('report', asked)}: nothing was written, since no search and no replay ran")
 
     def _take(self, node_id: str, data: Mapping[str, Any]) -> None:
-        from pytest_pafot.campaign.events import Find  # noqa: PLC0415
+        from pytest_pafot.findings.sighting import Sighting  # noqa: PLC0415
         from pytest_pafot.report.page import Draft  # noqa: PLC0415
         from pytest_pafot.report.page_data import CampaignView, FindingView  # noqa: PLC0415
         from pytest_pafot.searching.plain import from_plain  # noqa: PLC0415
@@ -100,12 +99,12 @@ class Pages:
             self._shown.discard(node_id)
         self._runs.update(data.get("runs", {}))
         self._labels.update(data.get("labels", {}))
-        find = from_plain(Find, data["find"]) if "find" in data else None
+        sighting = messages.unpacked(Sighting, data["sighting"]) if "sighting" in data else None
         target = data["target"]
         if target is not None:
             path = Path(os.path.normpath(self._config.invocation_params.dir / target))
             self._targets[node_id] = path
-            self._drafts.setdefault(path, Draft(target=target)).take(find, finding, campaign, data.get("base_seed"))
+            self._drafts.setdefault(path, Draft(target=target)).take(sighting, finding, campaign, data.get("base_seed"))
 
     def _write(self, path: Path, draft: Draft, *, is_interrupted: bool) -> tuple[str, str]:
         from pytest_pafot.campaign.events import by_test  # noqa: PLC0415

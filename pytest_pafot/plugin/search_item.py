@@ -19,9 +19,6 @@ import numpy as np
 import pytest
 
 from pytest_pafot.campaign.events import (
-    NO_WORSE,
-    NOT_REPEATED,
-    FindTold,
     Listener,
     Progress,
     SearchEvent,
@@ -47,11 +44,12 @@ from pytest_pafot.corpus.saved import refusal
 from pytest_pafot.door import REFERENCES, opened
 from pytest_pafot.execution import scenario_pool
 from pytest_pafot.findings.finding import message_of
+from pytest_pafot.findings.sighting import NO_WORSE, NOT_REPEATED, Sighting
 from pytest_pafot.oracle.checks import CheckFailed
 from pytest_pafot.plugin import messages, node_ids
 from pytest_pafot.plugin.collection import COLLECTED, is_search, policy_of
 from pytest_pafot.plugin.failure_reports import OUTPUT, SUMMARY, explained, is_compact, summarise
-from pytest_pafot.plugin.finding_message import is_on_page, label_of, tell_finding
+from pytest_pafot.plugin.finding_message import is_on_page, label_of, send_sighting
 from pytest_pafot.plugin.item_followers import tell_followers, without_listener
 from pytest_pafot.plugin.marks import EXECUTOR_FIXTURE, WORLD_FIXTURE, arguments_of
 from pytest_pafot.plugin.messages import OF_ONE_RUN, OfOneRun, of_findings, set_properties
@@ -237,7 +235,7 @@ def bound_test(item: pytest.Function, arg: str) -> Test:
         fixed[OF_SUITE] = _once(fixed[OF_SUITE])
     recorded = item.stash[OF_ONE_RUN] = OfOneRun(item.user_properties)
     recorders = (pytest.LogCaptureFixture, pytest.WarningsRecorder)
-    kept = [value for value in item.funcargs.values() if isinstance(value, recorders)]
+    recorders_here = [value for value in item.funcargs.values() if isinstance(value, recorders)]
 
     def test(run: Any) -> Any:
         # No __tracebackhide__ is needed: pytest's traceback filter cuts everything above the user's function.
@@ -245,7 +243,7 @@ def bound_test(item: pytest.Function, arg: str) -> Test:
             with recorded.call(run):
                 result = item.obj(**{**fixed, arg: run})
         finally:  # and not before the call, as the ADS may have logged in this run
-            for each in kept:
+            for each in recorders_here:
                 each.clear()
             item.stash[OUTPUT].read()
         check = sys.modules.get("pytest_check")
@@ -366,7 +364,7 @@ class SearchMessages:
     settings: Settings
     counts: CampaignCounts | None  # for the report page
     table: Listener | None
-    told: dict[str, FindTold] = field(default_factory=dict)  # the findings so far, by id
+    told: dict[str, Sighting] = field(default_factory=dict)  # the findings so far, by id
     new: list[str] = field(default_factory=list)  # the ids of those that were reported when they were found
 
     def __call__(self, event: SearchEvent) -> None:
@@ -383,16 +381,16 @@ class SearchMessages:
             self.item.stash[OUTPUT].read()
         elif isinstance(event, Progress):
             messages.send(self.item, "progress", asdict(event))
-        elif isinstance(event, FindTold):
+        elif isinstance(event, Sighting):
             self._find(event)
         elif isinstance(event, SearchSummary):
-            found = of_findings([(each.finding, each.find.path, each.find.severity) for each in self.told.values()])
+            found = of_findings(self.told.values())
             set_properties(self.item.user_properties, **found)
             for each in self.told.values():  # only now, because a finding is told again once it is shrunk
-                tell_followers(self.item, each.find.id, _call(each))
+                tell_followers(self.item, each.id, _call(each))
             if self.told:  # otherwise they stay those of the last run
                 self.item.stash[OF_ONE_RUN].show(next(iter(self.told.values())).run)
-            messages.send(self.item, "search", {"summary": plain(event), **self._for_page(event)})
+            messages.send(self.item, "search", {"summary": messages.packed(event), **self._for_page(event)})
 
     def _for_page(self, summary: SearchSummary) -> dict[str, Any]:
         """Return what a page shows of the search, and what is known of its findings only now."""
@@ -408,88 +406,78 @@ class SearchMessages:
             "labels": {find.node_id: label_of(find) for find in summary.finds},
         }
 
-    def _find(self, kept: FindTold) -> None:
+    def _find(self, sighting: Sighting) -> None:
         config = self.item.config
-        if kept.find.label == NO_WORSE:  # it was told as new before, and gets no item
-            self.told.pop(kept.find.id, None)
-            note = kept.find.detail
-            tell_finding(self.item, self.settings, kept.finding, kept.find, run=kept.run, note=note, is_new=False)
+        if sighting.label == NO_WORSE:  # it was told as new before, and gets no item
+            self.told.pop(sighting.id, None)
+            send_sighting(self.item, self.settings, sighting, note=sighting.detail)
             return
-        self.told[kept.find.id] = kept
+        self.told[sighting.id] = sighting
         width = config.stash[SHARED].width
-        explanation = "" if kept.run is None else explained(kept.run, kept.exception, config)
-        details = [f"against    {kept.finding.expect.against}, which passes"] if kept.finding.expect.against else []
-        details += [] if kept.is_new else terminal.simplified_lines(kept.finding)
+        explanation = "" if sighting.run is None else explained(sighting.run, sighting.exception, config)
+        details = (
+            [f"against    {sighting.finding.expect.against}, which passes"] if sighting.finding.expect.against else []
+        )
+        details += [] if sighting.is_first else terminal.simplified_lines(sighting.finding)
         if not is_compact(config):
-            details += [f"scenario   {kept.finding.scenario}", f"found by   {kept.origin}"]
-            details += terminal.effort_lines(kept.finding)
-        advice = "it does not repeat, so it is not shrunk" if kept.find.is_flaky and not kept.is_random else ""
-        if kept.find.difference == NOT_REPEATED:
-            advice = DRAWS_IN_WRAPPERS if kept.finding.world.get("wrappers") else DRAWS
+            details += [f"scenario   {sighting.finding.scenario}", f"found by   {sighting.origin}"]
+            details += terminal.effort_lines(sighting.finding)
+        advice = "it does not repeat, so it is not shrunk" if sighting.is_flaky and not sighting.is_random else ""
+        if sighting.difference == NOT_REPEATED:
+            advice = DRAWS_IN_WRAPPERS if sighting.finding.world.get("wrappers") else DRAWS
         # A file in a corpus of the command line can only be run with the same option.
         corpus = config.getoption(BY_NAME["corpus"].key)
         where = [] if corpus is None else [f"{flag('corpus')}={corpus}"]
-        shrink = command("pytest_pafot", "corpus", "shrink", kept.find.path, *(["--", *where] if where else []))
-        is_due = bool(kept.find.unshrunk) and self.settings.resume is None and not os.environ.get(OF_SEARCH)
-        avoided = kept.finding.expect.avoided_by
+        shrink = command("pytest_pafot", "corpus", "shrink", sighting.path, *(["--", *where] if where else []))
+        is_due = bool(sighting.unshrunk) and self.settings.resume is None and not os.environ.get(OF_SEARCH)
+        avoided = sighting.finding.expect.avoided_by
         section = terminal.find_section(
-            kept.find,
-            explanation="" if explanation.partition("\n")[0] in message_of(kept.exception) else explanation,
-            content=kept.content,
-            first=[] if avoided is None or kept.is_new else [avoided.sentence],
+            sighting,
+            explanation="" if explanation.partition("\n")[0] in message_of(sighting.exception) else explanation,
+            content=sighting.content,
+            first=[] if avoided is None or sighting.is_first else [avoided.sentence],
             details=details,
             advice=advice,
-            shrink=shrink if is_due and kept.find.path else "",
+            shrink=shrink if is_due and sighting.path else "",
             width=width,
         )
         # Nobody should have to wait for the end of the search to learn what the first failure is.
         whole = None
-        if kept.is_new and not self.new:
-            story = [] if kept.run is None else kept.run.explain(instructions=False).splitlines()
-            is_told = bool(story) and story[0].partition(":")[0] in kept.find.headline
+        if sighting.is_first and not self.new:
+            story = [] if sighting.run is None else sighting.run.explain(instructions=False).splitlines()
+            is_told = bool(story) and story[0].partition(":")[0] in sighting.headline
             # A file whose finding does not count in a comparison will be removed.
             is_sure = self.settings.against is None or not self.settings.pairs
-            again = rerun(["pytest", kept.find.path], os.environ, *where, saved=kept.find.id) if is_sure else ""
+            again = rerun(["pytest", sighting.path], os.environ, *where, saved=sighting.id) if is_sure else ""
             whole = {"story": story[is_told:], "again": again}
-        self.new.extend([kept.find.id] if kept.is_new else [])
-        check = kept.exception.check if isinstance(kept.exception, CheckFailed) else None
-        report = _report(self.item, kept, section)
-        tell_finding(
-            self.item,
-            self.settings,
-            kept.finding,
-            kept.find,
-            run=kept.run,
-            check=check,
-            report=report,
-            is_new=kept.is_new,
-            whole=whole,
-        )
+        self.new.extend([sighting.id] if sighting.is_first else [])
+        check = sighting.exception.check if isinstance(sighting.exception, CheckFailed) else None
+        report = _report(self.item, sighting, section)
+        send_sighting(self.item, self.settings, sighting, check=check, report=report, whole=whole)
 
 
-def _report(item: pytest.Item, kept: FindTold, section: str) -> dict[str, Any]:
+def _report(item: pytest.Item, sighting: Sighting, section: str) -> dict[str, Any]:
     """Return the serialised failure report of a new finding, under the node id that will replay it in the next session.
 
     pytest's own hooks make the report, so marks of the test function, such as xfail, apply to it.
     """
-    find = kept.find
     with without_listener(item.config):
-        report: pytest.TestReport = item.ihook.pytest_runtest_makereport(item=item, call=_call(kept))
+        report: pytest.TestReport = item.ihook.pytest_runtest_makereport(item=item, call=_call(sighting))
     path, line, _ = report.location
-    summarise(report, find.summary)
-    report.nodeid = find.node_id
-    report.location = (path, line, node_ids.saved_name(item, find.id))
+    summarise(report, sighting.summary)
+    report.nodeid = sighting.node_id
+    report.location = (path, line, node_ids.saved_name(item, sighting.id))
     report.sections.append(("pafot", section))
-    item.stash[OF_ONE_RUN].show(kept.run, report.user_properties)
-    properties = of_findings([(kept.finding, find.path, find.severity)])
-    breadth = None if find.breadth is None else find.breadth.word
+    item.stash[OF_ONE_RUN].show(sighting.run, report.user_properties)
+    properties = of_findings([sighting])
+    breadth = None if sighting.breadth is None else sighting.breadth.word
     set_properties(report.user_properties, **properties, breadth=breadth)
     data: dict[str, Any] = item.config.hook.pytest_report_to_serializable(config=item.config, report=report)
     return data
 
 
-def _call(kept: FindTold) -> pytest.CallInfo[None]:
-    error = shown(kept.exception)
+def _call(sighting: Sighting) -> pytest.CallInfo[None]:
+    error = shown(sighting.exception)
     context = error.__context__
 
     def fail() -> None:

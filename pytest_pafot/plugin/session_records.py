@@ -31,8 +31,9 @@ from pytest_pafot.support.errors import flag, rerun
 from pytest_pafot.support.traced import Traced
 
 if TYPE_CHECKING:
-    from pytest_pafot.campaign.events import Find, SearchSummary
-    from pytest_pafot.report.session_record import FindingRecord, OrphanRecord, SessionRecord
+    from pytest_pafot.campaign.events import SearchSummary
+    from pytest_pafot.findings.sighting import Sighting
+    from pytest_pafot.report.session_record import OrphanRecord, SessionRecord
 
 JSON = BY_NAME["json"]
 EVENTS = ("start", "progress", "finding", "search", "note", "warning", "compared")
@@ -62,8 +63,8 @@ class Records:
         self._file: str | None = config.getoption(JSON.key)
         self._lines = config.stash[SUMMARY_LINES]
         self._searches: dict[str, SearchSummary] = {}  # by node id, like the findings
-        self._findings: dict[str, FindingRecord] = {}
-        self._replays: dict[str, Find] = {}
+        self._findings: dict[str, Sighting] = {}
+        self._errors: dict[str, dict[str, Any]] = {}  # what is known of saved scenarios that could not be read or run
         self._runs: dict[str, int] = {}
         self._results: dict[str, list[str]] = {}
         self._reasons: dict[str, str] = {}
@@ -79,11 +80,9 @@ class Records:
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
         """Store the messages of items, and the result of each of their phases."""
         message = messages.received(report)
-        if message is not None and message.kind in EVENTS:
-            data = message.data
-            if message.kind in ("finding", "search"):  # without what is meant for the page and the terminal
-                data = {"record": data["record"], "is_new": bool(data.get("is_new"))} if "record" in data else {}
-            self._tell("pytest_pafot_event", node_id=report.nodeid, kind=message.kind, data=data)
+        is_event = message is not None and message.kind in EVENTS
+        if message is not None and is_event and _is_implemented(self._config.hook.pytest_pafot_event):
+            self._call("pytest_pafot_event", node_id=report.nodeid, kind=message.kind, data=_for_hooks(message))
         if message is None:
             self._take_phase(report)
         elif message.kind in ("finding", "start", "search", *self._texts):
@@ -95,7 +94,7 @@ class Records:
         if _is_implemented(self._config.hook.pytest_pafot_record):
             from pytest_pafot.report.session_record import to_text  # noqa: PLC0415
 
-            self._tell("pytest_pafot_record", record=json.loads(to_text(self._record(exit_code(session)))))
+            self._call("pytest_pafot_record", record=json.loads(to_text(self._record(exit_code(session)))))
         if self._is_refused and session.exitstatus == pytest.ExitCode.OK:  # a hook may be somebody's gate
             session.exitstatus = pytest.ExitCode.TESTS_FAILED
         code = exit_code(session)
@@ -114,7 +113,7 @@ class Records:
             if problem:
                 self._lines.problems.append(f"{SUMMARY}={path}: not written: {problem}")
 
-    def _tell(self, hook: str, **given: Any) -> None:
+    def _call(self, hook: str, **given: Any) -> None:
         """Call a hook of other plugins; what it raises costs nothing else, but the session does not pass."""
         problems = len(self._lines.problems)
         with self._lines.faults(f"a hook {hook}"):
@@ -122,27 +121,23 @@ class Records:
         self._is_refused |= len(self._lines.problems) > problems
 
     def _take(self, node_id: str, message: messages.Message) -> None:
-        from pytest_pafot.campaign.events import Find, SearchSummary  # noqa: PLC0415
-        from pytest_pafot.report.session_record import FindingRecord  # noqa: PLC0415
-        from pytest_pafot.searching.plain import from_plain  # noqa: PLC0415
+        from pytest_pafot.campaign.events import SearchSummary  # noqa: PLC0415
+        from pytest_pafot.findings.sighting import NEW, Sighting  # noqa: PLC0415
 
         data = message.data
         match message.kind:
             case "start":
                 self._searches[node_id] = SearchSummary(node_id=node_id, **data)
             case "finding":
-                finding = FindingRecord(**data["record"])
-                told = self._findings.get(finding.node_id)
-                if told is not None and told.unshrunk:  # from a search whose new file this session replays as well
-                    finding = replace(finding, unshrunk=told.unshrunk)
-                self._findings[finding.node_id] = finding
-                self._replays.pop(finding.node_id, None)
-                if not finding.is_new:
-                    self._replays[finding.node_id] = from_plain(Find, data["find"])
-                else:
+                sighting = messages.unpacked(Sighting, data["sighting"])
+                earlier = self._findings.get(sighting.node_id)
+                if earlier is not None and earlier.unshrunk:  # from a search whose new file this session replays
+                    sighting = replace(sighting, unshrunk=earlier.unshrunk)
+                self._findings[sighting.node_id] = sighting
+                if sighting.label == NEW:
                     self._write_json(None)
             case "search":
-                summary = self._searches[node_id] = from_plain(SearchSummary, data["summary"])
+                summary = self._searches[node_id] = messages.unpacked(SearchSummary, data["summary"])
                 self._runs.update((find.node_id, 1 + find.repeats) for find in summary.finds)
                 self._write_json(None)
             case kind:
@@ -167,21 +162,12 @@ class Records:
             text = report.longreprtext if crash is None else str(crash.message)
             reason = next((line.strip() for line in text.splitlines() if line.strip()), "")
             self._reasons.setdefault(report.nodeid, reason)
-        if report.nodeid in self._findings or SEARCH_MARK not in report.keywords:
+        if report.nodeid in self._findings or report.nodeid in self._errors or SEARCH_MARK not in report.keywords:
             return
         if report.failed and SAVED_MARK in report.keywords:
-            from pytest_pafot.report.session_record import ERROR, FindingRecord  # noqa: PLC0415
-
-            told = json.loads(getattr(report, AS_SAVED))
-            self._findings[report.nodeid] = FindingRecord(
-                node_id=report.nodeid,
-                id=told["id"],
-                test=told["test"],
-                status=ERROR,
-                file=told["file"],
-                replay=rerun(["python", "-m", "pytest", told["file"]], os.environ, saved=told["id"]),
-                detail=self._reasons[report.nodeid],
-            )
+            saved = json.loads(getattr(report, AS_SAVED))
+            again = rerun(["python", "-m", "pytest", saved["file"]], os.environ, saved=saved["id"])
+            self._errors[report.nodeid] = {**saved, "replay": again}
         elif report.failed:
             from pytest_pafot.campaign.events import SearchSummary  # noqa: PLC0415
 
@@ -192,6 +178,7 @@ class Records:
         from pytest_pafot.report.session_record import (  # noqa: PLC0415
             ItemRecord,
             SessionRecord,
+            finding_entry,
             same_everywhere,
             worst,
         )
@@ -202,13 +189,18 @@ class Records:
         traced = {
             node_id: {**asdict(told), "requirements": list(told.requirements)} for node_id, told in self._traced.items()
         }
-        others = sorted(self._traced.keys() - self._searches.keys() - self._findings.keys())
-        searches = by_test(self._searches.values())
-        replays = {node_id: concluded(find, searches) for node_id, find in self._replays.items()}
-        said: dict[str, dict[str, Any]] = {
-            node_id: {"status": find.result, "searched": find.searched, "elsewhere": find.elsewhere}
-            for node_id, find in replays.items()
-        }
+        others = sorted(self._traced.keys() - self._searches.keys() - self._findings.keys() - self._errors.keys())
+        by_name, entries = by_test(self._searches.values()), dict[str, dict[str, Any]]()
+        for node_id in sorted({*self._findings, *self._errors}):
+            sighting = self._findings.get(node_id)
+            known = self._errors.get(node_id, {}) | {"node_id": node_id, "result": results.get(node_id, "")}
+            if sighting is None:
+                detail = self._reasons[node_id]
+            else:
+                sighting = concluded(sighting, by_name)
+                detail, known["headline"] = sighting.detail, same(sighting.headline)
+            known |= {"detail": same(detail), "runs": self._runs.get(node_id, 0), **traced.get(node_id, {})}
+            entries[node_id] = finding_entry(sighting, **known)
         return SessionRecord(
             exit=code,
             commit=self._config.getoption(BY_NAME["commit"].key),
@@ -223,18 +215,7 @@ class Records:
                 )
                 for node_id, search in sorted(self._searches.items())
             ],
-            findings=[
-                replace(
-                    finding,
-                    result=results.get(node_id, ""),
-                    runs=self._runs.get(node_id, 0),
-                    headline=same(finding.headline),
-                    detail=same(finding.detail),
-                    **said.get(node_id, {}),
-                    **traced.get(node_id, {}),
-                )
-                for node_id, finding in sorted(self._findings.items())
-            ],
+            findings=[*entries.values()],
             tests=[
                 ItemRecord(
                     node_id=each,
@@ -284,6 +265,17 @@ class Records:
         if code is not None:  # A problem is reported once, at the end.
             lines = self._lines.problems if problem else self._lines.reports
             lines.append(f"{flag('json', self._file)}: not written: {problem}" if problem else f"json: {self._file}")
+
+
+def _for_hooks(message: messages.Message) -> dict[str, Any]:
+    """Return what hooks of other plugins receive of a message: not what is meant for the page and the terminal."""
+    if message.kind != "finding":
+        return {} if message.kind == "search" else message.data
+    from pytest_pafot.findings.sighting import Sighting  # noqa: PLC0415
+    from pytest_pafot.report.session_record import finding_entry  # noqa: PLC0415
+
+    sighting = messages.unpacked(Sighting, message.data["sighting"])
+    return {"record": finding_entry(sighting), "is_new": sighting.is_first}
 
 
 def _is_implemented(hook: Any) -> bool:

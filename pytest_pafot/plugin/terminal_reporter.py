@@ -5,13 +5,14 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Generator, Iterable
 from contextlib import AbstractContextManager, nullcontext
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
 
 from pytest_pafot.corpus.layout import files_in, relative
-from pytest_pafot.plugin import orphans
+from pytest_pafot.plugin import messages, orphans
 from pytest_pafot.plugin.messages import Message, received
 from pytest_pafot.plugin.session import (
     SHARED,
@@ -28,7 +29,8 @@ from pytest_pafot.support.text import ascii_text
 from pytest_pafot.support.traced import Traced
 
 if TYPE_CHECKING:
-    from pytest_pafot.campaign.events import Find, SearchSummary
+    from pytest_pafot.campaign.events import SearchSummary
+    from pytest_pafot.findings.sighting import Sighting
 
 TERMINAL_SECONDS = 0.25  # the interval between reports of a search's progress on a terminal [s]
 
@@ -99,11 +101,11 @@ class Reporter:
         self._session: pytest.Session | None = None
         self._pending: dict[str, dict[str, tuple[dict[str, Any], Any, tuple[float, ...]]]] = {}
         self._expanded: set[str] = set()
-        self._explained: dict[str, list[str]] = {}
+        self._sentences: dict[str, tuple[str, ...]] = {}
         self._running: dict[str, None] = {}
         self._worked_on: set[tuple[str, str]] = set()  # searches and findings whose simplification was told
         self._searches: list[SearchSummary] = []
-        self._replays: list[Find] = []
+        self._replays: list[Sighting] = []
         self._neighbour_seconds = 0.0
         self._traced: dict[str, Traced] = {}
         self._lines = config.stash[SUMMARY_LINES]
@@ -178,8 +180,9 @@ class Reporter:
             if self._searches and os.environ.get("GITHUB_ACTIONS") == "true":
                 from pytest_pafot.report.terminal import annotation_lines  # noqa: PLC0415
 
-                finds = (find for search in self._searches for find in search.finds)
-                for line in annotation_lines(finds, self._explained):
+                new = (each for search in self._searches for each in search.finds)
+                new = (replace(each, sentences=self._sentences.get(each.id, ())) for each in new)
+                for line in annotation_lines(new):
                     terminalreporter.line(line)
         for line in own.problems:
             terminalreporter.line(ascii_text(line))
@@ -217,9 +220,9 @@ class Reporter:
 
     def _take(self, report: pytest.TestReport, message: Message) -> None:
         """Process a message of an item. Messages for the report page are left to a separate plugin."""
-        from pytest_pafot.campaign.events import NEW, NO_WORSE, Find, Progress, SearchSummary  # noqa: PLC0415
+        from pytest_pafot.campaign.events import Progress, SearchSummary  # noqa: PLC0415
+        from pytest_pafot.findings.sighting import NEW, NO_WORSE, Sighting  # noqa: PLC0415
         from pytest_pafot.report import terminal  # noqa: PLC0415
-        from pytest_pafot.searching.plain import from_plain  # noqa: PLC0415
 
         data = message.data
         match message.kind:
@@ -233,18 +236,18 @@ class Reporter:
                     self._live.show_progress(lambda width: terminal.progress_line(progress, width))
                     self._worked_on.add(key)
             case "finding":
-                find = from_plain(Find, data["find"])
-                if find.label == NEW:
-                    self._explained[find.id] = data.get("record", {}).get("sentences", [])
-                    self._take_find(report, find, data)
-                elif find.label == NO_WORSE:
-                    self._pending.get(report.nodeid, {}).pop(find.node_id, None)
+                sighting = messages.unpacked(Sighting, data["sighting"])
+                if sighting.label == NEW:
+                    self._sentences[sighting.id] = sighting.sentences
+                    self._take_new(report, sighting, data)
+                elif sighting.label == NO_WORSE:
+                    self._pending.get(report.nodeid, {}).pop(sighting.node_id, None)
                 else:
-                    self._replays.append(find)
+                    self._replays.append(sighting)
                     self._neighbour_seconds += data["seconds"]
             case "search":
                 self._running.pop(report.nodeid, None)
-                self._searches.append(from_plain(SearchSummary, data["summary"]))
+                self._searches.append(messages.unpacked(SearchSummary, data["summary"]))
             case "done":
                 self._lines.reports.append(data["text"])
             case "note" | "compared":
@@ -264,20 +267,20 @@ class Reporter:
             self._live.write([f"pafot: {base}"] if base else [])
         self._running[report.nodeid] = None
 
-    def _take_find(self, report: pytest.TestReport, find: Find, data: dict[str, Any]) -> None:
+    def _take_new(self, report: pytest.TestReport, sighting: Sighting, data: dict[str, Any]) -> None:
         from pytest_pafot.findings.severity import Severity  # noqa: PLC0415
         from pytest_pafot.report import terminal  # noqa: PLC0415
 
-        if find.node_id not in self._expanded:
-            rank = Severity.worst_first(find.responsible, find.severity, find.breadth)
-            told = data["report"], getattr(report, "node", None), rank
-            self._pending.setdefault(report.nodeid, {})[find.node_id] = told
+        if sighting.node_id not in self._expanded:
+            rank = Severity.worst_first(sighting.responsible, sighting.severity, sighting.breadth)
+            pending = data["report"], getattr(report, "node", None), rank
+            self._pending.setdefault(report.nodeid, {})[sighting.node_id] = pending
         self._live.erase_progress()
         width, verbosity, whole = self._config.stash[SHARED].width, self._config.get_verbosity(), data.get("whole")
-        if data["is_new"] and verbosity >= 0:
-            self._live.write(terminal.found_lines(find, width, **(whole or {})))
+        if sighting.is_first and verbosity >= 0:
+            self._live.write(terminal.found_lines(sighting, width, **(whole or {})))
         elif whole is not None and verbosity == -1:
-            self._live.write(terminal.found_lines(find, width))
+            self._live.write(terminal.found_lines(sighting, width))
 
     def _expand(self, search_id: str) -> None:
         """Report the findings of a search, the worst first, as the items that will replay them in the next session."""

@@ -23,11 +23,12 @@ from types import MappingProxyType
 from typing import Any
 from urllib.parse import quote
 
-from pytest_pafot.campaign.events import NEW, NO_WORSE, Find, SearchSummary, concluded
+from pytest_pafot.campaign.events import SearchSummary, concluded
 from pytest_pafot.campaign.options import is_page_file
 from pytest_pafot.corpus.layout import SUFFIX
 from pytest_pafot.findings.labels import JUDGED_OTHERWISE
 from pytest_pafot.findings.severity import Severity
+from pytest_pafot.findings.sighting import NEW, NO_WORSE, Sighting
 from pytest_pafot.report.animation import AnimationError, animate
 from pytest_pafot.report.page_data import (
     CampaignView,
@@ -435,12 +436,12 @@ class Draft:
     findings: dict[str, FindingView] = field(default_factory=dict)
     _whole: dict[str, bytes] = field(default_factory=dict)
     campaigns: dict[str, CampaignView] = field(default_factory=dict)
-    replays: dict[str, Find] = field(default_factory=dict)
+    replays: dict[str, Sighting] = field(default_factory=dict)
     seeds: dict[int | None, None] = field(default_factory=dict)
 
     def take(
         self,
-        find: Find | None = None,
+        sighting: Sighting | None = None,
         finding: FindingView | None = None,
         campaign: CampaignView | None = None,
         base_seed: int | None = None,
@@ -452,8 +453,8 @@ class Draft:
         if campaign is not None:
             self.campaigns[campaign.node_id] = campaign
             self.seeds[base_seed] = None
-        if find is not None and find.label not in (NEW, NO_WORSE):
-            self.replays[find.node_id] = find
+        if sighting is not None and sighting.label not in (NEW, NO_WORSE):
+            self.replays[sighting.node_id] = sighting
 
     def report(
         self,

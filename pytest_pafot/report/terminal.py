@@ -12,10 +12,11 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
-from pytest_pafot.campaign.events import NEW, Find, Progress, SearchSummary
+from pytest_pafot.campaign.events import Progress, SearchSummary
 from pytest_pafot.findings.finding import Expect, Finding
 from pytest_pafot.findings.severity import Severity, worsening
 from pytest_pafot.findings.shrink import size_of
+from pytest_pafot.findings.sighting import NEW, Sighting
 from pytest_pafot.model.scenario import CrossingInstruction, LaneInstruction, Manoeuvre, PositionInstruction
 from pytest_pafot.oracle.run import ReferenceOutcome
 from pytest_pafot.support.errors import flag
@@ -68,7 +69,7 @@ class SessionSummary:
     """
 
     searches: Sequence[SearchSummary] = ()
-    replays: Sequence[Find] = ()
+    replays: Sequence[Sighting] = ()
     neighbour_seconds: float = 0.0
     orphans: Sequence[tuple[str, Sequence[str], str]] = ()
     way_out: str = ""
@@ -108,7 +109,7 @@ def _time_left(progress: Progress) -> str:
     return f", about {told} left{each}{way_out}"
 
 
-def found_lines(find: Find, width: int = WIDTH, *, story: Sequence[str] = (), again: str = "") -> list[str]:
+def found_lines(find: Sighting, width: int = WIDTH, *, story: Sequence[str] = (), again: str = "") -> list[str]:
     """Return the lines that report a new finding while the search continues. Its file already exists.
 
     Args:
@@ -128,7 +129,7 @@ def found_lines(find: Find, width: int = WIDTH, *, story: Sequence[str] = (), ag
 
 
 def find_section(
-    find: Find,
+    find: Sighting,
     *,
     explanation: str,
     content: str,
@@ -226,7 +227,7 @@ def failure_line(search: SearchSummary) -> str:
     return f"{plural(len(ids), 'new finding')}: {_listed(ids, MAX_NAMED)}"
 
 
-def _worst_first(finds: Iterable[Find]) -> list[Find]:
+def _worst_first(finds: Iterable[Sighting]) -> list[Sighting]:
     """Sort the new findings of one search, the worst first, as in all lists."""
     return sorted(
         finds,
@@ -244,8 +245,10 @@ def failure_message(search: SearchSummary) -> str:
     for find in _worst_first(search.finds):
         name = f"{find.id} ({plural(1 + find.repeats, 'run')}{'' if find.severity is None else f', {find.severity}'})"
         if find.is_flaky:
-            never = "" if find.rate else ", so it is never reported as fixed"
-            flaky.append(f"  {name} is flaky{never}: {'; '.join(filter(None, [find.difference, find.rate]))}")
+            never = "" if find.finding.rate else ", so it is never reported as fixed"
+            flaky.append(
+                f"  {name} is flaky{never}: {'; '.join(filter(None, [find.difference, find.finding.on_rate]))}"
+            )
         else:
             firm.append(name)
     count = plural(len(search.finds) + len(search.unsaved), "new finding")
@@ -343,7 +346,7 @@ def _unsaved_lines(search: SearchSummary) -> list[str]:
     return [f"  {len(names)} of them not saved ({flag('max_saved')}): {_listed(names)}"] if names else []
 
 
-def replay_lines(replays: Sequence[Find], width: int = WIDTH, *, seconds: float = 0.0) -> list[str]:
+def replay_lines(replays: Sequence[Sighting], width: int = WIDTH, *, seconds: float = 0.0) -> list[str]:
     """Return the lines on all replays: a count by label, then the replays that a reader should look at.
 
     ``seconds`` is the time that neighbours of saved scenarios that pass took [s].
@@ -413,7 +416,7 @@ def worst_lines(session: SessionSummary, width: int = WIDTH) -> list[str]:
     return ["failures, the worst first:", *lines, *more]
 
 
-def _measured(find: Find, traced: Traced | None) -> str:
+def _measured(find: Sighting, traced: Traced | None) -> str:
     """Return a line with a failure's label and id, how bad it is, who is responsible, and what it breaks."""
     breaks = f", breaks {traced.ids}" if traced is not None and traced.ids else ""
     if find.severity is None:
@@ -443,19 +446,19 @@ def session_lines(session: SessionSummary, *, verbose: bool = False, width: int 
     return list(map(ascii_text, lines))  # escapes names and texts, so that each stays on one line
 
 
-def annotation_lines(finds: Iterable[Find], explained: Mapping[str, Sequence[str]]) -> list[str]:
+def annotation_lines(sightings: Iterable[Sighting]) -> list[str]:
     """Return commands by which GitHub Actions shows each finding at its test file.
 
-    Each has the headline, the sentences that explain the finding, by its id, and what is told of its decisions. In all
-    of these, and in names, what such a command reads as its own marks is escaped.
+    Each has the headline, the sentences that explain the finding, and what is known of its decisions. In all of these,
+    and in names, what such a command reads as its own marks is escaped.
     """
     lines = []
-    for find in finds:
-        told = [find.headline, *explained.get(find.id, ()), *find.on_decisions]
-        text = "%0A".join(ascii_text(each).replace("%", "%25") for each in told)
+    for sighting in sightings:
+        parts = [sighting.headline, *sighting.sentences, *sighting.on_decisions]
+        text = "%0A".join(ascii_text(each).replace("%", "%25") for each in parts)
         file, title = (
             ascii_text(each).replace("%", "%25").replace(":", "%3A").replace(",", "%2C")
-            for each in (find.node_id.partition("::")[0], find.id)
+            for each in (sighting.node_id.partition("::")[0], sighting.id)
         )
         lines.append(f"::error file={file},title={title}::{text}")
     return lines

@@ -17,12 +17,13 @@ from typing import Any
 import numpy as np
 
 from pytest_pafot.attribution.manoeuvres import stretches
-from pytest_pafot.campaign.events import Find, Judged, SearchEvent, SearchStarted
+from pytest_pafot.campaign.events import Judged, SearchEvent, SearchStarted
 from pytest_pafot.corpus.writer import text_of
 from pytest_pafot.criticality import Encounters, Passage, gap, passages, time_advantage, ttc
 from pytest_pafot.criticality.asked import Asked, asked
 from pytest_pafot.criticality.signals import jerk
 from pytest_pafot.findings.finding import Expect, Finding
+from pytest_pafot.findings.sighting import Sighting
 from pytest_pafot.model.driving_style import AMPLE, Traffic
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.scenario import (
@@ -304,10 +305,10 @@ def finding_view(
     return view if trace is None else _with_run(view, trace, clearance, check)
 
 
-def with_neighbours(view: FindingView, find: Find) -> FindingView:
+def with_neighbours(view: FindingView, sighting: Sighting) -> FindingView:
     """Return a view with what the neighbours of the finding say, and with what the ADS answers to."""
-    explanation = "\n".join(filter(None, [view.explanation, *find.on_decisions]))
-    return replace(view, breadth=find.breadth, explanation=explanation)
+    explanation = "\n".join(filter(None, [view.explanation, *sighting.on_decisions]))
+    return replace(view, breadth=sighting.breadth, explanation=explanation)
 
 
 def run_view(trace: Trace, clearance: float = CLEARANCE) -> FindingView:

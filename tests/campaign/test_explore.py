@@ -16,12 +16,13 @@ from highway_env.vehicle.behavior import IDMVehicle
 
 import pytest_pafot as pafot
 from example_ads import constant_speed
-from pytest_pafot.campaign.events import FindTold, Judged, SearchStarted, SearchSummary
+from pytest_pafot.campaign.events import Judged, SearchStarted, SearchSummary
 from pytest_pafot.campaign.refine import simplest
 from pytest_pafot.corpus.reader import load
 from pytest_pafot.corpus.writer import write
 from pytest_pafot.findings.finding import of_failure
 from pytest_pafot.findings.shrink import Shrunk
+from pytest_pafot.findings.sighting import Sighting
 from pytest_pafot.findings.signature import Failure
 from pytest_pafot.searching.events import Evaluated
 from pytest_pafot.support.errors import RequestError
@@ -122,7 +123,7 @@ def test_events_equal_those_a_listener_hears_except_runs(exploration, heard):
     assert list(exploration.events) == [event for event in heard if not isinstance(event, Judged)]
     assert isinstance(heard[0], SearchStarted)
     assert isinstance(heard[-1], SearchSummary)
-    assert {told.finding.id for told in heard if isinstance(told, FindTold) and told.is_new} == {
+    assert {told.finding.id for told in heard if isinstance(told, Sighting) and told.is_first} == {
         finding.id for finding in exploration.findings
     }
 
@@ -487,7 +488,7 @@ def test_finding_that_does_not_repeat_is_flaky(tmp_path):
     pafot.explore(
         every_second_one_brakes, holds=never_collides, seed=5, corpus=tmp_path, on_event=told.append, **options
     )
-    finds = [each for each in told if isinstance(each, FindTold)]
+    finds = [each for each in told if isinstance(each, Sighting)]
     assert finds
-    assert {each.find.difference for each in finds} == {"running it again gave a different run"}
+    assert {each.difference for each in finds} == {"running it again gave a different run"}
     assert {load(path).flaky for path in tmp_path.rglob("*.yaml")} == {"running it again gave a different run"}

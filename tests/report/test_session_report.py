@@ -5,12 +5,12 @@ from dataclasses import replace
 
 import pytest
 
-from pytest_pafot.campaign.events import Find
 from pytest_pafot.campaign.options import BY_NAME
 from pytest_pafot.findings.severity import Severity
 from pytest_pafot.report.animation import AnimationError
 from pytest_pafot.report.page import WHOLE, Draft, render_page, report_files, write_report
 from pytest_pafot.report.page_data import Report
+from tests.findings.builders import sighting
 from tests.helpers.tables import table
 from tests.report.builders import real_report
 
@@ -75,7 +75,7 @@ def test_findings_are_sorted_by_novelty_fault_and_severity(told):
 def test_facts_include_interrupt_replay_labels_and_versions():
     draft = Draft(target="x")
     for number, label in enumerate(("fixed", "still failing", "fixed")):
-        draft.take(Find(id="a", node_id=f"t{number}", label=label))
+        draft.take(sighting(node_id=f"t{number}", label=label))
     facts = dict(report_of(draft, is_interrupted=True).facts)
     assert facts["session"] == "interrupted; this report has what ran before that"
     assert facts["replayed"] == "3 saved scenarios: 2 passes, 1 still failing"
