@@ -83,7 +83,9 @@ class Paired:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SearchSummary:
-    """A search at its end, or one that could not begin because its item failed; programs read all of it but the last.
+    """A search at its end, or one that could not begin because its item failed.
+
+    Programs read what is described here, pages and the terminal also the last fields.
 
     Attributes:
         node_id: node id of its item.
@@ -178,6 +180,9 @@ class SearchSummary:
     requirements: tuple[str, ...] = ()  # these three are known only to the controller
     title: str = ""
     owner: str = ""
+    # for the page alone: numbers of runs of this session by outcome, and by who was responsible
+    outcomes: Mapping[str, int] = field(default_factory=dict)
+    responsibilities: Mapping[str, int] = field(default_factory=dict)
     # for the terminal alone, because they differ between machines and numbers of workers
     seconds: float = 0.0
     process_notes: tuple[str, ...] = ()  # how many processes were used, and which died
@@ -238,14 +243,10 @@ class SearchStarted:
     Attributes:
         node_id: the node id of its item.
         seed: the seed of the search.
-        speed_limit: the highest target speed in its world [m/s].
-        acts_in_si: whether the ADS acts in SI units, and not by the actions of an environment.
     """
 
     node_id: str
     seed: int
-    speed_limit: float
-    acts_in_si: bool = True
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

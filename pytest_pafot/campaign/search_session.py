@@ -285,14 +285,7 @@ class SearchSession:
         """
         __tracebackhide__ = True
         harness, state, workers, store = self.harness, self.state, self.workers, self.store
-        self.listener(
-            SearchStarted(
-                node_id=self.watch.node_id,
-                seed=store.seed,
-                speed_limit=harness.world.speed_limit,
-                acts_in_si=harness.world.acts_in_si(harness.ads),
-            )
-        )
+        self.listener(SearchStarted(node_id=self.watch.node_id, seed=store.seed))
         began = state.clock()
         workers.until = max(self.limit.until, began + LEAST)
         # A process of an earlier session may have died: its scenarios are tried again before anything else.
@@ -629,6 +622,8 @@ class SearchSession:
             given=0 if state.space is None else min(len(state.space.first), state.runs),
             drawn="" if self.state.space is None else self.state.space.described,
             coverage=health.coverage.describe(self.harness.world.speed_limit, ways) if state.runs else "",
+            outcomes=dict(state.outcomes),
+            responsibilities=dict(state.responsibilities),
         )
 
     def _unlike(self) -> dict[str, tuple[str, ...]]:

@@ -38,8 +38,8 @@ def send_sighting(
     check: Check | None = None,
     note: str = "",
     **more: Any,
-) -> None:
-    """Send a finding to the controller.
+) -> Sighting:
+    """Send a finding to the controller; return it with what it has become for that.
 
     Args:
         item: the item that found or replayed it.
@@ -77,3 +77,4 @@ def send_sighting(
             )
             data["view"] = plain(with_neighbours(view, sighting))
     messages.send(item, "finding", data)
+    return sighting

@@ -59,7 +59,7 @@ class TableMessages:
 
 
 class Tables:
-    """Hooks that write the table of runs, only on the controller."""
+    """What writes the table of runs, only on the controller."""
 
     def __init__(self, config: pytest.Config) -> None:
         from pytest_pafot.support.files import is_stream  # noqa: PLC0415
@@ -83,11 +83,9 @@ class Tables:
                 fix = f"{install('table')}, or name a file that ends in .csv"
                 raise pytest.UsageError(f"{flag('table', self._name)}: expected pyarrow; {fix}") from None
 
-    @pytest.hookimpl(tryfirst=True)
-    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+    def take(self, report: pytest.TestReport, message: messages.Message, sighting: object) -> None:
         """Begin the table with the first search, and write or store the rows that searches send."""
-        message = messages.received(report)
-        if message is None or message.kind not in ("start", "runs"):
+        if message.kind not in ("start", "runs"):
             return
         self._begin()
         if message.kind == "runs":

@@ -13,7 +13,7 @@ from dataclasses import asdict, dataclass, field, replace
 from datetime import date
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pytest
@@ -49,7 +49,7 @@ from pytest_pafot.oracle.checks import CheckFailed
 from pytest_pafot.plugin import messages, node_ids
 from pytest_pafot.plugin.collection import COLLECTED, is_search, policy_of
 from pytest_pafot.plugin.failure_reports import OUTPUT, SUMMARY, explained, is_compact, summarise
-from pytest_pafot.plugin.finding_message import is_on_page, label_of, send_sighting
+from pytest_pafot.plugin.finding_message import is_on_page, send_sighting
 from pytest_pafot.plugin.item_followers import tell_followers, without_listener
 from pytest_pafot.plugin.marks import EXECUTOR_FIXTURE, WORLD_FIXTURE, arguments_of
 from pytest_pafot.plugin.messages import OF_ONE_RUN, OfOneRun, of_findings, set_properties
@@ -59,7 +59,6 @@ from pytest_pafot.plugin.run_tables import table_messages_of
 from pytest_pafot.plugin.session import SHARED, is_worker, records_folder
 from pytest_pafot.report import terminal
 from pytest_pafot.searching.events import GenerationFinished
-from pytest_pafot.searching.plain import plain
 from pytest_pafot.searching.space import sample
 from pytest_pafot.support.errors import OF_SEARCH, RequestError, RevisionError, command, flag, rerun
 from pytest_pafot.support.files import remove_unfinished
@@ -67,9 +66,6 @@ from pytest_pafot.support.source_files import files_line, source_digests
 from pytest_pafot.support.text import plural
 from pytest_pafot.support.versions import installed_versions
 from pytest_pafot.world.guard.hang_guard import runs_end_in
-
-if TYPE_CHECKING:
-    from pytest_pafot.report.views import CampaignCounts
 
 TIDIED: pytest.StashKey[set[Path]] = pytest.StashKey()
 """The folders of saved scenarios from which this session has removed the unfinished files of killed processes."""
@@ -289,7 +285,7 @@ def run_search(item: pytest.Function, request: Request) -> None:
     replays = Replays(harness=harness, in_own_session=partial(replay_in_own_session, item), today=today)
     # If this policy has killed a process before, it runs in processes that may die of it.
     chosen = isolated_after_a_death(harness, replays)
-    listener = SearchMessages(item, settings, page_counts(item, settings), table_messages_of(item))
+    listener = SearchMessages(item, settings, table_messages_of(item))
     # With these options pytest stops at the first failed item. The loop inside of this item must do the same.
     is_first_enough = bool(item.config.getoption("usepdb", False)) or item.config.getoption("maxfail", 0) == 1
     with prepared(chosen, has_table=listener.table is not None) as parts:
@@ -329,15 +325,6 @@ def run_search(item: pytest.Function, request: Request) -> None:
         _fail(item, f"health warnings ({flag('strict_health')})", summary.warnings)
 
 
-def page_counts(item: pytest.Item, settings: Settings) -> CampaignCounts | None:
-    """Return empty counts of a search for the report page; None if no page is requested."""
-    if not is_on_page(item.config, settings):
-        return None
-    from pytest_pafot.report.views import CampaignCounts  # noqa: PLC0415
-
-    return CampaignCounts()
-
-
 def searches_left(item: pytest.Item) -> int:
     """Return how many searches this process still has to run, including the search of this item.
 
@@ -358,19 +345,16 @@ def shown(exception: BaseException) -> BaseException:
 
 @dataclass(frozen=True, slots=True)
 class SearchMessages:
-    """A listener that sends the events of a search as messages; also to the report page and the table, if requested."""
+    """A listener that sends the events of a search as messages; also to the table, if requested."""
 
     item: pytest.Function
     settings: Settings
-    counts: CampaignCounts | None  # for the report page
     table: Listener | None
     told: dict[str, Sighting] = field(default_factory=dict)  # the findings so far, by id
     new: list[str] = field(default_factory=list)  # the ids of those that were reported when they were found
 
     def __call__(self, event: SearchEvent) -> None:
         """Send a message for each event that the terminal, the page or the table reports."""
-        if self.counts is not None:
-            self.counts.see(event)
         if self.table is not None:
             self.table(event)
         if isinstance(event, SearchStarted):
@@ -390,21 +374,15 @@ class SearchMessages:
                 tell_followers(self.item, each.id, _call(each))
             if self.told:  # otherwise they stay those of the last run
                 self.item.stash[OF_ONE_RUN].show(next(iter(self.told.values())).run)
-            messages.send(self.item, "search", {"summary": messages.packed(event), **self._for_page(event)})
+            finds = tuple(self._completed(each) for each in event.finds)
+            summary = messages.packed(replace(event, finds=finds))
+            page = {"target": self.settings.report} if is_on_page(self.item.config, self.settings) else {}
+            messages.send(self.item, "search", {"summary": summary, **page})
 
-    def _for_page(self, summary: SearchSummary) -> dict[str, Any]:
-        """Return what a page shows of the search, and what is known of its findings only now."""
-        if self.counts is None or self.counts.started is None:  # otherwise the item only replayed
-            return {}
-        cut_by = summary.reason if summary.reason in ("error", "interrupted") else ""
-        known = {node_ids.saved_node_id(self.item, id_): count for id_, count in summary.known.items()}
-        return {
-            "target": self.settings.report,
-            "base_seed": self.settings.seed,
-            "campaign": plain(self.counts.view(self.item.nodeid, cut_by=cut_by)),
-            "runs": {find.node_id: 1 + find.repeats for find in summary.finds} | known,
-            "labels": {find.node_id: label_of(find) for find in summary.finds},
-        }
+    def _completed(self, sighting: Sighting) -> Sighting:
+        """Return a finding of the summary with what its messages have added."""
+        sent = self.told.get(sighting.id, sighting)
+        return replace(sighting, sentences=sent.sentences, command=sent.command)
 
     def _find(self, sighting: Sighting) -> None:
         config = self.item.config
@@ -412,7 +390,6 @@ class SearchMessages:
             self.told.pop(sighting.id, None)
             send_sighting(self.item, self.settings, sighting, note=sighting.detail)
             return
-        self.told[sighting.id] = sighting
         width = config.stash[SHARED].width
         explanation = "" if sighting.run is None else explained(sighting.run, sighting.exception, config)
         details = (
@@ -453,7 +430,8 @@ class SearchMessages:
         self.new.extend([sighting.id] if sighting.is_first else [])
         check = sighting.exception.check if isinstance(sighting.exception, CheckFailed) else None
         report = _report(self.item, sighting, section)
-        send_sighting(self.item, self.settings, sighting, check=check, report=report, whole=whole)
+        sent = send_sighting(self.item, self.settings, sighting, check=check, report=report, whole=whole)
+        self.told[sighting.id] = sent
 
 
 def _report(item: pytest.Item, sighting: Sighting, section: str) -> dict[str, Any]:

@@ -9,7 +9,6 @@ from __future__ import annotations
 import shlex
 from dataclasses import replace
 
-from pytest_pafot.campaign.events import SearchStarted
 from pytest_pafot.campaign.explore import Exploration
 from pytest_pafot.campaign.saved_scenario import SavedScenario
 from pytest_pafot.findings.finding import Finding
@@ -19,8 +18,7 @@ from pytest_pafot.oracle.checks import CheckFailed
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.report.page import render_frame
 from pytest_pafot.report.page_data import FindingView, Report
-from pytest_pafot.report.views import campaign_view, finding_view, run_view, with_neighbours
-from pytest_pafot.searching.events import Event
+from pytest_pafot.report.views import finding_view, run_view, with_neighbours
 from pytest_pafot.support.text import plural
 from pytest_pafot.world.limits import CLEARANCE
 
@@ -35,10 +33,7 @@ def report_of(value: object) -> Report:
     if isinstance(value, Exploration):
         views = tuple(_sighting_view(each, value) for each in value.sightings)
         title = f"{plural(len(views), 'finding')} in {plural(value.summary.runs, 'run')}"
-        started = next(event for event in value.events if isinstance(event, SearchStarted))
-        events = [event for event in value.events if isinstance(event, Event)]
-        campaign = campaign_view(started.node_id, events)
-        return Report(title=title, findings=views, campaigns=(campaign,))
+        return Report(title=title, findings=views, searches=(value.summary,))
     if isinstance(value, SavedScenario):
         view = _finding_view(value.finding)
         view = replace(view, path=str(value.path), command=f"pytest {shlex.quote(str(value.path))}")

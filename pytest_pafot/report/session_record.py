@@ -33,8 +33,8 @@ VERSION = 1
 ERROR = "error"
 """The status of a saved scenario that could not be read or run."""
 
-TERMINAL_ONLY = ("seconds", "process_notes")
-"""The attributes of a search that are not written, because the same seed may give other values."""
+NOT_WRITTEN = ("outcomes", "responsibilities", "seconds", "process_notes")
+"""The attributes of a search that only pages or the terminal show; of the last two, the same seed may give others."""
 
 SLOW = re.compile(r"(?<=^SlowDecision: a decision )took [\d.]+ s")
 """The measured time in the headline of a decision that took longer than ``decision_limit``."""
@@ -316,7 +316,7 @@ def to_text(record: SessionRecord) -> str:
     data = {"pafot_json": VERSION, **asdict(replace(record, searches=[replace(s, finds=()) for s in record.searches]))}
     for search, finds in zip(data["searches"], ids, strict=True):
         search["finds"] = finds
-        for name in TERMINAL_ONLY:
+        for name in NOT_WRITTEN:
             del search[name]
     return quiet_json(json.dumps(data, indent=2, sort_keys=True)) + "\n"
 

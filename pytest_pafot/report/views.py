@@ -1,23 +1,17 @@
-"""The data that the report page shows of a finding and of a search.
-
-A finding is built from its file and from the trace of one of its runs; a search is counted from its events.
-"""
+"""The data that the report page shows of a finding, built from its file and from the trace of one of its runs."""
 
 from __future__ import annotations
 
 import math
 import shlex
-from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from itertools import pairwise
 from textwrap import dedent
-from typing import Any
 
 import numpy as np
 
 from pytest_pafot.attribution.manoeuvres import stretches
-from pytest_pafot.campaign.events import Judged, SearchEvent, SearchStarted
 from pytest_pafot.corpus.writer import text_of
 from pytest_pafot.criticality import Encounters, Passage, gap, passages, time_advantage, ttc
 from pytest_pafot.criticality.asked import Asked, asked
@@ -27,7 +21,6 @@ from pytest_pafot.findings.sighting import Sighting
 from pytest_pafot.model.driving_style import AMPLE, Traffic
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.scenario import (
-    PAPER_SPEED_LIMIT,
     CrossingInstruction,
     LaneInstruction,
     Manoeuvre,
@@ -38,7 +31,6 @@ from pytest_pafot.model.trace import ACCELERATION, ALONG, HEADING, LANE, SPEED, 
 from pytest_pafot.oracle.checks import Check
 from pytest_pafot.oracle.run import Run, arrival, crossing_text, lane_text
 from pytest_pafot.report.page_data import (
-    CampaignView,
     CheckView,
     EventView,
     FindingView,
@@ -55,20 +47,10 @@ from pytest_pafot.report.page_data import (
     gap_to,
 )
 from pytest_pafot.report.terminal import effort_lines, simplified_lines
-from pytest_pafot.searching.events import (
-    CampaignFinished,
-    CampaignStarted,
-    Evaluated,
-    GenerationFinished,
-    RunsEvaluated,
-)
-from pytest_pafot.searching.health import Health
 from pytest_pafot.world.kernel.driver import following_gap
 from pytest_pafot.world.limits import CLEARANCE
 from pytest_pafot.world.roads.route import wrapped
 from pytest_pafot.world.roads.survey import SAME_DIRECTION
-
-# The data that the report page shows of a finding, built from its file and from the trace of one of its runs.
 
 # The road of a run for its picture: lanes and, if the road bends, the cells around the ego in world coordinates.
 
@@ -547,83 +529,3 @@ def _numbers(values: FloatArray, digits: int) -> Numbers:
     """Round values to a number of digits. NaN and infinity become None, and -0.0 becomes 0.0."""
     rounded = np.round(values, digits) + 0.0
     return tuple(float(value) if np.isfinite(value) else None for value in rounded)
-
-
-# The data that the report page shows of a search, counted from the search's events.
-
-
-@dataclass(slots=True)
-class CampaignCounts:
-    """Everything that the report page shows of a search, counted from its events as they happen.
-
-    It does not grow, because a search may have hundreds of thousands of events.
-    """
-
-    speed_limit: float = PAPER_SPEED_LIMIT  # the highest target speed [m/s]
-    acts_in_si: bool = True  # False if the ADS's actions are those of an environment
-    responsibilities: Counter[str] = field(default_factory=Counter)  # number of runs by who was responsible
-    started: CampaignStarted | None = None
-    finished: CampaignFinished | None = None
-    health: Health = field(default_factory=Health)
-    outcomes: Counter[str] = field(default_factory=Counter)  # of the simulated runs
-    generations: int = 0  # of the main search
-
-    def see(self, event: SearchEvent) -> None:
-        """Count an event."""
-        match event:
-            case SearchStarted():
-                self.speed_limit, self.acts_in_si = event.speed_limit, event.acts_in_si
-            case Judged():
-                self.responsibilities[event.responsibility or "none"] += 1
-            case Evaluated():
-                self.health = self.health.counted(event.evaluation, reused=event.reused)
-                if not event.reused:
-                    self.outcomes[str(event.evaluation.outcome)] += 1
-            case RunsEvaluated():
-                self.health += event.counts.health
-                self.outcomes.update(event.counts.outcomes)
-                self.responsibilities.update(event.counts.responsibilities)
-            case CampaignStarted():
-                self.started = event
-            case CampaignFinished():
-                self.finished = event
-            case GenerationFinished(local_generation=0):
-                self.generations += 1
-
-    def view(self, node_id: str, *, cut_by: str = "") -> CampaignView:
-        """Return the view of the search so far. A search that was cut short has a view, too.
-
-        Args:
-            node_id: node id of the search's item.
-            cut_by: ``error`` or ``interrupted`` if that ended the search, because no event reports it; otherwise empty.
-        """
-        coverage = self.health.coverage
-        zones = sorted({str(key[1]) for key in coverage.requested if key[0] == "zone"})
-        return CampaignView(
-            node_id=node_id,
-            algorithm="" if self.started is None else self.started.algorithm,
-            seed=0 if self.started is None else self.started.seed,
-            generations=self.generations,
-            asked=None if self.started is None else self.started.generations,
-            reason=cut_by or ("" if self.finished is None else self.finished.reason),
-            simulated=self.health.simulated,
-            failing=self.health.failing,
-            reused=self.health.reused,
-            outcomes=_by_count(self.outcomes),
-            responsibilities=_by_count(self.responsibilities),
-            coverage=coverage.describe(self.speed_limit, zones),
-            warnings=tuple(self.health.warnings(acts_in_si=self.acts_in_si)),
-        )
-
-
-def campaign_view(node_id: str, events: Iterable[SearchEvent], **known: Any) -> CampaignView:
-    """Build the view of a search from all of its events; ``known`` are attributes of :class:`CampaignCounts`."""
-    counts = CampaignCounts(**known)
-    for event in events:
-        counts.see(event)
-    return counts.view(node_id)
-
-
-def _by_count(counts: Mapping[str, int]) -> tuple[tuple[str, int], ...]:
-    """Return each name with its number of occurrences, the most frequent first; equally frequent ones by name."""
-    return tuple(sorted(counts.items(), key=lambda each: (-each[1], each[0])))

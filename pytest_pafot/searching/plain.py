@@ -16,7 +16,6 @@ from collections.abc import Hashable, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from contextlib import suppress
 from dataclasses import fields, is_dataclass
-from datetime import date
 from enum import Enum
 from functools import lru_cache
 from itertools import repeat
@@ -55,7 +54,7 @@ def plain(value: Any) -> Any:
     try:
         if isinstance(value, Scenario):
             return value.plain()
-        if isinstance(value, date):
+        if hasattr(value, "isoformat"):
             return value.isoformat()
         if is_dataclass(value) and not isinstance(value, type):
             parts = ((getattr(value, name), hint) for name, hint in _hints(type(value)).items())
@@ -108,9 +107,9 @@ def _read(kind: Any, data: Any) -> Any:
             raise  # it is a ValueError, and already says what is wrong
         except (TypeError, ValueError):
             raise _refuse("a scenario: chains, seed, lane, speed and duration", data) from None
-    if kind is date:
+    if hasattr(kind, "fromisoformat"):
         try:
-            return date.fromisoformat(data)
+            return kind.fromisoformat(data)
         except (TypeError, ValueError):
             raise _refuse("a day, such as 2026-11-20", data) from None
     if kind == _PLAIN_ALREADY:

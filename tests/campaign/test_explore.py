@@ -111,6 +111,9 @@ def test_its_findings_show_what_the_property_forbids(exploration):
 def test_table_has_a_row_for_each_tried_scenario(exploration):
     assert len(exploration.runs) == exploration.summary.runs + exploration.summary.known_runs == 8
     assert sum(row["failing"] for row in exploration.runs if not row["reused"]) == exploration.summary.failing
+    simulated = [row["outcome"] for row in exploration.runs if not row["reused"]]
+    assert exploration.summary.outcomes == Counter(simulated)
+    assert sum(exploration.summary.responsibilities.values()) == len(simulated)
     for row in exploration.runs:
         assert (row["outcome"] == "collision") == (row["collision_time"] is not None)
         assert math.isfinite(row["fitness"])

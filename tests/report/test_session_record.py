@@ -17,8 +17,8 @@ from pytest_pafot.plugin.failure_reports import SCENARIO
 from pytest_pafot.report.page import finding_article
 from pytest_pafot.report.session_record import (
     FINDING,
+    NOT_WRITTEN,
     RESULTS,
-    TERMINAL_ONLY,
     SessionRecord,
     finding_entry,
     to_text,
@@ -131,7 +131,7 @@ def test_no_duration_is_in_it():
 def test_every_record_field_is_described_in_its_docstring(kind):
     told = re.findall(r"^ +(\w+(?:, \w+)*): ", kind.__doc__, re.MULTILINE)
     told = [name for names in told for name in names.split(", ")]
-    assert told == [each.name for each in fields(kind) if each.name not in TERMINAL_ONLY]
+    assert told == [each.name for each in fields(kind) if each.name not in NOT_WRITTEN]
 
 
 def test_the_worst_phase_of_an_item_counts():
