@@ -25,7 +25,7 @@ from pytest_pafot.campaign.options import BY_NAME, LOCAL, OPTIONS, PROFILES, Set
 from pytest_pafot.campaign.replays import Replayed, Replays
 from pytest_pafot.campaign.request import Request, SearchArguments, build_world, check_names, checked_request
 from pytest_pafot.campaign.run_table import RunTable
-from pytest_pafot.campaign.search_session import SearchSession, prepared
+from pytest_pafot.campaign.search_session import Events, SearchSession, prepared
 from pytest_pafot.campaign.state import check_states
 from pytest_pafot.campaign.verdict import Verdict, judge, source_file
 from pytest_pafot.campaign.watch import time_limit
@@ -152,24 +152,21 @@ def explore(
     events: list[SearchEvent] = []
     table = RunTable()
 
-    def listen(event: SearchEvent) -> None:
-        table.see(event)
-        if not isinstance(event, Judged):  # its trace is large: all of them would fill the memory
-            events.append(event)
-        if on_event is not None:
-            on_event(event)
-
     with tempfile.TemporaryDirectory(prefix="pafot-") as scratch:
         replays = replays_of(request, holds, name, Path(scratch), executor, needs_only_run=on_event is None)
         now = time.monotonic()
         with prepared(replays.harness, has_table=True) as parts:
             limit = time_limit(request.settings, now=now, began=now, left=1)
-            session = SearchSession(
-                watch=parts.watch(name, limit, progress_seconds=0.5),
-                replays=replays,
-                listener=listen,
-            )
-            result = session.run()
+            session = SearchSession(watch=parts.watch(name, limit, progress_seconds=0.5), replays=replays)
+            happens = Events(session.run())
+            for event in happens:
+                with happens:
+                    table.see(event)
+                    if not isinstance(event, Judged):  # its trace is large: all of them would fill the memory
+                        events.append(event)
+                    if on_event is not None:
+                        on_event(event)
+    result = happens.result
     if result.fault is not None:
         raise result.fault
     findings = tuple(

@@ -7,11 +7,12 @@ from __future__ import annotations
 
 import hashlib
 import time
+from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -20,7 +21,6 @@ from pytest_pafot.campaign.beginnings import begun_with
 from pytest_pafot.campaign.events import (
     ALL_RUN,
     DONE,
-    Listener,
     Note,
     Phase,
     SearchEvent,
@@ -97,6 +97,43 @@ class SearchResult:
     fault: BaseException | None  # a fault of the set-up, as the exception to raise instead of findings
     skip: BaseException | None  # the last skip, if the function skipped every run
     is_vacuous: bool  # True if nothing was tested, or if a broken reference prevented every failure from counting
+
+
+class Events:
+    """The events of a search, for a consumer that may fail: ``for event in events:`` and in it ``with events: ...``.
+
+    What is raised in the context is raised in the search, which ends by it and still reports what it has.
+
+    Attributes:
+        result: the result of the search, after its last event.
+    """
+
+    result: SearchResult
+
+    def __init__(self, happens: Generator[SearchEvent, None, SearchResult]) -> None:
+        self._happens = happens
+        self._error: BaseException | None = None
+
+    def __iter__(self) -> Self:
+        return self
+
+    def __next__(self) -> SearchEvent:
+        __tracebackhide__ = True
+        error, self._error = self._error, None
+        try:
+            return next(self._happens) if error is None else self._happens.throw(error)
+        except StopIteration as end:
+            self.result = end.value
+            raise
+        finally:
+            del error  # whose traceback has this frame
+
+    def __enter__(self) -> None:
+        pass
+
+    def __exit__(self, kind: object, error: BaseException | None, place: object) -> bool:
+        self._error = error
+        return True
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -223,7 +260,6 @@ class SearchSession:
 
     watch: TimedWatch
     replays: Replays
-    listener: Listener  # receives all events, in their order
     shrinks_later: bool = False  # True if the command ``corpus shrink`` can shrink its findings, which needs the test
     driver_notes: list[str] = field(default_factory=list)  # notes on drivers of the world that failed
     process_notes: list[str] = field(default_factory=list)  # notes on processes for the summary
@@ -260,45 +296,53 @@ class SearchSession:
         """The reasons for an end that leave enough runs to warn of their health."""
         return DONE, ALL_RUN, self.limit.flag
 
-    def _send(self, happened: Iterable[SearchEvent | Phase | Note]) -> None:
+    def _events(self, happened: Iterable[SearchEvent | Phase | Note]) -> Iterator[SearchEvent]:
+        """Yield the events among what happens.
+
+        What the consumer raises must not reach the part of the search that yields, which may take it for an error of
+        the user's world. That part is closed at once, or it would hold back interrupts from then on.
+        """
         try:
             for event in happened:
                 match event:
                     case Phase():
-                        self._send(self.watch.progress(*event))
+                        yield from self.watch.progress(*event)
                     case Note():  # such as on a driver that no finding can be tried with
                         if event.text not in self.driver_notes:
                             self.driver_notes.append(event.text)
                     case _:
-                        self.listener(event)
+                        yield event
         finally:
-            if isinstance(happened, Generator):  # If the listener raised, it would hold back interrupts from then on.
+            if isinstance(happened, Generator):
                 happened.close()
 
-    def run(self) -> SearchResult:
-        """Replay saved scenarios, search, simplify the findings, and report a summary.
+    def run(self) -> Generator[SearchEvent, None, SearchResult]:
+        """Replay saved scenarios, search, simplify the findings, and report a summary; yield what happens.
 
-        Findings are reported even after an error.
+        Findings and the summary are yielded even after an error, also after one of the consumer, see
+        :class:`Events`. If the iteration ends before, findings are only saved.
 
         Raises:
             RequestError: if the search cannot be run as requested.
         """
         __tracebackhide__ = True
         harness, state, workers, store = self.harness, self.state, self.workers, self.store
-        self.listener(SearchStarted(node_id=self.watch.node_id, seed=store.seed))
+        yield SearchStarted(node_id=self.watch.node_id, seed=store.seed)
         began = state.clock()
         workers.until = max(self.limit.until, began + LEAST)
         # A process of an earlier session may have died: its scenarios are tried again before anything else.
         left = harness.left_behind()
-        retried = [self._retried(leftover, left) for leftover in left]
+        retried = list[Retried]()
+        for leftover in left:
+            retried.append((yield from self._retried(leftover, left)))
         self.process_notes += [note for each in retried for note in each.notes]
-        reason, fault = "interrupted", None
+        reason, fault, is_closed = "interrupted", None, False
         try:
             with workers.runner:
-                reason = self._searched(saved_in(harness.folder), began)
+                reason = yield from self._searched(saved_in(harness.folder), began)
             # All findings are reported and the state is stored before shrinking, which takes long and may be cut.
             self._settle(reason)
-            self._send(store.release())
+            yield from self._events(store.release())
             state.write(store)
             # With a reference, the findings that do not show that the policy became worse are not even shrunk.
             if harness.against is not None and state.space is not None and store.count:
@@ -310,19 +354,24 @@ class SearchSession:
                     most=harness.request.settings.pairs,
                     until=now + (self.limit.until - now) / 2,
                 )
-                self._send(self._worse.compare(state.space))
-            self._refine(reason)
+                yield from self._events(self._worse.compare(state.space))
+            yield from self._refine(reason)
         except SetupFaultError as error:
             reason, fault = "error", error
-            self._send(store.withdraw())
+            yield from self._events(store.withdraw())
             state.forget_findings()
         except BaseException as error:
-            reason = "interrupted" if is_interruption(error) else "error"
+            is_closed = isinstance(error, GeneratorExit)
+            reason = "interrupted" if is_closed or is_interruption(error) else "error"
             raise
         finally:
             with postponed():
                 self._settle(reason)
-                self._send(store.release())
+                released = self._events(store.release())
+                if is_closed:  # nobody hears of it
+                    deque(released, maxlen=0)
+                else:
+                    yield from released
                 for each in retried:
                     if each.pending is not None:
                         each.pending.discard()
@@ -330,7 +379,8 @@ class SearchSession:
                 if workers.record.error:
                     self.process_notes += [str(workers.record.error)]
                 summary = self._summary(reason)
-                self.listener(summary)
+                if not is_closed:
+                    yield summary
         return SearchResult(
             summary=summary,
             findings=tuple(store.findings.values()),
@@ -348,23 +398,23 @@ class SearchSession:
             self.state.add(signature, find_id)
             self.state.verdicts["failed"] += 1
 
-    def _refine(self, reason: str) -> None:
+    def _refine(self, reason: str) -> Iterator[SearchEvent]:
         """Shrink the findings, and look at their neighbours and at decisions."""
         __tracebackhide__ = True
         state = self.state
         way_on = "" if state.file is None else f"; {flag('resume')} goes on"
         try:
             with GENERATORS.held():
-                self._send(refine(state, self.workers, self.store, until=self.limit.until, way_on=way_on))
+                yield from self._events(refine(state, self.workers, self.store, until=self.limit.until, way_on=way_on))
                 if self._worse is not None:
-                    self._send(self._worse.conclude())
+                    yield from self._events(self._worse.conclude())
                 if reason in self._ends_with_warnings:
                     with suppress(OutOfTime), runs_end_in(self.limit.until - state.clock()):
                         state.impure = self.workers.impure()
         finally:  # Even after Ctrl-C, findings that were refined must not be refined again.
             state.write(self.store)
 
-    def _retried(self, leftover: Leftover, left: Sequence[Leftover]) -> Retried:
+    def _retried(self, leftover: Leftover, left: Sequence[Leftover]) -> Generator[SearchEvent, None, Retried]:
         """Run the scenarios again in which a process of an earlier session died; return the result.
 
         They are run in the world of the dead process. If that world cannot be made, this is only reported. ``left`` are
@@ -399,10 +449,10 @@ class SearchSession:
             run_here=self.workers.rerun_one_by_one,
         )
         for each in [each for id_, each in self.store.findings.items() if id_ not in before]:
-            self._send(self.store.report(each))
+            yield from self._events(self.store.report(each))
         return again
 
-    def _searched(self, saved: Sequence[Saved], began: float) -> str:
+    def _searched(self, saved: Sequence[Saved], began: float) -> Generator[SearchEvent, None, str]:
         """Replay the saved scenarios and search; return why it ended. ``began`` is when the search began [s].
 
         Raises:
@@ -425,7 +475,7 @@ class SearchSession:
         # What is known before the first run: the state of earlier sessions, and the failures that saved scenarios still
         # show. The search's own findings of earlier sessions are part of that state, not known failures.
         state.random.most = getattr(algorithm, "counted_at_first", 0.0)
-        resumed = self._resumed(algorithm, space, saved)
+        resumed = yield from self._resumed(algorithm, space, saved)
         others = [each for each in saved if not self._is_own(each)]
         self.store.replayed = frozenset(each.path for each in others)
         state.fatal |= {each.finding.scenario for each in others if each.finding is not None and each.is_crash}
@@ -434,7 +484,7 @@ class SearchSession:
             with runs_end_in(self.workers.until - clock()):
                 state.shown = self.replays.shown_by(others)  # Their failures are not new.
                 self._manners = {each.id: Manner.of(each.finding.expect) for each in others if each.finding is not None}
-                self._send(self._find_again(saved, until))
+                yield from self._events(self._find_again(saved, until))
         except OutOfTime:  # It is unknown what is known, so nothing could be called new.
             return self.limit.flag
         watch.begin(until)
@@ -452,7 +502,7 @@ class SearchSession:
             )
             if resumed is None:
                 state.offer(self.store)
-            self._send(search(plan, state, self.workers, self.store, watch))
+            yield from self._events(search(plan, state, self.workers, self.store, watch))
         except CheckpointError as error:
             raise RequestError(str(error)) if state.file is None else state.file.refused(error) from None
         except FitnessError as error:
@@ -469,7 +519,9 @@ class SearchSession:
             )
         return "interrupted" if state.finished is None else reasons[state.finished.reason]
 
-    def _resumed(self, algorithm: Algorithm[Any], space: SearchSpace, saved: Sequence[Saved]) -> Checkpoint[Any] | None:
+    def _resumed(
+        self, algorithm: Algorithm[Any], space: SearchSpace, saved: Sequence[Saved]
+    ) -> Generator[SearchEvent, None, Checkpoint[Any] | None]:
         """Go on from the state of earlier sessions; return the progress of their plan, or None for a new search.
 
         Raises:
@@ -503,7 +555,7 @@ class SearchSession:
         }
         if checkpoint.sums.evaluated:  # A fault of the set-up would have ended the search in its first session.
             state.first.is_alike = False
-            self._send(self.store.release())
+            yield from self._events(self.store.release())
         return checkpoint
 
     def _is_own(self, saved: Saved) -> bool:

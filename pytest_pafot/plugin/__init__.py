@@ -165,8 +165,6 @@ def _report(config: pytest.Config) -> None:
             from pytest_pafot.plugin.run_tables import Tables  # noqa: PLC0415
 
             features["tables"] = Tables(config)
-        writers = [feature for feature in features.values() if hasattr(feature, "take")]
-        record.writers = writers[::-1]  # the terminal last: hooks of other plugins may print before it does
         features["record"] = record  # last, so that its hooks are called first
     _register(config, features)
 

@@ -6,7 +6,7 @@ import json
 import os
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 import pytest
 
@@ -22,19 +22,15 @@ if TYPE_CHECKING:
     from pytest_pafot.findings.sighting import Sighting
 
 
-class Writer(Protocol):
-    """What writes before the session ends: on the terminal, and in files that a killed session leaves."""
-
-    def take(self, report: pytest.TestReport, message: Message, sighting: Sighting | None) -> None:
-        """Take a message that the record has taken already; ``sighting`` is that of a message on a finding."""
-
-
 class Record:
-    """Hooks that collect the messages and the results of items, by the items' node ids."""
+    """Hooks that collect the messages and the results of items, by the items' node ids.
+
+    They are called before those of what writes, which see what a message has added.
+    """
 
     def __init__(self, config: pytest.Config) -> None:
         self._lines = config.stash[SUMMARY_LINES]
-        self.writers: list[Writer] = []
+        self.latest: Sighting | None = None  # the one of this message; None if it is about something else
         self.running: dict[str, SearchSummary] = {}  # searches that have begun and not ended
         self.searches: dict[str, SearchSummary] = {}  # in the order in which they ended
         self.unbegun: dict[str, SearchSummary] = {}  # searches whose item failed before they could begin
@@ -66,9 +62,7 @@ class Record:
         if message is None:
             self._take_phase(report)
             return
-        sighting = self._take(report.nodeid, message)
-        for writer in self.writers:
-            writer.take(report, message, sighting)
+        self.latest = self._take(report.nodeid, message)
 
     def _take(self, node_id: str, message: Message) -> Sighting | None:
         from pytest_pafot.campaign.events import SearchSummary  # noqa: PLC0415

@@ -14,7 +14,7 @@ import pytest
 
 from pytest_pafot.campaign.options import BY_NAME, is_page_file
 from pytest_pafot.plugin.marks import SEARCH_MARK
-from pytest_pafot.plugin.messages import Message
+from pytest_pafot.plugin.messages import Message, received
 from pytest_pafot.plugin.record import Record
 from pytest_pafot.plugin.session import SUMMARY_LINES, exit_code, not_written
 from pytest_pafot.support.errors import flag, rerun
@@ -37,33 +37,14 @@ class Pages:
         self._failures: dict[tuple[str, str], str] = {}
         self._shown: set[str] = set()
 
-    def take(self, report: pytest.TestReport, message: Message, sighting: object) -> None:
-        """Store what a finding or a search sends for the page, if its item asks for one."""
-        node_id, data = report.nodeid, message.data
-        if "target" not in data:
-            return
-        from pytest_pafot.report.page import Draft  # noqa: PLC0415
-        from pytest_pafot.report.page_data import FindingView  # noqa: PLC0415
-        from pytest_pafot.searching.plain import from_plain  # noqa: PLC0415
-
-        finding = from_plain(FindingView, data["view"]) if "view" in data else None
-        if finding is not None:
-            self._shown |= {finding.node_id, node_id}  # the search that found it fails because of it, too
-            if self._config.getoption("htmlpath", None):  # pytest-html writes a report
-                self._rows[finding.node_id] = finding
-        if message.kind == "search" and self._record.searches[node_id].reason == "error":
-            self._shown.discard(node_id)
-        target = data["target"]
-        if target is not None:
-            path = Path(os.path.normpath(self._config.invocation_params.dir / target))
-            self._targets[node_id] = path
-            draft = self._drafts.setdefault(path, Draft(target=target))
-            if finding is not None:
-                draft.take(finding)
-
     @pytest.hookimpl(tryfirst=True)
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
-        """Store what failed; add a picture to an item's row in the report of pytest-html."""
+        """Store what items send for the page; add a picture to an item's row in the report of pytest-html."""
+        message = received(report)
+        if message is not None:
+            if "target" in message.data:  # of a finding or a search whose item asks for a page
+                self._take(report.nodeid, message)
+            return
         if report.failed and (SEARCH_MARK in report.keywords or report.nodeid in self._targets):
             self._failures[report.nodeid, report.when] = report.longreprtext
         if report.when == "call" and report.nodeid in self._rows:
@@ -83,14 +64,31 @@ class Pages:
                 written, problem = self._write(path, draft, is_interrupted=is_interrupted)
                 lines.reports.extend(filter(None, [written]))
                 lines.problems.extend(filter(None, [problem]))
-        asked = self._config.getoption(BY_NAME["report"].key)
-        if (
-            asked
-            and not self._drafts
-            and not self._record.compared
-            and not self._config.getoption("collectonly", False)
-        ):
+        asked, is_listed = self._config.getoption(BY_NAME["report"].key), self._config.getoption("collectonly", False)
+        if asked and not (self._drafts or self._record.compared or is_listed):
             lines.problems.append(f"{flag('report', asked)}: nothing was written, since no search and no replay ran")
+
+    def _take(self, node_id: str, message: Message) -> None:
+        """Store what a finding or a search sends for the page."""
+        from pytest_pafot.report.page import Draft  # noqa: PLC0415
+        from pytest_pafot.report.page_data import FindingView  # noqa: PLC0415
+        from pytest_pafot.searching.plain import from_plain  # noqa: PLC0415
+
+        data = message.data
+        finding = from_plain(FindingView, data["view"]) if "view" in data else None
+        if finding is not None:
+            self._shown |= {finding.node_id, node_id}  # the search that found it fails because of it, too
+            if self._config.getoption("htmlpath", None):  # pytest-html writes a report
+                self._rows[finding.node_id] = finding
+        if message.kind == "search" and self._record.searches[node_id].reason == "error":
+            self._shown.discard(node_id)
+        target = data["target"]
+        if target is not None:
+            path = Path(os.path.normpath(self._config.invocation_params.dir / target))
+            self._targets[node_id] = path
+            draft = self._drafts.setdefault(path, Draft(target=target))
+            if finding is not None:
+                draft.take(finding)
 
     def _write(self, path: Path, draft: Draft, *, is_interrupted: bool) -> tuple[str, str]:
         from pytest_pafot.report.page import write_report  # noqa: PLC0415

@@ -83,9 +83,11 @@ class Tables:
                 fix = f"{install('table')}, or name a file that ends in .csv"
                 raise pytest.UsageError(f"{flag('table', self._name)}: expected pyarrow; {fix}") from None
 
-    def take(self, report: pytest.TestReport, message: messages.Message, sighting: object) -> None:
+    @pytest.hookimpl(tryfirst=True)
+    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
         """Begin the table with the first search, and write or store the rows that searches send."""
-        if message.kind not in ("start", "runs"):
+        message = messages.received(report)
+        if message is None or message.kind not in ("start", "runs"):
             return
         self._begin()
         if message.kind == "runs":

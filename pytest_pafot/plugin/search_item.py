@@ -31,6 +31,7 @@ from pytest_pafot.campaign.replays import Replays
 from pytest_pafot.campaign.request import AgainstError, Request, build_space, build_world
 from pytest_pafot.campaign.search_session import (
     AFTER_A_DEATH,
+    Events,
     SearchSession,
     isolated_after_a_death,
     may_not_leave,
@@ -285,19 +286,23 @@ def run_search(item: pytest.Function, request: Request) -> None:
     replays = Replays(harness=harness, in_own_session=partial(replay_in_own_session, item), today=today)
     # If this policy has killed a process before, it runs in processes that may die of it.
     chosen = isolated_after_a_death(harness, replays)
-    listener = SearchMessages(item, settings, table_messages_of(item))
+    messages_of_search = SearchMessages(item, settings, table_messages_of(item))
     # With these options pytest stops at the first failed item. The loop inside of this item must do the same.
     is_first_enough = bool(item.config.getoption("usepdb", False)) or item.config.getoption("maxfail", 0) == 1
-    with prepared(chosen, has_table=listener.table is not None) as parts:
-        result = SearchSession(
+    with prepared(chosen, has_table=messages_of_search.table is not None) as parts:
+        session = SearchSession(
             watch=parts.watch(
                 item.nodeid, limit, progress_seconds=shared.progress_seconds, stops_at_first=is_first_enough
             ),
-            listener=listener,
             replays=replace(replays, harness=chosen),
             shrinks_later=not os.environ.get(OF_SEARCH),  # the command search has no test that stays
             process_notes=[] if chosen is harness else [AFTER_A_DEATH],
-        ).run()
+        )
+        events = Events(session.run())
+        for event in events:
+            with events:
+                messages_of_search.take(event)
+    result = events.result
     # The item fails for a fault of the set-up, for new findings, for failures without an item, and for an empty search.
     summary = result.summary
     if result.fault is not None:
@@ -345,7 +350,7 @@ def shown(exception: BaseException) -> BaseException:
 
 @dataclass(frozen=True, slots=True)
 class SearchMessages:
-    """A listener that sends the events of a search as messages; also to the table, if requested."""
+    """What takes the events of a search and sends them as messages; also to the table, if requested."""
 
     item: pytest.Function
     settings: Settings
@@ -353,7 +358,7 @@ class SearchMessages:
     told: dict[str, Sighting] = field(default_factory=dict)  # the findings so far, by id
     new: list[str] = field(default_factory=list)  # the ids of those that were reported when they were found
 
-    def __call__(self, event: SearchEvent) -> None:
+    def take(self, event: SearchEvent) -> None:
         """Send a message for each event that the terminal, the page or the table reports."""
         if self.table is not None:
             self.table(event)

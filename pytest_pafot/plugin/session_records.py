@@ -21,7 +21,7 @@ import pytest
 
 from pytest_pafot.campaign.options import BY_NAME
 from pytest_pafot.corpus.layout import files_in, relative
-from pytest_pafot.plugin.messages import Message
+from pytest_pafot.plugin.messages import received
 from pytest_pafot.plugin.orphans import advice
 from pytest_pafot.plugin.record import Record
 from pytest_pafot.plugin.session import HERE, SUMMARY_LINES, exit_code, not_written
@@ -66,8 +66,12 @@ class Records:
         """Replace the JSON file of an earlier session by the record of this session, which has not ended."""
         self._write_json(None)
 
-    def take(self, report: pytest.TestReport, message: Message, sighting: Sighting | None) -> None:
+    @pytest.hookimpl(tryfirst=True)
+    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
         """Pass a message on to hooks of other plugins, and write the JSON file again if it says something new."""
+        message, sighting = received(report), self._record.latest
+        if message is None:
+            return
         if message.kind in EVENTS and _is_implemented(self._config.hook.pytest_pafot_event):
             data = message.data
             if message.kind in ("finding", "search"):  # without what is meant for the page and the terminal

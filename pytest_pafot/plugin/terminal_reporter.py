@@ -111,6 +111,7 @@ class Reporter:
             self._live.erase_progress()
         result = yield
         if message is not None:
+            self._take(report, message)
             # pytest stores every report to the end of the session: those without a result as well, under no name.
             stored = getattr(self._live.writer, "stats", {}).get("", [])
             if stored and stored[-1] is report:
@@ -206,12 +207,13 @@ class Reporter:
         width = self._config.stash[SHARED].width
         return terminal.session_lines(session, verbose=self._config.get_verbosity() > 0, width=width)
 
-    def take(self, report: pytest.TestReport, message: Message, sighting: Sighting | None) -> None:
+    def _take(self, report: pytest.TestReport, message: Message) -> None:
         """Show at once what a reader wants to know before the summary."""
         from pytest_pafot.campaign.events import Progress  # noqa: PLC0415
         from pytest_pafot.findings.sighting import NEW, NO_WORSE  # noqa: PLC0415
         from pytest_pafot.report import terminal  # noqa: PLC0415
 
+        sighting = self._record.latest
         if message.kind == "start":
             # Under pytest-xdist no line on the collection is printed, and the seed must be known if the session ends
             # early.

@@ -21,6 +21,7 @@ from functools import lru_cache
 from itertools import repeat
 from typing import Any, Literal, TypeVar, Union, cast, get_args, get_origin, get_type_hints
 
+from pytest_pafot.findings.finding import IN_MEMORY
 from pytest_pafot.findings.signature import Signature
 from pytest_pafot.model.scenario import Scenario, ScenarioError
 from pytest_pafot.support.errors import FieldError
@@ -84,7 +85,7 @@ def from_plain(kind: type[T], data: Any) -> T:
 def _hints(kind: type) -> dict[str, Any]:
     """Return the types of a dataclass's stored fields, by name."""
     hints = get_type_hints(kind)
-    stored = (each.name for each in fields(kind) if each.init and each.metadata.get("is_stored", True))
+    stored = (each.name for each in fields(kind) if each.init and each.metadata != IN_MEMORY)
     return {name: hints[name] for name in stored if hints[name] is not Any}
 
 

@@ -2,6 +2,7 @@
 
 import math
 import shutil
+import signal
 import sys
 import traceback
 from collections import Counter
@@ -16,8 +17,11 @@ from highway_env.vehicle.behavior import IDMVehicle
 
 import pytest_pafot as pafot
 from example_ads import constant_speed
+from pytest_pafot.campaign import explore
 from pytest_pafot.campaign.events import Judged, SearchStarted, SearchSummary
 from pytest_pafot.campaign.refine import simplest
+from pytest_pafot.campaign.search_session import SearchSession, prepared
+from pytest_pafot.campaign.watch import TimeLimit
 from pytest_pafot.corpus.reader import load
 from pytest_pafot.corpus.writer import write
 from pytest_pafot.findings.finding import of_failure
@@ -129,6 +133,34 @@ def test_events_equal_those_a_listener_hears_except_runs(exploration, heard):
     assert {told.finding.id for told in heard if isinstance(told, Sighting) and told.is_first} == {
         finding.id for finding in exploration.findings
     }
+
+
+def test_a_search_whose_listener_raises_reports_what_it_has():
+    heard = []
+
+    def listen(event):
+        heard.append(event)
+        if isinstance(event, Evaluated):
+            raise RuntimeError
+
+    with pytest.raises(RuntimeError):
+        pafot.explore(constant_speed.make, holds=never_collides, seed=5, on_event=listen, **SHORT)
+    kinds = [type(event) for event in heard]
+    assert kinds.count(Evaluated) == 1
+    assert (kinds[-1], heard[-1].reason, heard[-1].runs) == (SearchSummary, "error", 1)
+
+
+def test_a_search_that_is_closed_keeps_the_findings_it_has(tmp_path):
+    given = {"ads": constant_speed.make, "world": None, "seed": 5, "corpus": str(tmp_path), **SHORT}
+    replays = explore.replays_of(explore.request_of(given), never_collides, "test_it.py::test_it", tmp_path)
+    with prepared(replays.harness) as parts:
+        watch = parts.watch("test_it.py::test_it", TimeLimit("", math.inf), progress_seconds=math.inf)
+        happens = SearchSession(watch=watch, replays=replays).run()
+        before = signal.getsignal(signal.SIGINT)
+        found = next(event for event in happens if isinstance(event, Sighting))
+        happens.close()
+    assert found.file.is_file()
+    assert signal.getsignal(signal.SIGINT) is before
 
 
 def test_few_frames_separate_search_loop_and_run():
