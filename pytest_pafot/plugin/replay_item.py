@@ -79,14 +79,14 @@ def run_replay(item: pytest.Function, request: Request, saved: Saved) -> None:
     if beyond:
         item.stash[NOT_ACCEPTED] = beyond
     nearby_only = "the saved scenario passes, but a neighbour of it fails in the same way" if label == NEARBY else ""
-    told = [note, nearby_only, _against(replays), f"worse: {worse}" if worse else ""]
-    told += replays.setting_changes(finding)
-    detail = "; ".join(filter(None, told))
+    notes = [note, nearby_only, _against(replays), f"worse: {worse}" if worse else ""]
+    notes += replays.setting_changes(finding)
+    detail = "; ".join(filter(None, notes))
     item.stash[REPLAYED] = ReplayResult(finding, label, run, verdict, note)
     if label in ("drifted", JUDGED_OTHERWISE, FLAKY):
         missed = unhandled(finding, run) if label == "drifted" and not verdict.failed else ""
-        told = [missed, replays.changes(finding, happened(finding, run, verdict.failure)), note]
-        detail = "; ".join(filter(None, told))
+        notes = [missed, replays.changes(finding, happened(finding, run, verdict.failure)), note]
+        detail = "; ".join(filter(None, notes))
     line = headline(run, verdict) if verdict.failed else ""
     sighting = _send(item, replays, saved, label, now, headline=line, detail=detail)
     item.stash[OF_ONE_RUN].show(run)  # the last call may have been for the reference
@@ -94,10 +94,10 @@ def run_replay(item: pytest.Function, request: Request, saved: Saved) -> None:
         item.stash[NEARBY_SHOWN] = nearby
     if finding.xfail is not None and not verdict.failed:
         _explain_pass(item, finding, sighting, path, is_accepted=replays.accepts(finding))
-    told = [] if nearby is None else _nearby_lines(item, nearby, path)
+    lines = [] if nearby is None else _nearby_lines(item, nearby, path)
     if beyond:
-        told.append(_beyond(finding, path, beyond))
-    _conclude(item, run, verdict, label, detail, told, is_strict=request.settings.strict_drift)
+        lines.append(_beyond(finding, path, beyond))
+    _conclude(item, run, verdict, label, detail, lines, is_strict=request.settings.strict_drift)
 
 
 def _beyond(finding: Finding, path: str, how: str) -> str:
@@ -161,10 +161,10 @@ def _conclude_lost(
     note = "; ".join(getattr(lost, "__notes__", ()))
     item.stash[REPLAYED] = ReplayResult(finding, facts.shows, None, None, note)
     label = facts.label
-    told = [_against(replays), *replays.setting_changes(finding)]
+    notes = [_against(replays), *replays.setting_changes(finding)]
     if label == "drifted":
-        told = [replays.changes(finding, f"the process {lost.how}")]
-    detail = "; ".join(filter(None, [note, *told]))
+        notes = [replays.changes(finding, f"the process {lost.how}")]
+    detail = "; ".join(filter(None, [note, *notes]))
     line = f"the process (pid {lost.pid}) that ran this scenario {lost.how}"
     _send(item, replays, saved, label, None, headline=line, detail=detail)
     lines = [f"replay: {label}{f', {detail}' if detail else ''}"]
@@ -252,18 +252,18 @@ def _conclude(
     verdict: Verdict,
     label: str,
     detail: str,
-    told: Sequence[str],
+    more: Sequence[str],
     *,
     is_strict: bool,
 ) -> None:
-    """Raise what the result of an item is; ``told`` are more lines for its section if it fails."""
+    """Raise what the result of an item is; ``more`` are more lines for its section if it fails."""
     __tracebackhide__ = True
     if verdict.failed and verdict.exception is not None:
         item.stash[SUMMARY] = ascii_text(headline(run, verdict))
         lines = [f"replay: {label}{f', {detail}' if detail else ''}"]
         if isinstance(verdict.exception, CheckFailed):  # any other exception has the test function's own message
             lines += explained(run, verdict.exception, item.config).splitlines()
-        lines += told
+        lines += more
         _add_section(item, lines)
         raise shown(verdict.exception)
     if verdict.kind == "skipped" and verdict.exception is not None:

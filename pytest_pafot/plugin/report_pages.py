@@ -114,14 +114,14 @@ class Pages:
             replays=[each for each in self._record.replays if self._targets.get(each.node_id) == path],
             requirements=self._requirements(draft),
         )
-        told = ["", ""]
+        lines = ["", ""]
         folder = path.parent if is_page_file(draft.target) else path
 
         def write() -> None:
-            told[:] = write_report(draft.target, path, report)
+            lines[:] = write_report(draft.target, path, report)
 
         problem = not_written(self._config, draft.target, folder, write)
-        return ("", f"{flag('report', draft.target)}: not written: {problem}") if problem else (told[0], told[1])
+        return ("", f"{flag('report', draft.target)}: not written: {problem}") if problem else (lines[0], lines[1])
 
     def _requirements(self, draft: Draft) -> list[tuple[Traced, int]]:
         """Return each requirement with its number of failures: findings, and tests that failed without one."""

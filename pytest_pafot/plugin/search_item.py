@@ -51,7 +51,7 @@ from pytest_pafot.plugin import messages, node_ids
 from pytest_pafot.plugin.collection import COLLECTED, is_search, policy_of
 from pytest_pafot.plugin.failure_reports import OUTPUT, SUMMARY, explained, is_compact, summarise
 from pytest_pafot.plugin.finding_message import is_on_page, send_sighting
-from pytest_pafot.plugin.item_followers import tell_followers, without_listener
+from pytest_pafot.plugin.item_followers import show_followers, without_listener
 from pytest_pafot.plugin.marks import EXECUTOR_FIXTURE, WORLD_FIXTURE, arguments_of
 from pytest_pafot.plugin.messages import OF_ONE_RUN, OfOneRun, of_findings, set_properties
 from pytest_pafot.plugin.option_sources import isolates_by_profile
@@ -355,7 +355,7 @@ class SearchMessages:
     item: pytest.Function
     settings: Settings
     table: Listener | None
-    told: dict[str, Sighting] = field(default_factory=dict)  # the findings so far, by id
+    sent: dict[str, Sighting] = field(default_factory=dict)  # the findings so far, by id, as they were last sent
     new: list[str] = field(default_factory=list)  # the ids of those that were reported when they were found
 
     def take(self, event: SearchEvent) -> None:
@@ -373,12 +373,12 @@ class SearchMessages:
         elif isinstance(event, Sighting):
             self._find(event)
         elif isinstance(event, SearchSummary):
-            found = of_findings(self.told.values())
+            found = of_findings(self.sent.values())
             set_properties(self.item.user_properties, **found)
-            for each in self.told.values():  # only now, because a finding is told again once it is shrunk
-                tell_followers(self.item, each.id, _call(each))
-            if self.told:  # otherwise they stay those of the last run
-                self.item.stash[OF_ONE_RUN].show(next(iter(self.told.values())).run)
+            for each in self.sent.values():  # only now, because a finding is sent again once it is shrunk
+                show_followers(self.item, each.id, _call(each))
+            if self.sent:  # otherwise they stay those of the last run
+                self.item.stash[OF_ONE_RUN].show(next(iter(self.sent.values())).run)
             finds = tuple(self._completed(each) for each in event.finds)
             summary = messages.packed(replace(event, finds=finds))
             page = {"target": self.settings.report} if is_on_page(self.item.config, self.settings) else {}
@@ -386,13 +386,13 @@ class SearchMessages:
 
     def _completed(self, sighting: Sighting) -> Sighting:
         """Return a finding of the summary with what its messages have added."""
-        sent = self.told.get(sighting.id, sighting)
+        sent = self.sent.get(sighting.id, sighting)
         return replace(sighting, sentences=sent.sentences, command=sent.command)
 
     def _find(self, sighting: Sighting) -> None:
         config = self.item.config
-        if sighting.label == NO_WORSE:  # it was told as new before, and gets no item
-            self.told.pop(sighting.id, None)
+        if sighting.label == NO_WORSE:  # it was sent as new before, and gets no item
+            self.sent.pop(sighting.id, None)
             send_sighting(self.item, self.settings, sighting, note=sighting.detail)
             return
         width = config.stash[SHARED].width
@@ -436,7 +436,7 @@ class SearchMessages:
         check = sighting.exception.check if isinstance(sighting.exception, CheckFailed) else None
         report = _report(self.item, sighting, section)
         sent = send_sighting(self.item, self.settings, sighting, check=check, report=report, whole=whole)
-        self.told[sighting.id] = sent
+        self.sent[sighting.id] = sent
 
 
 def _report(item: pytest.Item, sighting: Sighting, section: str) -> dict[str, Any]:

@@ -100,7 +100,7 @@ class Reporter:
         self._session: pytest.Session | None = None
         self._pending: dict[str, dict[str, tuple[dict[str, Any], Any, tuple[float, ...]]]] = {}
         self._expanded: set[str] = set()
-        self._worked_on: set[tuple[str, str]] = set()  # searches and findings whose simplification was told
+        self._worked_on: set[tuple[str, str]] = set()  # searches and findings whose simplification was shown
         self._lines = config.stash[SUMMARY_LINES]
 
     @pytest.hookimpl(wrapper=True)

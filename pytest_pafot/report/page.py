@@ -155,10 +155,10 @@ def further_section(findings: Sequence[FindingView], whole: int) -> str:
     )
     listed = table(columns("finding", "what happened", "file", "a page of it alone"), rows)
     count = plural(len(findings), "further finding")
-    told = f"This page shows the {whole} worst findings whole. The others follow, the worst first."
+    note = f"This page shows the {whole} worst findings whole. The others follow, the worst first."
     return (
         f'<section class="campaigns" id="further" aria-label="Further findings"><h2>{count}</h2>'
-        f'<p class="note">{told}</p><div class="scroll">{listed}</div></section>'
+        f'<p class="note">{note}</p><div class="scroll">{listed}</div></section>'
     )
 
 
@@ -167,8 +167,8 @@ def requirement_section(requirements: Sequence[tuple[Traced, int]]) -> str:
     if not requirements:
         return ""
     rows = (
-        row(text(told.ids), text(told.title), text(told.owner), text(plural(count, "failure") if count else "none"))
-        for told, count in requirements
+        row(text(named.ids), text(named.title), text(named.owner), text(plural(count, "failure") if count else "none"))
+        for named, count in requirements
     )
     listed = table(columns("requirement", "title", "owner", "open in this session"), rows)
     return (
@@ -341,8 +341,8 @@ def render_page(report: Report, *, embedded: bool = False) -> str:
     errors = "".join(
         f'<article class="error" role="alert"><h2>{text(node_id)}</h2>'
         f"<p>{ended.get(node_id, 'It failed, and no finding on this page shows why.')}</p>"
-        f"<pre>{text(told.strip())}</pre></article>"
-        for node_id, told in report.errors
+        f"<pre>{text(failure.strip())}</pre></article>"
+        for node_id, failure in report.errors
     )
     searches = "".join(search_article(each, index, is_open=is_open) for index, each in enumerate(report.searches))
     total = len(report.findings) + len(report.further)

@@ -286,8 +286,8 @@ class SessionRecord:
     @property
     def is_empty(self) -> bool:
         """True if nothing in the session concerned this plugin."""
-        told = (self.searches, self.findings, self.tests, self.compared, self.orphans, self.problems)
-        return not any(told)
+        parts = (self.searches, self.findings, self.tests, self.compared, self.orphans, self.problems)
+        return not any(parts)
 
     @property
     def failing(self) -> list[tuple[Traced, int]]:
@@ -385,12 +385,12 @@ def _lines(record: SessionRecord) -> Iterator[str]:
             for entry in sorted(group, key=_rank)[:MAX_LISTED]:
                 yield from _finding_lines(entry)
             yield from ([f"- ... and {len(group) - MAX_LISTED} more"] if len(group) > MAX_LISTED else [])
-    told = [
+    requirements = [
         f"{code(named.ids)}{f' {plain(named.title)}' if named.title else ''}"
         f"{f' ({plain(named.owner)})' if named.owner else ''}: {plural(count, 'failure') if count else 'no failure'}"
         for named, count in sorted(record.failing, key=lambda each: (-each[1], each[0].ids))
     ]
-    yield from _listed("Requirements", told)
+    yield from _listed("Requirements", requirements)
     failed = [each for each in record.searches if each.result in FAILED]
     faulty = [each for each in failed if not (each.finds or each.unsaved)]  # their new findings did not make them fail
     yield from _listed("Searches that failed", [f"{code(each.node_id)}: {plain(each.message)}" for each in faulty])
@@ -414,8 +414,8 @@ def _search_lines(record: SessionRecord) -> Iterator[str]:
     against = ", ".join(code(name) for name in dict.fromkeys(search.against for search in ran) if name)
     if against:
         yield f"A run counts as a failure only if {against} passes it."
-    for told in dict.fromkeys(plain(search.compared) for search in ran if search.compared):
-        yield f"{told[0].upper()}{told[1:]}."
+    for compared in dict.fromkeys(plain(search.compared) for search in ran if search.compared):
+        yield f"{compared[0].upper()}{compared[1:]}."
 
 
 def _rank(entry: Mapping[str, Any]) -> tuple[Any, ...]:

@@ -264,13 +264,13 @@ def finding_view(
     sentences = () if trace is None else expect.sentences_on(Run(trace))
     explanation = "" if trace is None else _explanation(expect.known_of(Run(trace)), sentences)
     first, _, rest = explanation.partition("\n")
-    told = [(rest if check is None else explanation) or expect.message, *simplified_lines(finding)]
+    lines = [(rest if check is None else explanation) or expect.message, *simplified_lines(finding)]
     view = FindingView(
         id=finding.id,
         node_id=node_id,
         test=finding.test,
         headline=headline or first or expect.message or expect.failure,
-        explanation="\n".join(filter(None, [*told, *effort_lines(finding)])),
+        explanation="\n".join(filter(None, [*lines, *effort_lines(finding)])),
         sentences=sentences,
         assertion=_assertion(expect),
         responsibility=expect.responsibility,
@@ -470,7 +470,7 @@ def _instructions(trace: Trace | None, scenario: Scenario) -> tuple[InstructionV
     views: list[InstructionView] = []
     for npc, chain in enumerate(wanted.npcs):
         begun = arrivals[npc] if npc < len(arrivals) else ()
-        for gene, (requested, told) in enumerate(zip(chain, driven[npc], strict=False)):
+        for gene, (requested, followed) in enumerate(zip(chain, driven[npc], strict=False)):
             if isinstance(requested, Manoeuvre):
                 views += _steps(trace, npc, requested, [each for each in missed if each.npc == npc])
                 continue
@@ -481,19 +481,22 @@ def _instructions(trace: Trace | None, scenario: Scenario) -> tuple[InstructionV
                 start=round(gene * wanted.gene_seconds, 3),
                 end=round((gene + 1) * wanted.gene_seconds, 3),
                 requested=int(requested.cell) if isinstance(requested, PositionInstruction) else 0,
-                cell=int(told.cell) if isinstance(told, PositionInstruction) else 0,
-                speed=told.speed,
+                cell=int(followed.cell) if isinstance(followed, PositionInstruction) else 0,
+                speed=followed.speed,
                 started=gene < len(begun),
                 arrived=None if tick is None else round(tick / hz, 3),
             )
-            if isinstance(requested, LaneInstruction) and isinstance(told, LaneInstruction):
-                words = told.goal if trace is None else lane_text(trace, npc, gene)
-                words += "" if told == requested else f" (requested {requested.goal})"
-                view = replace(view, lane=told.lane, words=words)
-            if isinstance(told, CrossingInstruction):
-                slot, words = f"{told.slot:+g} s" if told.slot else "together", crossing_text(told, zones[npc])
+            if isinstance(requested, LaneInstruction) and isinstance(followed, LaneInstruction):
+                words = followed.goal if trace is None else lane_text(trace, npc, gene)
+                words += "" if followed == requested else f" (requested {requested.goal})"
+                view = replace(view, lane=followed.lane, words=words)
+            if isinstance(followed, CrossingInstruction):
+                slot, words = (
+                    f"{followed.slot:+g} s" if followed.slot else "together",
+                    crossing_text(followed, zones[npc]),
+                )
                 end = view.end if trace is None else max(view.end, trace.duration)  # it lasts for the whole run
-                view = replace(view, zone=told.zone, slot=slot, words=words, end=round(end, 3))
+                view = replace(view, zone=followed.zone, slot=slot, words=words, end=round(end, 3))
             views.append(view)
     return tuple(views)
 
