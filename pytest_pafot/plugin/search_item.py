@@ -371,7 +371,7 @@ class SearchMessages:
         elif isinstance(event, Progress):
             messages.send(self.item, "progress", asdict(event))
         elif isinstance(event, Sighting):
-            self._find(event)
+            self._send(event)
         elif isinstance(event, SearchSummary):
             found = of_findings(self.sent.values())
             set_properties(self.item.user_properties, **found)
@@ -389,12 +389,13 @@ class SearchMessages:
         sent = self.sent.get(sighting.id, sighting)
         return replace(sighting, sentences=sent.sentences, command=sent.command)
 
-    def _find(self, sighting: Sighting) -> None:
+    def _send(self, sighting: Sighting) -> None:
         config = self.item.config
         if sighting.label == NO_WORSE:  # it was sent as new before, and gets no item
             self.sent.pop(sighting.id, None)
             send_sighting(self.item, self.settings, sighting, note=sighting.detail)
             return
+        self.sent[sighting.id] = sighting  # even if an interrupt ends what follows
         width = config.stash[SHARED].width
         explanation = "" if sighting.run is None else explained(sighting.run, sighting.exception, config)
         details = (
@@ -435,8 +436,9 @@ class SearchMessages:
         self.new.extend([sighting.id] if sighting.is_first else [])
         check = sighting.exception.check if isinstance(sighting.exception, CheckFailed) else None
         report = _report(self.item, sighting, section)
-        sent = send_sighting(self.item, self.settings, sighting, check=check, report=report, whole=whole)
-        self.sent[sighting.id] = sent
+        self.sent[sighting.id] = send_sighting(
+            self.item, self.settings, sighting, check=check, report=report, whole=whole
+        )
 
 
 def _report(item: pytest.Item, sighting: Sighting, section: str) -> dict[str, Any]:

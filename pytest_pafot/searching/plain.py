@@ -108,15 +108,6 @@ def _read(kind: Any, data: Any) -> Any:
             raise  # it is a ValueError, and already says what is wrong
         except (TypeError, ValueError):
             raise _refuse("a scenario: chains, seed, lane, speed and duration", data) from None
-    if hasattr(kind, "fromisoformat"):
-        try:
-            return kind.fromisoformat(data)
-        except (TypeError, ValueError):
-            raise _refuse("a day, such as 2026-11-20", data) from None
-    if kind == _PLAIN_ALREADY:
-        if type(data) is not dict:
-            raise _refuse("a mapping", data)
-        return data
     if kind is Hashable:  # a kind of failure, which is stored as its signature
         kind = Signature
     origin, inner = get_origin(kind), get_args(kind)
@@ -134,6 +125,16 @@ def _read(kind: Any, data: Any) -> Any:
         if type(data) not in (str, int) or data not in known:
             raise _refuse(f"one of {', '.join(map(str, known))}", data)
         return kind(data) if is_enum else data
+
+    if hasattr(kind, "fromisoformat"):
+        try:
+            return kind.fromisoformat(data)
+        except (TypeError, ValueError):
+            raise _refuse("a day, such as 2026-11-20", data) from None
+    if kind == _PLAIN_ALREADY:
+        if type(data) is not dict:
+            raise _refuse("a mapping", data)
+        return data
 
     # All others are lists: with a value for each field of a dataclass or each type of a tuple, or any number of values.
     names = _hints(kind) if isinstance(kind, type) and is_dataclass(kind) else None
