@@ -182,14 +182,14 @@ def _compare(item: pytest.Item, harness: Harness) -> None:
     Raises:
         AgainstError: if the policy of a revision cannot be driven, or git fails.
     """
-    found, against = _revision_of(item, harness.request), harness.against
+    revision, against = _revision_of(item, harness.request), harness.against
     lines, same = list[str](), ""
     if not harness.request.settings.is_search:
         return
-    if found is not None:
+    if revision is not None:
         scenario = sample(build_space(harness.request, harness.world), np.random.default_rng(0))
         try:
-            lines, same = opened(REFERENCES).compared(found, harness.world, scenario)
+            lines, same = opened(REFERENCES).compared(revision, harness.world, scenario)
         except RevisionError as error:
             raise AgainstError(str(error)) from None
     elif against is not None:
@@ -373,8 +373,7 @@ class SearchMessages:
         elif isinstance(event, Sighting):
             self._send(event)
         elif isinstance(event, SearchSummary):
-            found = of_findings(self.sent.values())
-            set_properties(self.item.user_properties, **found)
+            set_properties(self.item.user_properties, **of_findings(self.sent.values()))
             for each in self.sent.values():  # only now, because a finding is sent again once it is shrunk
                 show_followers(self.item, each.id, _call(each))
             if self.sent:  # otherwise they stay those of the last run
