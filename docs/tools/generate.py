@@ -55,7 +55,7 @@ from pytest_pafot.model.trace import Collision, Outcome
 from pytest_pafot.oracle.checks import check
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.plugin import fixtures
-from pytest_pafot.report.session_record import FindingRecord, ItemRecord, OrphanRecord, SessionRecord
+from pytest_pafot.report.session_record import FINDING, ItemRecord, OrphanRecord, SessionRecord
 from pytest_pafot.searching.fitness import Weights
 from pytest_pafot.searching.space import SearchSpace
 from pytest_pafot.world import (
@@ -179,7 +179,7 @@ def sections() -> dict[str, str]:
         "item-record": _record_table(ItemRecord),
         "orphan-record": _record_table(OrphanRecord),
         "search-record": _record_table(SearchSummary),
-        "finding-record": _record_table(FindingRecord),
+        "finding-record": _table(["Key", "Meaning"], [[_code(k), _capital(key.meaning)] for k, key in FINDING.items()]),
         "marker": _marker_table(),
         "fixtures": _fixtures_table(),
         "run": _properties_table(Run),

@@ -4,22 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Generator, Iterable, Mapping
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import Any, NamedTuple, Self, TypeVar
 
 from pytest_pafot.campaign.verdict import Verdict
 from pytest_pafot.corpus.layout import SEARCH_PART, name_without
-from pytest_pafot.findings.decisions import Answers, Moment
-from pytest_pafot.findings.failure_rate import FailureRate
-from pytest_pafot.findings.finding import Finding
-from pytest_pafot.findings.neighbours import Breadth
-from pytest_pafot.findings.severity import Severity
+from pytest_pafot.findings.sighting import ELSEWHERE, PASSING, Sighting
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.searching.events import Event
 from pytest_pafot.support.errors import flag
 from pytest_pafot.support.proportions import hits_more
-from pytest_pafot.support.text import ascii_text, plural
+from pytest_pafot.support.text import plural
 
 # Reports of a search: its progress, each new finding, and its summary.
 #
@@ -45,142 +40,8 @@ class Progress:
     of: str = ""  # the id of the finding that this work is about
 
 
-NEW = "new"
-"""The label of a finding that was not known before this session."""
-
-ELSEWHERE = "still failing elsewhere"
-"""The label of a replay that passes while the search of its test finds the same failure in other scenarios."""
-
-PASSING = ("fixed", "fixed before", ELSEWHERE)
-"""The labels of replays that pass with the situation of the failure."""
-
-PASSES = "passes"
-"""The result of a replay with the label ``fixed`` that no search confirms, see :attr:`Find.result`."""
-
-NO_WORSE = "no worse"
-"""The label of a new finding that does not speak against a policy, since the reference fails as often elsewhere."""
-
 DONE, ALL_RUN = "all generations done", "all runs done"
 """The reasons for which a search ends that ran to its end."""
-
-
-def passing(neighbours: int, searched: int) -> str:
-    """Say what passes: a saved scenario, a number of its neighbours, and a number of runs of the search of its test."""
-    others = f", and so {'does' if neighbours == 1 else 'do'} {plural(neighbours, 'neighbour')}" if neighbours else ""
-    runs = f"; no such failure in {plural(searched, 'run')} of the search" if searched else ""
-    return f"{PASSES}{others}{runs}"
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Find:
-    """A finding as this session saw it, new or replayed: all that the controller needs for terminal and summary.
-
-    Attributes:
-        id: name of its file without the suffix.
-        node_id: node id of the item that replays it, in this session or, if it is new, from the next one on.
-        test: node id of the test of a replayed one, as it is in this session.
-        signature: text of the signature of a replayed one, as its file says.
-        label: ``new``, or ``no worse`` if it is new and does not count in a comparison; of a replay ``fixed``, ``still
-            failing``, ``still failing, nearby``, ``drifted``, ``flaky``; in a comparison with a reference also
-            ``introduced``, ``common`` or ``fixed before``. The search of the test may make it ``still failing
-            elsewhere``, see :func:`concluded`.
-        headline: how the run failed; empty if it passes.
-        path: path of its file; empty if a new finding has none.
-        detail: why a new finding has no file or does not count, or what differs from the file of a replayed one; may be
-            empty.
-        difference: what differed when the scenario of a new finding was run again; empty if nothing did.
-        rate: a sentence on how often a policy fails that draws random numbers; empty for any other.
-        rate_now: how often it fails in a replay; None for a new finding, and without a rate.
-        is_timed: True if the failure depends on wall-clock time.
-        unshrunk: why a new finding is not yet fully shrunk; empty if it is.
-        breadth: how many neighbours of a new finding fail in the same way; None if that was not examined.
-        answers: how many decisions depend on the vehicle of a new finding; None if that was not examined.
-        moment: the last decision that could have avoided it; None if that was not examined, or none is known.
-        neighbours: number of neighbours of a replayed scenario that were driven and pass.
-        searched: number of runs of the search of its test that found no such failure, if a replay passes and that
-            search ran to its end in this session; otherwise 0.
-        elsewhere: id of the finding that this search shows and that fails as the file says; empty if there is none.
-        severity: severity of the failure; None if it passes, nothing measures it, or there is no run.
-        severity_before: severity with the reference of a replay; None if there is none.
-        responsible: who is responsible for the collision, as in its file.
-        repeats: number of other runs of the search that failed in the same way.
-        against: the reference that a replay is compared with; empty without one.
-        is_accepted: True if the file of a replay accepts its failure.
-        may_pass: True if the failure is accepted as flaky, so that its scenario may pass as well.
-    """
-
-    id: str
-    node_id: str
-    test: str = ""
-    signature: str = ""
-    label: str = NEW
-    headline: str = ""
-    path: str = ""
-    detail: str = ""
-    difference: str = ""
-    rate: str = ""
-    rate_now: FailureRate | None = None
-    is_timed: bool = False
-    unshrunk: str = ""
-    breadth: Breadth | None = None
-    answers: Answers | None = None
-    moment: Moment | None = None
-    neighbours: int = 0
-    searched: int = 0
-    elsewhere: str = ""
-    severity: Severity | None = None
-    severity_before: Severity | None = None
-    responsible: str = "none"
-    repeats: int = 0
-    against: str = ""
-    is_accepted: bool = False
-    may_pass: bool = False
-
-    @property
-    def is_flaky(self) -> bool:
-        """True if running the scenario again gave a different run."""
-        return bool(self.difference)
-
-    @property
-    def result(self) -> str:
-        """The label, but ``passes`` if no search of the session confirms that the failure is fixed.
-
-        With a reference the label compares two policies in one scenario, so no search has to confirm it.
-        """
-        return PASSES if self.label == "fixed" and not (self.searched or self.against) else self.label
-
-    @property
-    def heading(self) -> str:
-        """The result of a replay in a few words that claim no more than what was driven."""
-        if self.result == PASSES:
-            return self.driven
-        return f"{self.label}: {self.elsewhere}" if self.elsewhere else self.label
-
-    @property
-    def driven(self) -> str:
-        """The runs of a replay that passes, and of the search of its test; empty for any other replay."""
-        return passing(self.neighbours, self.searched) if self.label in PASSING else ""
-
-    @property
-    def remark(self) -> str:
-        """Remarks on the finding, such as that it is flaky, or how broad it is; empty if there are none."""
-        flaky = f"flaky: {self.difference}" if self.is_flaky else ""
-        timed = "depends on wall-clock time" if self.is_timed else ""
-        breadth = "" if self.breadth is None else str(self.breadth)
-        return "; ".join(filter(None, [flaky, self.rate, timed, self.unshrunk, breadth]))
-
-    @property
-    def on_decisions(self) -> list[str]:
-        """The lines on the policy's decisions, each with a title of ten letters at most, or indented below one."""
-        told = [f"answers    {self.answers}"] if self.answers is not None else []
-        if self.moment is not None:
-            told += [f"moment     {self.moment}", *(f"  {each}" for each in self.moment.conditions)]
-        return told
-
-    @property
-    def summary(self) -> str:
-        """The headline of the finding in one line, with its remarks."""
-        return ascii_text(f"{self.headline} ({self.remark})" if self.remark else self.headline)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -222,7 +83,9 @@ class Paired:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SearchSummary:
-    """A search at its end, or one that could not begin because its item failed; programs read all of it but the last.
+    """A search at its end, or one that could not begin because its item failed.
+
+    Programs read what is described here, pages and the terminal also the last fields.
 
     Attributes:
         node_id: node id of its item.
@@ -298,7 +161,7 @@ class SearchSummary:
     skipped: int = 0
     no_interaction: int = 0
     reached: float | None = None
-    finds: tuple[Find, ...] = ()
+    finds: tuple[Sighting, ...] = ()
     unsaved: Mapping[str, int] = field(default_factory=dict)
     known: Mapping[str, int] = field(default_factory=dict)
     unlike: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
@@ -317,6 +180,9 @@ class SearchSummary:
     requirements: tuple[str, ...] = ()  # these three are known only to the controller
     title: str = ""
     owner: str = ""
+    # for the page alone: numbers of runs of this session by outcome, and by who was responsible
+    outcomes: Mapping[str, int] = field(default_factory=dict)
+    responsibilities: Mapping[str, int] = field(default_factory=dict)
     # for the terminal alone, because they differ between machines and numbers of workers
     seconds: float = 0.0
     process_notes: tuple[str, ...] = ()  # how many processes were used, and which died
@@ -356,18 +222,18 @@ def by_test(searches: Iterable[SearchSummary]) -> dict[str, SearchSummary]:
     return {name_without(SEARCH_PART, search.node_id): search for search in searches}
 
 
-def concluded(find: Find, searches: Mapping[str, SearchSummary]) -> Find:
+def concluded(replay: Sighting, searches: Mapping[str, SearchSummary]) -> Sighting:
     """Return a replay with what the search of its test says about it, which another process may have run.
 
     A replay that passes is ``still failing elsewhere`` if the search found the same failure. ``searches`` are the
     searches of this session by node id of their tests.
     """
-    search = searches.get(find.test)
-    if search is None or find.label not in PASSING:
-        return find
-    if elsewhere := search.failures.get(find.signature, ""):
-        return replace(find, label=ELSEWHERE, elsewhere=elsewhere)
-    return replace(find, searched=search.tested)
+    search = searches.get(replay.test)
+    if search is None or replay.label not in PASSING:
+        return replay
+    if elsewhere := search.failures.get(replay.finding.signature.text, ""):
+        return replace(replay, label=ELSEWHERE, elsewhere=elsewhere)
+    return replace(replay, searched=search.tested)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -377,14 +243,10 @@ class SearchStarted:
     Attributes:
         node_id: the node id of its item.
         seed: the seed of the search.
-        speed_limit: the highest target speed in its world [m/s].
-        acts_in_si: whether the ADS acts in SI units, and not by the actions of an environment.
     """
 
     node_id: str
     seed: int
-    speed_limit: float
-    acts_in_si: bool = True
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -418,40 +280,7 @@ class Judged:
         return self.known_responsibility if self.run is None else self.run.responsibility
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class FindTold:
-    """The event of a new finding. It may be sent again with more details; only the last event of a finding is valid."""
-
-    finding: Finding
-    find: Find
-    origin: str  # one line on how it was found
-    exception: BaseException
-    run: Run | None = None  # the run of the scenario in the file; None if its process died or hung
-    file: Path | None = None
-    content: str = ""  # the content of a file that could not be written, or empty
-    number: int = 0  # the number of its run in the search, from 1; 0 if the search did not run it
-    is_new: bool = True  # True if it is reported for the first time
-
-    @property
-    def is_firm(self) -> bool:
-        """True if its scenario is expected to give the same run each time."""
-        return not (self.find.is_flaky or self.find.is_timed or self.finding.expect.is_crash)
-
-    @property
-    def is_random(self) -> bool:
-        """True if the policy draws random numbers, so that the finding has a rate: its runs differ, or have drawn.
-
-        If it is flaky for another reason, the same seed gives the same run here, and no rate can be measured.
-        """
-        is_other = self.find.difference.startswith((NOT_REPEATED, ENDED_OTHERWISE))
-        has_drawn = self.run is not None and (is_other or (self.run.trace.drew and not self.find.is_flaky))
-        return (self.finding.rate is not None or has_drawn) and not self.find.is_timed
-
-
-NOT_REPEATED, ENDED_OTHERWISE = "running it again gave a different run", "a later run of it ended differently"
-"""How the difference begins of a policy that drives the same scenario in different ways."""
-
-SearchEvent = SearchStarted | Judged | FindTold | Progress | SearchSummary | Event
+SearchEvent = SearchStarted | Judged | Sighting | Progress | SearchSummary | Event
 
 Listener = Callable[[SearchEvent], None]
 """A function that receives the events of a search, one by one in their order."""

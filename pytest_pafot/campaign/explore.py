@@ -19,13 +19,13 @@ from types import MappingProxyType
 from typing import Any, ClassVar, NoReturn
 
 from pytest_pafot.campaign import run_table
-from pytest_pafot.campaign.events import FindTold, Judged, Listener, SearchEvent, SearchSummary
+from pytest_pafot.campaign.events import Judged, Listener, SearchEvent, SearchSummary
 from pytest_pafot.campaign.harness import Harness, reference_of
 from pytest_pafot.campaign.options import BY_NAME, LOCAL, OPTIONS, PROFILES, Settings
 from pytest_pafot.campaign.replays import Replayed, Replays
 from pytest_pafot.campaign.request import Request, SearchArguments, build_world, check_names, checked_request
 from pytest_pafot.campaign.run_table import RunTable
-from pytest_pafot.campaign.search_session import SearchSession, prepared
+from pytest_pafot.campaign.search_session import Events, SearchSession, prepared
 from pytest_pafot.campaign.state import check_states
 from pytest_pafot.campaign.tallies import Tally
 from pytest_pafot.campaign.verdict import Verdict, judge, source_file
@@ -34,6 +34,7 @@ from pytest_pafot.corpus.layout import folder_of_test, link_below
 from pytest_pafot.corpus.saved import Saved, refusal
 from pytest_pafot.execution.runner import runner_here
 from pytest_pafot.findings.finding import Finding, ads_failure, event_of, of_failure
+from pytest_pafot.findings.sighting import Sighting
 from pytest_pafot.findings.signature import Failure
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.oracle.run import Run
@@ -79,9 +80,9 @@ class Exploration(Shown):
         return tuple(_unpacked(self.seen))
 
     @property
-    def told(self) -> tuple[FindTold, ...]:
+    def sightings(self) -> tuple[Sighting, ...]:
         """The last event of each finding, in the order of discovery, with the finding's run, exception and headline."""
-        last = {event.finding.id: event for event in self.seen if isinstance(event, FindTold)}
+        last = {event.finding.id: event for event in self.seen if isinstance(event, Sighting)}
         return tuple(last[finding.id] for finding in self.findings)
 
 
@@ -153,24 +154,21 @@ def explore(
     events: list[SearchEvent] = []
     table = RunTable()
 
-    def listen(event: SearchEvent) -> None:
-        table.see(event)
-        if not isinstance(event, Judged):  # its trace is large: all of them would fill the memory
-            events.append(event)
-        if on_event is not None:
-            on_event(event)
-
     with tempfile.TemporaryDirectory(prefix="pafot-") as scratch:
         replays = replays_of(request, holds, name, Path(scratch), executor, needs_only_run=on_event is None)
         now = time.monotonic()
         with prepared(replays.harness, has_table=True) as parts:
             limit = time_limit(request.settings, now=now, began=now, left=1)
-            session = SearchSession(
-                watch=parts.watch(name, limit, progress_seconds=0.5),
-                replays=replays,
-                listener=listen,
-            )
-            result = session.run()
+            session = SearchSession(watch=parts.watch(name, limit, progress_seconds=0.5), replays=replays)
+            happens = Events(session.run())
+            for event in happens:
+                with happens:
+                    table.see(event)
+                    if not isinstance(event, Judged):  # its trace is large: all of them would fill the memory
+                        events.append(event)
+                    if on_event is not None:
+                        on_event(event)
+    result = happens.result
     if result.fault is not None:
         raise result.fault
     findings = tuple(

@@ -6,7 +6,7 @@ import math
 from collections.abc import Generator
 from dataclasses import dataclass, replace
 
-from pytest_pafot.campaign.events import Find, FindTold, Note, Phase
+from pytest_pafot.campaign.events import Note, Phase
 from pytest_pafot.campaign.refine.steps import refine
 from pytest_pafot.campaign.search_session import Prepared
 from pytest_pafot.campaign.store import UNCONFIRMED
@@ -14,6 +14,7 @@ from pytest_pafot.campaign.verdict import headline
 from pytest_pafot.corpus.saved import Saved
 from pytest_pafot.findings.finding import Finding, Perceived, ending, of_failure
 from pytest_pafot.findings.shrink import Shrunk, size_of, sort_key
+from pytest_pafot.findings.sighting import Sighting
 from pytest_pafot.support.text import plural
 
 
@@ -70,12 +71,16 @@ def shrink_saved(
         neighbours=None,
     )
     # What a search knows of a finding that it has just confirmed. Without a file, nothing is written on the way.
-    find = Find(
-        id=saved.id, node_id=harness.saved_node_id(saved.id), path=path, unshrunk=UNCONFIRMED, severity=verdict.severity
-    )
     store.is_holding = False
-    store.findings[saved.id] = FindTold(
-        finding=start, find=find, origin="", exception=verdict.exception, run=run, is_new=False
+    store.findings[saved.id] = Sighting(
+        finding=start,
+        node_id=harness.saved_node_id(saved.id),
+        path=path,
+        unshrunk=UNCONFIRMED,
+        severity=verdict.severity,
+        exception=verdict.exception,
+        run=run,
+        is_first=False,
     )
     state.finds[of_failure(run, failure)] = saved.id
     notes = list[str]()
@@ -84,17 +89,17 @@ def shrink_saved(
             yield event
         elif isinstance(event, Note) and event.text not in notes:
             notes.append(event.text)
-    kept = store.findings[saved.id]
-    notes += (f"found saved-{id_}: {each.find.headline}" for id_, each in store.findings.items() if each is not kept)
-    later = _compared(before, kept, state.shrink_runs)
-    if kept.find.is_flaky:
-        later = Later(told=f"it is flaky: {kept.find.difference}", is_refused=True)
+    sighting = store.findings[saved.id]
+    notes += (f"found saved-{id_}: {each.headline}" for id_, each in store.findings.items() if each is not sighting)
+    later = _compared(before, sighting, state.shrink_runs)
+    if sighting.is_flaky:
+        later = Later(told=f"it is flaky: {sighting.difference}", is_refused=True)
     yield replace(later, notes=tuple(notes))
 
 
-def _compared(before: Finding, kept: FindTold, runs: int) -> Later:
+def _compared(before: Finding, sighting: Sighting, runs: int) -> Later:
     """Return the simpler version of a finding with the words for it, or that there is none after so many runs."""
-    now, more = kept.finding, f" ({kept.find.unshrunk.partition(': ')[2]})" if kept.find.unshrunk else ""
+    now, more = sighting.finding, f" ({sighting.unshrunk.partition(': ')[2]})" if sighting.unshrunk else ""
     if not sort_key(now.scenario) < sort_key(before.scenario):
         return Later(told=f"nothing simpler was found in {plural(runs, 'run')}{more}")
     sizes = [size_of(each.scenario, each.longest_run) for each in (before, now)]

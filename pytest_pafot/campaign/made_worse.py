@@ -12,11 +12,12 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from itertools import islice
 
-from pytest_pafot.campaign.events import FindTold, Paired, Phase, Refining, SearchEvent
+from pytest_pafot.campaign.events import Paired, Phase, Refining, SearchEvent
 from pytest_pafot.campaign.state import State, lose
 from pytest_pafot.campaign.store import Store
 from pytest_pafot.campaign.workers import Workers
 from pytest_pafot.execution.pool import ProcessLostError
+from pytest_pafot.findings.sighting import Sighting
 from pytest_pafot.findings.signature import SLOW_DECISION
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Outcome
@@ -83,8 +84,10 @@ class MadeWorse:
     def conclude(self) -> Iterator[SearchEvent]:
         """Dismiss findings that are not broad, if the random scenarios hardly tell the two policies apart."""
         if self.paired.is_worse is None and not self.paired.is_cut:
-            found = ((kept, kept.find.breadth) for kept in self.store.findings.values())
-            yield from self._dismiss(kept for kept, breadth in found if breadth is not None and breadth.word != "broad")
+            breadths = ((sighting, sighting.breadth) for sighting in self.store.findings.values())
+            yield from self._dismiss(
+                each for each, breadth in breadths if breadth is not None and breadth.word != "broad"
+            )
 
     def _fail(self, scenario: Scenario) -> Generator[SearchEvent, None, tuple[bool, bool]]:
         """Return whether only the new policy fails in a scenario, and whether only the reference does."""
@@ -102,14 +105,14 @@ class MadeWorse:
         workers.record.clear()
         return False, reference.failed
 
-    def _dismiss(self, finds: Iterable[FindTold]) -> Iterator[SearchEvent]:
+    def _dismiss(self, sightings: Iterable[Sighting]) -> Iterator[SearchEvent]:
         """Take findings back, unless the policy itself raised, hung or was slow: that is no question of how often."""
         state, harness = self.state, self.workers.harness
         way_out = f"a search without {harness.request.option('against')} counts what it finds, and saves it"
         told = f"fails elsewhere, no worse than {harness.against_name}: {self.paired}; {way_out}"
-        for kept in list(finds):
-            expect = kept.finding.expect
+        for sighting in list(sightings):
+            expect = sighting.finding.expect
             if expect.outcome not in (Outcome.ADS_ERROR, Outcome.HANG) and expect.failure != SLOW_DECISION:
-                yield from self.store.dismiss(kept, told)
+                yield from self.store.dismiss(sighting, told)
         # A later session that finds one again decides again.
         state.finds = {signature: id_ for signature, id_ in state.finds.items() if id_ not in self.store.dismissed}

@@ -146,20 +146,20 @@ def saved_as(
 
     The numbers are as in :meth:`Store.add`.
     """
-    kept = store.add(run, verdict, generation, number)
-    if isinstance(kept, str):
-        return kept
+    sighting = store.add(run, verdict, generation, number)
+    if isinstance(sighting, str):
+        return sighting
     # It is saved before it is confirmed, so that nothing is lost if the session dies in the second run.
     if not verdict.is_timed:
-        yield from watch.confirms(kept.find.id)
+        yield from watch.confirms(sighting.id)
         try:
             if differs := workers.difference(run):
-                kept = store.call_flaky(kept, differs)
+                sighting = store.call_flaky(sighting, differs)
         except OutOfTime:
-            kept = store.call_unconfirmed(kept)
+            sighting = store.call_unconfirmed(sighting)
     if not store.is_holding:
-        yield from store.report(kept)
-    return kept.find.id
+        yield from store.report(sighting)
+    return sighting.id
 
 
 def _released(state: State, store: Store) -> Iterator[SearchEvent]:

@@ -7,11 +7,12 @@ from __future__ import annotations
 
 import hashlib
 import time
+from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -19,8 +20,6 @@ from pytest_pafot.campaign.beginnings import begun_with
 from pytest_pafot.campaign.events import (
     ALL_RUN,
     DONE,
-    FindTold,
-    Listener,
     Note,
     Phase,
     SearchEvent,
@@ -48,6 +47,7 @@ from pytest_pafot.execution.crash_records import Leftover
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.execution.runner import Retried, must_stay_here, retry, runner_for
 from pytest_pafot.findings.finding import Manner, of_failure
+from pytest_pafot.findings.sighting import Sighting
 from pytest_pafot.model.sight import Sight
 from pytest_pafot.searching.ask_tell import Algorithm, ResumableSearch
 from pytest_pafot.searching.fitness import FitnessError, Steered, is_built_in, resolve
@@ -88,12 +88,49 @@ class SearchResult:
     """The result of a search."""
 
     summary: SearchSummary
-    findings: tuple[FindTold, ...]
+    findings: tuple[Sighting, ...]
     count: int  # number of distinct new findings, saved or only counted
     first: BaseException | None  # the exception of the first finding; None without one
     fault: BaseException | None  # a fault of the set-up, as the exception to raise instead of findings
     skip: BaseException | None  # the last skip, if the function skipped every run
     is_vacuous: bool  # True if nothing was tested, or if a broken reference prevented every failure from counting
+
+
+class Events:
+    """The events of a search, for a consumer that may fail: ``for event in events:`` and in it ``with events: ...``.
+
+    What is raised in the context is raised in the search, which ends by it and still reports what it has.
+
+    Attributes:
+        result: the result of the search, after its last event.
+    """
+
+    result: SearchResult
+
+    def __init__(self, happens: Generator[SearchEvent, None, SearchResult]) -> None:
+        self._happens = happens
+        self._error: BaseException | None = None
+
+    def __iter__(self) -> Self:
+        return self
+
+    def __next__(self) -> SearchEvent:
+        __tracebackhide__ = True
+        error, self._error = self._error, None
+        try:
+            return next(self._happens) if error is None else self._happens.throw(error)
+        except StopIteration as end:
+            self.result = end.value
+            raise
+        finally:
+            del error  # whose traceback has this frame
+
+    def __enter__(self) -> None:
+        pass
+
+    def __exit__(self, kind: object, error: BaseException | None, place: object) -> bool:
+        self._error = error
+        return True
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -220,7 +257,6 @@ class SearchSession:
 
     watch: TimedWatch
     replays: Replays
-    listener: Listener  # receives all events, in their order
     shrinks_later: bool = False  # True if the command ``corpus shrink`` can shrink its findings, which needs the test
     driver_notes: list[str] = field(default_factory=list)  # notes on drivers of the world that failed
     process_notes: list[str] = field(default_factory=list)  # notes on processes for the summary
@@ -257,52 +293,53 @@ class SearchSession:
         """The reasons for an end that leave enough runs to warn of their health."""
         return DONE, ALL_RUN, self.limit.flag
 
-    def _send(self, happened: Iterable[SearchEvent | Phase | Note]) -> None:
+    def _events(self, happened: Iterable[SearchEvent | Phase | Note]) -> Iterator[SearchEvent]:
+        """Yield the events among what happens.
+
+        What the consumer raises must not reach the part of the search that yields, which may take it for an error of
+        the user's world. That part is closed at once, or it would hold back interrupts from then on.
+        """
         try:
             for event in happened:
                 match event:
                     case Phase():
-                        self._send(self.watch.progress(*event))
+                        yield from self.watch.progress(*event)
                     case Note():  # such as on a driver that no finding can be tried with
                         if event.text not in self.driver_notes:
                             self.driver_notes.append(event.text)
                     case _:
-                        self.listener(event)
+                        yield event
         finally:
-            if isinstance(happened, Generator):  # If the listener raised, it would hold back interrupts from then on.
+            if isinstance(happened, Generator):
                 happened.close()
 
-    def run(self) -> SearchResult:
-        """Replay saved scenarios, search, simplify the findings, and report a summary.
+    def run(self) -> Generator[SearchEvent, None, SearchResult]:
+        """Replay saved scenarios, search, simplify the findings, and report a summary; yield what happens.
 
-        Findings are reported even after an error.
+        Findings and the summary are yielded even after an error, also after one of the consumer, see
+        :class:`Events`. If the iteration ends before, findings are only saved.
 
         Raises:
             RequestError: if the search cannot be run as requested.
         """
         __tracebackhide__ = True
         harness, state, workers, store = self.harness, self.state, self.workers, self.store
-        self.listener(
-            SearchStarted(
-                node_id=self.watch.node_id,
-                seed=store.seed,
-                speed_limit=harness.world.speed_limit,
-                acts_in_si=harness.acts_in_si,
-            )
-        )
+        yield SearchStarted(node_id=self.watch.node_id, seed=store.seed)
         began = state.clock()
         workers.until = max(self.limit.until, began + LEAST)
         # A process of an earlier session may have died: its scenarios are tried again before anything else.
         left = harness.left_behind()
-        retried = [self._retried(leftover, left) for leftover in left]
+        retried = list[Retried]()
+        for leftover in left:
+            retried.append((yield from self._retried(leftover, left)))
         self.process_notes += [note for each in retried for note in each.notes]
-        reason, fault = "interrupted", None
+        reason, fault, is_closed = "interrupted", None, False
         try:
             with workers.runner:
-                reason = self._searched(saved_in(harness.folder), began)
+                reason = yield from self._searched(saved_in(harness.folder), began)
             # All findings are reported and the state is stored before shrinking, which takes long and may be cut.
             self._settle(reason)
-            self._send(store.release())
+            yield from self._events(store.release())
             state.write(store)
             # With a reference, the findings that do not show that the policy became worse are not even shrunk.
             if harness.against is not None and state.space is not None and store.count:
@@ -314,19 +351,24 @@ class SearchSession:
                     most=harness.request.settings.pairs,
                     until=now + (self.limit.until - now) / 2,
                 )
-                self._send(self._worse.compare(state.space))
-            self._refine(reason)
+                yield from self._events(self._worse.compare(state.space))
+            yield from self._refine(reason)
         except SetupFaultError as error:
             reason, fault = "error", error
-            self._send(store.withdraw())
+            yield from self._events(store.withdraw())
             state.forget_findings()
         except BaseException as error:
-            reason = "interrupted" if is_interruption(error) else "error"
+            is_closed = isinstance(error, GeneratorExit)
+            reason = "interrupted" if is_closed or is_interruption(error) else "error"
             raise
         finally:
             with postponed():
                 self._settle(reason)
-                self._send(store.release())
+                released = self._events(store.release())
+                if is_closed:  # nobody hears of it
+                    deque(released, maxlen=0)
+                else:
+                    yield from released
                 for each in retried:
                     if each.pending is not None:
                         each.pending.discard()
@@ -334,7 +376,8 @@ class SearchSession:
                 if workers.record.error:
                     self.process_notes += [str(workers.record.error)]
                 summary = self._summary(reason)
-                self.listener(summary)
+                if not is_closed:
+                    yield summary
         return SearchResult(
             summary=summary,
             findings=tuple(store.findings.values()),
@@ -352,23 +395,23 @@ class SearchSession:
             self.state.add(signature, find_id)
             self.state.verdicts["failed"] += 1
 
-    def _refine(self, reason: str) -> None:
+    def _refine(self, reason: str) -> Iterator[SearchEvent]:
         """Shrink the findings, and look at their neighbours and at decisions."""
         __tracebackhide__ = True
         state = self.state
         way_on = "" if state.file is None else f"; {flag('resume')} goes on"
         try:
             with GENERATORS.held():
-                self._send(refine(state, self.workers, self.store, until=self.limit.until, way_on=way_on))
+                yield from self._events(refine(state, self.workers, self.store, until=self.limit.until, way_on=way_on))
                 if self._worse is not None:
-                    self._send(self._worse.conclude())
+                    yield from self._events(self._worse.conclude())
                 if reason in self._ends_with_warnings:
                     with suppress(OutOfTime), runs_end_in(self.limit.until - state.clock()):
                         state.impure = self.workers.impure()
         finally:  # Even after Ctrl-C, findings that were refined must not be refined again.
             state.write(self.store)
 
-    def _retried(self, leftover: Leftover, left: Sequence[Leftover]) -> Retried:
+    def _retried(self, leftover: Leftover, left: Sequence[Leftover]) -> Generator[SearchEvent, None, Retried]:
         """Run the scenarios again in which a process of an earlier session died; return the result.
 
         They are run in the world of the dead process. If that world cannot be made, this is only reported. ``left`` are
@@ -403,10 +446,10 @@ class SearchSession:
             run_here=self.workers.rerun_one_by_one,
         )
         for each in [each for id_, each in self.store.findings.items() if id_ not in before]:
-            self._send(self.store.report(each))
+            yield from self._events(self.store.report(each))
         return again
 
-    def _searched(self, saved: Sequence[Saved], began: float) -> str:
+    def _searched(self, saved: Sequence[Saved], began: float) -> Generator[SearchEvent, None, str]:
         """Replay the saved scenarios and search; return why it ended. ``began`` is when the search began [s].
 
         Raises:
@@ -429,7 +472,7 @@ class SearchSession:
         # What is known before the first run: the state of earlier sessions, and the failures that saved scenarios still
         # show. The search's own findings of earlier sessions are part of that state, not known failures.
         state.random.most = getattr(algorithm, "counted_at_first", 0.0)
-        resumed = self._resumed(algorithm, space, saved)
+        resumed = yield from self._resumed(algorithm, space, saved)
         others = [each for each in saved if not self._is_own(each)]
         self.store.replayed = frozenset(each.path for each in others)
         state.fatal |= {each.finding.scenario for each in others if each.finding is not None and each.is_crash}
@@ -438,7 +481,7 @@ class SearchSession:
             with runs_end_in(self.workers.until - clock()):
                 state.shown = self.replays.shown_by(others)  # Their failures are not new.
                 self._manners = {each.id: Manner.of(each.finding.expect) for each in others if each.finding is not None}
-                self._send(self._find_again(saved, until))
+                yield from self._events(self._find_again(saved, until))
         except OutOfTime:  # It is unknown what is known, so nothing could be called new.
             return self.limit.flag
         watch.begin(until)
@@ -456,7 +499,7 @@ class SearchSession:
             )
             if resumed is None:
                 state.offer(self.store)
-            self._send(search(plan, state, self.workers, self.store, watch))
+            yield from self._events(search(plan, state, self.workers, self.store, watch))
         except CheckpointError as error:
             raise RequestError(str(error)) if state.file is None else state.file.refused(error) from None
         except FitnessError as error:
@@ -473,7 +516,9 @@ class SearchSession:
             )
         return "interrupted" if state.finished is None else reasons[state.finished.reason]
 
-    def _resumed(self, algorithm: Algorithm[Any], space: SearchSpace, saved: Sequence[Saved]) -> Checkpoint[Any] | None:
+    def _resumed(
+        self, algorithm: Algorithm[Any], space: SearchSpace, saved: Sequence[Saved]
+    ) -> Generator[SearchEvent, None, Checkpoint[Any] | None]:
         """Go on from the state of earlier sessions; return the progress of their plan, or None for a new search.
 
         Raises:
@@ -507,7 +552,7 @@ class SearchSession:
         }
         if checkpoint.sums.evaluated:  # A fault of the set-up would have ended the search in its first session.
             state.first.is_alike = False
-            self._send(self.store.release())
+            yield from self._events(self.store.release())
         return checkpoint
 
     def _is_own(self, saved: Saved) -> bool:
@@ -565,7 +610,6 @@ class SearchSession:
         budget, generations = state.budget(settings)
         is_cut = reason == self.limit.flag and self.state.file is None
         cut = [f"cut by {reason}: the same seed may find other scenarios next time"] * is_cut
-        finds = [kept.find for kept in self.store.findings.values()]
         notes = (
             state.doubt,
             self._excused_late,
@@ -603,7 +647,7 @@ class SearchSession:
             reached=health.reached_share if health.genes_started and health.goals else None,
             no_interaction=health.no_interaction,
             failing=state.verdicts["failed"],
-            finds=tuple(replace(find, repeats=state.repeats[find.id]) for find in finds),
+            finds=tuple(replace(each, repeats=state.repeats[each.id]) for each in self.store.findings.values()),
             unsaved={id_: 1 + state.repeats[id_] for id_ in self.store.unsaved},
             shrink_runs=state.shrink_runs,
             neighbour_runs=state.neighbour_runs,
@@ -627,6 +671,8 @@ class SearchSession:
             given=0 if state.space is None else min(len(state.space.first), state.runs),
             drawn="" if self.state.space is None else self.state.space.described,
             coverage=health.coverage.describe(self.harness.world.speed_limit, ways) if state.runs else "",
+            outcomes=dict(state.outcomes),
+            responsibilities=dict(state.responsibilities),
         )
 
     def _unlike(self) -> dict[str, tuple[str, ...]]:
@@ -659,9 +705,11 @@ class SearchSession:
     @property
     def _out_of_reach(self) -> str:
         """A note on what reference drivers can do and the ADS cannot; empty if its actions can stop the ego."""
-        speed, kept = self.harness.world.least_action_speed, self.store.findings.values()
-        expected = [each.finding.expect for each in kept]
-        runs = [each.run.ego.speed for each in kept if each.run is not None]  # which may begin slower, and speed up
+        speed, sightings = self.harness.world.least_action_speed, self.store.findings.values()
+        expected = [each.finding.expect for each in sightings]
+        runs = [
+            each.run.ego.speed for each in sightings if each.run is not None
+        ]  # which may begin slower, and speed up
         was_slower = any(((each[1:] < each[:-1]) & (each[1:] < speed - SLOWER)).any() for each in runs)
         is_avoided = any(each.avoided_by or "avoids" in (each.reference_drivers or {}).values() for each in expected)
         if speed <= 0 or was_slower or not is_avoided or self.harness.policy.drives_itself:
@@ -713,14 +761,14 @@ class SearchSession:
         request, store = self.harness.request, self.store
         settings = request.settings
         is_broken_off = reason in ("interrupted", "error")
-        firm = [kept for kept in store.findings.values() if kept.is_firm]
-        left = [kept for kept in firm if (kept.finding.shrunk is None if is_broken_off else kept.find.unshrunk)]
+        firm = [each for each in store.findings.values() if each.is_firm]
+        left = [each for each in firm if (each.finding.shrunk is None if is_broken_off else each.unshrunk)]
         if left and settings.shrink_rollouts != 0:
             what = "1 new finding was" if len(left) == 1 else f"{len(left)} new findings were"
-            first = "delete its files and " if any(kept.file for kept in left) else ""
+            first = "delete its files and " if any(each.file for each in left) else ""
             again = f"{first}search again with {request.option('seed', settings.seed)}"
             resume = request.option("resume", settings.resume or "FOLDER")
-            by_command = self.shrinks_later and all(kept.file for kept in left)
+            by_command = self.shrinks_later and all(each.file for each in left)
             shrink = f"{command('pytest_pafot', 'corpus', 'shrink', 'FILE')} goes on"
             if not is_broken_off:
                 how = shrink if by_command else f"{again} and more time, or with {resume}"

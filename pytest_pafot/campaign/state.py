@@ -167,6 +167,8 @@ class State:
     first: FirstGeneration = field(init=False, default_factory=FirstGeneration)
     # number of runs that failed in lock step, by whether they failed alone, too
     repeated: Counter[bool] = field(init=False, default_factory=Counter)
+    outcomes: Counter[str] = field(init=False, default_factory=Counter)  # number of runs of this session by outcome
+    responsibilities: Counter[str] = field(init=False, default_factory=Counter)  # and by who was responsible
     # a scenario in which an ADS decided otherwise than it must, and the mark by which it must not
     impure: tuple[str, str] | None = field(init=False, default=None)
     # the numbers of runs and generations of earlier sessions; None if there is none
@@ -314,7 +316,11 @@ class State:
         """
         self.random.see(event)
         match event:
+            case Judged():
+                self.responsibilities[event.responsibility or "none"] += 1
             case events.Evaluated():
+                if not event.reused:
+                    self.outcomes[str(event.evaluation.outcome)] += 1
                 self.uncounted.append(event)
                 if len(self.uncounted) >= COUNTED_AT_ONCE:
                     self.count()
@@ -350,6 +356,8 @@ class State:
         self.counted += tally.health
         self.verdicts.update(tally.verdicts)
         self.caught.update(tally.caught)
+        self.outcomes.update(tally.outcomes)
+        self.responsibilities.update(tally.responsibilities)
         self.doubt = self.doubt or tally.doubt
         self.avoidable = self.avoidable or tally.avoidable
         if self.first.is_alike:
@@ -417,9 +425,9 @@ def lose(lost: LostRun, state: State, workers: Workers, store: Store) -> Generat
     if state.knows(signature):
         state.repeat(signature)
     else:
-        kept = store.add_lost(lost, state.generation, state.runs + 1)
-        yield from store.report(kept)
-        state.add(signature, kept.find.id)
+        sighting = store.add_lost(lost, state.generation, state.runs + 1)
+        yield from store.report(sighting)
+        state.add(signature, sighting.id)
     return True
 
 

@@ -10,7 +10,6 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from pytest_pafot.campaign.events import NO_WORSE, Find, FindTold
 from pytest_pafot.campaign.harness import Harness
 from pytest_pafot.campaign.verdict import PlainFailure, Verdict, headline
 from pytest_pafot.campaign.workers import Early
@@ -21,6 +20,7 @@ from pytest_pafot.execution.crash_records import Leftover
 from pytest_pafot.execution.pool import OUT_OF_MEMORY, WORLD_HANGS, ProcessLostError
 from pytest_pafot.execution.scenario_pool import LostRun, expectation
 from pytest_pafot.findings.finding import Expect, Finding, Found, Perceived, portable
+from pytest_pafot.findings.sighting import NO_WORSE, Sighting
 from pytest_pafot.findings.signature import PROCESS_CRASH, Signature
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Outcome
@@ -52,7 +52,7 @@ class Store:
     seed: int
     # files that existed before the search; their replays do not show the findings that are saved here
     replayed: frozenset[Path] = frozenset()
-    findings: dict[str, FindTold] = field(default_factory=dict)  # the findings so far, by id
+    findings: dict[str, Sighting] = field(default_factory=dict)  # the findings so far, by id
     unsaved: list[str] = field(default_factory=list)  # ids of findings above the limit of saved scenarios
     first: BaseException | None = None  # the exception of the first finding, for a debugger
     held: list[str] = field(default_factory=list)  # ids of findings that are saved and not reported yet
@@ -70,9 +70,9 @@ class Store:
     @property
     def firm(self) -> int:
         """The number of findings that can be shrunk."""
-        return sum(kept.is_firm for kept in self.findings.values())
+        return sum(each.is_firm for each in self.findings.values())
 
-    def add(self, run: Run, verdict: Verdict, generation: int, number: int) -> FindTold | str:
+    def add(self, run: Run, verdict: Verdict, generation: int, number: int) -> Sighting | str:
         """Save a new finding, and hold it back; return its id alone if as many are saved as the search may save.
 
         ``generation`` is counted from 0; ``number``, the number of the run in the search, from 1.
@@ -88,9 +88,9 @@ class Store:
             return finding.id
         origin = self._origin(generation, number)
         with postponed():  # Whatever interrupts the search from here on, it ends with a report of what is held.
-            kept = self._saved(finding, headline(run, verdict), origin, verdict.exception, verdict.is_timed)
-            kept = replace(kept, run=run, number=number, find=replace(kept.find, severity=verdict.severity))
-            return self._held(kept)
+            sighting = self._saved(finding, headline(run, verdict), origin, verdict.exception, verdict.is_timed)
+            sighting = replace(sighting, run=run, number=number, severity=verdict.severity)
+            return self._held(sighting)
 
     def add_early(self, early: Early, known: Collection[Signature]) -> None:
         """Save a failure that is not known and not counted yet, so that it is not lost if the session is killed."""
@@ -126,10 +126,10 @@ class Store:
                 if path is not None:
                     _remove_early(path)
             elif isinstance(early.of, ProcessLostError):
-                yield signature, self.add_lost(early.of, early.generation, number).find.id
+                yield signature, self.add_lost(early.of, early.generation, number).id
             else:
-                kept = self.add(*early.of, early.generation, number)
-                yield signature, kept if isinstance(kept, str) else self.call_unconfirmed(kept).find.id
+                sighting = self.add(*early.of, early.generation, number)
+                yield signature, sighting if isinstance(sighting, str) else self.call_unconfirmed(sighting).id
         self.early.clear()
 
     @property
@@ -153,13 +153,13 @@ class Store:
             root=str(self.harness.root),
         )
 
-    def release(self) -> Iterator[FindTold]:
+    def release(self) -> Iterator[Sighting]:
         """Yield the findings that were held back; from now on, each new finding is to be reported at once."""
         self.is_holding = False
         for find_id in tuple(self.held):
             yield from self.report(self.findings[find_id])
 
-    def withdraw(self) -> Iterator[FindTold]:
+    def withdraw(self) -> Iterator[Sighting]:
         """Remove the files of findings that were held back, since they are a fault of the set-up.
 
         Yield the findings whose files cannot be removed.
@@ -169,70 +169,71 @@ class Store:
         self.held.clear()
         self.is_holding = False
         self.unsaved.clear()
-        for kept in withdrawn:
+        for sighting in withdrawn:
             try:
-                if kept.file is not None:
-                    kept.file.unlink(missing_ok=True)
+                if sighting.file is not None:
+                    sighting.file.unlink(missing_ok=True)
             except OSError:
-                yield from self.report(kept)
-        if not any(kept.file for kept in withdrawn):
+                yield from self.report(sighting)
+        if not any(each.file for each in withdrawn):
             return  # Nothing was saved, and the folders may be behind a link, where nothing may be removed.
         with suppress(OSError):  # Folders with other content stay.
             self._remove_folders()
 
-    def dismiss(self, kept: FindTold, why: str) -> Iterator[FindTold]:
+    def dismiss(self, sighting: Sighting, why: str) -> Iterator[Sighting]:
         """Remove the file of a finding that does not count, and yield what is to be reported."""
-        file, find = kept.file, replace(kept.find, label=NO_WORSE, detail=why, unshrunk="")
+        file = sighting.file
+        sighting = replace(sighting, label=NO_WORSE, detail=why, unshrunk="", is_first=False)
         if file is not None:
             with suppress(OSError):  # A file that cannot be removed stays, and is reported with its path.
                 file.unlink(missing_ok=True)
-                find = replace(find, path="")
+                sighting = replace(sighting, path="")
             with suppress(OSError):  # Folders with other content stay.
                 self._remove_folders()
         with postponed():
-            del self.findings[find.id]
-            self.dismissed[find.id] = find.headline
+            del self.findings[sighting.id]
+            self.dismissed[sighting.id] = sighting.headline
             self.first = next((each.exception for each in self.findings.values()), None)
-            yield replace(kept, find=find, is_new=False)
+            yield sighting
 
     def _remove_folders(self) -> None:
         for folder in (self.harness.folder, *self.harness.folder.parents[:2]):
             folder.rmdir()
 
-    def report(self, told: FindTold) -> Iterator[FindTold]:
+    def report(self, sighting: Sighting) -> Iterator[Sighting]:
         """Yield a new finding, or an update of one, which is reported as soon as the next event is asked for."""
         with postponed():
-            self.findings[told.find.id] = told
-            if self.first is None or told.find.id == next(iter(self.findings)):
-                self.first = told.exception
-            yield told
-            if told.find.id in self.held:
-                self.held.remove(told.find.id)
+            self.findings[sighting.id] = sighting
+            if self.first is None or sighting.id == next(iter(self.findings)):
+                self.first = sighting.exception
+            yield sighting
+            if sighting.id in self.held:
+                self.held.remove(sighting.id)
 
-    def call_flaky(self, kept: FindTold, difference: str) -> FindTold:
+    def call_flaky(self, sighting: Sighting, difference: str) -> Sighting:
         """Mark a finding as flaky, also in its file; return it. ``difference`` is what did not repeat."""
-        marked = self.rewritten(kept, replace(kept.finding, flaky=portable(difference, str(self.harness.root))))
-        self.findings[kept.find.id] = replace(marked, find=replace(kept.find, difference=difference, unshrunk=""))
-        return self.findings[kept.find.id]
+        marked = self.rewritten(sighting, replace(sighting.finding, flaky=portable(difference, str(self.harness.root))))
+        self.findings[sighting.id] = replace(marked, difference=difference, unshrunk="")
+        return self.findings[sighting.id]
 
-    def call_unconfirmed(self, kept: FindTold) -> FindTold:
+    def call_unconfirmed(self, sighting: Sighting) -> Sighting:
         """Mark a finding as one that there was no time to run again; return it."""
-        self.findings[kept.find.id] = replace(kept, find=replace(kept.find, unshrunk=UNCONFIRMED))
-        return self.findings[kept.find.id]
+        self.findings[sighting.id] = replace(sighting, unshrunk=UNCONFIRMED)
+        return self.findings[sighting.id]
 
-    def rewritten(self, kept: FindTold, finding: Finding) -> FindTold:
+    def rewritten(self, sighting: Sighting, finding: Finding) -> Sighting:
         """Replace a finding by a new version, also in its file; return it.
 
         If the file cannot be written, the old finding is returned, with the reason.
         """
-        if kept.file is None:
-            return replace(kept, finding=finding, content=text_of(finding) if kept.content else "")
+        if sighting.file is None:
+            return replace(sighting, finding=finding, content=text_of(finding) if sighting.content else "")
         try:
-            return replace(kept, finding=rewrite(kept.file, finding))
+            return replace(sighting, finding=rewrite(sighting.file, finding))
         except CorpusWriteError as error:
-            return replace(kept, origin=f"{kept.origin}; its file is as first found: {error}")
+            return replace(sighting, origin=f"{sighting.origin}; its file is as first found: {error}")
 
-    def add_crash(self, leftover: Leftover, scenario: Scenario, again: LostRun | None) -> FindTold:
+    def add_crash(self, leftover: Leftover, scenario: Scenario, again: LostRun | None) -> Sighting:
         """Save a scenario in which a process died in an earlier session, as its record ``leftover`` says.
 
         ``again`` describes how a second process ended that ran the scenario again; None if that is unknown.
@@ -256,7 +257,7 @@ class Store:
                 self._saved(finding, line, "the record of a session that died", PlainFailure(text), is_timed)
             )
 
-    def add_lost(self, lost: LostRun, generation: int, number: int) -> FindTold:
+    def add_lost(self, lost: LostRun, generation: int, number: int) -> Sighting:
         """Save a scenario whose process died or hung. The numbers are as in :meth:`add`."""
         again = "" if lost.is_hang else ", also when it was tried again"
         text = f"the {lost.who} that ran this scenario {lost.how}{again}: "
@@ -267,10 +268,10 @@ class Store:
         with postponed():
             return self._held(self._saved(finding, _headline(lost), origin, PlainFailure(text), lost.is_hang))
 
-    def _held(self, kept: FindTold) -> FindTold:
-        self.findings[kept.find.id] = kept
-        self.held.append(kept.find.id)
-        return kept
+    def _held(self, sighting: Sighting) -> Sighting:
+        self.findings[sighting.id] = sighting
+        self.held.append(sighting.id)
+        return sighting
 
     @property
     def _perception(self) -> Perceived | None:
@@ -302,7 +303,7 @@ class Store:
             perception=self._perception,
         )
 
-    def _saved(self, finding: Finding, line: str, origin: str, exception: BaseException, is_timed: bool) -> FindTold:
+    def _saved(self, finding: Finding, line: str, origin: str, exception: BaseException, is_timed: bool) -> Sighting:
         path, finding = free_path(self.harness.folder, finding, self.replayed)
         while finding.id in self.findings:
             finding = replace(finding, id=f"{finding.id}-again")
@@ -319,18 +320,13 @@ class Store:
                 path, finding = other, renamed
         except CorpusWriteError as error:
             problem, content = str(error), text_of(finding)
-        find = Find(
-            id=finding.id,
+        return Sighting(
+            finding=finding,
             node_id=self.harness.saved_node_id(finding.id),
             headline=line,
             path="" if problem else relative(path, self.harness.root),
             detail=problem,
             is_timed=is_timed,
-            responsible=finding.expect.responsibility,
-        )
-        return FindTold(
-            finding=finding,
-            find=find,
             origin=origin,
             exception=exception,
             file=None if problem else path,

@@ -11,7 +11,6 @@ from dataclasses import dataclass, field, replace
 from itertools import chain
 from typing import Any
 
-from pytest_pafot.campaign.events import NOT_REPEATED
 from pytest_pafot.campaign.harness import Harness, is_same_run, refusals
 from pytest_pafot.campaign.tallies import Driver, Recovered, Tally, facts_of
 from pytest_pafot.campaign.verdict import Verdict, evaluated, skips
@@ -20,6 +19,7 @@ from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.execution.runner import Runner, replay_in_gym_apart
 from pytest_pafot.execution.scenario_pool import BlockTask, LostRun, trace_of
 from pytest_pafot.findings.finding import disagreement, failed_as, message_of
+from pytest_pafot.findings.sighting import NOT_REPEATED
 from pytest_pafot.findings.signature import Signature
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Trace

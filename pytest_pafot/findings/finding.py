@@ -10,7 +10,7 @@ import traceback
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, field, fields, replace
 from datetime import date
-from types import TracebackType
+from types import MappingProxyType, TracebackType
 from typing import Any, NamedTuple, Self
 
 import numpy as np
@@ -314,6 +314,10 @@ Acceptance = tuple[str | None, date | None, bool]
 NOT_ACCEPTED: Acceptance = (None, None, False)
 
 
+IN_MEMORY: Mapping[str, bool] = MappingProxyType({"is_stored": False})
+"""The metadata of a dataclass's field that plain data leaves out (:mod:`pytest_pafot.searching.plain`)."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)
 class Finding(Shown):
     """A finding, the content of one file of the corpus.
@@ -360,7 +364,7 @@ class Finding(Shown):
     xfail: str | None = None
     xfail_until: date | None = None
     xfail_flaky: bool = False
-    trace: Trace | None = field(default=None, compare=False, repr=False)
+    trace: Trace | None = field(default=None, compare=False, repr=False, metadata=IN_MEMORY)
 
     def __post_init__(self) -> None:
         if not is_id(self.id):

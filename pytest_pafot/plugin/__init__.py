@@ -153,16 +153,19 @@ def _report(config: pytest.Config) -> None:
     if not is_worker(config):
         from pytest_pafot.plugin import session_records  # noqa: PLC0415
         from pytest_pafot.plugin.orphans import Guard  # noqa: PLC0415
+        from pytest_pafot.plugin.record import Record  # noqa: PLC0415
         from pytest_pafot.plugin.report_pages import Pages  # noqa: PLC0415
         from pytest_pafot.plugin.terminal_reporter import Reporter  # noqa: PLC0415
 
-        features |= {"reporting": Reporter(config), "pages": Pages(config), "guard": Guard()}
+        record = Record(config)
+        features |= {"reporting": Reporter(config, record), "pages": Pages(config, record), "guard": Guard()}
         if session_records.is_asked_for(config, os.environ):
-            features["records"] = session_records.Records(config)
+            features["records"] = session_records.Records(config, record)
         if config.getoption(BY_NAME["table"].key) and not config.getoption("collectonly", False):
             from pytest_pafot.plugin.run_tables import Tables  # noqa: PLC0415
 
             features["tables"] = Tables(config)
+        features["record"] = record  # last, so that its hooks are called first
     _register(config, features)
 
 

@@ -72,11 +72,11 @@ def _drive(item: pytest.Function, name: str, given: Mapping[str, Any]) -> None:
     # The default highway is too slow for some entries; a world that the user has chosen is used as it is.
     world = None if world == Highway() and "world" not in given else world
     test, file = bound_test(item, DEFAULT_ARG), source_file(item.obj, str(item.path))
-    told = opened(CATALOGUE).driven(name, world, ads, given, test, file)
-    if told.skip:  # `-rs` then names the place of the test and not of this file
-        raise pytest.skip.Exception(told.skip, _use_item_location=True)
-    if told.lines:
-        item.add_report_section("call", "pafot", "\n".join(fitted_lines(told.lines, item.config.stash[SHARED].width)))
-        item.stash[SUMMARY] = ascii_text(told.words)
-    if told.exception is not None:
-        raise shown(told.exception)
+    result = opened(CATALOGUE).driven(name, world, ads, given, test, file)
+    if result.skip:  # `-rs` then names the place of the test and not of this file
+        raise pytest.skip.Exception(result.skip, _use_item_location=True)
+    if result.lines:
+        item.add_report_section("call", "pafot", "\n".join(fitted_lines(result.lines, item.config.stash[SHARED].width)))
+        item.stash[SUMMARY] = ascii_text(result.words)
+    if result.exception is not None:
+        raise shown(result.exception)

@@ -393,6 +393,6 @@ def _module_of(file: Path, config: pytest.Config) -> Path:
     module = None if corpus is None else layout.module_of_file(file, corpus, config.rootpath)
     if module is None or not module.is_file():
         where = "its folder is not in a corpus" if module is None else f"{module} does not exist"
-        told = f"{file}: expected a saved scenario of a test file, but {where}"
-        raise pytest.UsageError(f"{visible(told)}; move the folder to where the test is now")
+        problem = f"{file}: expected a saved scenario of a test file, but {where}"
+        raise pytest.UsageError(f"{visible(problem)}; move the folder to where the test is now")
     return module

@@ -141,8 +141,8 @@ class Failures:
         if saved is not None and not call.excinfo.errisinstance(pytest.xfail.Exception):
             _count_unless_accepted(item, saved, report)
         if saved is not None:
-            told = {"id": saved.id, "file": relative(saved.path, item.config.rootpath), "test": base_id(item)}
-            setattr(report, AS_SAVED, json.dumps(told))
+            entry = {"id": saved.id, "file": relative(saved.path, item.config.rootpath), "test": base_id(item)}
+            setattr(report, AS_SAVED, json.dumps(entry))
         _make_visible(report)
         _fit(report.longrepr, item.config.stash[SHARED].width, is_brief=is_brief)
         summarise(report, item.stash.get(SUMMARY, ""))

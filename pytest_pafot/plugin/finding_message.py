@@ -1,24 +1,20 @@
 """The message of a finding, new or replayed: one for terminal, page, JSON file and summary.
 
-An item sends it to the controller. What only a page or a JSON file needs is made, and imported, only if one is
-requested.
+An item sends it to the controller. What only a page needs is made, and imported, only if one is requested.
 """
 
 from __future__ import annotations
 
 import os
-from dataclasses import asdict, replace
+from dataclasses import replace
 from typing import Any
 
 import pytest
 
-from pytest_pafot.campaign.events import NEW, Find
 from pytest_pafot.campaign.options import Settings
-from pytest_pafot.findings.finding import Finding
+from pytest_pafot.findings.sighting import NEW, Sighting
 from pytest_pafot.oracle.checks import Check
-from pytest_pafot.oracle.run import Run
 from pytest_pafot.plugin import messages
-from pytest_pafot.plugin.session_records import is_asked_for
 from pytest_pafot.plugin.tracing import traced
 from pytest_pafot.searching.plain import plain
 from pytest_pafot.support.errors import rerun
@@ -29,54 +25,56 @@ def is_on_page(config: pytest.Config, settings: Settings) -> bool:
     return settings.report is not None or bool(config.getoption("htmlpath", None))
 
 
-def label_of(find: Find) -> str:
+def label_of(sighting: Sighting) -> str:
     """Return the label of a new finding on a page."""
-    return f"{NEW} ({find.remark})" if find.remark else NEW
+    return f"{NEW} ({sighting.remark})" if sighting.remark else NEW
 
 
-def tell_finding(
+def send_sighting(
     item: pytest.Item,
     settings: Settings,
-    finding: Finding,
-    find: Find,
+    sighting: Sighting,
     *,
-    run: Run | None,
     check: Check | None = None,
     note: str = "",
     **more: Any,
-) -> None:
-    """Send a finding to the controller.
+) -> Sighting:
+    """Send a finding to the controller; return it with what it has become for that.
 
     Args:
         item: the item that found or replayed it.
         settings: the item's settings, which name the page, and repeat the search of a finding without a file.
-        finding: the content of its file.
-        find: what this session saw of it.
-        run: the run that shows it; None if its process died or hung.
+        sighting: the finding, and what this session saw of it.
         check: the check that failed; None if no check failed.
         note: what the page adds to the headline.
         more: further data for the terminal.
     """
-    data = {"find": plain(find), **more}
     # A finding without a file can only be reproduced by its search.
-    options, saved = ((), find.id) if find.path else (settings.repeated, "")
-    if is_asked_for(item.config, os.environ):
-        from pytest_pafot.report.session_record import FindingRecord  # noqa: PLC0415
-
-        again = rerun(["python", "-m", "pytest", find.path or item.nodeid], os.environ, *options, saved=saved)
-        sentences = finding.expect.sentences_on(run) if find.headline and run is not None else ()
-        data["record"] = asdict(FindingRecord.of(finding, find, replay=again, sentences=sentences))
+    options, saved = ((), sighting.id) if sighting.path else (settings.repeated, "")
+    run, shown = sighting.run, sighting.path or item.nodeid
+    sighting = replace(
+        sighting,
+        sentences=sighting.finding.expect.sentences_on(run) if sighting.headline and run is not None else (),
+        command=rerun(["python", "-m", "pytest", shown], os.environ, *options, saved=saved),
+    )
+    data = {"sighting": messages.packed(sighting), **more}
     if is_on_page(item.config, settings):
         data["target"] = settings.report
-        if find.headline:
+        if sighting.headline:
             from pytest_pafot.report.views import finding_view, with_neighbours  # noqa: PLC0415
 
-            trace, headline = None if run is None else run.trace, "; ".join(filter(None, [find.headline, note]))
-            view = finding_view(trace, finding, node_id=find.node_id, headline=headline, check=check)
-            command = rerun(["pytest", find.node_id if find.path else item.nodeid], os.environ, *options, saved=saved)
-            accepted = f", accepted: {finding.accepted}" if finding.accepted else ""
-            label = label_of(find) if find.label == NEW else f"{find.label}{accepted}"
-            told = traced(item).described if traced(item).requirements else ""
-            view = replace(view, label=label, traced=told, severity=find.severity, path=find.path, command=command)
-            data["view"] = plain(with_neighbours(view, find))
+            trace, headline = None if run is None else run.trace, "; ".join(filter(None, [sighting.headline, note]))
+            view = finding_view(trace, sighting.finding, node_id=sighting.node_id, headline=headline, check=check)
+            shown = sighting.node_id if sighting.path else item.nodeid
+            accepted = f", accepted: {sighting.finding.accepted}" if sighting.finding.accepted else ""
+            view = replace(
+                view,
+                label=label_of(sighting) if sighting.label == NEW else f"{sighting.label}{accepted}",
+                traced=traced(item).described if traced(item).requirements else "",
+                severity=sighting.severity,
+                path=sighting.path,
+                command=rerun(["pytest", shown], os.environ, *options, saved=saved),
+            )
+            data["view"] = plain(with_neighbours(view, sighting))
     messages.send(item, "finding", data)
+    return sighting

@@ -100,8 +100,8 @@ class Checks:
             return report
         error = call.excinfo.value
         if isinstance(error, pytest.FixtureLookupError) and error.argname in (request.ads, DEFAULT_ADS):
-            told = getattr(report.longrepr, "errorstring", "")
-            available = told.partition("available fixtures: ")[2].partition("\n")[0].split(", ")
+            message = getattr(report.longrepr, "errorstring", "")
+            available = message.partition("available fixtures: ")[2].partition("\n")[0].split(", ")
             report.longrepr = _missing_ads(str(error.argname), available, item.config.stash[SHARED].width)
         return report
 

@@ -51,7 +51,7 @@ class _Found(pytest.Function):
         return self.found_id
 
 
-def tell_followers(item: pytest.Function, id_: str, call: pytest.CallInfo[None]) -> None:
+def show_followers(item: pytest.Function, id_: str, call: pytest.CallInfo[None]) -> None:
     """Show an item with the failing call of a finding to the plugins that follow items; do nothing without them."""
     manager = item.config.pluginmanager
     listener, editor = manager.get_plugin(LISTENER), manager.get_plugin(EDITOR)
@@ -74,8 +74,8 @@ def tell_followers(item: pytest.Function, id_: str, call: pytest.CallInfo[None])
     if listener is None:
         return
     makers = [manager.get_plugin(each) for each in REPORTERS]
-    for phase, told in (("setup", None), ("call", call), ("teardown", None)):
-        made = told or pytest.CallInfo.from_call(lambda: None, when=phase)  # type: ignore[arg-type]
+    for phase, shown in (("setup", None), ("call", call), ("teardown", None)):
+        made = shown or pytest.CallInfo.from_call(lambda: None, when=phase)  # type: ignore[arg-type]
         if phase != "call":
             arguments = {"item": found} if phase == "setup" else {"item": found, "nextitem": None}
             hook(f"pytest_runtest_{phase}", listener, **arguments)

@@ -6,10 +6,11 @@ once, like every report. Other plugins take it for the report of a passed phase 
 
 from __future__ import annotations
 
+import json
 from collections.abc import Generator, Iterable, Iterator, Mapping, MutableSequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 from weakref import WeakKeyDictionary
 
 import pytest
@@ -20,11 +21,13 @@ from pytest_pafot.support.interrupts import postponed
 from pytest_pafot.support.text import visible
 
 if TYPE_CHECKING:
-    from pytest_pafot.findings.finding import Finding
     from pytest_pafot.findings.severity import Severity
+    from pytest_pafot.findings.sighting import Sighting
     from pytest_pafot.model.trace import Trace
     from pytest_pafot.oracle.run import Run
 
+
+T = TypeVar("T")
 
 PHASE = "pafot"  # the phase of a report that is a message
 
@@ -34,6 +37,20 @@ class Message(NamedTuple):
 
     kind: str  # the kind of the data, such as ``progress``
     data: dict[str, Any]  # plain values, which pytest-xdist can send
+
+
+def packed(value: object) -> str:
+    """Return a value as ASCII text for a message: pytest-xdist cannot send texts with invalid characters."""
+    from pytest_pafot.searching.plain import plain  # noqa: PLC0415
+
+    return json.dumps(plain(value))
+
+
+def unpacked(kind: type[T], text: str) -> T:
+    """Return the value of a type that :func:`packed` has made a text."""
+    from pytest_pafot.searching.plain import from_plain  # noqa: PLC0415
+
+    return from_plain(kind, json.loads(text))
 
 
 def send(item: pytest.Item, kind: str, data: Mapping[str, Any]) -> None:
@@ -143,11 +160,11 @@ def severity_text(severity: Severity | None) -> str:
     return "none" if severity is None else str(severity)
 
 
-def of_findings(findings: Iterable[tuple[Finding, str, Severity | None]]) -> dict[str, str]:
+def of_findings(sightings: Iterable[Sighting]) -> dict[str, str]:
     """Return the properties that describe findings in pytest's reports; commas separate the values of the findings."""
     columns: dict[str, list[str]] = {"id": [], "signature": [], "file": [], "severity": []}
-    for finding, file, severity in findings:
-        texts = (finding.id, finding.signature.text, file, severity_text(severity))
+    for each in sightings:
+        texts = (each.id, each.finding.signature.text, each.path, severity_text(each.severity))
         for column, text in zip(columns.values(), texts, strict=True):
             column.append(text)
     return {name: ", ".join(filter(None, column)) for name, column in columns.items()}

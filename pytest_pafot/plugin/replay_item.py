@@ -9,7 +9,6 @@ from typing import NoReturn
 
 import pytest
 
-from pytest_pafot.campaign.events import Find
 from pytest_pafot.campaign.options import BY_NAME
 from pytest_pafot.campaign.replays import Around, Replayed, ReplayResult, Replays, happened, was_lost
 from pytest_pafot.campaign.request import Request
@@ -23,12 +22,13 @@ from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.execution.scenario_pool import LostRun
 from pytest_pafot.findings.finding import Finding, of_failure, unhandled
 from pytest_pafot.findings.labels import COMMON, FLAKY, JUDGED_OTHERWISE, NEARBY, Facts, RunLabel
+from pytest_pafot.findings.sighting import Sighting
 from pytest_pafot.oracle.checks import CheckFailed
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.plugin import messages, node_ids
 from pytest_pafot.plugin.debugging import stop_in_replay
 from pytest_pafot.plugin.failure_reports import NOT_ACCEPTED, REPLAYED, SUMMARY, explained
-from pytest_pafot.plugin.finding_message import tell_finding
+from pytest_pafot.plugin.finding_message import send_sighting
 from pytest_pafot.plugin.messages import OF_ONE_RUN, set_properties, severity_text
 from pytest_pafot.plugin.own_session import replay_in_own_session
 from pytest_pafot.plugin.search_item import harness_of, shown
@@ -79,25 +79,25 @@ def run_replay(item: pytest.Function, request: Request, saved: Saved) -> None:
     if beyond:
         item.stash[NOT_ACCEPTED] = beyond
     nearby_only = "the saved scenario passes, but a neighbour of it fails in the same way" if label == NEARBY else ""
-    told = [note, nearby_only, _against(replays), f"worse: {worse}" if worse else ""]
-    told += replays.setting_changes(finding)
-    detail = "; ".join(filter(None, told))
+    notes = [note, nearby_only, _against(replays), f"worse: {worse}" if worse else ""]
+    notes += replays.setting_changes(finding)
+    detail = "; ".join(filter(None, notes))
     item.stash[REPLAYED] = ReplayResult(finding, label, run, verdict, note)
     if label in ("drifted", JUDGED_OTHERWISE, FLAKY):
         missed = unhandled(finding, run) if label == "drifted" and not verdict.failed else ""
-        told = [missed, replays.changes(finding, happened(finding, run, verdict.failure)), note]
-        detail = "; ".join(filter(None, told))
+        notes = [missed, replays.changes(finding, happened(finding, run, verdict.failure)), note]
+        detail = "; ".join(filter(None, notes))
     line = headline(run, verdict) if verdict.failed else ""
-    find = _tell(item, replays, saved, label, now, headline=line, detail=detail)
+    sighting = _send(item, replays, saved, label, now, headline=line, detail=detail)
     item.stash[OF_ONE_RUN].show(run)  # the last call may have been for the reference
     if nearby is not None:
         item.stash[NEARBY_SHOWN] = nearby
     if finding.xfail is not None and not verdict.failed:
-        _tell_pass(item, finding, find, path, is_accepted=replays.accepts(finding))
-    told = [] if nearby is None else _nearby_lines(item, nearby, path)
+        _explain_pass(item, finding, sighting, path, is_accepted=replays.accepts(finding))
+    lines = [] if nearby is None else _nearby_lines(item, nearby, path)
     if beyond:
-        told.append(_beyond(finding, path, beyond))
-    _conclude(item, run, verdict, label, detail, told, is_strict=request.settings.strict_drift)
+        lines.append(_beyond(finding, path, beyond))
+    _conclude(item, run, verdict, label, detail, lines, is_strict=request.settings.strict_drift)
 
 
 def _beyond(finding: Finding, path: str, how: str) -> str:
@@ -142,10 +142,10 @@ def _check_set_up(item: pytest.Function, replays: Replays, saved: Saved, run: Ru
     raise error
 
 
-def _tell_pass(item: pytest.Function, finding: Finding, find: Find, path: str, *, is_accepted: bool) -> None:
+def _explain_pass(item: pytest.Function, finding: Finding, sighting: Sighting, path: str, *, is_accepted: bool) -> None:
     """Ask to remove the line ``xfail`` of a file that passes. A flaky file stays accepted: it passes by chance."""
-    if find.label != FLAKY and not (is_accepted and finding.xfail_flaky):
-        _add_section(item, [f"{find.result}: remove the line `xfail:` from {path}"])
+    if sighting.label != FLAKY and not (is_accepted and finding.xfail_flaky):
+        _add_section(item, [f"{sighting.result}: remove the line `xfail:` from {path}"])
     elif is_accepted and not finding.xfail_flaky:
         pytest.xfail(f"{visible(finding.xfail or '')}; flaky: it passed this time")
 
@@ -161,12 +161,12 @@ def _conclude_lost(
     note = "; ".join(getattr(lost, "__notes__", ()))
     item.stash[REPLAYED] = ReplayResult(finding, facts.shows, None, None, note)
     label = facts.label
-    told = [_against(replays), *replays.setting_changes(finding)]
+    notes = [_against(replays), *replays.setting_changes(finding)]
     if label == "drifted":
-        told = [replays.changes(finding, f"the process {lost.how}")]
-    detail = "; ".join(filter(None, [note, *told]))
+        notes = [replays.changes(finding, f"the process {lost.how}")]
+    detail = "; ".join(filter(None, [note, *notes]))
     line = f"the process (pid {lost.pid}) that ran this scenario {lost.how}"
-    _tell(item, replays, saved, label, None, headline=line, detail=detail)
+    _send(item, replays, saved, label, None, headline=line, detail=detail)
     lines = [f"replay: {label}{f', {detail}' if detail else ''}"]
     _add_section(
         item, [*lines, _beyond(finding, relative(saved.path, replays.harness.root), beyond)] if beyond else lines
@@ -180,7 +180,7 @@ def _against(replays: Replays) -> str:
     return f"against {name}" if name else ""
 
 
-def _tell(
+def _send(
     item: pytest.Function,
     replays: Replays,
     saved: Saved,
@@ -189,7 +189,7 @@ def _tell(
     *,
     headline: str,
     detail: str,
-) -> Find:
+) -> Sighting:
     """Report a replay to the controller and return it; ``now`` is None if the process of the replay died or hung."""
     finding, path = saved.finding, relative(saved.path, replays.harness.root)
     if finding is None:
@@ -202,26 +202,26 @@ def _tell(
     may_pass = finding.xfail_flaky and is_accepted
     if may_pass:
         detail = "; ".join(filter(None, [detail, f"accepted: {finding.accepted}"]))
-    find = Find(
-        id=finding.id,
+    sighting = Sighting(
+        finding=around.failing or finding,
         node_id=item.nodeid,
         test=node_ids.base_id(item),
-        signature=finding.signature.text,
         label=label,
         headline=headline,
         path=path,
         detail=detail,
         severity=None if verdict is None else verdict.severity,
         severity_before=None if reference is None else reference.severity,
-        responsible=finding.expect.responsibility,
         against=replays.harness.against_name,
         is_accepted=is_accepted,
         may_pass=may_pass,
         neighbours=around.passing,
         rate_now=None if now is None else now.rate,
+        run=None if now is None else now.run,
+        is_first=False,
     )
     if headline:
-        set_properties(item.user_properties, severity=severity_text(find.severity))
+        set_properties(item.user_properties, severity=severity_text(sighting.severity))
     if finding.xfail is not None and not finding.is_accepted(today):
         over = (
             f"{path}: accepted ({finding.accepted}), but that day is over: correct the failure, write a later day, "
@@ -229,19 +229,17 @@ def _tell(
         )
         messages.send(item, "warning", {"text": over})
     check = None if failure is None else failure.check
-    tell_finding(
+    send_sighting(
         item,
         replays.harness.request.settings,
-        around.failing or finding,
-        find,
-        run=None if now is None else now.run,
+        sighting,
         check=check,
         note="" if now is None else now.note,
         seconds=around.seconds,
     )
-    item.user_properties.append(("pafot", find.heading))
+    item.user_properties.append(("pafot", sighting.heading))
     set_properties(item.user_properties, detail=detail)
-    return find
+    return sighting
 
 
 def _add_section(item: pytest.Item, lines: Iterable[str]) -> None:
@@ -254,18 +252,18 @@ def _conclude(
     verdict: Verdict,
     label: str,
     detail: str,
-    told: Sequence[str],
+    more: Sequence[str],
     *,
     is_strict: bool,
 ) -> None:
-    """Raise what the result of an item is; ``told`` are more lines for its section if it fails."""
+    """Raise what the result of an item is; ``more`` are more lines for its section if it fails."""
     __tracebackhide__ = True
     if verdict.failed and verdict.exception is not None:
         item.stash[SUMMARY] = ascii_text(headline(run, verdict))
         lines = [f"replay: {label}{f', {detail}' if detail else ''}"]
         if isinstance(verdict.exception, CheckFailed):  # any other exception has the test function's own message
             lines += explained(run, verdict.exception, item.config).splitlines()
-        lines += told
+        lines += more
         _add_section(item, lines)
         raise shown(verdict.exception)
     if verdict.kind == "skipped" and verdict.exception is not None:

@@ -6,22 +6,21 @@ The modules that make pages are imported only when there is a page to make.
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import pytest
 
 from pytest_pafot.campaign.options import BY_NAME, is_page_file
-from pytest_pafot.plugin import messages
 from pytest_pafot.plugin.marks import SEARCH_MARK
+from pytest_pafot.plugin.messages import Message, received
+from pytest_pafot.plugin.record import Record
 from pytest_pafot.plugin.session import SUMMARY_LINES, exit_code, not_written
 from pytest_pafot.support.errors import flag, rerun
 from pytest_pafot.support.traced import Traced, counted
 
 if TYPE_CHECKING:
-    from pytest_pafot.campaign.events import SearchSummary
     from pytest_pafot.report.page import Draft
     from pytest_pafot.report.page_data import FindingView
 
@@ -29,38 +28,23 @@ if TYPE_CHECKING:
 class Pages:
     """Hooks that collect the content of report pages and write the pages, only on the controller."""
 
-    def __init__(self, config: pytest.Config) -> None:
+    def __init__(self, config: pytest.Config, record: Record) -> None:
         self._config = config
+        self._record = record
         self._drafts: dict[Path, Draft] = {}
-        self._is_compared = False
         self._rows: dict[str, FindingView] = {}
-        self._searches: list[SearchSummary] = []
-        self._runs: dict[str, int] = {}
-        self._labels: dict[str, str] = {}
         self._targets: dict[str, Path] = {}
         self._failures: dict[tuple[str, str], str] = {}
         self._shown: set[str] = set()
-        self._traced: dict[str, Traced] = {}
-        self._failed: set[str] = set()  # node ids of items
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
         """Store what items send for the page; add a picture to an item's row in the report of pytest-html."""
-        message = messages.received(report)
+        message = received(report)
         if message is not None:
             if "target" in message.data:  # of a finding or a search whose item asks for a page
-                self._take(report.nodeid, message.data)
-            if message.kind == "search":
-                from pytest_pafot.campaign.events import SearchSummary  # noqa: PLC0415
-                from pytest_pafot.searching.plain import from_plain  # noqa: PLC0415
-
-                self._searches.append(from_plain(SearchSummary, message.data["summary"]))
-            self._is_compared |= message.kind == "compared"  # so that it is known why no search ran
+                self._take(report.nodeid, message)
             return
-        told = Traced.of_properties(report.user_properties)
-        if told:
-            self._traced[report.nodeid] = told
-            self._failed |= {report.nodeid} if report.failed else set()
         if report.failed and (SEARCH_MARK in report.keywords or report.nodeid in self._targets):
             self._failures[report.nodeid, report.when] = report.longreprtext
         if report.when == "call" and report.nodeid in self._rows:
@@ -80,35 +64,33 @@ class Pages:
                 written, problem = self._write(path, draft, is_interrupted=is_interrupted)
                 lines.reports.extend(filter(None, [written]))
                 lines.problems.extend(filter(None, [problem]))
-        asked = self._config.getoption(BY_NAME["report"].key)
-        if asked and not self._drafts and not self._is_compared and not self._config.getoption("collectonly", False):
+        asked, is_listed = self._config.getoption(BY_NAME["report"].key), self._config.getoption("collectonly", False)
+        if asked and not (self._drafts or self._record.compared or is_listed):
             lines.problems.append(f"{flag('report', asked)}: nothing was written, since no search and no replay ran")
 
-    def _take(self, node_id: str, data: Mapping[str, Any]) -> None:
-        from pytest_pafot.campaign.events import Find  # noqa: PLC0415
+    def _take(self, node_id: str, message: Message) -> None:
+        """Store what a finding or a search sends for the page."""
         from pytest_pafot.report.page import Draft  # noqa: PLC0415
-        from pytest_pafot.report.page_data import CampaignView, FindingView  # noqa: PLC0415
+        from pytest_pafot.report.page_data import FindingView  # noqa: PLC0415
         from pytest_pafot.searching.plain import from_plain  # noqa: PLC0415
 
+        data = message.data
         finding = from_plain(FindingView, data["view"]) if "view" in data else None
-        campaign = from_plain(CampaignView, data["campaign"]) if "campaign" in data else None
         if finding is not None:
             self._shown |= {finding.node_id, node_id}  # the search that found it fails because of it, too
             if self._config.getoption("htmlpath", None):  # pytest-html writes a report
                 self._rows[finding.node_id] = finding
-        if campaign is not None and campaign.reason == "error":
+        if message.kind == "search" and self._record.searches[node_id].reason == "error":
             self._shown.discard(node_id)
-        self._runs.update(data.get("runs", {}))
-        self._labels.update(data.get("labels", {}))
-        find = from_plain(Find, data["find"]) if "find" in data else None
         target = data["target"]
         if target is not None:
             path = Path(os.path.normpath(self._config.invocation_params.dir / target))
             self._targets[node_id] = path
-            self._drafts.setdefault(path, Draft(target=target)).take(find, finding, campaign, data.get("base_seed"))
+            draft = self._drafts.setdefault(path, Draft(target=target))
+            if finding is not None:
+                draft.take(finding)
 
     def _write(self, path: Path, draft: Draft, *, is_interrupted: bool) -> tuple[str, str]:
-        from pytest_pafot.campaign.events import by_test  # noqa: PLC0415
         from pytest_pafot.report.page import write_report  # noqa: PLC0415
 
         errors = tuple(
@@ -124,27 +106,37 @@ class Pages:
             findings=map(self._completed, draft.findings.values()),
             errors=errors,
             is_interrupted=is_interrupted,
-            searches=by_test(self._searches),
+            searches=[
+                each
+                for each in self._record.searches.values()
+                if self._targets.get(each.node_id) == path and each.reason != "replay only"
+            ],
+            replays=[each for each in self._record.replays if self._targets.get(each.node_id) == path],
             requirements=self._requirements(draft),
         )
-        told = ["", ""]
+        lines = ["", ""]
         folder = path.parent if is_page_file(draft.target) else path
 
         def write() -> None:
-            told[:] = write_report(draft.target, path, report)
+            lines[:] = write_report(draft.target, path, report)
 
         problem = not_written(self._config, draft.target, folder, write)
-        return ("", f"{flag('report', draft.target)}: not written: {problem}") if problem else (told[0], told[1])
+        return ("", f"{flag('report', draft.target)}: not written: {problem}") if problem else (lines[0], lines[1])
 
     def _requirements(self, draft: Draft) -> list[tuple[Traced, int]]:
         """Return each requirement with its number of failures: findings, and tests that failed without one."""
         return counted(
-            (told, node_id in self._failed and (node_id in draft.findings or node_id not in self._shown))
-            for node_id, told in sorted(self._traced.items())
+            (named, node_id in self._record.reasons and (node_id in draft.findings or node_id not in self._shown))
+            for node_id, named in sorted(self._record.traced.items())
         )
 
     def _completed(self, finding: FindingView) -> FindingView:
         """Return a finding with its number of runs and its label, which are known only at the end of its search."""
-        node_id = finding.node_id
-        runs, label = self._runs.get(node_id, finding.runs), self._labels.get(node_id, finding.label)
-        return replace(finding, runs=runs, label=label)
+        from pytest_pafot.campaign.events import by_test  # noqa: PLC0415
+        from pytest_pafot.plugin.finding_message import label_of  # noqa: PLC0415
+
+        new, replay = (each.get(finding.node_id) for each in (self._record.new, self._record.sightings))
+        if new is not None:
+            return replace(finding, runs=1 + new.repeats, label=label_of(new))
+        search = None if replay is None else by_test(self._record.searches.values()).get(replay.test)
+        return finding if search is None else replace(finding, runs=search.known.get(finding.id, finding.runs))

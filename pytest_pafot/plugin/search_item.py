@@ -13,15 +13,12 @@ from dataclasses import asdict, dataclass, field, replace
 from datetime import date
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pytest
 
 from pytest_pafot.campaign.events import (
-    NO_WORSE,
-    NOT_REPEATED,
-    FindTold,
     Listener,
     Progress,
     SearchEvent,
@@ -34,6 +31,7 @@ from pytest_pafot.campaign.replays import Replays
 from pytest_pafot.campaign.request import AgainstError, Request, build_space, build_world
 from pytest_pafot.campaign.search_session import (
     AFTER_A_DEATH,
+    Events,
     SearchSession,
     isolated_after_a_death,
     may_not_leave,
@@ -47,12 +45,13 @@ from pytest_pafot.corpus.saved import refusal
 from pytest_pafot.door import REFERENCES, opened
 from pytest_pafot.execution import scenario_pool
 from pytest_pafot.findings.finding import message_of
+from pytest_pafot.findings.sighting import NO_WORSE, NOT_REPEATED, Sighting
 from pytest_pafot.oracle.checks import CheckFailed
 from pytest_pafot.plugin import messages, node_ids
 from pytest_pafot.plugin.collection import COLLECTED, is_search, policy_of
 from pytest_pafot.plugin.failure_reports import OUTPUT, SUMMARY, explained, is_compact, summarise
-from pytest_pafot.plugin.finding_message import is_on_page, label_of, tell_finding
-from pytest_pafot.plugin.item_followers import tell_followers, without_listener
+from pytest_pafot.plugin.finding_message import is_on_page, send_sighting
+from pytest_pafot.plugin.item_followers import show_followers, without_listener
 from pytest_pafot.plugin.marks import EXECUTOR_FIXTURE, WORLD_FIXTURE, arguments_of
 from pytest_pafot.plugin.messages import OF_ONE_RUN, OfOneRun, of_findings, set_properties
 from pytest_pafot.plugin.option_sources import isolates_by_profile
@@ -61,7 +60,6 @@ from pytest_pafot.plugin.run_tables import table_messages_of
 from pytest_pafot.plugin.session import SHARED, is_worker, records_folder
 from pytest_pafot.report import terminal
 from pytest_pafot.searching.events import GenerationFinished
-from pytest_pafot.searching.plain import plain
 from pytest_pafot.searching.space import sample
 from pytest_pafot.support.errors import OF_SEARCH, RequestError, RevisionError, command, flag, rerun
 from pytest_pafot.support.files import remove_unfinished
@@ -70,9 +68,6 @@ from pytest_pafot.support.text import plural
 from pytest_pafot.support.versions import installed_versions
 from pytest_pafot.world.driving.policy import Policy
 from pytest_pafot.world.guard.hang_guard import runs_end_in
-
-if TYPE_CHECKING:
-    from pytest_pafot.report.views import CampaignCounts
 
 TIDIED: pytest.StashKey[set[Path]] = pytest.StashKey()
 """The folders of saved scenarios from which this session has removed the unfinished files of killed processes."""
@@ -188,14 +183,14 @@ def _compare(item: pytest.Item, harness: Harness) -> None:
     Raises:
         AgainstError: if the policy of a revision cannot be driven, or git fails.
     """
-    found, against = _revision_of(item, harness.request), harness.against
+    revision, against = _revision_of(item, harness.request), harness.against
     lines, same = list[str](), ""
     if not harness.request.settings.is_search:
         return
-    if found is not None:
+    if revision is not None:
         scenario = sample(build_space(harness.request, harness.world), np.random.default_rng(0))
         try:
-            lines, same = opened(REFERENCES).compared(found, harness.world, scenario)
+            lines, same = opened(REFERENCES).compared(revision, harness.world, scenario)
         except RevisionError as error:
             raise AgainstError(str(error)) from None
     elif against is not None:
@@ -239,7 +234,7 @@ def bound_test(item: pytest.Function, arg: str) -> Test:
         fixed[OF_SUITE] = _once(fixed[OF_SUITE])
     recorded = item.stash[OF_ONE_RUN] = OfOneRun(item.user_properties)
     recorders = (pytest.LogCaptureFixture, pytest.WarningsRecorder)
-    kept = [value for value in item.funcargs.values() if isinstance(value, recorders)]
+    recorders_here = [value for value in item.funcargs.values() if isinstance(value, recorders)]
 
     def test(run: Any) -> Any:
         # No __tracebackhide__ is needed: pytest's traceback filter cuts everything above the user's function.
@@ -247,7 +242,7 @@ def bound_test(item: pytest.Function, arg: str) -> Test:
             with recorded.call(run):
                 result = item.obj(**{**fixed, arg: run})
         finally:  # and not before the call, as the ADS may have logged in this run
-            for each in kept:
+            for each in recorders_here:
                 each.clear()
             item.stash[OUTPUT].read()
         check = sys.modules.get("pytest_check")
@@ -293,19 +288,23 @@ def run_search(item: pytest.Function, request: Request) -> None:
     replays = Replays(harness=harness, in_own_session=partial(replay_in_own_session, item), today=today)
     # If this policy has killed a process before, it runs in processes that may die of it.
     chosen = isolated_after_a_death(harness, replays)
-    listener = SearchMessages(item, settings, page_counts(item, settings), table_messages_of(item))
+    messages_of_search = SearchMessages(item, settings, table_messages_of(item))
     # With these options pytest stops at the first failed item. The loop inside of this item must do the same.
     is_first_enough = bool(item.config.getoption("usepdb", False)) or item.config.getoption("maxfail", 0) == 1
-    with prepared(chosen, has_table=listener.table is not None) as parts:
-        result = SearchSession(
+    with prepared(chosen, has_table=messages_of_search.table is not None) as parts:
+        session = SearchSession(
             watch=parts.watch(
                 item.nodeid, limit, progress_seconds=shared.progress_seconds, stops_at_first=is_first_enough
             ),
-            listener=listener,
             replays=replace(replays, harness=chosen),
             shrinks_later=not os.environ.get(OF_SEARCH),  # the command search has no test that stays
             process_notes=[] if chosen is harness else [AFTER_A_DEATH],
-        ).run()
+        )
+        events = Events(session.run())
+        for event in events:
+            with events:
+                messages_of_search.take(event)
+    result = events.result
     # The item fails for a fault of the set-up, for new findings, for failures without an item, and for an empty search.
     summary = result.summary
     if result.fault is not None:
@@ -333,15 +332,6 @@ def run_search(item: pytest.Function, request: Request) -> None:
         _fail(item, f"health warnings ({flag('strict_health')})", summary.warnings)
 
 
-def page_counts(item: pytest.Item, settings: Settings) -> CampaignCounts | None:
-    """Return empty counts of a search for the report page; None if no page is requested."""
-    if not is_on_page(item.config, settings):
-        return None
-    from pytest_pafot.report.views import CampaignCounts  # noqa: PLC0415
-
-    return CampaignCounts()
-
-
 def searches_left(item: pytest.Item) -> int:
     """Return how many searches this process still has to run, including the search of this item.
 
@@ -362,19 +352,16 @@ def shown(exception: BaseException) -> BaseException:
 
 @dataclass(frozen=True, slots=True)
 class SearchMessages:
-    """A listener that sends the events of a search as messages; also to the report page and the table, if requested."""
+    """What takes the events of a search and sends them as messages; also to the table, if requested."""
 
     item: pytest.Function
     settings: Settings
-    counts: CampaignCounts | None  # for the report page
     table: Listener | None
-    told: dict[str, FindTold] = field(default_factory=dict)  # the findings so far, by id
+    sent: dict[str, Sighting] = field(default_factory=dict)  # the findings so far, by id, as they were last sent
     new: list[str] = field(default_factory=list)  # the ids of those that were reported when they were found
 
-    def __call__(self, event: SearchEvent) -> None:
+    def take(self, event: SearchEvent) -> None:
         """Send a message for each event that the terminal, the page or the table reports."""
-        if self.counts is not None:
-            self.counts.see(event)
         if self.table is not None:
             self.table(event)
         if isinstance(event, SearchStarted):
@@ -385,113 +372,98 @@ class SearchMessages:
             self.item.stash[OUTPUT].read()
         elif isinstance(event, Progress):
             messages.send(self.item, "progress", asdict(event))
-        elif isinstance(event, FindTold):
-            self._find(event)
+        elif isinstance(event, Sighting):
+            self._send(event)
         elif isinstance(event, SearchSummary):
-            found = of_findings([(each.finding, each.find.path, each.find.severity) for each in self.told.values()])
-            set_properties(self.item.user_properties, **found)
-            for each in self.told.values():  # only now, because a finding is told again once it is shrunk
-                tell_followers(self.item, each.find.id, _call(each))
-            if self.told:  # otherwise they stay those of the last run
-                self.item.stash[OF_ONE_RUN].show(next(iter(self.told.values())).run)
-            messages.send(self.item, "search", {"summary": plain(event), **self._for_page(event)})
+            set_properties(self.item.user_properties, **of_findings(self.sent.values()))
+            for each in self.sent.values():  # only now, because a finding is sent again once it is shrunk
+                show_followers(self.item, each.id, _call(each))
+            if self.sent:  # otherwise they stay those of the last run
+                self.item.stash[OF_ONE_RUN].show(next(iter(self.sent.values())).run)
+            finds = tuple(self._completed(each) for each in event.finds)
+            summary = messages.packed(replace(event, finds=finds))
+            page = {"target": self.settings.report} if is_on_page(self.item.config, self.settings) else {}
+            messages.send(self.item, "search", {"summary": summary, **page})
 
-    def _for_page(self, summary: SearchSummary) -> dict[str, Any]:
-        """Return what a page shows of the search, and what is known of its findings only now."""
-        if self.counts is None or self.counts.started is None:  # otherwise the item only replayed
-            return {}
-        cut_by = summary.reason if summary.reason in ("error", "interrupted") else ""
-        known = {node_ids.saved_node_id(self.item, id_): count for id_, count in summary.known.items()}
-        return {
-            "target": self.settings.report,
-            "base_seed": self.settings.seed,
-            "campaign": plain(self.counts.view(self.item.nodeid, cut_by=cut_by)),
-            "runs": {find.node_id: 1 + find.repeats for find in summary.finds} | known,
-            "labels": {find.node_id: label_of(find) for find in summary.finds},
-        }
+    def _completed(self, sighting: Sighting) -> Sighting:
+        """Return a finding of the summary with what its messages have added."""
+        sent = self.sent.get(sighting.id, sighting)
+        return replace(sighting, sentences=sent.sentences, command=sent.command)
 
-    def _find(self, kept: FindTold) -> None:
+    def _send(self, sighting: Sighting) -> None:
         config = self.item.config
-        if kept.find.label == NO_WORSE:  # it was told as new before, and gets no item
-            self.told.pop(kept.find.id, None)
-            note = kept.find.detail
-            tell_finding(self.item, self.settings, kept.finding, kept.find, run=kept.run, note=note, is_new=False)
+        if sighting.label == NO_WORSE:  # it was sent as new before, and gets no item
+            self.sent.pop(sighting.id, None)
+            send_sighting(self.item, self.settings, sighting, note=sighting.detail)
             return
-        self.told[kept.find.id] = kept
+        self.sent[sighting.id] = sighting  # even if an interrupt ends what follows
         width = config.stash[SHARED].width
-        explanation = "" if kept.run is None else explained(kept.run, kept.exception, config)
-        details = [f"against    {kept.finding.expect.against}, which passes"] if kept.finding.expect.against else []
-        details += [] if kept.is_new else terminal.simplified_lines(kept.finding)
+        explanation = "" if sighting.run is None else explained(sighting.run, sighting.exception, config)
+        details = (
+            [f"against    {sighting.finding.expect.against}, which passes"] if sighting.finding.expect.against else []
+        )
+        details += [] if sighting.is_first else terminal.simplified_lines(sighting.finding)
         if not is_compact(config):
-            details += [f"scenario   {kept.finding.scenario}", f"found by   {kept.origin}"]
-            details += terminal.effort_lines(kept.finding)
-        advice = "it does not repeat, so it is not shrunk" if kept.find.is_flaky and not kept.is_random else ""
-        if kept.find.difference == NOT_REPEATED:
-            advice = DRAWS_IN_WRAPPERS if kept.finding.world.get("wrappers") else DRAWS
+            details += [f"scenario   {sighting.finding.scenario}", f"found by   {sighting.origin}"]
+            details += terminal.effort_lines(sighting.finding)
+        advice = "it does not repeat, so it is not shrunk" if sighting.is_flaky and not sighting.is_random else ""
+        if sighting.difference == NOT_REPEATED:
+            advice = DRAWS_IN_WRAPPERS if sighting.finding.world.get("wrappers") else DRAWS
         # A file in a corpus of the command line can only be run with the same option.
         corpus = config.getoption(BY_NAME["corpus"].key)
         where = [] if corpus is None else [f"{flag('corpus')}={corpus}"]
-        shrink = command("pytest_pafot", "corpus", "shrink", kept.find.path, *(["--", *where] if where else []))
-        is_due = bool(kept.find.unshrunk) and self.settings.resume is None and not os.environ.get(OF_SEARCH)
-        avoided = kept.finding.expect.avoided_by
+        shrink = command("pytest_pafot", "corpus", "shrink", sighting.path, *(["--", *where] if where else []))
+        is_due = bool(sighting.unshrunk) and self.settings.resume is None and not os.environ.get(OF_SEARCH)
+        avoided = sighting.finding.expect.avoided_by
         section = terminal.find_section(
-            kept.find,
-            explanation="" if explanation.partition("\n")[0] in message_of(kept.exception) else explanation,
-            content=kept.content,
-            first=[] if avoided is None or kept.is_new else [avoided.sentence],
+            sighting,
+            explanation="" if explanation.partition("\n")[0] in message_of(sighting.exception) else explanation,
+            content=sighting.content,
+            first=[] if avoided is None or sighting.is_first else [avoided.sentence],
             details=details,
             advice=advice,
-            shrink=shrink if is_due and kept.find.path else "",
+            shrink=shrink if is_due and sighting.path else "",
             width=width,
         )
         # Nobody should have to wait for the end of the search to learn what the first failure is.
         whole = None
-        if kept.is_new and not self.new:
-            story = [] if kept.run is None else kept.run.explain(instructions=False).splitlines()
-            is_told = bool(story) and story[0].partition(":")[0] in kept.find.headline
+        if sighting.is_first and not self.new:
+            story = [] if sighting.run is None else sighting.run.explain(instructions=False).splitlines()
+            is_told = bool(story) and story[0].partition(":")[0] in sighting.headline
             # A file whose finding does not count in a comparison will be removed.
             is_sure = self.settings.against is None or not self.settings.pairs
-            again = rerun(["pytest", kept.find.path], os.environ, *where, saved=kept.find.id) if is_sure else ""
+            again = rerun(["pytest", sighting.path], os.environ, *where, saved=sighting.id) if is_sure else ""
             whole = {"story": story[is_told:], "again": again}
-        self.new.extend([kept.find.id] if kept.is_new else [])
-        check = kept.exception.check if isinstance(kept.exception, CheckFailed) else None
-        report = _report(self.item, kept, section)
-        tell_finding(
-            self.item,
-            self.settings,
-            kept.finding,
-            kept.find,
-            run=kept.run,
-            check=check,
-            report=report,
-            is_new=kept.is_new,
-            whole=whole,
+        self.new.extend([sighting.id] if sighting.is_first else [])
+        check = sighting.exception.check if isinstance(sighting.exception, CheckFailed) else None
+        report = _report(self.item, sighting, section)
+        self.sent[sighting.id] = send_sighting(
+            self.item, self.settings, sighting, check=check, report=report, whole=whole
         )
 
 
-def _report(item: pytest.Item, kept: FindTold, section: str) -> dict[str, Any]:
+def _report(item: pytest.Item, sighting: Sighting, section: str) -> dict[str, Any]:
     """Return the serialised failure report of a new finding, under the node id that will replay it in the next session.
 
     pytest's own hooks make the report, so marks of the test function, such as xfail, apply to it.
     """
-    find = kept.find
     with without_listener(item.config):
-        report: pytest.TestReport = item.ihook.pytest_runtest_makereport(item=item, call=_call(kept))
+        report: pytest.TestReport = item.ihook.pytest_runtest_makereport(item=item, call=_call(sighting))
     path, line, _ = report.location
-    summarise(report, find.summary)
-    report.nodeid = find.node_id
-    report.location = (path, line, node_ids.saved_name(item, find.id))
+    summarise(report, sighting.summary)
+    report.nodeid = sighting.node_id
+    report.location = (path, line, node_ids.saved_name(item, sighting.id))
     report.sections.append(("pafot", section))
-    item.stash[OF_ONE_RUN].show(kept.run, report.user_properties)
-    properties = of_findings([(kept.finding, find.path, find.severity)])
-    breadth = None if find.breadth is None else find.breadth.word
+    item.stash[OF_ONE_RUN].show(sighting.run, report.user_properties)
+    properties = of_findings([sighting])
+    breadth = None if sighting.breadth is None else sighting.breadth.word
     set_properties(report.user_properties, **properties, breadth=breadth)
     data: dict[str, Any] = item.config.hook.pytest_report_to_serializable(config=item.config, report=report)
     return data
 
 
-def _call(kept: FindTold) -> pytest.CallInfo[None]:
-    error = shown(kept.exception)
+def _call(sighting: Sighting) -> pytest.CallInfo[None]:
+    error = shown(sighting.exception)
     context = error.__context__
 
     def fail() -> None:

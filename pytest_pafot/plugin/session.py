@@ -243,10 +243,10 @@ class Controller:
     @pytest.hookimpl(optionalhook=True)
     def pytest_testnodedown(self, node: Any, error: object) -> None:
         """Store what an ended worker reports: the items that drive policies, and saved scenarios that no item runs."""
-        told = getattr(node, "workeroutput", {}).get(KEY)
-        if told is None:  # It died.
+        output = getattr(node, "workeroutput", {}).get(KEY)
+        if output is None:  # It died.
             return
-        driven, orphans, *others = json.loads(told)
+        driven, orphans, *others = json.loads(output)
         node.config.stash[DRIVEN].update(driven)
         unrun = node.config.stash[UNRUN]
         unrun.orphans.update((Path(folder), Orphan(*orphan)) for folder, orphan in orphans.items())
@@ -273,8 +273,8 @@ class Worker:
         """
         unrun, driven = session.config.stash[UNRUN], session.config.stash[DRIVEN]
         orphans = {str(folder): orphan for folder, orphan in unrun.orphans.items()}
-        told = json.dumps((sorted(driven), orphans, *unrun[1:]))
-        session.config.workeroutput[KEY] = told  # type: ignore[attr-defined]
+        output = json.dumps((sorted(driven), orphans, *unrun[1:]))
+        session.config.workeroutput[KEY] = output  # type: ignore[attr-defined]
 
 
 class Header:

@@ -1,4 +1,4 @@
-"""``--pafot-json`` and the summary of a CI job, which the controller writes from the messages of items.
+"""``--pafot-json`` and the summary of a CI job, which the controller writes from the record of the session.
 
 The JSON file is written at the beginning of the session and again with each new finding. So a killed session leaves
 its own findings, never the file of an earlier session. If writing takes long, because there are a thousand findings,
@@ -21,18 +21,16 @@ import pytest
 
 from pytest_pafot.campaign.options import BY_NAME
 from pytest_pafot.corpus.layout import files_in, relative
-from pytest_pafot.plugin import messages
-from pytest_pafot.plugin.marks import SAVED_MARK, SEARCH_MARK
-from pytest_pafot.plugin.messages import AS_SAVED
+from pytest_pafot.plugin.messages import received
 from pytest_pafot.plugin.orphans import advice
+from pytest_pafot.plugin.record import Record
 from pytest_pafot.plugin.session import HERE, SUMMARY_LINES, exit_code, not_written
 from pytest_pafot.plugin.unrun import UNRUN
-from pytest_pafot.support.errors import flag, rerun
-from pytest_pafot.support.traced import Traced
+from pytest_pafot.support.errors import flag
 
 if TYPE_CHECKING:
-    from pytest_pafot.campaign.events import Find, SearchSummary
-    from pytest_pafot.report.session_record import FindingRecord, OrphanRecord, SessionRecord
+    from pytest_pafot.findings.sighting import Sighting
+    from pytest_pafot.report.session_record import OrphanRecord, SessionRecord
 
 JSON = BY_NAME["json"]
 EVENTS = ("start", "progress", "finding", "search", "note", "warning", "compared")
@@ -52,23 +50,16 @@ def is_asked_for(config: pytest.Config, environ: Mapping[str, str]) -> bool:
 
 
 class Records:
-    """Hooks that collect the messages and results of items, and write the record of the session."""
+    """What writes the record of the session as JSON, for hooks of other plugins, and as the summary of a CI job."""
 
-    def __init__(self, config: pytest.Config, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(self, config: pytest.Config, record: Record, clock: Callable[[], float] = time.monotonic) -> None:
         self._config = config
+        self._record = record
         self._clock = clock
         self._is_refused = False  # whether a hook of another plugin has raised
         self._next = -math.inf  # when the JSON file may be written again [s]
         self._file: str | None = config.getoption(JSON.key)
         self._lines = config.stash[SUMMARY_LINES]
-        self._searches: dict[str, SearchSummary] = {}  # by node id, like the findings
-        self._findings: dict[str, FindingRecord] = {}
-        self._replays: dict[str, Find] = {}
-        self._runs: dict[str, int] = {}
-        self._results: dict[str, list[str]] = {}
-        self._reasons: dict[str, str] = {}
-        self._traced: dict[str, Traced] = {}
-        self._texts: dict[str, list[str]] = {"warning": [], "compared": []}
 
     @pytest.hookimpl(trylast=True)
     def pytest_sessionstart(self) -> None:
@@ -77,17 +68,20 @@ class Records:
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
-        """Store the messages of items, and the result of each of their phases."""
-        message = messages.received(report)
-        if message is not None and message.kind in EVENTS:
+        """Pass a message on to hooks of other plugins, and write the JSON file again if it says something new."""
+        message, sighting = received(report), self._record.latest
+        if message is None:
+            return
+        if message.kind in EVENTS and _is_implemented(self._config.hook.pytest_pafot_event):
             data = message.data
             if message.kind in ("finding", "search"):  # without what is meant for the page and the terminal
-                data = {"record": data["record"], "is_new": bool(data.get("is_new"))} if "record" in data else {}
-            self._tell("pytest_pafot_event", node_id=report.nodeid, kind=message.kind, data=data)
-        if message is None:
-            self._take_phase(report)
-        elif message.kind in ("finding", "start", "search", *self._texts):
-            self._take(report.nodeid, message)
+                from pytest_pafot.report.session_record import finding_entry  # noqa: PLC0415
+
+                is_new = sighting is not None and sighting.is_first
+                data = {} if sighting is None else {"record": finding_entry(sighting), "is_new": is_new}
+            self._call("pytest_pafot_event", node_id=report.nodeid, kind=message.kind, data=data)
+        if message.kind == "search" or (sighting is not None and sighting.label == "new"):
+            self._write_json(None)
 
     @pytest.hookimpl(trylast=True)  # after the pages are written and the new findings are reported
     def pytest_sessionfinish(self, session: pytest.Session) -> None:
@@ -95,158 +89,83 @@ class Records:
         if _is_implemented(self._config.hook.pytest_pafot_record):
             from pytest_pafot.report.session_record import to_text  # noqa: PLC0415
 
-            self._tell("pytest_pafot_record", record=json.loads(to_text(self._record(exit_code(session)))))
+            self._call("pytest_pafot_record", record=json.loads(to_text(self._made(exit_code(session)))))
         if self._is_refused and session.exitstatus == pytest.ExitCode.OK:  # a hook may be somebody's gate
             session.exitstatus = pytest.ExitCode.TESTS_FAILED
         code = exit_code(session)
         self._write_json(code)
-        path = os.environ.get(SUMMARY)
-        orphans = self._config.stash[UNRUN].orphans
-        if not path or not any((self._searches, self._findings, *self._texts.values(), orphans, self._lines.problems)):
+        path, record = os.environ.get(SUMMARY), self._record
+        orphans, searches = self._config.stash[UNRUN].orphans, (record.searches, record.running, record.unbegun)
+        findings, texts = (record.sightings, record.unread), (record.warnings, record.compared)
+        if not path or not any((*searches, *findings, *texts, orphans, self._lines.problems)):
             return  # A session without anything to report imports nothing for it.
         with self._lines.faults(f"the summary in {SUMMARY}"):
             from pytest_pafot.report.session_record import markdown  # noqa: PLC0415
             from pytest_pafot.support.files import append  # noqa: PLC0415
 
             file = self._config.invocation_params.dir / path
-            text = markdown(self._record(code))
+            text = markdown(self._made(code))
             problem = not_written(self._config, path, file.parent, lambda: append(file, text))
             if problem:
                 self._lines.problems.append(f"{SUMMARY}={path}: not written: {problem}")
 
-    def _tell(self, hook: str, **given: Any) -> None:
+    def _call(self, hook: str, **given: Any) -> None:
         """Call a hook of other plugins; what it raises costs nothing else, but the session does not pass."""
         problems = len(self._lines.problems)
         with self._lines.faults(f"a hook {hook}"):
             getattr(self._config.hook, hook)(config=self._config, **given)
         self._is_refused |= len(self._lines.problems) > problems
 
-    def _take(self, node_id: str, message: messages.Message) -> None:
-        from pytest_pafot.campaign.events import Find, SearchSummary  # noqa: PLC0415
-        from pytest_pafot.report.session_record import FindingRecord  # noqa: PLC0415
-        from pytest_pafot.searching.plain import from_plain  # noqa: PLC0415
-
-        data = message.data
-        match message.kind:
-            case "start":
-                self._searches[node_id] = SearchSummary(node_id=node_id, **data)
-            case "finding":
-                finding = FindingRecord(**data["record"])
-                told = self._findings.get(finding.node_id)
-                if told is not None and told.unshrunk:  # from a search whose new file this session replays as well
-                    finding = replace(finding, unshrunk=told.unshrunk)
-                self._findings[finding.node_id] = finding
-                self._replays.pop(finding.node_id, None)
-                if not finding.is_new:
-                    self._replays[finding.node_id] = from_plain(Find, data["find"])
-                else:
-                    self._write_json(None)
-            case "search":
-                summary = self._searches[node_id] = from_plain(SearchSummary, data["summary"])
-                self._runs.update((find.node_id, 1 + find.repeats) for find in summary.finds)
-                self._write_json(None)
-            case kind:
-                self._texts[kind].append(f"{data['text']}")
-
-    def _take_phase(self, report: pytest.TestReport) -> None:
-        """Store the result of a phase. A saved scenario that failed without a message could not be read or run."""
-        told = Traced.of_properties(report.user_properties)
-        when: str = report.when
-        if when == "???":  # pytest-xdist: the worker died, so the item has no result and says nothing of itself
-            self._reasons.setdefault(report.nodeid, str(report.longrepr))
-            self._traced.setdefault(report.nodeid, told)
-            return
-        if told:
-            self._traced[report.nodeid] = told
-        elif SEARCH_MARK not in report.keywords:
-            return
-        if report.when == "call" or not report.passed:  # A setup that passed is not yet a result.
-            self._results.setdefault(report.nodeid, []).append(_result(report))
-        if report.failed:  # the reason is the line of the short summary, or the first line of the text
-            crash = getattr(report.longrepr, "reprcrash", None)
-            text = report.longreprtext if crash is None else str(crash.message)
-            reason = next((line.strip() for line in text.splitlines() if line.strip()), "")
-            self._reasons.setdefault(report.nodeid, reason)
-        if report.nodeid in self._findings or SEARCH_MARK not in report.keywords:
-            return
-        if report.failed and SAVED_MARK in report.keywords:
-            from pytest_pafot.report.session_record import ERROR, FindingRecord  # noqa: PLC0415
-
-            told = json.loads(getattr(report, AS_SAVED))
-            self._findings[report.nodeid] = FindingRecord(
-                node_id=report.nodeid,
-                id=told["id"],
-                test=told["test"],
-                status=ERROR,
-                file=told["file"],
-                replay=rerun(["python", "-m", "pytest", told["file"]], os.environ, saved=told["id"]),
-                detail=self._reasons[report.nodeid],
-            )
-        elif report.failed:
-            from pytest_pafot.campaign.events import SearchSummary  # noqa: PLC0415
-
-            self._searches.setdefault(report.nodeid, SearchSummary(node_id=report.nodeid))
-
-    def _record(self, code: int | None) -> SessionRecord:
-        from pytest_pafot.campaign.events import by_test, concluded  # noqa: PLC0415
+    def _made(self, code: int | None) -> SessionRecord:
+        """Make the record of the session so far; ``code`` is its exit code, None before its end."""
         from pytest_pafot.report.session_record import (  # noqa: PLC0415
             ItemRecord,
             SessionRecord,
+            finding_entry,
             same_everywhere,
             worst,
         )
         from pytest_pafot.support.versions import installed_versions  # noqa: PLC0415
 
-        results = {node_id: worst(results) for node_id, results in self._results.items()}
-        same = partial(same_everywhere, root=str(self._config.rootpath))
-        traced = {
-            node_id: {**asdict(told), "requirements": list(told.requirements)} for node_id, told in self._traced.items()
-        }
-        others = sorted(self._traced.keys() - self._searches.keys() - self._findings.keys())
-        searches = by_test(self._searches.values())
-        replays = {node_id: concluded(find, searches) for node_id, find in self._replays.items()}
-        said: dict[str, dict[str, Any]] = {
-            node_id: {"status": find.result, "searched": find.searched, "elsewhere": find.elsewhere}
-            for node_id, find in replays.items()
-        }
+        record, same = self._record, partial(same_everywhere, root=str(self._config.rootpath))
+
+        def item(node_id: str) -> dict[str, Any]:
+            """Return what is known of an item: the result, and the requirements that its test checks."""
+            traced = record.traced.get(node_id)
+            named = {} if traced is None else {**asdict(traced), "requirements": list(traced.requirements)}
+            return {"result": worst(record.results.get(node_id, ())), **named}
+
+        def message(node_id: str) -> str:
+            return same(record.reasons.get(node_id, ""))
+
+        sightings: dict[str, Sighting | None] = {**dict.fromkeys(record.unread), **record.sightings}
+        sightings |= {each.node_id: each for each in record.replays}
+        findings = []
+        for node_id, seen in sorted(sightings.items()):
+            if seen is None:
+                known: dict[str, Any] = {**record.unread[node_id], "node_id": node_id, "detail": message(node_id)}
+            else:
+                runs = 1 + record.new[node_id].repeats if node_id in record.new else 0
+                known = {"headline": same(seen.headline), "detail": same(seen.detail), "runs": runs}
+            findings.append(finding_entry(seen, **known, **item(node_id)))
+        searches = {**record.unbegun, **record.searches, **record.running}
         return SessionRecord(
             exit=code,
             commit=self._config.getoption(BY_NAME["commit"].key),
             day=self._config.getoption(BY_NAME["today"].key),
             versions=installed_versions(),
             searches=[
-                replace(
-                    search,
-                    result=results.get(node_id, ""),
-                    message=same(self._reasons.get(node_id, "")),
-                    **traced.get(node_id, {}),
-                )
-                for node_id, search in sorted(self._searches.items())
+                replace(search, message=message(node_id), **item(node_id))
+                for node_id, search in sorted(searches.items())
             ],
-            findings=[
-                replace(
-                    finding,
-                    result=results.get(node_id, ""),
-                    runs=self._runs.get(node_id, 0),
-                    headline=same(finding.headline),
-                    detail=same(finding.detail),
-                    **said.get(node_id, {}),
-                    **traced.get(node_id, {}),
-                )
-                for node_id, finding in sorted(self._findings.items())
-            ],
+            findings=findings,
             tests=[
-                ItemRecord(
-                    node_id=each,
-                    result=results.get(each, ""),
-                    message=same(self._reasons.get(each, "")),
-                    **traced[each],
-                )
-                for each in others
+                ItemRecord(node_id=each, message=message(each), **item(each))
+                for each in sorted(record.traced.keys() - searches.keys() - sightings.keys())
             ],
-            compared=list(dict.fromkeys(self._texts["compared"])),
+            compared=list(dict.fromkeys(record.compared)),
             orphans=self._orphans() if code is not None else [],
-            warnings=sorted([*self._texts["warning"], *self._lines.warnings]),
+            warnings=sorted([*record.warnings, *self._lines.warnings]),
             problems=list(self._lines.problems),
         )
 
@@ -277,7 +196,7 @@ class Records:
         path = Path(os.path.normpath(self._config.invocation_params.dir / self._file))
         if code is None and is_stream(path):
             return  # It keeps all that it receives, so it receives only the last record.
-        text = to_text(self._record(code))
+        text = to_text(self._made(code))
         problem = not_written(self._config, self._file, path.parent, lambda: write_whole(path, text))
         took = self._clock() - began
         self._next = began + (REST * took if took > QUICK else 0.0)
@@ -288,12 +207,3 @@ class Records:
 
 def _is_implemented(hook: Any) -> bool:
     return bool(hook.get_hookimpls())
-
-
-def _result(report: pytest.TestReport) -> str:
-    """Return the result of a phase from its report: ``passed``, ``skipped``, ``xfailed``, ``failed`` or ``error``."""
-    if report.failed:
-        return "failed" if report.when == "call" else "error"
-    if report.skipped:
-        return "xfailed" if hasattr(report, "wasxfail") else "skipped"
-    return "passed"

@@ -85,12 +85,12 @@ def run_shrink(item: pytest.Function, request: Request, saved: Saved) -> None:
                 messages.send(item, "progress", asdict(progress))
     for note in later.notes:
         messages.send(item, "note", {"text": note})
-    told = f"{visible(path)}: {later.told}"
+    result = f"{visible(path)}: {later.told}"
     if later.is_refused:
-        pytest.fail(f"{told}; the file is left as it is", pytrace=False)
+        pytest.fail(f"{result}; the file is left as it is", pytrace=False)
     if later.finding is not None:
         try:
             rewrite(saved.path, later.finding)
         except CorpusWriteError as error:
             raise RequestError(str(error)) from None
-    messages.send(item, "done", {"text": told})
+    messages.send(item, "done", {"text": result})

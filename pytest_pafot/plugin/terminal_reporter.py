@@ -1,4 +1,4 @@
-"""The output of the controller: live progress, reports of findings, and the summary, from the messages of items."""
+"""The output of the controller: live progress, reports of findings, and the summary, from the record of the session."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ import pytest
 from pytest_pafot.corpus.layout import files_in, relative
 from pytest_pafot.plugin import orphans
 from pytest_pafot.plugin.messages import Message, received
+from pytest_pafot.plugin.record import Record
 from pytest_pafot.plugin.session import (
     SHARED,
     SUMMARY_LINES,
@@ -25,10 +26,9 @@ from pytest_pafot.plugin.session import (
 from pytest_pafot.plugin.unrun import UNRUN
 from pytest_pafot.support.errors import rerun
 from pytest_pafot.support.text import ascii_text
-from pytest_pafot.support.traced import Traced
 
 if TYPE_CHECKING:
-    from pytest_pafot.campaign.events import Find, SearchSummary
+    from pytest_pafot.findings.sighting import Sighting
 
 TERMINAL_SECONDS = 0.25  # the interval between reports of a search's progress on a terminal [s]
 
@@ -91,35 +91,24 @@ class LiveTerminal:
 
 
 class Reporter:
-    """Hooks that collect and report the messages of items, only on the controller."""
+    """What writes on the terminal, only on the controller."""
 
-    def __init__(self, config: pytest.Config) -> None:
+    def __init__(self, config: pytest.Config, record: Record) -> None:
         self._config = config
+        self._record = record
         self._live = LiveTerminal(config)
         self._session: pytest.Session | None = None
         self._pending: dict[str, dict[str, tuple[dict[str, Any], Any, tuple[float, ...]]]] = {}
         self._expanded: set[str] = set()
-        self._explained: dict[str, list[str]] = {}
-        self._running: dict[str, None] = {}
-        self._worked_on: set[tuple[str, str]] = set()  # searches and findings whose simplification was told
-        self._searches: list[SearchSummary] = []
-        self._replays: list[Find] = []
-        self._neighbour_seconds = 0.0
-        self._traced: dict[str, Traced] = {}
+        self._worked_on: set[tuple[str, str]] = set()  # searches and findings whose simplification was shown
         self._lines = config.stash[SUMMARY_LINES]
-        self._notes: dict[str, None] = {}
-        self._warnings: dict[str, None] = {}
-        self._incomparable: dict[str, None] = {}
 
     @pytest.hookimpl(wrapper=True)
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> Generator[None, object, object]:
-        """Handle the message that a test report carries; after the teardown of a search, print its new findings."""
+        """Make room for what pytest prints of a phase; after the teardown of a search, print its new findings."""
         message = received(report)
         if message is None:
             self._live.erase_progress()
-            told = Traced.of_properties(report.user_properties)
-            if told:
-                self._traced[report.nodeid] = told
         result = yield
         if message is not None:
             self._take(report, message)
@@ -142,8 +131,8 @@ class Reporter:
         if self._live.rewrites:
             self._config.stash[SHARED].progress_seconds = TERMINAL_SECONDS
         result = yield
-        if self._incomparable:
-            raise pytest.UsageError(f"the reference cannot be compared, as told by {', '.join(self._incomparable)}")
+        if named := ", ".join(self._record.incomparable):
+            raise pytest.UsageError(f"the reference cannot be compared, as told by {named}")
         return result
 
     @pytest.hookimpl(tryfirst=True)
@@ -163,7 +152,7 @@ class Reporter:
             with self._lines.faults(f"report of what {node_id} found"):
                 self._expand(node_id)
         with self._lines.faults("records of processes that died"):
-            if self._searches or self._replays or self._running:
+            if self._is_driven:
                 self._lines.problems.extend([*misspelt(os.environ), *unclaimed(self._config)])
 
     def pytest_terminal_summary(self, terminalreporter: Any) -> None:
@@ -175,29 +164,32 @@ class Reporter:
                 terminalreporter.section("pafot")
             for line in lines:
                 terminalreporter.line(line)
-            if self._searches and os.environ.get("GITHUB_ACTIONS") == "true":
+            if self._record.searches and os.environ.get("GITHUB_ACTIONS") == "true":
                 from pytest_pafot.report.terminal import annotation_lines  # noqa: PLC0415
 
-                finds = (find for search in self._searches for find in search.finds)
-                for line in annotation_lines(finds, self._explained):
+                searches = self._record.searches.values()
+                for line in annotation_lines(each for search in searches for each in search.finds):
                     terminalreporter.line(line)
         for line in own.problems:
             terminalreporter.line(ascii_text(line))
 
+    @property
+    def _is_driven(self) -> bool:
+        """True if a search has begun, or a saved scenario was replayed."""
+        return bool(self._record.searches or self._record.running or self._record.sightings)
+
     def _summary(self) -> list[str]:
-        unrun = self._config.stash[UNRUN]
-        lines = (self._lines.problems, self._lines.reports)
-        told = tuple(unrun)
-        if not any((self._searches, self._replays, self._running, self._notes, self._warnings, *told, *lines)):
+        unrun, record = self._config.stash[UNRUN], self._record
+        lines = (record.notes, record.warnings, self._lines.problems, self._lines.reports)
+        if not any((self._is_driven, *unrun, *lines)):
             return []
-        from pytest_pafot.campaign.events import by_test, concluded  # noqa: PLC0415
         from pytest_pafot.report import terminal  # noqa: PLC0415
 
         left = [(folder, orphan.expected, files_in(folder)) for folder, orphan in unrun.orphans.items()]
         session = terminal.SessionSummary(
-            searches=self._searches,
-            replays=[concluded(each, by_test(self._searches)) for each in self._replays],
-            neighbour_seconds=self._neighbour_seconds,
+            searches=[*record.searches.values()],
+            replays=record.replays,
+            neighbour_seconds=record.neighbour_seconds,
             orphans=[
                 (self._relative(folder), [each.name for each in files], why) for folder, why, files in left if files
             ],
@@ -205,79 +197,56 @@ class Reporter:
             way_out=orphans.advice(self._config),
             problems=self._lines.problems,
             written=self._lines.reports,
-            interrupted=list(self._running),
-            warnings=sorted({*self._warnings, *self._lines.warnings}),
-            notes=list(self._notes),
+            interrupted=[*record.running],
+            warnings=sorted({*record.warnings, *self._lines.warnings}),
+            notes=[*record.notes],
             again=rerun(["pytest", "FILE"], os.environ, saved="ID"),
-            incomparable=list(self._incomparable),
-            traced=self._traced,
+            incomparable=[*record.incomparable],
+            traced=record.traced,
         )
         width = self._config.stash[SHARED].width
         return terminal.session_lines(session, verbose=self._config.get_verbosity() > 0, width=width)
 
     def _take(self, report: pytest.TestReport, message: Message) -> None:
-        """Process a message of an item. Messages for the report page are left to a separate plugin."""
-        from pytest_pafot.campaign.events import NEW, NO_WORSE, Find, Progress, SearchSummary  # noqa: PLC0415
+        """Show at once what a reader wants to know before the summary."""
+        from pytest_pafot.campaign.events import Progress  # noqa: PLC0415
+        from pytest_pafot.findings.sighting import NEW, NO_WORSE  # noqa: PLC0415
         from pytest_pafot.report import terminal  # noqa: PLC0415
-        from pytest_pafot.searching.plain import from_plain  # noqa: PLC0415
 
-        data = message.data
-        match message.kind:
-            case "start":
-                self._take_start(report)
-            case "progress":
-                progress = Progress(**data)
-                # A log keeps every line, and hundreds of runs to shrink one finding say nothing new.
-                key = (progress.node_id, progress.of)
-                if self._live.rewrites or not progress.of or key not in self._worked_on:
-                    self._live.show_progress(lambda width: terminal.progress_line(progress, width))
-                    self._worked_on.add(key)
-            case "finding":
-                find = from_plain(Find, data["find"])
-                if find.label == NEW:
-                    self._explained[find.id] = data.get("record", {}).get("sentences", [])
-                    self._take_find(report, find, data)
-                elif find.label == NO_WORSE:
-                    self._pending.get(report.nodeid, {}).pop(find.node_id, None)
-                else:
-                    self._replays.append(find)
-                    self._neighbour_seconds += data["seconds"]
-            case "search":
-                self._running.pop(report.nodeid, None)
-                self._searches.append(from_plain(SearchSummary, data["summary"]))
-            case "done":
-                self._lines.reports.append(data["text"])
-            case "note" | "compared":
-                self._notes[data["text"]] = None
-            case "incomparable":
-                self._incomparable[report.nodeid] = None
-            case "problem":
-                self._lines.problems.append(data["text"])
-            case "warning":
-                self._warnings[data["text"]] = None
+        sighting = self._record.latest
+        if message.kind == "start":
+            # Under pytest-xdist no line on the collection is printed, and the seed must be known if the session ends
+            # early.
+            is_first = len(self._record.running) == 1 and not self._record.searches
+            if self._live.is_parallel and is_first and self._config.get_verbosity() >= 0:
+                base = base_line(self._config)
+                self._live.write([f"pafot: {base}"] if base else [])
+        elif message.kind == "progress":
+            progress = Progress(**message.data)
+            # A log keeps every line, and hundreds of runs to shrink one finding say nothing new.
+            key = (progress.node_id, progress.of)
+            if self._live.rewrites or not progress.of or key not in self._worked_on:
+                self._live.show_progress(lambda width: terminal.progress_line(progress, width))
+                self._worked_on.add(key)
+        elif sighting is not None and sighting.label == NEW:
+            self._take_new(report, sighting, message.data)
+        elif sighting is not None and sighting.label == NO_WORSE:
+            self._pending.get(report.nodeid, {}).pop(sighting.node_id, None)
 
-    def _take_start(self, report: pytest.TestReport) -> None:
-        # Under pytest-xdist no line on the collection is printed, and the seed must be known if the session ends early.
-        is_first = not self._running and not self._searches
-        if self._live.is_parallel and is_first and self._config.get_verbosity() >= 0:
-            base = base_line(self._config)
-            self._live.write([f"pafot: {base}"] if base else [])
-        self._running[report.nodeid] = None
-
-    def _take_find(self, report: pytest.TestReport, find: Find, data: dict[str, Any]) -> None:
+    def _take_new(self, report: pytest.TestReport, sighting: Sighting, data: dict[str, Any]) -> None:
         from pytest_pafot.findings.severity import Severity  # noqa: PLC0415
         from pytest_pafot.report import terminal  # noqa: PLC0415
 
-        if find.node_id not in self._expanded:
-            rank = Severity.worst_first(find.responsible, find.severity, find.breadth)
-            told = data["report"], getattr(report, "node", None), rank
-            self._pending.setdefault(report.nodeid, {})[find.node_id] = told
+        if sighting.node_id not in self._expanded:
+            rank = Severity.worst_first(sighting.responsible, sighting.severity, sighting.breadth)
+            pending = data["report"], getattr(report, "node", None), rank
+            self._pending.setdefault(report.nodeid, {})[sighting.node_id] = pending
         self._live.erase_progress()
         width, verbosity, whole = self._config.stash[SHARED].width, self._config.get_verbosity(), data.get("whole")
-        if data["is_new"] and verbosity >= 0:
-            self._live.write(terminal.found_lines(find, width, **(whole or {})))
+        if sighting.is_first and verbosity >= 0:
+            self._live.write(terminal.found_lines(sighting, width, **(whole or {})))
         elif whole is not None and verbosity == -1:
-            self._live.write(terminal.found_lines(find, width))
+            self._live.write(terminal.found_lines(sighting, width))
 
     def _expand(self, search_id: str) -> None:
         """Report the findings of a search, the worst first, as the items that will replay them in the next session."""

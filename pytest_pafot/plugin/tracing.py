@@ -38,11 +38,11 @@ def read(item: pytest.Item) -> Traced:
         if mark.args or not mark.kwargs.keys() <= set(TRACING):
             received = ", ".join([*map(repr, mark.args), *(f"{name}=" for name in mark.kwargs if name not in TRACING)])
             raise ValueError(f"pytest.mark.{ANY_MARK}: expected {', '.join(TRACING)} by name, received {received:.100}")
-        told = checked(mark.kwargs)
-        owner = owner or told.owner
+        named = checked(mark.kwargs)
+        owner = owner or named.owner
         if not requirements:
-            title = title or told.title
-            requirements = told.requirements
+            title = title or named.title
+            requirements = named.requirements
             documentation = _first_line(node) if requirements else ""
     title = title or documentation or _first_line(item)
     return Traced(requirements=requirements, title=title if requirements else "", owner=owner)

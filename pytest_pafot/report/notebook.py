@@ -9,17 +9,16 @@ from __future__ import annotations
 import shlex
 from dataclasses import replace
 
-from pytest_pafot.campaign.events import FindTold, SearchStarted
 from pytest_pafot.campaign.explore import Exploration
 from pytest_pafot.campaign.saved_scenario import SavedScenario
 from pytest_pafot.findings.finding import Finding
+from pytest_pafot.findings.sighting import Sighting
 from pytest_pafot.model.trace import Trace
 from pytest_pafot.oracle.checks import CheckFailed
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.report.page import render_frame
 from pytest_pafot.report.page_data import FindingView, Report
-from pytest_pafot.report.views import campaign_view, finding_view, run_view, with_neighbours
-from pytest_pafot.searching.events import Event
+from pytest_pafot.report.views import finding_view, run_view, with_neighbours
 from pytest_pafot.support.text import plural
 from pytest_pafot.world.limits import CLEARANCE
 
@@ -32,12 +31,9 @@ def html(value: object) -> str:
 def report_of(value: object) -> Report:
     """Return the report on a run, a finding or a search that its page in a notebook shows."""
     if isinstance(value, Exploration):
-        views = tuple(_told_view(told, value) for told in value.told)
+        views = tuple(_sighting_view(each, value) for each in value.sightings)
         title = f"{plural(len(views), 'finding')} in {plural(value.summary.runs, 'run')}"
-        started = next(event for event in value.events if isinstance(event, SearchStarted))
-        events = [event for event in value.events if isinstance(event, Event)]
-        campaign = campaign_view(started.node_id, events)
-        return Report(title=title, findings=views, campaigns=(campaign,))
+        return Report(title=title, findings=views, searches=(value.summary,))
     if isinstance(value, SavedScenario):
         view = _finding_view(value.finding)
         view = replace(view, path=str(value.path), command=f"pytest {shlex.quote(str(value.path))}")
@@ -55,19 +51,18 @@ def _finding_view(finding: Finding) -> FindingView:
     return replace(view, runs=0, command="")
 
 
-def _told_view(told: FindTold, value: Exploration) -> FindingView:
+def _sighting_view(sighting: Sighting, value: Exploration) -> FindingView:
     """Return the view of a finding from a search outside pytest. It has no command, since no test replays it."""
-    find = told.find
     view = finding_view(
-        None if told.run is None else told.run.trace,
-        told.finding,
-        node_id=find.path or find.node_id,
-        headline=find.headline,
-        check=told.exception.check if isinstance(told.exception, CheckFailed) else None,
+        None if sighting.run is None else sighting.run.trace,
+        sighting.finding,
+        node_id=sighting.path or sighting.node_id,
+        headline=sighting.headline,
+        check=sighting.exception.check if isinstance(sighting.exception, CheckFailed) else None,
     )
-    runs = next((1 + each.repeats for each in value.summary.finds if each.id == find.id), 1)
-    view = replace(view, runs=runs, path=find.path, label=find.remark, command="")
-    return with_neighbours(view, find)
+    runs = next((1 + each.repeats for each in value.summary.finds if each.id == sighting.id), 1)
+    view = replace(view, runs=runs, path=sighting.path, label=sighting.remark, command="")
+    return with_neighbours(view, sighting)
 
 
 def _run_view(value: object) -> FindingView:

@@ -19,18 +19,17 @@ from importlib.resources import files
 from itertools import islice
 from pathlib import Path
 from string import Template
-from types import MappingProxyType
 from typing import Any
 from urllib.parse import quote
 
-from pytest_pafot.campaign.events import NEW, NO_WORSE, Find, SearchSummary, concluded
+from pytest_pafot.campaign.events import ALL_RUN, DONE, SearchSummary
 from pytest_pafot.campaign.options import is_page_file
 from pytest_pafot.corpus.layout import SUFFIX
 from pytest_pafot.findings.labels import JUDGED_OTHERWISE
 from pytest_pafot.findings.severity import Severity
+from pytest_pafot.findings.sighting import NEW, Sighting
 from pytest_pafot.report.animation import AnimationError, animate
 from pytest_pafot.report.page_data import (
-    CampaignView,
     CheckView,
     Errors,
     FindingView,
@@ -156,10 +155,10 @@ def further_section(findings: Sequence[FindingView], whole: int) -> str:
     )
     listed = table(columns("finding", "what happened", "file", "a page of it alone"), rows)
     count = plural(len(findings), "further finding")
-    told = f"This page shows the {whole} worst findings whole. The others follow, the worst first."
+    note = f"This page shows the {whole} worst findings whole. The others follow, the worst first."
     return (
         f'<section class="campaigns" id="further" aria-label="Further findings"><h2>{count}</h2>'
-        f'<p class="note">{told}</p><div class="scroll">{listed}</div></section>'
+        f'<p class="note">{note}</p><div class="scroll">{listed}</div></section>'
     )
 
 
@@ -168,8 +167,8 @@ def requirement_section(requirements: Sequence[tuple[Traced, int]]) -> str:
     if not requirements:
         return ""
     rows = (
-        row(text(told.ids), text(told.title), text(told.owner), text(plural(count, "failure") if count else "none"))
-        for told, count in requirements
+        row(text(named.ids), text(named.title), text(named.owner), text(plural(count, "failure") if count else "none"))
+        for named, count in requirements
     )
     listed = table(columns("requirement", "title", "owner", "open in this session"), rows)
     return (
@@ -261,46 +260,39 @@ def _tags(finding: FindingView) -> list[str]:
 
 # The page's text on a search.
 
-ENDS = {
-    "": "early",
-    "generations": "all generations done",
-    "runs": "all runs done",
-    "time": "time ran out",
-    "stopped": "enough findings",
-    "error": "with an error",
-}
-"""The text for each reason for which a search ends; an empty reason means that its end is not known."""
+ENDS = {"": "early", "error": "with an error"}
+"""The text for a reason for which a search ends, if it is not the reason itself. An empty one is not known."""
 
 
-def campaign_article(view: CampaignView, index: int, *, is_open: bool = True) -> str:
+def search_article(search: SearchSummary, index: int, *, is_open: bool = True) -> str:
     """Return the HTML article on one search; ``is_open`` is False if it is folded until the reader opens it."""
-    finished, end = view.generations, ENDS.get(view.reason, view.reason)
+    made, end = search.generations, ENDS.get(search.reason, search.reason)
     figures = (
-        ("algorithm", view.algorithm),
-        ("seed", view.seed),
-        ("generations", finished if view.asked in (None, finished) else f"{finished} of {view.asked}"),
-        ("runs", view.simulated),
-        ("not run again", view.reused),
-        ("coverage", view.coverage),
+        ("algorithm", search.algorithm),
+        ("seed", search.seed),
+        ("generations", made if search.asked in (None, made) else f"{made} of {search.asked}"),
+        ("runs", search.runs),
+        ("not run again", search.known_runs),
+        ("coverage", search.coverage),
         ("ended", end),
     )
-    folded = f"{plural(view.simulated, 'run')}, {view.failing} failing"
-    folded += f", {plural(len(view.warnings), 'warning')}" if view.warnings else ""
-    folded += f", ended {end}" if view.reason in ("error", "interrupted") else ""
-    warnings = "".join(f'<p class="warning"><b>Warning</b> {text(warning)}</p>' for warning in view.warnings)
-    judged = sum(count for _, count in view.responsibilities)
+    folded = f"{plural(search.runs, 'run')}, {search.failing} failing"
+    folded += f", {plural(len(search.warnings), 'warning')}" if search.warnings else ""
+    folded += f", ended {end}" if search.reason in ("error", "interrupted") else ""
+    warnings = "".join(f'<p class="warning"><b>Warning</b> {text(warning)}</p>' for warning in search.warnings)
     return (
         f'<article class="campaign" aria-labelledby="campaign-{index}">'
         f"<details{' open' if is_open else ''}>"
-        f'<summary><h3 id="campaign-{index}" class="id">{text(view.node_id)}</h3>'
+        f'<summary><h3 id="campaign-{index}" class="id">{text(search.node_id)}</h3>'
         f'<span class="meta">{text(folded)}</span></summary>{facts(figures)}{warnings}'
-        f'<div class="columns">{_counts("Runs by outcome", view.outcomes, view.simulated)}'
-        f"{_counts('Runs by responsibility', view.responsibilities, judged)}</div></details></article>"
+        f'<div class="columns">{_counts("Runs by outcome", search.outcomes)}'
+        f"{_counts('Runs by responsibility', search.responsibilities)}</div></details></article>"
     )
 
 
-def _counts(title: str, counts: Iterable[tuple[str, int]], total: int) -> str:
-    """Return an HTML table of counts, each with a bar; a bar of the count ``total`` fills the width."""
+def _counts(title: str, counts: Mapping[str, int]) -> str:
+    """Return an HTML table of counts, the largest first, each with a bar; a bar of all of them fills the width."""
+    total = sum(counts.values())
     rows = "".join(
         row(
             text(name.replace("_", " ")),
@@ -308,7 +300,7 @@ def _counts(title: str, counts: Iterable[tuple[str, int]], total: int) -> str:
             '<svg class="meter" viewBox="0 0 100 4" preserveAspectRatio="none" aria-hidden="true">'
             f'<rect width="{100 * count / total if total else 0:.1f}" height="4"/></svg>',
         )
-        for name, count in counts
+        for name, count in sorted(counts.items(), key=lambda each: (-each[1], each[0]))
     )
     return f"<div><h4>{title}</h4><table><tbody>{rows}</tbody></table></div>" if rows else ""
 
@@ -319,6 +311,9 @@ ASSETS = "pytest_pafot.report.assets"
 STYLE = "page.css"
 SCRIPTS = ("dom.js", "scene.js", "charts.js", "player.js", "main.js")
 """The page's scripts, in the order in which they run. Each uses what the earlier scripts define."""
+
+DRAWN = ("headline", "times", "vehicles", "road", "grid", "instructions", "plans", "event", "check")
+"""What the scripts read of a finding. The page has everything else as text."""
 
 FRAME_HEIGHT = 1010
 """Height of a report that is embedded in another page [px]."""
@@ -340,19 +335,19 @@ def render_page(report: Report, *, embedded: bool = False) -> str:
     # The hashes allow only this style and these scripts, and no connection to anywhere.
     policy = f"default-src 'none'; style-src {content_hash(style)}; script-src {content_hash(script)}"
     kind = "embedded" if embedded else "whole"
-    is_open = len(report.campaigns) == 1 and not embedded
+    is_open = len(report.searches) == 1 and not embedded
     # Failures without a finding, with the text that pytest shows for them.
-    ended = {view.node_id: "The search ended with an error." for view in report.campaigns if view.reason == "error"}
+    ended = {each.node_id: "The search ended with an error." for each in report.searches if each.reason == "error"}
     errors = "".join(
         f'<article class="error" role="alert"><h2>{text(node_id)}</h2>'
         f"<p>{ended.get(node_id, 'It failed, and no finding on this page shows why.')}</p>"
-        f"<pre>{text(told.strip())}</pre></article>"
-        for node_id, told in report.errors
+        f"<pre>{text(failure.strip())}</pre></article>"
+        for node_id, failure in report.errors
     )
-    campaigns = "".join(campaign_article(view, index, is_open=is_open) for index, view in enumerate(report.campaigns))
+    searches = "".join(search_article(each, index, is_open=is_open) for index, each in enumerate(report.searches))
     total = len(report.findings) + len(report.further)
     link = '<p class="note"><a href="#further">The others, as a table</a></p>' if report.further else ""
-    searches = f'<section class="campaigns" aria-label="Searches"><h2>Searches</h2>{campaigns}</section>'
+    section = f'<section class="campaigns" aria-label="Searches"><h2>Searches</h2>{searches}</section>'
     return Template(_asset("page.html")).substitute(
         title=text(report.title),
         policy=f"{policy}; base-uri 'none'; form-action 'none'",
@@ -365,7 +360,7 @@ def render_page(report: Report, *, embedded: bool = False) -> str:
         further=further_section(report.further, len(report.findings)) + requirement_section(report.requirements),
         list=(finding_list(report.findings) or f'<p class="empty">{_nothing_found(report)}</p>') + link,
         articles="".join(finding_article(finding, index) for index, finding in enumerate(report.findings)),
-        campaigns=searches if campaigns else "",
+        searches=section if searches else "",
         data=data_json(report),
     )
 
@@ -389,24 +384,24 @@ def render_frame(report: Report) -> str:
 def data_json(report: Report) -> str:
     """Return the report's data for the page's scripts, as JSON that is safe inside a ``<script>`` element.
 
-    Texts that the page contains as HTML are left out. Nothing in the JSON can end the element or begin a comment, and
-    everything beyond ASCII, such as U+2028, is escaped.
+    It has only what they read. Nothing in the JSON can end the element or begin a comment, and everything beyond ASCII,
+    such as U+2028, is escaped.
     """
-    findings = tuple(replace(finding, yaml="", explanation="") for finding in report.findings)
-    data = asdict(replace(report, findings=findings, further=(), errors=()))
+    findings = [asdict(finding) for finding in report.findings]
+    data = {"findings": [{name: finding[name] for name in DRAWN} for finding in findings]}
     return json_in_script(json.dumps(data, ensure_ascii=True, allow_nan=False, separators=(",", ":")))
 
 
 def _nothing_found(report: Report) -> str:
     """Return the sentence on a page without findings. It says that the property held only if nothing was cut short."""
-    ends = {view.reason for view in report.campaigns}
+    ends = {search.reason for search in report.searches}
     if report.errors or "error" in ends:
         return "No findings, but an error stopped something before its end."
     if report.is_interrupted or ends & {"", "interrupted"}:
         return "No findings before the interrupt. The scenarios that had not run by then are untested."
-    if any(view.failing for view in report.campaigns):
+    if any(search.failing for search in report.searches):
         return "No new findings. Some runs failed, but saved scenarios already cover these failures."
-    if "time" in ends:
+    if ends - {DONE, ALL_RUN}:
         return "No findings before time ran out. The property held in every run that was evaluated by then."
     return "No findings. The property held in every evaluated run."
 
@@ -427,33 +422,18 @@ WHOLE = 100
 class Draft:
     """The part of a session's report that is known so far; ``--pafot-report`` names the target.
 
-    Findings, searches and replays are stored by node id, and base seeds in the order in which they arrived. What only
-    whole findings show of a finding is compressed, because it takes half a megabyte, and a session may have thousands.
+    Findings are stored by node id. What only whole findings show of a finding is compressed, because it
+    takes half a megabyte, and a session may have thousands.
     """
 
     target: str
     findings: dict[str, FindingView] = field(default_factory=dict)
     _whole: dict[str, bytes] = field(default_factory=dict)
-    campaigns: dict[str, CampaignView] = field(default_factory=dict)
-    replays: dict[str, Find] = field(default_factory=dict)
-    seeds: dict[int | None, None] = field(default_factory=dict)
 
-    def take(
-        self,
-        find: Find | None = None,
-        finding: FindingView | None = None,
-        campaign: CampaignView | None = None,
-        base_seed: int | None = None,
-    ) -> None:
-        """Add what an item reports: a finding, with its view if it fails; or the view of a search, with its seed."""
-        if finding is not None:
-            self.findings[finding.node_id] = _as_row(finding)
-            self._whole[finding.node_id] = zlib.compress(pickle.dumps(finding), level=1)
-        if campaign is not None:
-            self.campaigns[campaign.node_id] = campaign
-            self.seeds[base_seed] = None
-        if find is not None and find.label not in (NEW, NO_WORSE):
-            self.replays[find.node_id] = find
+    def take(self, finding: FindingView) -> None:
+        """Add the view of a failing finding."""
+        self.findings[finding.node_id] = _as_row(finding)
+        self._whole[finding.node_id] = zlib.compress(pickle.dumps(finding), level=1)
 
     def report(
         self,
@@ -463,24 +443,25 @@ class Draft:
         findings: Iterable[FindingView],
         errors: Errors,
         is_interrupted: bool,
-        searches: Mapping[str, SearchSummary] = MappingProxyType({}),
+        searches: Sequence[SearchSummary] = (),
+        replays: Iterable[Sighting] = (),
         requirements: Iterable[tuple[Traced, int]] = (),
     ) -> Report:
         """Return the finished report, in an order that does not depend on which item ran first.
 
         ``findings`` are the findings of this draft, with what became known at the end of the session. Only the worst
-        are whole findings of the report. ``searches`` are the searches of the session by their tests.
+        are whole findings of the report. ``searches`` and ``replays`` are those that it shows.
         """
         ranked = sorted(findings, key=_rank)
         whole = [self._completed(finding) for finding in ranked[:WHOLE]]
         groups = list(dict.fromkeys(finding.group for finding in whole))
         return Report(
             title=f"{project}: {_numbers(ranked, errors)}",
-            facts=tuple(self._facts(searches, is_interrupted=is_interrupted)),
+            facts=tuple(_facts(searches, replays, is_interrupted=is_interrupted)),
             command=command,
             findings=tuple(sorted(whole, key=lambda finding: groups.index(finding.group))),
             further=tuple(map(_as_row, ranked[WHOLE:])),
-            campaigns=tuple(self.campaigns[node_id] for node_id in sorted(self.campaigns)),
+            searches=tuple(sorted(searches, key=lambda search: search.node_id)),
             requirements=tuple(requirements),
             errors=errors,
             is_interrupted=is_interrupted,
@@ -494,23 +475,26 @@ class Draft:
         whole: FindingView = pickle.loads(zlib.decompress(packed))  # noqa: S301  (of this process)
         return replace(whole, runs=finding.runs, label=finding.label)
 
-    def _facts(self, searches: Mapping[str, SearchSummary], *, is_interrupted: bool) -> Iterator[tuple[str, str]]:
-        if is_interrupted:
-            yield "session", "interrupted; this report has what ran before that"
-        if self.seeds:
-            yield "base seed" if len(self.seeds) == 1 else "base seeds", ", ".join(map(str, self.seeds))
-        replays = [concluded(find, searches) for _, find in sorted(self.replays.items())]
-        if replays:
-            counts = sorted(Counter(find.result for find in replays).items())
-            results = ", ".join(f"{count} {result}" for result, count in counts)
-            yield "replayed", f"{plural(len(replays), 'saved scenario')}: {results}"
-        for find in replays:
-            if find.label in ("drifted", JUDGED_OTHERWISE):
-                yield "drifted", f"{find.node_id}: {find.detail}"
-            elif find.elsewhere:
-                yield find.label, f"{find.node_id}: {find.elsewhere}"
-        yield from installed_versions().items()
-        yield "written", datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC")
+
+def _facts(
+    searches: Iterable[SearchSummary], replays: Iterable[Sighting], *, is_interrupted: bool
+) -> Iterator[tuple[str, str]]:
+    if is_interrupted:
+        yield "session", "interrupted; this report has what ran before that"
+    if seeds := dict.fromkeys(search.base_seed for search in searches):
+        yield "base seed" if len(seeds) == 1 else "base seeds", ", ".join(map(str, seeds))
+    replays = sorted(replays, key=lambda each: each.node_id)
+    if replays:
+        counts = sorted(Counter(each.result for each in replays).items())
+        results = ", ".join(f"{count} {result}" for result, count in counts)
+        yield "replayed", f"{plural(len(replays), 'saved scenario')}: {results}"
+    for each in replays:
+        if each.label in ("drifted", JUDGED_OTHERWISE):
+            yield "drifted", f"{each.node_id}: {each.detail}"
+        elif each.elsewhere:
+            yield each.label, f"{each.node_id}: {each.elsewhere}"
+    yield from installed_versions().items()
+    yield "written", datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC")
 
 
 def write_report(target: str, path: Path, report: Report) -> tuple[str, str]:

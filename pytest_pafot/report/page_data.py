@@ -11,6 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Self
 
+from pytest_pafot.campaign.events import SearchSummary
 from pytest_pafot.findings.neighbours import Breadth
 from pytest_pafot.findings.severity import Severity
 from pytest_pafot.model.grid import Cell
@@ -295,43 +296,13 @@ class FindingView:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class CampaignView:
-    """The figures of a search, as the report page shows them.
-
-    Attributes:
-        generations: number of finished generations of the main search.
-        asked: number of requested generations; None if it was not limited.
-        reason: why the search ended, including ``error`` and ``interrupted``.
-        simulated, failing: number of scenarios that were run, and of those in which the test failed.
-        reused: number of scenarios that were not run, since their result was known from an earlier run.
-        outcomes, responsibilities: number of simulated runs by outcome, and by who was responsible.
-        coverage: how many of all cells, steps and speeds were reached and requested, in words.
-        warnings: warnings about the search's health.
-    """
-
-    node_id: str
-    algorithm: str
-    seed: int
-    generations: int
-    asked: int | None
-    reason: str
-    simulated: int
-    failing: int
-    reused: int
-    outcomes: tuple[tuple[str, int], ...]
-    responsibilities: tuple[tuple[str, int], ...]
-    coverage: str
-    warnings: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class Report:
     """The content of a page.
 
     Attributes:
         facts: names and values to show of the session, such as versions and seeds.
         command: command that started the session.
-        findings, campaigns: in the order in which they are listed.
+        findings, searches: in the order in which they are listed.
         further: findings that the page shows only as rows of a table, the worst first, without their runs and texts.
         requirements: the requirements that the session tested, each with its number of failures.
         is_interrupted: whether the session was interrupted.
@@ -341,7 +312,7 @@ class Report:
     facts: tuple[tuple[str, str], ...] = ()
     command: str = ""
     findings: tuple[FindingView, ...] = ()
-    campaigns: tuple[CampaignView, ...] = ()
+    searches: tuple[SearchSummary, ...] = ()
     further: tuple[FindingView, ...] = ()
     requirements: tuple[tuple[Traced, int], ...] = ()
     errors: Errors = ()

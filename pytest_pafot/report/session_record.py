@@ -10,17 +10,19 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from copy import copy
+from dataclasses import asdict, dataclass, field, replace
 from types import MappingProxyType
-from typing import Any, Self
+from typing import Any, NamedTuple
 
-from pytest_pafot.campaign.events import ELSEWHERE, NEW, NO_WORSE, PASSES, PASSING, Find, SearchSummary, passing
+from pytest_pafot.campaign.events import SearchSummary
 from pytest_pafot.findings.finding import Finding, portable
 from pytest_pafot.findings.labels import JUDGED_OTHERWISE, NEARBY
 from pytest_pafot.findings.neighbours import Breadth
 from pytest_pafot.findings.severity import Severity, worsening
 from pytest_pafot.findings.shrink import size_of
+from pytest_pafot.findings.sighting import ELSEWHERE, NEW, NO_WORSE, PASSES, PASSING, Sighting, passing
 from pytest_pafot.support.markup import code, plain
 from pytest_pafot.support.text import plural, quiet_json
 from pytest_pafot.support.traced import Traced, counted
@@ -31,174 +33,188 @@ VERSION = 1
 ERROR = "error"
 """The status of a saved scenario that could not be read or run."""
 
-TERMINAL_ONLY = ("seconds", "process_notes")
-"""The attributes of a search that are not written, because the same seed may give other values."""
+NOT_WRITTEN = ("outcomes", "responsibilities", "seconds", "process_notes")
+"""The attributes of a search that only pages or the terminal show; of the last two, the same seed may give others."""
 
 SLOW = re.compile(r"(?<=^SlowDecision: a decision )took [\d.]+ s")
 """The measured time in the headline of a decision that took longer than ``decision_limit``."""
 
 RESULTS = ("", "passed", "skipped", "xfailed", "failed", "error")
 """The results that an item can have, the worst last. The empty result is for an item that never ended."""
+FAILED = ("failed", "error")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class FindingRecord:
-    """A saved scenario that was replayed, or a new finding.
+class Key(NamedTuple):
+    """A key of the entry of a saved scenario or a new finding."""
 
-    Attributes:
-        node_id: node id of the item that replays it, in this session or, if it is new, from the next one on.
-        id: name of its file without the suffix.
-        test: node id of its test.
-        status: `new`; `no worse` if it is new and does not count in a comparison with a reference; the result of its
-            replay, as in the summary; or `error` if it could not be read or run. Then only its ids, `test`, `result`,
-            `file`, `replay` and `detail` are known.
-        result: result of the item: `passed`, `skipped`, `xfailed`, `failed`, `error`; empty if the item did not end.
-        file, replay: path relative to the rootdir, null if it was not saved, and the command that replays it.
-        scenario: its scenario, which `pafot.Scenario.from_canonical` reads; null if `status` is `error`.
-        world: its world, as in its file; null likewise.
-        headline: how the run ended, in a few words; empty if it passes.
-        sentences: who did what in a collision, what was due or what avoids it, and who is responsible.
-        detail: what differs from the file, why there is no file, or what the error is.
-        signature: everything that makes two failures the same, in one line, for the failure in its file.
-        kind: short name of the signature, from which ids are made.
-        failure, assertion: name of the exception class, and the failing assertion or the name of the check.
-        outcome, time: how the run in the file ended, and the time of its event [s].
-        responsible: `ego`, `npc`, `both` or `none`.
-        preventable_by: reference drivers that avoid it.
-        size, traffic: size of the scenario, and how the NPCs drive, which is empty for the paper's traffic, in words.
-        runs: number of runs that failed in this way; 0 for a saved scenario, whose runs are in `known` of the search.
-        seed, algorithm: seed (not the base seed) and algorithm of the search that found it.
-        against: the reference that passed in this scenario when it was found; empty without one.
-        rate: how often a policy fails in its scenario that draws random numbers: `failing` of `runs`, each with another
-            seed if `of` is `seeds`, not `runs`; and of a replay `now`, with the `failing` of `runs` then, and `change`:
-            `fixed`, `better`, `as before` or `worse`. Null if the policy draws none.
-        flaky: what differed when it was run again, as in the file; null if nothing did.
-        unshrunk: that no time was left to confirm a new finding, or to shrink it fully; otherwise empty.
-        breadth: how many neighbours of a new finding fail in the same way: `failing`, and `of`. Null if that was not
-            examined.
-        answers: how many decisions depend on the vehicle of a new finding, when they are made again beside the run:
-            `npc`; `since`, when the danger began, or if no decision was due after that, when the last one was made [s];
-            `decisions` from then to the failure, and `depending`; `unseen`, true if it was in no observation;
-            `masking`, another NPC with which hidden the policy brakes harder, at `masked` [m/s^2]. Null if that was not
-            examined.
-        moment: the last decision that could have avoided it: `time` [s]; `npc`; `seen`, `action`, `hidden`, `otherwise`
-            and `reference`, in words: where the policy saw the NPC, what it answered, what it answers with the NPC
-            hidden (empty for the same, null if unknown), with the smallest change of it that changes the answer, and
-            what the reference answered; and `conditions`, a list of those that it evaluated in this decision, the last
-            one first, each with its line in the source, its values and its outcome. Null if none is known.
-        neighbours: number of neighbours of a replayed scenario that were driven and pass.
-        searched: number of runs of the search of its test that found no such failure, if `status` is `fixed` or `fixed
-            before` and that search ran to its end in this session; otherwise 0.
-        elsewhere: id of the finding that the search of its test shows in this session, and that fails in the same way,
-            if `status` is `still failing elsewhere`; otherwise empty.
-        severity: how bad the failure is now: `kind`, which is `collision` or `check`; `value`, the closing speed at the
-            impact [m/s], or by how much the check is broken [`unit`], null if it measured no number; `margin` and
-            `name` of a check. Null if it passes or has no measure.
-        severity_before: the same for the reference in this scenario, if it fails as well; otherwise null.
-        xfail: `reason`, `until` (null for no end) and `flaky` (true if it may pass as well) of an accepted failure;
-            otherwise null.
-        requirements, title, owner: as for a search.
-    """
-
-    node_id: str
-    id: str
-    test: str = ""
-    status: str
-    result: str = ""
-    file: str | None = None
-    replay: str = ""
-    scenario: list[Any] | None = None
-    world: Mapping[str, Any] | None = None
-    headline: str = ""
-    sentences: list[str] = field(default_factory=list)
-    detail: str = ""
-    signature: str = ""
-    kind: str = ""
-    failure: str = ""
-    assertion: str = ""
-    outcome: str = ""
-    time: float | None = None
-    responsible: str = "none"
-    preventable_by: list[str] = field(default_factory=list)
-    size: str = ""
-    traffic: str = ""
-    runs: int = 0
-    seed: int | None = None
-    algorithm: str = ""
-    against: str = ""
-    rate: Mapping[str, Any] | None = None
-    flaky: str | None = None
-    unshrunk: str = ""
-    breadth: Mapping[str, Any] | None = None
-    answers: Mapping[str, Any] | None = None
-    moment: Mapping[str, Any] | None = None
-    neighbours: int = 0
-    searched: int = 0
-    elsewhere: str = ""
-    severity: Mapping[str, Any] | None = None
-    severity_before: Mapping[str, Any] | None = None
-    xfail: Mapping[str, Any] | None = None
-    requirements: list[str] = field(default_factory=list)
-    title: str = ""
-    owner: str = ""
-
-    @property
-    def is_new(self) -> bool:
-        """True if this session found it."""
-        return self.status == NEW
-
-    @classmethod
-    def of(cls, finding: Finding, find: Find, *, replay: str = "", sentences: Iterable[str] = ()) -> Self:
-        """Make a record of a finding's file, or what would be its file, and of what this session saw of it."""
-        expect, until = finding.expect, finding.xfail_until
-        until_day = None if until is None else until.isoformat()
-        accepted = {"reason": finding.xfail, "until": until_day, "flaky": finding.xfail_flaky}
-        return cls(
-            node_id=find.node_id,
-            id=finding.id,
-            status=find.result,
-            test=finding.test,
-            file=find.path or None,
-            replay=replay,
-            scenario=finding.scenario.plain(),
-            world=dict(finding.world),
-            headline=find.headline,
-            sentences=list(sentences),
-            detail=find.detail,
-            signature=finding.signature.text,
-            kind=finding.signature.slug,
-            failure=expect.failure,
-            assertion=expect.assertion,
-            outcome=str(expect.outcome),
-            time=expect.time,
-            responsible=expect.responsibility,
-            preventable_by=list(expect.preventable_by),
-            size=size_of(finding.scenario, finding.longest_run),
-            traffic=finding.scenario.traffic.described,
-            seed=finding.found.seed,
-            algorithm=finding.found.algorithm,
-            against=expect.against,
-            rate=_rate_of(finding, find),
-            flaky=finding.flaky,
-            unshrunk=find.unshrunk,
-            breadth=None if find.breadth is None else asdict(find.breadth),
-            answers=None if find.answers is None else asdict(find.answers),
-            moment=None if find.moment is None else asdict(find.moment),
-            neighbours=find.neighbours,
-            severity=None if find.severity is None else asdict(find.severity),
-            severity_before=None if find.severity_before is None else asdict(find.severity_before),
-            xfail=None if finding.xfail is None else accepted,
-        )
+    meaning: str
+    nothing: Any  # its value in the entry of a file that could not be read or run
+    of: Callable[[Sighting], Any] | None = None  # None for what only the end of the session knows
 
 
-def _rate_of(finding: Finding, find: Find) -> dict[str, Any] | None:
-    then, now = finding.rate, find.rate_now
+def _data(value: Any) -> dict[str, Any] | None:
+    return None if value is None else asdict(value)
+
+
+def _rate_of(sighting: Sighting) -> dict[str, Any] | None:
+    finding, then, now = sighting.finding, sighting.finding.rate, sighting.rate_now
     if then is None:
         return None
     return asdict(then) | {
         "of": finding.drawn,
         "now": None if now is None else asdict(now) | {"change": then.change(now)},
     }
+
+
+def _acceptance_of(finding: Finding) -> dict[str, Any] | None:
+    until = None if finding.xfail_until is None else finding.xfail_until.isoformat()
+    return None if finding.xfail is None else {"reason": finding.xfail, "until": until, "flaky": finding.xfail_flaky}
+
+
+FINDING: Mapping[str, Key] = MappingProxyType({
+    "node_id": Key(
+        "node id of the item that replays it, in this session or, if it is new, from the next one on.",
+        "", lambda seen: seen.node_id,
+    ),
+    "id": Key("name of its file without the suffix.", "", lambda seen: seen.id),
+    "test": Key("node id of its test.", "", lambda seen: seen.finding.test),
+    "status": Key(
+        "`new`; `no worse` if it is new and does not count in a comparison with a reference; the result of its replay, "
+        "as in the summary; or `error` if it could not be read or run. Then only its ids, `test`, `result`, `file`, "
+        "`replay` and `detail` are known.",
+        ERROR, lambda seen: seen.result,
+    ),
+    "result": Key(
+        "result of the item: `passed`, `skipped`, `xfailed`, `failed`, `error`; empty if the item did not end.", "",
+    ),
+    "file": Key(
+        "path relative to the rootdir, null if it was not saved.", None, lambda seen: seen.path or None,
+    ),
+    "replay": Key("the command that replays it.", "", lambda seen: seen.command),
+    "scenario": Key(
+        "its scenario, which `pafot.Scenario.from_canonical` reads; null if `status` is `error`.",
+        None, lambda seen: seen.finding.scenario.plain(),
+    ),
+    "world": Key("its world, as in its file; null likewise.", None, lambda seen: dict(seen.finding.world)),
+    "headline": Key("how the run ended, in a few words; empty if it passes.", "", lambda seen: seen.headline),
+    "sentences": Key(
+        "who did what in a collision, what was due or what avoids it, and who is responsible.",
+        [], lambda seen: list(seen.sentences),
+    ),
+    "detail": Key(
+        "what differs from the file, why there is no file, or what the error is.", "", lambda seen: seen.detail,
+    ),
+    "signature": Key(
+        "everything that makes two failures the same, in one line, for the failure in its file.",
+        "", lambda seen: seen.finding.signature.text,
+    ),
+    "kind": Key(
+        "short name of the signature, from which ids are made.", "", lambda seen: seen.finding.signature.slug,
+    ),
+    "failure": Key("name of the exception class.", "", lambda seen: seen.finding.expect.failure),
+    "assertion": Key(
+        "the failing assertion, or the name of the check.", "", lambda seen: seen.finding.expect.assertion,
+    ),
+    "outcome": Key("how the run in the file ended.", "", lambda seen: str(seen.finding.expect.outcome)),
+    "time": Key("the time of its event [s].", None, lambda seen: seen.finding.expect.time),
+    "responsible": Key("`ego`, `npc`, `both` or `none`.", "none", lambda seen: seen.responsible),
+    "preventable_by": Key(
+        "reference drivers that avoid it.", [], lambda seen: list(seen.finding.expect.preventable_by),
+    ),
+    "size": Key(
+        "size of the scenario in words.", "", lambda seen: size_of(seen.finding.scenario, seen.finding.longest_run),
+    ),
+    "traffic": Key(
+        "how the NPCs drive, in words; empty for the paper's traffic.",
+        "", lambda seen: seen.finding.scenario.traffic.described,
+    ),
+    "runs": Key(
+        "number of runs that failed in this way; 0 for a saved scenario, whose runs are in `known` of the search.", 0,
+    ),
+    "seed": Key(
+        "seed (not the base seed) of the search that found it.", None, lambda seen: seen.finding.found.seed,
+    ),
+    "algorithm": Key("algorithm of that search.", "", lambda seen: seen.finding.found.algorithm),
+    "against": Key(
+        "the reference that passed in this scenario when it was found; empty without one.",
+        "", lambda seen: seen.finding.expect.against,
+    ),
+    "rate": Key(
+        "how often a policy fails in its scenario that draws random numbers: `failing` of `runs`, each with another "
+        "seed if `of` is `seeds`, not `runs`; and of a replay `now`, with the `failing` of `runs` then, and `change`: "
+        "`fixed`, `better`, `as before` or `worse`. Null if the policy draws none.",
+        None, _rate_of,
+    ),
+    "flaky": Key(
+        "what differed when it was run again, as in the file; null if nothing did.",
+        None, lambda seen: seen.finding.flaky,
+    ),
+    "unshrunk": Key(
+        "that no time was left to confirm a new finding, or to shrink it fully; otherwise empty.",
+        "", lambda seen: seen.unshrunk,
+    ),
+    "breadth": Key(
+        "how many neighbours of a new finding fail in the same way: `failing`, and `of`. Null if that was not "
+        "examined.",
+        None, lambda seen: _data(seen.breadth),
+    ),
+    "answers": Key(
+        "how many decisions depend on the vehicle of a new finding, when they are made again beside the run: `npc`; "
+        "`since`, when the danger began, or if no decision was due after that, when the last one was made [s]; "
+        "`decisions` from then to the failure, and `depending`; `unseen`, true if it was in no observation; `masking`, "
+        "another NPC with which hidden the policy brakes harder, at `masked` [m/s^2]. Null if that was not examined.",
+        None, lambda seen: _data(seen.answers),
+    ),
+    "moment": Key(
+        "the last decision that could have avoided it: `time` [s]; `npc`; `seen`, `action`, `hidden`, `otherwise` and "
+        "`reference`, in words: where the policy saw the NPC, what it answered, what it answers with the NPC hidden "
+        "(empty for the same, null if unknown), with the smallest change of it that changes the answer, and what the "
+        "reference answered; and `conditions`, a list of those that it evaluated in this decision, the last one first, "
+        "each with its line in the source, its values and its outcome. Null if none is known.",
+        None, lambda seen: _data(seen.moment),
+    ),
+    "neighbours": Key(
+        "number of neighbours of a replayed scenario that were driven and pass.", 0, lambda seen: seen.neighbours,
+    ),
+    "searched": Key(
+        "number of runs of the search of its test that found no such failure, if `status` is `fixed` or `fixed before` "
+        "and that search ran to its end in this session; otherwise 0.",
+        0, lambda seen: seen.searched,
+    ),
+    "elsewhere": Key(
+        "id of the finding that the search of its test shows in this session, and that fails in the same way, if "
+        "`status` is `still failing elsewhere`; otherwise empty.",
+        "", lambda seen: seen.elsewhere,
+    ),
+    "severity": Key(
+        "how bad the failure is now: `kind`, which is `collision` or `check`; `value`, the closing speed at the impact "
+        "[m/s], or by how much the check is broken [`unit`], null if it measured no number; `margin` and `name` of a "
+        "check. Null if it passes or has no measure.",
+        None, lambda seen: _data(seen.severity),
+    ),
+    "severity_before": Key(
+        "the same for the reference in this scenario, if it fails as well; otherwise null.",
+        None, lambda seen: _data(seen.severity_before),
+    ),
+    "xfail": Key(
+        "`reason`, `until` (null for no end) and `flaky` (true if it may pass as well) of an accepted failure; "
+        "otherwise null.",
+        None, lambda seen: _acceptance_of(seen.finding),
+    ),
+    "requirements": Key("ids of the requirements that its test checks, as for a search.", []),
+    "title": Key("what these ask for.", ""),
+    "owner": Key("who answers for the test.", ""),
+})  # fmt: skip
+"""The keys of an entry on a saved scenario that was replayed, or on a new finding."""
+
+
+def finding_entry(sighting: Sighting | None, **more: Any) -> dict[str, Any]:
+    """Return the entry of a finding for programs; without a sighting, of a file that could not be read or run.
+
+    ``more`` are the values of further keys, or of those that the end of the session changes.
+    """
+    values = (copy(key.nothing) if sighting is None or key.of is None else key.of(sighting) for key in FINDING.values())
+    return dict(zip(FINDING, values, strict=True)) | more
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -248,7 +264,7 @@ class SessionRecord:
         commit, day: the values of `--pafot-commit` and `--pafot-today`; each is null if the option is not given.
         versions: versions of the packages on which a run depends.
         searches: in the order of node ids.
-        findings: replayed saved scenarios and new findings, in the order of node ids.
+        findings: the entries of replayed saved scenarios and new findings, in the order of node ids.
         tests: other tests that name a requirement or an owner, likewise.
         compared: lines on what was compared with a reference: commits and files, or why there was nothing to compare.
         orphans: folders of saved scenarios that no test runs any more.
@@ -260,7 +276,7 @@ class SessionRecord:
     day: str | None = None
     versions: Mapping[str, str] = field(default_factory=dict)
     searches: list[SearchSummary] = field(default_factory=list)
-    findings: list[FindingRecord] = field(default_factory=list)
+    findings: list[dict[str, Any]] = field(default_factory=list)
     tests: list[ItemRecord] = field(default_factory=list)
     compared: list[str] = field(default_factory=list)
     orphans: list[OrphanRecord] = field(default_factory=list)
@@ -270,8 +286,8 @@ class SessionRecord:
     @property
     def is_empty(self) -> bool:
         """True if nothing in the session concerned this plugin."""
-        told = (self.searches, self.findings, self.tests, self.compared, self.orphans, self.problems)
-        return not any(told)
+        parts = (self.searches, self.findings, self.tests, self.compared, self.orphans, self.problems)
+        return not any(parts)
 
     @property
     def failing(self) -> list[tuple[Traced, int]]:
@@ -279,24 +295,29 @@ class SessionRecord:
 
         A failure is a finding, or a test that fails without one.
         """
-        tested: list[SearchSummary | FindingRecord | ItemRecord] = [*self.searches, *self.findings, *self.tests]
+        by_finding = {each.node_id for each in self.searches if each.finds or each.unsaved}
+        tested = [*map(_traced, self.searches), *map(_traced, self.tests), *self.findings]
         return counted(
             (
-                Traced(requirements=tuple(each.requirements), title=each.title, owner=each.owner),
-                each.result in ("failed", "error")
-                and not (isinstance(each, SearchSummary) and (each.finds or each.unsaved)),
+                Traced(requirements=tuple(each["requirements"]), title=each["title"], owner=each["owner"]),
+                each["result"] in FAILED and each["node_id"] not in by_finding,
             )
             for each in tested
         )
 
 
+def _traced(item: SearchSummary | ItemRecord) -> dict[str, Any]:
+    return {name: getattr(item, name) for name in ("node_id", "result", "requirements", "title", "owner")}
+
+
 def to_text(record: SessionRecord) -> str:
     """Write a record as JSON with sorted keys."""
-    data = {"pafot_json": VERSION, **asdict(record)}
-    for told, search in zip(data["searches"], record.searches, strict=True):
-        told["finds"] = [find.id for find in search.finds]
-        for name in TERMINAL_ONLY:
-            del told[name]
+    ids = [[sighting.id for sighting in search.finds] for search in record.searches]
+    data = {"pafot_json": VERSION, **asdict(replace(record, searches=[replace(s, finds=()) for s in record.searches]))}
+    for search, finds in zip(data["searches"], ids, strict=True):
+        search["finds"] = finds
+        for name in NOT_WRITTEN:
+            del search[name]
     return quiet_json(json.dumps(data, indent=2, sort_keys=True)) + "\n"
 
 
@@ -351,9 +372,9 @@ def markdown(record: SessionRecord) -> str:
 
 
 def _lines(record: SessionRecord) -> Iterator[str]:
-    groups: dict[str, list[FindingRecord]] = {name: [] for name in _GROUPS}
-    for finding in record.findings:
-        groups[ACCEPTED if finding.result == "xfailed" else finding.status].append(finding)
+    groups: dict[str, list[dict[str, Any]]] = {name: [] for name in _GROUPS}
+    for entry in record.findings:
+        groups[ACCEPTED if entry["result"] == "xfailed" else entry["status"]].append(entry)
     counts = [f"{len(group)} {name}" for name, group in groups.items() if group]
     yield f"### pafot: {', '.join([*([] if groups[NEW] else ['nothing new']), *counts])}"
     yield ""
@@ -361,16 +382,16 @@ def _lines(record: SessionRecord) -> Iterator[str]:
     for name, group in groups.items():
         if group:
             yield from ("", f"**{_GROUPS[name]}**", "")
-            for finding in sorted(group, key=_rank)[:MAX_LISTED]:
-                yield from _finding_lines(finding)
+            for entry in sorted(group, key=_rank)[:MAX_LISTED]:
+                yield from _finding_lines(entry)
             yield from ([f"- ... and {len(group) - MAX_LISTED} more"] if len(group) > MAX_LISTED else [])
-    told = [
+    requirements = [
         f"{code(named.ids)}{f' {plain(named.title)}' if named.title else ''}"
         f"{f' ({plain(named.owner)})' if named.owner else ''}: {plural(count, 'failure') if count else 'no failure'}"
         for named, count in sorted(record.failing, key=lambda each: (-each[1], each[0].ids))
     ]
-    yield from _listed("Requirements", told)
-    failed = [each for each in record.searches if each.result in ("failed", "error")]
+    yield from _listed("Requirements", requirements)
+    failed = [each for each in record.searches if each.result in FAILED]
     faulty = [each for each in failed if not (each.finds or each.unsaved)]  # their new findings did not make them fail
     yield from _listed("Searches that failed", [f"{code(each.node_id)}: {plain(each.message)}" for each in faulty])
     yield from _listed("Compared", [plain(each) for each in record.compared])
@@ -393,36 +414,37 @@ def _search_lines(record: SessionRecord) -> Iterator[str]:
     against = ", ".join(code(name) for name in dict.fromkeys(search.against for search in ran) if name)
     if against:
         yield f"A run counts as a failure only if {against} passes it."
-    for told in dict.fromkeys(plain(search.compared) for search in ran if search.compared):
-        yield f"{told[0].upper()}{told[1:]}."
+    for compared in dict.fromkeys(plain(search.compared) for search in ran if search.compared):
+        yield f"{compared[0].upper()}{compared[1:]}."
 
 
-def _rank(finding: FindingRecord) -> tuple[Any, ...]:
+def _rank(entry: Mapping[str, Any]) -> tuple[Any, ...]:
     """Return the key that sorts findings of one group: the worst first, then those with the most runs."""
-    severity = None if finding.severity is None else Severity(**finding.severity)
-    breadth = None if finding.breadth is None else Breadth(**finding.breadth)
-    return *Severity.worst_first(finding.responsible, severity, breadth), -finding.runs, finding.node_id
+    severity = None if entry["severity"] is None else Severity(**entry["severity"])
+    breadth = None if entry["breadth"] is None else Breadth(**entry["breadth"])
+    return *Severity.worst_first(entry["responsible"], severity, breadth), -entry["runs"], entry["node_id"]
 
 
-def _finding_lines(finding: FindingRecord) -> Iterator[str]:
+def _finding_lines(entry: Mapping[str, Any]) -> Iterator[str]:
     """Yield two lines on a finding: its test and its description, then the command that replays it."""
-    elsewhere = f"{plain(finding.elsewhere)} fails in the same way" if finding.elsewhere else ""
-    passes = passing(finding.neighbours, finding.searched) if finding.status in (PASSES, *PASSING) else ""
-    told = [passes, plain(finding.headline or elsewhere or finding.detail)]
-    if finding.severity is not None and finding.severity_before is not None:
-        worse = worsening(Severity(**finding.severity), Severity(**finding.severity_before))
-        told += [f"worse: {plain(worse)}"] if worse else []
-    told += [f"flaky: {plain(finding.flaky)}"] if finding.flaky else []
-    told += [plain(finding.unshrunk)] if finding.unshrunk else []
-    told += [] if finding.breadth is None else [str(Breadth(**finding.breadth))]
-    if finding.xfail is not None and finding.result == "xfailed":
-        until = finding.xfail["until"]
-        flaky = " as flaky" if finding.xfail.get("flaky") else ""
-        told.append(f"accepted{flaky}{f' until {until}' if until else ''}: {plain(finding.xfail['reason'] or '')}")
-    told += [f"breaks {', '.join(map(code, finding.requirements))}"] if finding.requirements else []
-    yield f"- {': '.join(filter(None, [code(finding.test or finding.node_id), '; '.join(filter(None, told))]))}"
-    missing = f"not saved: {plain(finding.detail)}; " if finding.file is None else ""
-    yield f"  <br>{missing}{code(finding.replay)}"
+    elsewhere = f"{plain(entry['elsewhere'])} fails in the same way" if entry["elsewhere"] else ""
+    passes = passing(entry["neighbours"], entry["searched"]) if entry["status"] in (PASSES, *PASSING) else ""
+    parts = [passes, plain(entry["headline"] or elsewhere or entry["detail"])]
+    if entry["severity"] is not None and entry["severity_before"] is not None:
+        worse = worsening(Severity(**entry["severity"]), Severity(**entry["severity_before"]))
+        parts += [f"worse: {plain(worse)}"] if worse else []
+    parts += [f"flaky: {plain(entry['flaky'])}"] if entry["flaky"] else []
+    parts += [plain(entry["unshrunk"])] if entry["unshrunk"] else []
+    parts += [] if entry["breadth"] is None else [str(Breadth(**entry["breadth"]))]
+    xfail = entry["xfail"]
+    if xfail is not None and entry["result"] == "xfailed":
+        flaky = " as flaky" if xfail.get("flaky") else ""
+        until = f" until {xfail['until']}" if xfail["until"] else ""
+        parts.append(f"accepted{flaky}{until}: {plain(xfail['reason'] or '')}")
+    parts += [f"breaks {', '.join(map(code, entry['requirements']))}"] if entry["requirements"] else []
+    yield f"- {': '.join(filter(None, [code(entry['test'] or entry['node_id']), '; '.join(filter(None, parts))]))}"
+    missing = f"not saved: {plain(entry['detail'])}; " if entry["file"] is None else ""
+    yield f"  <br>{missing}{code(entry['replay'])}"
 
 
 def _listed(title: str, entries: Sequence[str]) -> Iterator[str]:

@@ -12,10 +12,11 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
-from pytest_pafot.campaign.events import NEW, Find, Progress, SearchSummary
+from pytest_pafot.campaign.events import Progress, SearchSummary
 from pytest_pafot.findings.finding import Expect, Finding
 from pytest_pafot.findings.severity import Severity, worsening
 from pytest_pafot.findings.shrink import size_of
+from pytest_pafot.findings.sighting import NEW, Sighting
 from pytest_pafot.model.scenario import CrossingInstruction, LaneInstruction, Manoeuvre, PositionInstruction
 from pytest_pafot.oracle.run import ReferenceOutcome
 from pytest_pafot.support.errors import flag
@@ -27,7 +28,7 @@ WIDTH = 80
 MINUTE, HOUR = 60, 3600
 LONG = 600
 """The time that is left from which on a line of progress names the option that ends a search [s]."""
-DEAR = 0.001
+EXPENSIVE = 0.001
 """The mean time of a decision from which on the summary counts decisions [s]: below that, other things take longer."""
 MAX_FINDS = 20
 """The largest number of new findings that a search lists one by one."""
@@ -68,7 +69,7 @@ class SessionSummary:
     """
 
     searches: Sequence[SearchSummary] = ()
-    replays: Sequence[Find] = ()
+    replays: Sequence[Sighting] = ()
     neighbour_seconds: float = 0.0
     orphans: Sequence[tuple[str, Sequence[str], str]] = ()
     way_out: str = ""
@@ -102,33 +103,33 @@ def _time_left(progress: Progress) -> str:
     seconds = progress.left
     if seconds < MINUTE:
         return ""
-    told = f"{seconds / HOUR:.1f} h" if seconds >= 2 * HOUR else f"{seconds / MINUTE:.0f} min"
+    duration = f"{seconds / HOUR:.1f} h" if seconds >= 2 * HOUR else f"{seconds / MINUTE:.0f} min"
     each = f" at {1000 * progress.decision_seconds:.3g} ms a decision" if progress.decision_seconds else ""
     way_out = "" if progress.is_limited or seconds < LONG else f"; {flag('max_time', LONG)} ends it"
-    return f", about {told} left{each}{way_out}"
+    return f", about {duration} left{each}{way_out}"
 
 
-def found_lines(find: Find, width: int = WIDTH, *, story: Sequence[str] = (), again: str = "") -> list[str]:
+def found_lines(sighting: Sighting, width: int = WIDTH, *, story: Sequence[str] = (), again: str = "") -> list[str]:
     """Return the lines that report a new finding while the search continues. Its file already exists.
 
     Args:
-        find: the finding.
+        sighting: the finding.
         width: the width of the terminal in columns.
-        story: what its run shows, for the finding that is told whole.
+        story: what its run shows, for the finding that is shown whole.
         again: the command that runs its file, likewise.
     """
-    lines = [ascii_text(f"pafot: found {find.node_id}"), *_wrapped(find.summary, width)]
+    lines = [ascii_text(f"pafot: found {sighting.node_id}"), *_wrapped(sighting.summary, width)]
     lines += [line for each in story for line in _wrapped(each, width)]
-    if not find.path:
-        return [*lines, *_wrapped(f"not saved: {find.detail}", width)]
+    if not sighting.path:
+        return [*lines, *_wrapped(f"not saved: {sighting.detail}", width)]
     if again:
-        saved = "saved" if find.path in again else f"saved as {find.path}"
+        saved = "saved" if sighting.path in again else f"saved as {sighting.path}"
         lines.append(ascii_text(f"  {saved}; run it with: {again}"))
     return lines
 
 
 def find_section(
-    find: Find,
+    sighting: Sighting,
     *,
     explanation: str,
     content: str,
@@ -141,7 +142,7 @@ def find_section(
     """Return the section on a new finding in its failure report, without what the failure message says already.
 
     Args:
-        find: the finding.
+        sighting: the finding.
         explanation: the explanation of the run; empty if the failure message contains it.
         content: the content of the finding's file if it could not be written; otherwise empty.
         first: lines that come before those on the policy's decisions.
@@ -150,12 +151,18 @@ def find_section(
         shrink: the command that shrinks the finding further; empty if it needs none.
         width: the width of the terminal in columns.
     """
-    fitted = fitted_lines(map(ascii_text, [*explanation.splitlines(), *first, *find.on_decisions]), width)
+    fitted = fitted_lines(map(ascii_text, [*explanation.splitlines(), *first, *sighting.on_decisions]), width)
     # A path is not wrapped, so that it can be copied.
-    fitted += [ascii_text(f"saved as   {find.path}")] if find.path else []
-    stop = f"; {flag('debug')} stops in the decision at {find.moment.time:.1f} s" if find.moment is not None else ""
-    rest = [f"run it     pytest FILE{stop}"] if find.path else [f"not saved  {find.detail}"]
-    rest += [*details, f"note       {'; '.join(filter(None, (find.remark, advice)))}"] if find.remark else details
+    fitted += [ascii_text(f"saved as   {sighting.path}")] if sighting.path else []
+    stop = (
+        f"; {flag('debug')} stops in the decision at {sighting.moment.time:.1f} s"
+        if sighting.moment is not None
+        else ""
+    )
+    rest = [f"run it     pytest FILE{stop}"] if sighting.path else [f"not saved  {sighting.detail}"]
+    rest += (
+        [*details, f"note       {'; '.join(filter(None, (sighting.remark, advice)))}"] if sighting.remark else details
+    )
     fitted += fitted_lines(map(ascii_text, rest), width)
     fitted += [ascii_text(f"shrink it  {shrink}")] if shrink else []
     if content:
@@ -222,11 +229,11 @@ def speed_sentences(finding: Finding) -> list[str]:
 
 def failure_line(search: SearchSummary) -> str:
     """Return in one line why the item of a search fails."""
-    ids = [*(find.id for find in _worst_first(search.finds)), *search.unsaved]
+    ids = [*(sighting.id for sighting in _worst_first(search.finds)), *search.unsaved]
     return f"{plural(len(ids), 'new finding')}: {_listed(ids, MAX_NAMED)}"
 
 
-def _worst_first(finds: Iterable[Find]) -> list[Find]:
+def _worst_first(finds: Iterable[Sighting]) -> list[Sighting]:
     """Sort the new findings of one search, the worst first, as in all lists."""
     return sorted(
         finds,
@@ -241,11 +248,14 @@ def _worst_first(finds: Iterable[Find]) -> list[Find]:
 def failure_message(search: SearchSummary) -> str:
     """Return why the item of a search fails: its new findings. Each one is also reported as a separate item."""
     firm, flaky = [], []
-    for find in _worst_first(search.finds):
-        name = f"{find.id} ({plural(1 + find.repeats, 'run')}{'' if find.severity is None else f', {find.severity}'})"
-        if find.is_flaky:
-            never = "" if find.rate else ", so it is never reported as fixed"
-            flaky.append(f"  {name} is flaky{never}: {'; '.join(filter(None, [find.difference, find.rate]))}")
+    for sighting in _worst_first(search.finds):
+        measured = "" if sighting.severity is None else f", {sighting.severity}"
+        name = f"{sighting.id} ({plural(1 + sighting.repeats, 'run')}{measured})"
+        if sighting.is_flaky:
+            never = "" if sighting.finding.rate else ", so it is never reported as fixed"
+            flaky.append(
+                f"  {name} is flaky{never}: {'; '.join(filter(None, [sighting.difference, sighting.finding.on_rate]))}"
+            )
         else:
             firm.append(name)
     count = plural(len(search.finds) + len(search.unsaved), "new finding")
@@ -298,18 +308,18 @@ def _figures(search: SearchSummary) -> str:
         (search.skipped, "skipped"),
         (search.no_interaction, "without interaction"),
     )
-    told = [f"{count} {what}" for count, what in counts if count or what == "failing"]
-    told += [] if search.reached is None else [f"{search.reached:.0%} of genes reached"]
+    parts = [f"{count} {what}" for count, what in counts if count or what == "failing"]
+    parts += [] if search.reached is None else [f"{search.reached:.0%} of genes reached"]
     several = [plural(search.runs, "run")]
     several += [f"{search.shrink_runs} to shrink"] if search.shrink_runs else []
     several += [f"{search.neighbour_runs} of neighbours"] if search.neighbour_runs else []
-    return ", ".join([f"{listed(several)} in {search.seconds:.1f} s", *told])
+    return ", ".join([f"{listed(several)} in {search.seconds:.1f} s", *parts])
 
 
 def _decisions(search: SearchSummary) -> list[str]:
     """Count the decisions of a policy by what they were for, if a search takes long and they take most of the time."""
     counts = (search.decisions, search.confirm_decisions, search.shrink_decisions, search.neighbour_decisions)
-    if not sum(counts) or search.seconds < max(MINUTE, DEAR * sum(counts)):
+    if not sum(counts) or search.seconds < max(MINUTE, EXPENSIVE * sum(counts)):
         return []
     purposes = ("decisions", "to confirm", "to shrink", "of neighbours")
     made = listed([f"{number:,} {purpose}" for purpose, number in zip(purposes, counts, strict=True) if number])
@@ -320,9 +330,9 @@ def _find_lines(search: SearchSummary) -> list[str]:
     """Say how many new findings a search has and in which folder they are saved. Their own reports name them."""
     if not search.finds and not search.unsaved:
         return []
-    folders = dict.fromkeys(os.path.dirname(find.path) for find in search.finds if find.path)  # noqa: PTH120
-    problems = dict.fromkeys(find.detail for find in search.finds if find.detail)
-    flaky = sum(find.is_flaky for find in search.finds)
+    folders = dict.fromkeys(os.path.dirname(sighting.path) for sighting in search.finds if sighting.path)  # noqa: PTH120
+    problems = dict.fromkeys(sighting.detail for sighting in search.finds if sighting.detail)
+    flaky = sum(sighting.is_flaky for sighting in search.finds)
     first = plural(len(search.finds) + len(search.unsaved), "new finding")
     first += f" ({flaky} flaky)" if flaky else ""
     first += f", saved in {' and '.join(folders)}" if folders else ""
@@ -333,8 +343,8 @@ def _comparison(search: SearchSummary) -> list[str]:
     """Say whether the policy became worse, and which findings do not count because it did not."""
     lines = [search.compared] if search.compared else []
     if search.no_worse:
-        told = [f"{id_} ({headline})" if headline else id_ for id_, headline in search.no_worse.items()]
-        lines.append(f"fails elsewhere: {_listed(told)}; {flag('pairs', 0)} counts and saves it")
+        names = [f"{id_} ({headline})" if headline else id_ for id_, headline in search.no_worse.items()]
+        lines.append(f"fails elsewhere: {_listed(names)}; {flag('pairs', 0)} counts and saves it")
     return lines
 
 
@@ -343,7 +353,7 @@ def _unsaved_lines(search: SearchSummary) -> list[str]:
     return [f"  {len(names)} of them not saved ({flag('max_saved')}): {_listed(names)}"] if names else []
 
 
-def replay_lines(replays: Sequence[Find], width: int = WIDTH, *, seconds: float = 0.0) -> list[str]:
+def replay_lines(replays: Sequence[Sighting], width: int = WIDTH, *, seconds: float = 0.0) -> list[str]:
     """Return the lines on all replays: a count by label, then the replays that a reader should look at.
 
     ``seconds`` is the time that neighbours of saved scenarios that pass took [s].
@@ -359,8 +369,8 @@ def replay_lines(replays: Sequence[Find], width: int = WIDTH, *, seconds: float 
     shown = [replay for replay in replays if replay.may_pass or replay.label not in ("still failing", "common")]
     for replay in shown[:MAX_REPLAYS]:
         lines.append(f"  {replay.heading}: {replay.node_id}")
-        told = "; ".join(filter(None, ["" if replay.driven == replay.heading else replay.driven, replay.detail]))
-        lines += [f"  {line}" for line in _wrapped(told, width - 2)] if told else []
+        remarks = "; ".join(filter(None, ["" if replay.driven == replay.heading else replay.driven, replay.detail]))
+        lines += [f"  {line}" for line in _wrapped(remarks, width - 2)] if remarks else []
     return [*lines, f"  ... and {len(shown) - MAX_REPLAYS} more"] if len(shown) > MAX_REPLAYS else lines
 
 
@@ -404,7 +414,7 @@ def worst_lines(session: SessionSummary, width: int = WIDTH) -> list[str]:
             each.node_id,
             _measured(each, session.traced.get(each.node_id)),
         )
-        for each in (*(find for search in session.searches for find in search.finds), *failing)
+        for each in (*(sighting for search in session.searches for sighting in search.finds), *failing)
     )
     if len(listed) < 2:
         return []
@@ -413,13 +423,13 @@ def worst_lines(session: SessionSummary, width: int = WIDTH) -> list[str]:
     return ["failures, the worst first:", *lines, *more]
 
 
-def _measured(find: Find, traced: Traced | None) -> str:
+def _measured(sighting: Sighting, traced: Traced | None) -> str:
     """Return a line with a failure's label and id, how bad it is, who is responsible, and what it breaks."""
     breaks = f", breaks {traced.ids}" if traced is not None and traced.ids else ""
-    if find.severity is None:
-        return f"{find.label}: {find.id} has no measure{breaks}"
-    who = f", {find.responsible} at fault" if find.severity.is_fault(find.responsible) else ""
-    return f"{find.label}: {find.id} {find.severity}{who}{breaks}"
+    if sighting.severity is None:
+        return f"{sighting.label}: {sighting.id} has no measure{breaks}"
+    who = f", {sighting.responsible} at fault" if sighting.severity.is_fault(sighting.responsible) else ""
+    return f"{sighting.label}: {sighting.id} {sighting.severity}{who}{breaks}"
 
 
 def session_lines(session: SessionSummary, *, verbose: bool = False, width: int = WIDTH) -> list[str]:
@@ -434,7 +444,7 @@ def session_lines(session: SessionSummary, *, verbose: bool = False, width: int 
         lines += _wrapped(f"{', '.join(names)}: {expected}", width)
     lines += _wrapped(session.way_out, width) if session.orphans else []
     lines += [f"not run: {file}: {why}" for file, why in session.strays]
-    if any(find.path for search in session.searches for find in search.finds):
+    if any(sighting.path for search in session.searches for sighting in search.finds):
         lines.append(f"run a single saved scenario with: {session.again}")
     lines += [line for text in session.written for line in text.splitlines()]
     for kind, texts in (("warning", session.warnings), ("note", session.notes), ("problem", session.problems)):
@@ -443,19 +453,19 @@ def session_lines(session: SessionSummary, *, verbose: bool = False, width: int 
     return list(map(ascii_text, lines))  # escapes names and texts, so that each stays on one line
 
 
-def annotation_lines(finds: Iterable[Find], explained: Mapping[str, Sequence[str]]) -> list[str]:
+def annotation_lines(sightings: Iterable[Sighting]) -> list[str]:
     """Return commands by which GitHub Actions shows each finding at its test file.
 
-    Each has the headline, the sentences that explain the finding, by its id, and what is told of its decisions. In all
-    of these, and in names, what such a command reads as its own marks is escaped.
+    Each has the headline, the sentences that explain the finding, and what is known of its decisions. In all of these,
+    and in names, what such a command reads as its own marks is escaped.
     """
     lines = []
-    for find in finds:
-        told = [find.headline, *explained.get(find.id, ()), *find.on_decisions]
-        text = "%0A".join(ascii_text(each).replace("%", "%25") for each in told)
+    for sighting in sightings:
+        parts = [sighting.headline, *sighting.sentences, *sighting.on_decisions]
+        text = "%0A".join(ascii_text(each).replace("%", "%25") for each in parts)
         file, title = (
             ascii_text(each).replace("%", "%25").replace(":", "%3A").replace(",", "%2C")
-            for each in (find.node_id.partition("::")[0], find.id)
+            for each in (sighting.node_id.partition("::")[0], sighting.id)
         )
         lines.append(f"::error file={file},title={title}::{text}")
     return lines
@@ -485,13 +495,13 @@ def _lines_of_searches(session: SessionSummary, *, verbose: bool, width: int) ->
             lines += search_lines(search, verbose=verbose, width=width, traced=session.traced.get(search.node_id))
     if not quiet:
         return lines
-    told: dict[str, list[tuple[str, str]]] = {}
+    alike: dict[str, list[tuple[str, str]]] = {}
     for search in quiet:
         texts = [f"warning: {text}" for text in search.warnings]
         texts += [f"note: {text}" for text in (*search.process_notes, *search.notes)]
         for text in texts:
-            told.setdefault(re.sub(r"\d+", "0", text), []).append((search.node_id, text))
-    for (node_id, text), *others in told.values():
+            alike.setdefault(re.sub(r"\d+", "0", text), []).append((search.node_id, text))
+    for (node_id, text), *others in alike.values():
         also = f", and likewise in {len(others)} more" if others else ""
         lines += wrapped_to(ascii_text(f"{text} (in {node_id}{also})"), width)
     seeds = ", ".join(map(str, dict.fromkeys(each.base_seed for each in quiet)))

@@ -1,33 +1,26 @@
-"""The data that the report page shows of a finding and of a search.
-
-A finding is built from its file and from the trace of one of its runs; a search is counted from its events.
-"""
+"""The data that the report page shows of a finding, built from its file and from the trace of one of its runs."""
 
 from __future__ import annotations
 
 import math
 import shlex
-from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from itertools import pairwise
 from textwrap import dedent
-from typing import Any
 
 import numpy as np
 
 from pytest_pafot.attribution.manoeuvres import stretches
-from pytest_pafot.campaign.events import Find, Judged, SearchEvent, SearchStarted
-from pytest_pafot.campaign.tallies import Tally
 from pytest_pafot.corpus.writer import text_of
 from pytest_pafot.criticality import Encounters, Passage, gap, passages, time_advantage, ttc
 from pytest_pafot.criticality.asked import Asked, asked
 from pytest_pafot.criticality.signals import jerk
 from pytest_pafot.findings.finding import Expect, Finding
+from pytest_pafot.findings.sighting import Sighting
 from pytest_pafot.model.driving_style import AMPLE, Traffic
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.scenario import (
-    PAPER_SPEED_LIMIT,
     CrossingInstruction,
     LaneInstruction,
     Manoeuvre,
@@ -38,7 +31,6 @@ from pytest_pafot.model.trace import ACCELERATION, ALONG, HEADING, LANE, SPEED, 
 from pytest_pafot.oracle.checks import Check
 from pytest_pafot.oracle.run import Run, arrival, crossing_text, lane_text
 from pytest_pafot.report.page_data import (
-    CampaignView,
     CheckView,
     EventView,
     FindingView,
@@ -55,19 +47,10 @@ from pytest_pafot.report.page_data import (
     gap_to,
 )
 from pytest_pafot.report.terminal import effort_lines, simplified_lines
-from pytest_pafot.searching.events import (
-    CampaignFinished,
-    CampaignStarted,
-    Evaluated,
-    GenerationFinished,
-)
-from pytest_pafot.searching.health import Health
 from pytest_pafot.world.kernel.driver import following_gap
 from pytest_pafot.world.limits import CLEARANCE
 from pytest_pafot.world.roads.route import wrapped
 from pytest_pafot.world.roads.survey import SAME_DIRECTION
-
-# The data that the report page shows of a finding, built from its file and from the trace of one of its runs.
 
 # The road of a run for its picture: lanes and, if the road bends, the cells around the ego in world coordinates.
 
@@ -282,13 +265,13 @@ def finding_view(
     sentences = () if run is None else expect.sentences_on(run)
     explanation = "" if run is None else _explanation(run, sentences)
     first, _, rest = explanation.partition("\n")
-    told = [(rest if check is None else explanation) or expect.message, *simplified_lines(finding)]
+    lines = [(rest if check is None else explanation) or expect.message, *simplified_lines(finding)]
     view = FindingView(
         id=finding.id,
         node_id=node_id,
         test=finding.test,
         headline=headline or first or expect.message or expect.failure,
-        explanation="\n".join(filter(None, [*told, *effort_lines(finding)])),
+        explanation="\n".join(filter(None, [*lines, *effort_lines(finding)])),
         sentences=sentences,
         assertion=_assertion(expect),
         responsibility=expect.responsibility,
@@ -305,10 +288,10 @@ def finding_view(
     return view if trace is None else _with_run(view, trace, clearance, check)
 
 
-def with_neighbours(view: FindingView, find: Find) -> FindingView:
+def with_neighbours(view: FindingView, sighting: Sighting) -> FindingView:
     """Return a view with what the neighbours of the finding say, and with what the ADS answers to."""
-    explanation = "\n".join(filter(None, [view.explanation, *find.on_decisions]))
-    return replace(view, breadth=find.breadth, explanation=explanation)
+    explanation = "\n".join(filter(None, [view.explanation, *sighting.on_decisions]))
+    return replace(view, breadth=sighting.breadth, explanation=explanation)
 
 
 def run_view(trace: Trace, clearance: float = CLEARANCE) -> FindingView:
@@ -488,7 +471,7 @@ def _instructions(trace: Trace | None, scenario: Scenario) -> tuple[InstructionV
     views: list[InstructionView] = []
     for npc, chain in enumerate(wanted.npcs):
         begun = arrivals[npc] if npc < len(arrivals) else ()
-        for gene, (requested, told) in enumerate(zip(chain, driven[npc], strict=False)):
+        for gene, (requested, followed) in enumerate(zip(chain, driven[npc], strict=False)):
             if isinstance(requested, Manoeuvre):
                 views += _steps(trace, npc, requested, [each for each in missed if each.npc == npc])
                 continue
@@ -499,19 +482,22 @@ def _instructions(trace: Trace | None, scenario: Scenario) -> tuple[InstructionV
                 start=round(gene * wanted.gene_seconds, 3),
                 end=round((gene + 1) * wanted.gene_seconds, 3),
                 requested=int(requested.cell) if isinstance(requested, PositionInstruction) else 0,
-                cell=int(told.cell) if isinstance(told, PositionInstruction) else 0,
-                speed=told.speed,
+                cell=int(followed.cell) if isinstance(followed, PositionInstruction) else 0,
+                speed=followed.speed,
                 started=gene < len(begun),
                 arrived=None if tick is None else round(tick / hz, 3),
             )
-            if isinstance(requested, LaneInstruction) and isinstance(told, LaneInstruction):
-                words = told.goal if trace is None else lane_text(trace, npc, gene)
-                words += "" if told == requested else f" (requested {requested.goal})"
-                view = replace(view, lane=told.lane, words=words)
-            if isinstance(told, CrossingInstruction):
-                slot, words = f"{told.slot:+g} s" if told.slot else "together", crossing_text(told, zones[npc])
+            if isinstance(requested, LaneInstruction) and isinstance(followed, LaneInstruction):
+                words = followed.goal if trace is None else lane_text(trace, npc, gene)
+                words += "" if followed == requested else f" (requested {requested.goal})"
+                view = replace(view, lane=followed.lane, words=words)
+            if isinstance(followed, CrossingInstruction):
+                slot, words = (
+                    f"{followed.slot:+g} s" if followed.slot else "together",
+                    crossing_text(followed, zones[npc]),
+                )
                 end = view.end if trace is None else max(view.end, trace.duration)  # it lasts for the whole run
-                view = replace(view, zone=told.zone, slot=slot, words=words, end=round(end, 3))
+                view = replace(view, zone=followed.zone, slot=slot, words=words, end=round(end, 3))
             views.append(view)
     return tuple(views)
 
@@ -547,83 +533,3 @@ def _numbers(values: FloatArray, digits: int) -> Numbers:
     """Round values to a number of digits. NaN and infinity become None, and -0.0 becomes 0.0."""
     rounded = np.round(values, digits) + 0.0
     return tuple(float(value) if np.isfinite(value) else None for value in rounded)
-
-
-# The data that the report page shows of a search, counted from the search's events.
-
-
-@dataclass(slots=True)
-class CampaignCounts:
-    """Everything that the report page shows of a search, counted from its events as they happen.
-
-    It does not grow, because a search may have hundreds of thousands of events.
-    """
-
-    speed_limit: float = PAPER_SPEED_LIMIT  # the highest target speed [m/s]
-    acts_in_si: bool = True  # False if the ADS's actions are those of an environment
-    responsibilities: Counter[str] = field(default_factory=Counter)  # number of runs by who was responsible
-    started: CampaignStarted | None = None
-    finished: CampaignFinished | None = None
-    health: Health = field(default_factory=Health)
-    outcomes: Counter[str] = field(default_factory=Counter)  # of the simulated runs
-    generations: int = 0  # of the main search
-
-    def see(self, event: SearchEvent) -> None:
-        """Count an event."""
-        match event:
-            case SearchStarted():
-                self.speed_limit, self.acts_in_si = event.speed_limit, event.acts_in_si
-            case Judged():
-                self.responsibilities[event.responsibility or "none"] += 1
-            case Evaluated():
-                self.health = self.health.counted(event.evaluation, reused=event.reused)
-                if not event.reused:
-                    self.outcomes[str(event.evaluation.outcome)] += 1
-            case Tally():
-                self.health += event.health
-                self.outcomes.update(event.outcomes)
-                self.responsibilities.update(event.responsibilities)
-            case CampaignStarted():
-                self.started = event
-            case CampaignFinished():
-                self.finished = event
-            case GenerationFinished(local_generation=0):
-                self.generations += 1
-
-    def view(self, node_id: str, *, cut_by: str = "") -> CampaignView:
-        """Return the view of the search so far. A search that was cut short has a view, too.
-
-        Args:
-            node_id: node id of the search's item.
-            cut_by: ``error`` or ``interrupted`` if that ended the search, because no event reports it; otherwise empty.
-        """
-        coverage = self.health.coverage
-        zones = sorted({str(key[1]) for key in coverage.requested if key[0] == "zone"})
-        return CampaignView(
-            node_id=node_id,
-            algorithm="" if self.started is None else self.started.algorithm,
-            seed=0 if self.started is None else self.started.seed,
-            generations=self.generations,
-            asked=None if self.started is None else self.started.generations,
-            reason=cut_by or ("" if self.finished is None else self.finished.reason),
-            simulated=self.health.simulated,
-            failing=self.health.failing,
-            reused=self.health.reused,
-            outcomes=_by_count(self.outcomes),
-            responsibilities=_by_count(self.responsibilities),
-            coverage=coverage.describe(self.speed_limit, zones),
-            warnings=tuple(self.health.warnings(acts_in_si=self.acts_in_si)),
-        )
-
-
-def campaign_view(node_id: str, events: Iterable[SearchEvent], **known: Any) -> CampaignView:
-    """Build the view of a search from all of its events; ``known`` are attributes of :class:`CampaignCounts`."""
-    counts = CampaignCounts(**known)
-    for event in events:
-        counts.see(event)
-    return counts.view(node_id)
-
-
-def _by_count(counts: Mapping[str, int]) -> tuple[tuple[str, int], ...]:
-    """Return each name with its number of occurrences, the most frequent first; equally frequent ones by name."""
-    return tuple(sorted(counts.items(), key=lambda each: (-each[1], each[0])))

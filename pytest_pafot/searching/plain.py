@@ -21,6 +21,7 @@ from functools import lru_cache
 from itertools import repeat
 from typing import Any, Literal, TypeVar, Union, cast, get_args, get_origin, get_type_hints
 
+from pytest_pafot.findings.finding import IN_MEMORY
 from pytest_pafot.findings.signature import Signature
 from pytest_pafot.model.scenario import Scenario, ScenarioError
 from pytest_pafot.support.errors import FieldError
@@ -28,14 +29,16 @@ from pytest_pafot.support.errors import FieldError
 T = TypeVar("T")
 
 _AS_THEY_ARE = frozenset({type(None), bool, int, str})
+_PLAIN_ALREADY = Mapping[str, Any]
 _NO_NUMBERS = {"inf": math.inf, "-inf": -math.inf, "nan": math.nan}
 
 
 def plain(value: Any) -> Any:
     """Convert a value to lists, texts, numbers, booleans and None.
 
-    The value may also contain dataclasses, tuples, mappings, sets, enumerations and scenarios. Fields of a dataclass
-    with the type Any are left out.
+    The value may also contain dataclasses, tuples, mappings, sets, enumerations, days and scenarios. Fields of a
+    dataclass are left out that have the type Any or ``metadata=IN_MEMORY``; those with the type Mapping[str, Any] are
+    plain data already.
 
     Raises:
         ValueError: for anything else.
@@ -52,8 +55,11 @@ def plain(value: Any) -> Any:
     try:
         if isinstance(value, Scenario):
             return value.plain()
+        if hasattr(value, "isoformat"):
+            return value.isoformat()
         if is_dataclass(value) and not isinstance(value, type):
-            return [plain(getattr(value, name)) for name in _hints(type(value))]
+            parts = ((getattr(value, name), hint) for name, hint in _hints(type(value)).items())
+            return [dict(part) if hint == _PLAIN_ALREADY else plain(part) for part, hint in parts]
         if isinstance(value, Mapping):
             return [[plain(key), plain(each)] for key, each in value.items()]
         if isinstance(value, AbstractSet):
@@ -79,7 +85,8 @@ def from_plain(kind: type[T], data: Any) -> T:
 def _hints(kind: type) -> dict[str, Any]:
     """Return the types of a dataclass's stored fields, by name."""
     hints = get_type_hints(kind)
-    return {each.name: hints[each.name] for each in fields(kind) if each.init and hints[each.name] is not Any}
+    stored = (each.name for each in fields(kind) if each.init and each.metadata != IN_MEMORY)
+    return {name: hints[name] for name in stored if hints[name] is not Any}
 
 
 def _read(kind: Any, data: Any) -> Any:
@@ -118,6 +125,16 @@ def _read(kind: Any, data: Any) -> Any:
         if type(data) not in (str, int) or data not in known:
             raise _refuse(f"one of {', '.join(map(str, known))}", data)
         return kind(data) if is_enum else data
+
+    if hasattr(kind, "fromisoformat"):
+        try:
+            return kind.fromisoformat(data)
+        except (TypeError, ValueError):
+            raise _refuse("a day, such as 2026-11-20", data) from None
+    if kind == _PLAIN_ALREADY:
+        if type(data) is not dict:
+            raise _refuse("a mapping", data)
+        return data
 
     # All others are lists: with a value for each field of a dataclass or each type of a tuple, or any number of values.
     names = _hints(kind) if isinstance(kind, type) and is_dataclass(kind) else None

@@ -7,10 +7,10 @@ import pytest
 
 import pytest_pafot as pafot
 from example_ads import constant_speed
-from pytest_pafot.campaign.events import FindTold
 from pytest_pafot.campaign.harness import same_policy
 from pytest_pafot.campaign.request import AgainstError
 from pytest_pafot.campaign.verdict import Verdict
+from pytest_pafot.findings.sighting import Sighting
 from pytest_pafot.findings.signature import Failure
 from pytest_pafot.support.errors import RequestError
 from pytest_pafot.world.reference_drivers import REFERENCES
@@ -140,7 +140,7 @@ def test_reference_failing_on_repeat_makes_finding_flaky():
     told = []
     summary = pafot.explore(
         constant_speed.make,
-        against=lambda: Breaks() if any(isinstance(event, FindTold) for event in told) else CAREFUL(),
+        against=lambda: Breaks() if any(isinstance(event, Sighting) for event in told) else CAREFUL(),
         holds=never_collides,
         on_event=told.append,
         pairs=1,

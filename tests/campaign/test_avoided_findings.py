@@ -27,7 +27,7 @@ def first(holds):
     found = pafot.explore(
         constant_speed.make, holds=holds, world=WORLD, seed=5, runs=30, genes=2, shrink_rollouts=0, blame="ego"
     )
-    return next(told for told in found.told if told.run.responsibility == "ego")
+    return next(told for told in found.sightings if told.run.responsibility == "ego")
 
 
 @pytest.mark.parametrize("holds", [covers_ground, has_headway])

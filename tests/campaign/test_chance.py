@@ -50,7 +50,7 @@ def found(ads, folder, **settings):
     OWN.seed(3)
     options = SHORT | {"shrink_rollouts": 40, "neighbours": 0, "stop_after": 1, "runs": 40} | settings
     result = pafot.explore(ads, holds=never_brakes, node_id=NODE_ID, corpus=str(folder), **options)
-    (told,) = result.told
+    (told,) = result.sightings
     assert load(told.file) == replace(told.finding, trace=None)
     return told
 
@@ -74,8 +74,8 @@ def test_a_finding_that_draws_repeats_at_its_seed_and_says_in_how_many_others_it
     assert finding.flaky is None
     assert finding.rate.runs == 20
     assert 8 <= finding.rate.failing <= 16
-    assert told.find.rate == f"fails in {finding.rate} other seeds ({finding.rate.in_general})"
-    assert told.find.rate in told.find.summary
+    assert told.finding.on_rate == f"fails in {finding.rate} other seeds ({finding.rate.in_general})"
+    assert told.finding.on_rate in told.summary
     assert len(finding.scenario.npcs) == 1
 
 
@@ -88,8 +88,8 @@ def test_a_policy_that_draws_nothing_has_no_rate(tmp_path):
 
 def test_a_finding_that_does_not_repeat_has_a_rate_too_and_is_shrunk_by_it(tmp_path):
     told = found(Unrepeatable, tmp_path)
-    assert told.finding.flaky == told.find.difference
-    assert told.find.rate.startswith(f"fails in {told.finding.rate} runs (95 %: ")
+    assert told.finding.flaky == told.difference
+    assert told.finding.on_rate.startswith(f"fails in {told.finding.rate} runs (95 %: ")
     assert 8 <= told.finding.rate.failing <= 18
     assert len(told.finding.scenario.npcs) == 1
     assert told.finding.original is not None
@@ -111,7 +111,7 @@ def test_a_finding_that_does_not_repeat_stays_as_it_was_found_if_it_is_too_rare_
 def test_a_finding_that_only_highway_envs_own_environment_does_not_show_has_no_rate(tmp_path, monkeypatch):
     monkeypatch.setattr("pytest_pafot.campaign.workers._difference_in_gym", lambda run, workers: "safe for 4.0 s")
     told = found(Brakes, tmp_path)
-    assert told.find.difference == "in highway-env's own environment: safe for 4.0 s"
+    assert told.difference == "in highway-env's own environment: safe for 4.0 s"
     assert told.finding.rate is None
 
 
@@ -151,7 +151,7 @@ def test_a_finding_that_is_again_as_it_was_found_has_the_rate_of_that_scenario(t
 
     def simplest_of(sighting, original, state, *rest):
         saved.append(sighting.finding)
-        state.answers[sighting.find.id] = []
+        state.answers[sighting.id] = []
         scenario = replace(original, npcs=original.npcs[:1], seed=len(saved))
         return first_npc(sighting, scenario, is_cut=sighting.finding.original is None)
         yield
@@ -172,7 +172,7 @@ def test_a_finding_that_is_again_as_it_was_found_has_the_rate_of_that_scenario(t
 def test_a_finding_whose_time_ended_at_nothing_that_fails_as_often_is_not_done(tmp_path, monkeypatch):
     def simplest_of(sighting, original, state, *rest):
         turns.append(1)
-        state.answers[sighting.find.id] = []
+        state.answers[sighting.id] = []
         scenario = replace(original, npcs=original.npcs[:1])
         return first_npc(sighting, scenario, is_cut=len(turns) == 1, rollouts=len(turns))
         yield
@@ -193,7 +193,7 @@ def test_a_later_session_goes_on_measuring_how_often_a_finding_fails(tmp_path, m
         options = SHORT | {"shrink_rollouts": 5, "neighbours": 0, "stop_after": 1, "runs": 40}
         resume, corpus = str(tmp_path / f"{name} states"), str(tmp_path / name)
         result = pafot.explore(Brakes, holds=never_brakes, node_id=NODE_ID, corpus=corpus, resume=resume, **options)
-        return result.summary.shrink_runs, result.told[0].file.read_text()
+        return result.summary.shrink_runs, result.sightings[0].file.read_text()
 
     def cut(turn, now):
         turn.is_over = next(attempts) >= 150

@@ -69,7 +69,7 @@ def searched(tmp_path, monkeypatch):
             "rows": [{name: value for name, value in row.items() if name != "run"} for row in found.runs],
             "events": [each for each in found.events if type(each).__module__.endswith("searching.events")],
             "files": texts,
-            "counts": counts,
+            "counts": (*counts, summary.outcomes, summary.responsibilities),
             "failures": summary.failures,
             "notes": [each for each in summary.process_notes if "in use" not in each],
         }, [*given]

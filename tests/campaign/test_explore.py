@@ -2,6 +2,7 @@
 
 import math
 import shutil
+import signal
 import sys
 import traceback
 from collections import Counter
@@ -16,12 +17,16 @@ from highway_env.vehicle.behavior import IDMVehicle
 
 import pytest_pafot as pafot
 from example_ads import constant_speed
-from pytest_pafot.campaign.events import FindTold, Judged, SearchStarted, SearchSummary
+from pytest_pafot.campaign import explore
+from pytest_pafot.campaign.events import Judged, SearchStarted, SearchSummary
 from pytest_pafot.campaign.refine import simplest
+from pytest_pafot.campaign.search_session import SearchSession, prepared
+from pytest_pafot.campaign.watch import TimeLimit
 from pytest_pafot.corpus.reader import load
 from pytest_pafot.corpus.writer import write
 from pytest_pafot.findings.finding import of_failure
 from pytest_pafot.findings.shrink import Shrunk
+from pytest_pafot.findings.sighting import Sighting
 from pytest_pafot.findings.signature import Failure
 from pytest_pafot.searching.events import Evaluated
 from pytest_pafot.support.errors import RequestError
@@ -110,6 +115,9 @@ def test_its_findings_show_what_the_property_forbids(exploration):
 def test_table_has_a_row_for_each_tried_scenario(exploration):
     assert len(exploration.runs) == exploration.summary.runs + exploration.summary.known_runs == 8
     assert sum(row["failing"] for row in exploration.runs if not row["reused"]) == exploration.summary.failing
+    simulated = [row["outcome"] for row in exploration.runs if not row["reused"]]
+    assert exploration.summary.outcomes == Counter(simulated)
+    assert sum(exploration.summary.responsibilities.values()) == len(simulated)
     for row in exploration.runs:
         assert (row["outcome"] == "collision") == (row["collision_time"] is not None)
         assert math.isfinite(row["fitness"])
@@ -122,9 +130,37 @@ def test_events_equal_those_a_listener_hears_except_runs(exploration, heard):
     assert list(exploration.events) == [event for event in heard if not isinstance(event, Judged)]
     assert isinstance(heard[0], SearchStarted)
     assert isinstance(heard[-1], SearchSummary)
-    assert {told.finding.id for told in heard if isinstance(told, FindTold) and told.is_new} == {
+    assert {told.finding.id for told in heard if isinstance(told, Sighting) and told.is_first} == {
         finding.id for finding in exploration.findings
     }
+
+
+def test_a_search_whose_listener_raises_reports_what_it_has():
+    heard = []
+
+    def listen(event):
+        heard.append(event)
+        if isinstance(event, Evaluated):
+            raise RuntimeError
+
+    with pytest.raises(RuntimeError):
+        pafot.explore(constant_speed.make, holds=never_collides, seed=5, on_event=listen, **SHORT)
+    kinds = [type(event) for event in heard]
+    assert kinds.count(Evaluated) == 1
+    assert (kinds[-1], heard[-1].reason, heard[-1].runs) == (SearchSummary, "error", 1)
+
+
+def test_a_search_that_is_closed_keeps_the_findings_it_has(tmp_path):
+    given = {"ads": constant_speed.make, "world": None, "seed": 5, "corpus": str(tmp_path), **SHORT}
+    replays = explore.replays_of(explore.request_of(given), never_collides, "test_it.py::test_it", tmp_path)
+    with prepared(replays.harness) as parts:
+        watch = parts.watch("test_it.py::test_it", TimeLimit("", math.inf), progress_seconds=math.inf)
+        happens = SearchSession(watch=watch, replays=replays).run()
+        before = signal.getsignal(signal.SIGINT)
+        found = next(event for event in happens if isinstance(event, Sighting))
+        happens.close()
+    assert found.file.is_file()
+    assert signal.getsignal(signal.SIGINT) is before
 
 
 def test_few_frames_separate_search_loop_and_run():
@@ -487,7 +523,7 @@ def test_finding_that_does_not_repeat_is_flaky(tmp_path):
     pafot.explore(
         every_second_one_brakes, holds=never_collides, seed=5, corpus=tmp_path, on_event=told.append, **options
     )
-    finds = [each for each in told if isinstance(each, FindTold)]
+    finds = [each for each in told if isinstance(each, Sighting)]
     assert finds
-    assert {each.find.difference for each in finds} == {"running it again gave a different run"}
+    assert {each.difference for each in finds} == {"running it again gave a different run"}
     assert {load(path).flaky for path in tmp_path.rglob("*.yaml")} == {"running it again gave a different run"}

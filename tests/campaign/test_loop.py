@@ -69,9 +69,9 @@ class Store:
 
     def add_lost(self, lost, generation, number):
         self.finds.append(("hang" if lost.is_hang else "crash", generation, number))
-        return SimpleNamespace(find=SimpleNamespace(id=f"id-{len(self.finds)}"))
+        return SimpleNamespace(id=f"id-{len(self.finds)}")
 
-    def report(self, kept):
+    def report(self, sighting):
         return ()
 
 

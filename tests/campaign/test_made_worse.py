@@ -5,8 +5,9 @@ from zlib import crc32
 import pytest
 
 import pytest_pafot as pafot
-from pytest_pafot.campaign.events import NO_WORSE, FindTold, Paired
+from pytest_pafot.campaign.events import Paired
 from pytest_pafot.campaign.made_worse import MadeWorse
+from pytest_pafot.findings.sighting import NO_WORSE, Sighting
 from pytest_pafot.support.errors import OutOfTime
 from tests.helpers.tables import table
 
@@ -44,7 +45,7 @@ def compared(new, old, **more):
     told = []
     arguments = {"holds": keeps_its_speed, "world": ROAD, "on_event": told.append, **SHORT, **more}
     found = pafot.explore(new, against=old, **arguments)
-    last = {event.find.id: event.find for event in told if isinstance(event, FindTold)}
+    last = {event.id: event for event in told if isinstance(event, Sighting)}
     return found, list(last.values())
 
 

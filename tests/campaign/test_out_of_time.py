@@ -13,11 +13,12 @@ import pytest
 import pytest_pafot as pafot
 from example_ads import constant_speed
 from pytest_pafot.campaign import explore, search_session, state_file, watch, workers
-from pytest_pafot.campaign.events import FindTold, Progress
+from pytest_pafot.campaign.events import Progress
 from pytest_pafot.campaign.refine.simplest import Turn
 from pytest_pafot.execution import runner
 from pytest_pafot.execution.scenario_pool import CapturedOutput
 from pytest_pafot.findings.shrink import OutOfBudget
+from pytest_pafot.findings.sighting import Sighting
 from pytest_pafot.report import terminal
 from pytest_pafot.searching.events import Evaluated
 from pytest_pafot.support.errors import OutOfTime
@@ -91,9 +92,9 @@ def test_a_finding_of_a_slow_policy_is_told_before_it_is_confirmed(clock, monkey
     clock.step = lambda: 20.0
     monkeypatch.setattr(workers, "difference", confirming)
     result = searched(clock, fails_in_three_ways, runs=4, shrink_rollouts=0)
-    told = [event for event in result.events if isinstance(event, FindTold) and event.is_new]
+    told = [event for event in result.events if isinstance(event, Sighting) and event.is_first]
     phases = {event.phase: event.seconds for event in result.events if isinstance(event, Progress)}
-    assert [phases[f"found {each.find.id}, running it again"] for each in told] == confirmed != []
+    assert [phases[f"found {each.id}, running it again"] for each in told] == confirmed != []
 
 
 def test_search_without_findings_leaves_time_to_confirm_one(clock):
@@ -212,7 +213,7 @@ def test_finding_with_time_limit_is_saved_partly_shrunk(clock, tmp_path):
     assert set(unshrunk(result)) == {"shrunk in part: out of time"}
     assert all(finding.original is not None for finding in result.findings)
     assert len(files(tmp_path / "corpus")) == 3
-    last_told = {event.find.id: event.find for event in result.events if isinstance(event, FindTold)}
+    last_told = {event.id: event for event in result.events if isinstance(event, Sighting)}
     assert all(find.unshrunk and "out of time" in find.summary for find in last_told.values())
 
 

@@ -15,7 +15,7 @@ import pytest
 import pytest_pafot as pafot
 from example_ads import constant_speed
 from pytest_pafot.campaign import state_file
-from pytest_pafot.campaign.events import FindTold
+from pytest_pafot.findings.sighting import Sighting
 from pytest_pafot.searching import Checkpoint, GenerationalSearch, GenerationState, from_plain, plain, sample
 from pytest_pafot.searching.events import CampaignFinished, Evaluated, GenerationFinished, NewBest
 from pytest_pafot.support.errors import RequestError
@@ -187,7 +187,7 @@ def test_killed_session_continues_from_last_state(search, tmp_path, monkeypatch,
         with pytest.raises(KeyboardInterrupt):
             search(runs=24, on_event=killed_at(number, Evaluated))
     with pytest.raises(KeyboardInterrupt):  # while its findings are simplified
-        search(generations=1, on_event=killed_at(0, FindTold))
+        search(generations=1, on_event=killed_at(0, Sighting))
     done = json.loads(state_of(tmp_path).read_text())["sums"][3]
     last = search(runs=24 - done, on_event=heard.append)
     assert files(tmp_path / "corpus") == saved != {}
@@ -205,7 +205,7 @@ def test_an_interrupt_is_not_held_back_after_a_listener_has_raised(search):
 
     before = signal.getsignal(signal.SIGINT)
     search(runs=20, max_time=1e-9)
-    for kind in (FindTold, Evaluated, GenerationFinished):
+    for kind in (Sighting, Evaluated, GenerationFinished):
         with pytest.raises(RuntimeError) as raised:
             search(runs=24, on_event=raises_at(kind))
         # The traceback has all that was open.
@@ -214,7 +214,7 @@ def test_an_interrupt_is_not_held_back_after_a_listener_has_raised(search):
 
 def test_session_interrupted_while_it_runs_neighbours_is_continued_with_them(search, tmp_path):
     def interrupted(event):
-        if isinstance(event, FindTold) and event.find.breadth is not None:
+        if isinstance(event, Sighting) and event.breadth is not None:
             raise KeyboardInterrupt
 
     whole = search("whole", resume=None, runs=24, neighbours=2)

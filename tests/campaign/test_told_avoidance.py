@@ -33,7 +33,7 @@ def first(calls=None):
         shrink_rollouts=0,
         neighbours=0,
     )
-    return next(told for told in found.told if told.finding.expect.avoided_by is not None)
+    return next(told for told in found.sightings if told.finding.expect.avoided_by is not None)
 
 
 def due(text):

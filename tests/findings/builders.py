@@ -1,5 +1,6 @@
 """Findings for tests: a plain one, and a strategy for nasty ones."""
 
+from dataclasses import replace
 from functools import cache
 from typing import get_args
 
@@ -12,6 +13,7 @@ from pytest_pafot.findings.failure_rate import MOST_CLEAN, FailureRate
 from pytest_pafot.findings.finding import MAX_KEY, MAX_NUMBER, Bounded, Expect, Finding, Found, Perceived
 from pytest_pafot.findings.neighbours import Breadth
 from pytest_pafot.findings.shrink import Shrunk, SpeedInterval
+from pytest_pafot.findings.sighting import Sighting
 from pytest_pafot.findings.signature import ZONES
 from pytest_pafot.findings.situation import Situation, ZoneSituation
 from pytest_pafot.model.driving_style import BOUNDS, PAPERS, STYLES, Traffic
@@ -64,6 +66,14 @@ def plain_finding(**changes):
         "found": Found(seed=1234, generation=17, algorithm="pafot", versions=VERSIONS),
     }
     return Finding(**(fields | changes))
+
+
+def sighting(id_="front-2-1f3a9c", *, finding=None, responsible=None, **seen):
+    """Return what a session saw of a plain finding, or of one with these fields."""
+    made = plain_finding(id=id_, **finding or {})
+    if responsible is not None:
+        made = replace(made, expect=replace(made.expect, responsibility=responsible))
+    return Sighting(finding=made, **{"node_id": f"t[{id_}]"} | seen)
 
 
 @cache  # hypothesis then examines a strategy only once

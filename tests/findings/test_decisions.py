@@ -9,7 +9,6 @@ import pytest
 
 import pytest_pafot as pafot
 from pytest_pafot.attribution.takeovers import Avoidance
-from pytest_pafot.campaign.events import FindTold
 from pytest_pafot.campaign.refine.moment import _braked_for, _moment_of, _text_of
 from pytest_pafot.findings.decisions import (
     Answers,
@@ -23,6 +22,7 @@ from pytest_pafot.findings.decisions import (
     window,
 )
 from pytest_pafot.findings.finding import Bounded, Expect
+from pytest_pafot.findings.sighting import Sighting
 from pytest_pafot.world.driving.perception import without
 from pytest_pafot.world.driving.shadow import Aside, Question, beside, changed
 from pytest_pafot.world.kernel.action import checked_si_action
@@ -380,7 +380,7 @@ def test_the_moment_of_a_needless_braking_is_about_the_vehicle_that_it_depends_o
     found = []
     small = {"runs": 40, "npcs": 2, "genes": 2, "gene_seconds": 5, "neighbours": 1, "shrink_rollouts": 20}
     pafot.explore(Timid, holds=holds, seed=3, stop_after=1, instructions="cells", on_event=found.append, **small)
-    (find,) = {each.find for each in found if isinstance(each, FindTold) and each.find.moment is not None}
+    (find,) = {each.id: each for each in found if isinstance(each, Sighting) and each.moment is not None}.values()
     assert str(find.answers).startswith("0 of its ")
     assert {find.answers.npc, find.moment.npc} == {0, 1}
     assert (find.moment.action, find.moment.hidden) == ("acceleration -8.0 m/s^2", "acceleration 0.0 m/s^2")

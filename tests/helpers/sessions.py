@@ -30,7 +30,7 @@ import pytest
 from pytest_pafot import __main__
 from pytest_pafot.campaign.events import SearchSummary
 from pytest_pafot.commands import search_command
-from pytest_pafot.report.session_record import VERSION, FindingRecord, ItemRecord, SessionRecord
+from pytest_pafot.report.session_record import FINDING, VERSION, ItemRecord, SessionRecord
 
 INTERRUPTIBLE = (
     sys.executable,
@@ -43,12 +43,19 @@ INTERRUPTIBLE = (
 """The start of a ``python -m pytest_pafot`` command that SIGINT interrupts even in a shell's background job."""
 
 
+class Entry(dict):
+    """The entry of a finding, whose keys are attributes, too."""
+
+    __getattr__ = dict.__getitem__
+
+
 def read_record(text):
     """Return a session's record for programs, and check that it has no unknown keys; `finds` of a search are ids."""
     plain = json.loads(text)
     assert plain.pop("pafot_json") == VERSION
     searches = [SearchSummary(**each) for each in plain.pop("searches")]
-    findings = [FindingRecord(**each) for each in plain.pop("findings")]
+    findings = [Entry(each) for each in plain.pop("findings")]
+    assert all(each.keys() == FINDING.keys() for each in findings)
     tests = [ItemRecord(**each) for each in plain.pop("tests")]
     return SessionRecord(searches=searches, findings=findings, tests=tests, **plain)
 

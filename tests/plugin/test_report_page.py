@@ -4,6 +4,7 @@ import html
 import json
 import re
 import sys
+from types import SimpleNamespace
 
 import pytest
 
@@ -26,13 +27,32 @@ def test_interrupted(run):
 """
 
 
-def data_of(path):
-    """Return the data that a page displays."""
-    return json.loads(DATA.search(path.read_text(encoding="utf-8"))[1])
-
-
-def labels_of(data):
-    return [finding["label"] for finding in data["findings"]]
+def read_page(path):
+    """Return the text of a page, its findings and its searches: what is drawn of each, and what stands there."""
+    text = path.read_text(encoding="utf-8")
+    drawn = json.loads(DATA.search(text)[1])["findings"]
+    articles = re.findall(r'<article id="finding-.*?</article>', text, re.DOTALL)
+    findings = []
+    for data, article in zip(drawn, articles, strict=True):
+        words = {name: html.unescape(found) for name, found in re.findall(r'<p class="(id|test)">(.*?)</p>', article)}
+        tags = re.findall(r"<li>(.*?)</li>", article)
+        generation = next(place for place, tag in enumerate(tags) if tag.startswith("first in generation "))
+        command = re.search(r"<h3>Run it again</h3>.*?<code>(.*?)</code>", article)
+        findings.append(
+            SimpleNamespace(
+                data=data,
+                id=words["id"],
+                node_id=words["test"],
+                label=html.unescape(tags[generation + 1]),
+                tags=tags,
+                runs=next(int(tag.split()[0]) for tag in tags if re.fullmatch(r"\d+ runs?", tag)),
+                file=html.unescape(re.search(r"<h4>(.*?)</h4>", article)[1]),
+                command=command and html.unescape(command[1]),
+            )
+        )
+    parts = re.findall(r'<article class="campaign".*?</article>', text, re.DOTALL)
+    searches = [" ".join(html.unescape(re.sub("<[^>]*>", " ", part)).split()) for part in parts]
+    return text, findings, searches
 
 
 @pytest.fixture
@@ -43,16 +63,13 @@ def page(project):
 def test_the_page_has_the_find_and_its_search(failing, page):
     result = failing.run_once("--pafot-report=report.html")
     result.assert_outcomes(failed=2)
-    data, text = data_of(page), page.read_text(encoding="utf-8")
-    (finding,), (campaign,) = data["findings"], data["campaigns"]
-    assert finding["id"] == failing.only_id
-    assert finding["node_id"] == f"test_it.py::test_fails[saved-{failing.only_id}]"
-    assert finding["path"] == failing.files[0]
-    assert finding["label"] == "new"
-    assert finding["times"][0] == 0
-    assert campaign["node_id"] == "test_it.py::test_fails[search]"
-    assert (campaign["simulated"], campaign["reason"]) == (1, "stopped")
-    assert campaign["coverage"].startswith("reached ")
+    text, (finding,), (search,) = read_page(page)
+    assert (finding.id, finding.label) == (failing.only_id, "new")
+    assert finding.node_id == f"test_it.py::test_fails[saved-{failing.only_id}]"
+    assert finding.file == failing.files[0]
+    assert finding.data["times"][0] == 0
+    assert search.startswith("test_it.py::test_fails[search] 1 run, 1 failing algorithm distinct ")
+    assert re.search("coverage reached .* ended enough findings Runs by outcome .* Runs by responsibility", search)
     assert html.escape(failing.only_file.read_text()) in text
     assert '<article class="error"' not in text
     result.stdout.fnmatch_lines(["report: report.html (1 finding)"])
@@ -60,50 +77,51 @@ def test_the_page_has_the_find_and_its_search(failing, page):
 
 def test_page_contains_saved_scenarios_that_still_fail(saved, page):
     saved.run("--pafot-report=report.html", generations=0)
-    data = data_of(page)
-    assert labels_of(data) == ["still failing"]
-    assert data["findings"][0]["id"] == saved.only_id
-    assert data["campaigns"] == []
-    assert "1 saved scenario: 1 still failing" in page.read_text(encoding="utf-8")
+    text, (finding,), searches = read_page(page)
+    assert (finding.id, finding.label) == (saved.only_id, "still failing")
+    assert searches == []
+    assert "1 saved scenario: 1 still failing" in text
 
 
 def test_page_counts_runs_of_new_and_known_findings(project, page):
     project.write("@pafot.search(SHORT)\ndef test_fails(run):\n    assert run.duration < 1\n")
     for label in ("new", "still failing"):
         project.run("--pafot-report=report.html", generations=2)
-        data = data_of(page)
-        assert set(labels_of(data)) == {label}
-        assert sum(finding["runs"] for finding in data["findings"]) == data["campaigns"][0]["simulated"] > 2
+        _, findings, (search,) = read_page(page)
+        assert {finding.label for finding in findings} == {label}
+        runs = int(re.search(r"(\d+) runs, ", search)[1])
+        assert sum(finding.runs for finding in findings) == runs > 2
 
 
 def test_accepted_failure_is_shown_with_its_reason(saved, page):
     with saved.only_file.open("a") as file:
         file.write('xfail: "planner issue 12"\n')
     saved.run("--pafot-report=report.html", generations=0).assert_outcomes(xfailed=1, skipped=1)
-    assert labels_of(data_of(page)) == ["still failing, accepted: planner issue 12"]
+    assert [finding.label for finding in read_page(page)[1]] == ["still failing, accepted: planner issue 12"]
 
 
 def test_a_fixed_scenario_is_counted_and_not_shown(saved, page):
     saved.write("@pafot.search(SHORT)\ndef test_fails(run):\n    pass\n")
     saved.run("--pafot-report=report.html", generations=0)
-    assert data_of(page)["findings"] == []
-    assert "1 saved scenario: 1 passes" in page.read_text(encoding="utf-8")
+    text, findings, _ = read_page(page)
+    assert findings == []
+    assert "1 saved scenario: 1 passes" in text
 
 
 def test_unsaved_finding_shows_the_command_of_its_search(failing, page):
     failing.run("--pafot-report=report.html", "--pafot-save=none")
-    (finding,) = data_of(page)["findings"]
-    assert finding["path"] == ""
-    assert finding["command"] == "pytest 'test_it.py::test_fails[search]' --pafot-generations=1 --pafot-seed=1"
+    _, (finding,), _ = read_page(page)
+    assert finding.file == f"{finding.id}.pafot.yaml"
+    assert finding.command == "pytest 'test_it.py::test_fails[search]' --pafot-generations=1 --pafot-seed=1"
 
 
 def test_unobserved_crash_is_listed_without_a_picture(project, page):
     project.write("@pafot.search(SHORT)\ndef test_a(run):\n    pass\n")
     project.leave_crash("test_it.py::test_a")
     project.run("--pafot-report=report/", generations=0)
-    (finding,) = data_of(project.path / "report" / "index.html")["findings"]
-    assert finding["id"].startswith("crash-")
-    assert finding["times"] == []
+    _, (finding,), _ = read_page(project.path / "report" / "index.html")
+    assert finding.id.startswith("crash-")
+    assert finding.data["times"] == []
     assert [path.name for path in (project.path / "report").iterdir()] == ["index.html"]
 
 
@@ -148,10 +166,10 @@ def test_an_interrupted_session_writes_what_it_has(project, page):
     project.write(INTERRUPTED)
     result = project.run("--pafot-report=report.html", no_reraise_ctrlc=True)
     assert result.ret == pytest.ExitCode.INTERRUPTED
-    data = data_of(page)
-    assert {finding["id"] for finding in data["findings"]} == {name.split("/")[-1][:-11] for name in project.files}
-    assert (data["campaigns"][0]["reason"], data["campaigns"][0]["simulated"]) == ("interrupted", 2)
-    assert "interrupted" in page.read_text(encoding="utf-8")
+    text, findings, (search,) = read_page(page)
+    assert {finding.id for finding in findings} == {name.split("/")[-1][:-11] for name in project.files}
+    assert "2 runs, 2 failing, ended interrupted" in search
+    assert "interrupted; this report has what ran before that" in text
 
 
 KEPT = "The property held in every evaluated run."
@@ -200,9 +218,9 @@ def test_drive(run):
 """
     )
     project.run("--pafot-report=report.html")
-    data, text = data_of(page), page.read_text(encoding="utf-8")
-    assert "new" in labels_of(data)
-    assert data["campaigns"][0]["reason"] == "error"
+    text, findings, (search,) = read_page(page)
+    assert "new" in [finding.label for finding in findings]
+    assert "ended with an error" in search
     assert "The search ended with an error." in text
 
 
@@ -288,8 +306,8 @@ def rows_of(project, *options, **more):
 
 def test_pytest_html_rows_show_findings_and_failing_replays(failing, page):
     (title,) = rows_of(failing, "--pafot-report=report.html")
-    (finding,) = data_of(page)["findings"]
-    assert html.unescape(title) == finding["headline"]
+    _, (finding,), _ = read_page(page)
+    assert html.unescape(title) == finding.data["headline"]
     assert rows_of(failing, generations=0) == [title]
 
 
@@ -301,24 +319,24 @@ def test_rows_of_pytest_html_come_from_workers_too(failing):
 def test_page_shows_shrinking_and_reference_drivers_after_replay(project, page, shrinking):
     project.write("@pafot.search(SHORT, blame='ego', stop_after=1)\ndef test_a(run):\n    assert not run.collision\n")
     project.run("--pafot-report=report.html", generations=6, seed=4)
-    (finding, *_) = [each for each in data_of(page)["findings"] if each["event"]["side"] == "front"]
-    saved = load(project.path / finding["path"])
+    (finding, *_) = [each for each in read_page(page)[1] if each.data["event"]["side"] == "front"]
+    saved = load(project.path / finding.file)
     told = [*simplified_lines(saved), *effort_lines(saved)]
     assert told[0].startswith("shrunk     from 2 NPCs")
     assert told[-1].endswith("still fails")
     assert all(html.escape(each) in page.read_text(encoding="utf-8") for each in told)
     assert set(saved.expect.reference_drivers) == set(REFERENCES)
-    assert finding["responsibility"] == saved.expect.responsibility
-    assert len(finding["vehicles"]) == 2
+    assert f"{saved.expect.responsibility} responsible" in finding.tags[0]
+    assert len(finding.data["vehicles"]) == 2
     project.run("--pafot-report=report.html", generations=0)
-    (again,) = [each for each in data_of(page)["findings"] if each["id"] == finding["id"]]
+    (again,) = [each for each in read_page(page)[1] if each.id == finding.id]
     assert all(html.escape(each) in page.read_text(encoding="utf-8") for each in told)
     for same in ("vehicles", "times", "event", "headline"):
-        assert again[same] == finding[same]
+        assert again.data[same] == finding.data[same]
 
 
 def test_page_does_not_mention_disabled_shrinking(project, page):
     project.write("@pafot.search(SHORT)\ndef test_a(run):\n    assert not run.collision\n")
     project.run("--pafot-report=report.html", "--pafot-shrink-rollouts=0", generations=4)
-    assert data_of(page)["findings"]
+    assert read_page(page)[1]
     assert "shrunk" not in page.read_text(encoding="utf-8")

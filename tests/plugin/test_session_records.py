@@ -10,9 +10,12 @@ import pytest
 from pytest_pafot.corpus.reader import load
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.plugin import session_records
-from pytest_pafot.plugin.session import exit_code
+from pytest_pafot.plugin.messages import PHASE, packed
+from pytest_pafot.plugin.record import Record
+from pytest_pafot.plugin.session import SUMMARY_LINES, SummaryLines, exit_code
 from pytest_pafot.report.session_record import markdown
 from pytest_pafot.world import codec
+from tests.findings.builders import sighting
 from tests.helpers.sessions import read_record
 
 TWO = """
@@ -402,3 +405,17 @@ def test_second_interrupt_leaves_the_code_of_the_first():
         raise KeyboardInterrupt
     except KeyboardInterrupt:
         assert exit_code(session) == 2
+
+
+def test_what_is_left_to_shrink_of_a_new_finding_is_still_known_after_its_replay_alone():
+    record = Record(SimpleNamespace(stash={SUMMARY_LINES: SummaryLines()}))
+
+    def left(**seen):
+        message = ("finding", {"sighting": packed(sighting("a", node_id="a", **seen))})
+        record.pytest_runtest_logreport(SimpleNamespace(when=PHASE, nodeid="t.py::t[search]", pafot=message))
+        return record.sightings["a"].unshrunk
+
+    assert left(unshrunk="not confirmed: out of time") == "not confirmed: out of time"
+    assert left(is_first=False) == ""  # it was confirmed
+    assert left(unshrunk="not shrunk: out of time", is_first=False) == "not shrunk: out of time"
+    assert left(label="still failing", is_first=False) == "not shrunk: out of time"

@@ -1,14 +1,14 @@
 """The summary of a CI job is short, and only this plugin's own text in it is markup."""
 
 import re
-from dataclasses import asdict, replace
+from dataclasses import asdict
 
 from hypothesis import given
 from hypothesis import strategies as st
 
 from pytest_pafot.campaign.events import SearchSummary
 from pytest_pafot.findings.severity import Severity
-from pytest_pafot.report.session_record import MAX_LISTED, FindingRecord, SessionRecord, markdown
+from pytest_pafot.report.session_record import MAX_LISTED, SessionRecord, finding_entry, markdown
 from pytest_pafot.support.markup import code, plain
 from tests.helpers.hostile import CHARACTERS
 from tests.helpers.tables import table
@@ -17,7 +17,7 @@ from tests.helpers.tables import table
 def finding(id_="a", status="new", **changes):
     known = {"test": "test_it.py::x", "headline": "collision after 5.4 s", "file": f"corpus/{id_}.pafot.yaml"}
     known["replay"] = f"python -m pytest corpus/{id_}.pafot.yaml"
-    return FindingRecord(node_id=f"test_it.py::x[saved-{id_}]", id=id_, status=status, **known | changes)
+    return finding_entry(None, node_id=f"test_it.py::x[saved-{id_}]", id=id_, status=status, **known | changes)
 
 
 def search(**changes):
@@ -98,7 +98,7 @@ def test_accepted_finding_comes_with_reason_and_last_day():
     text = markdown(SessionRecord(findings=[accepted]))
     assert text.startswith("### pafot: nothing new, 1 accepted\n\nNo search was requested.\n\n**Accepted for now**\n")
     assert "collision after 5.4 s; accepted until 2027-01-31: issue 12\n" in text
-    flaky = replace(accepted, xfail={**accepted.xfail, "flaky": True})
+    flaky = accepted | {"xfail": {**accepted["xfail"], "flaky": True}}
     assert "; accepted as flaky until 2027-01-31: issue 12\n" in markdown(SessionRecord(findings=[flaky]))
 
 

@@ -79,7 +79,7 @@ def test_speeds_that_still_fail_name_the_lane():
 @pytest.mark.skipif(find_chromium() is None, reason="no Chromium here: expected chromium or google-chrome on PATH")
 def test_page_names_lanes_and_draws_lines_to_them(view, tmp_path):
     path = tmp_path / "report.html"
-    report = Report(title="t", facts=(), command="pytest", findings=(view,), campaigns=())
+    report = Report(title="t", facts=(), command="pytest", findings=(view,))
     path.write_text(render_page(report), encoding="utf-8")
     browser = Browser(find_chromium(), tmp_path / "profile")
     try:

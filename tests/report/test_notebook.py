@@ -74,6 +74,6 @@ def test_an_exploration_lists_its_findings_with_their_runs():
     assert all(finding.trace.outcome == "collision" for finding in found.findings)
     shown = page(found)
     assert 'class="embedded listed"' in shown
-    assert [each.finding.id for each in found.told] == re.findall(r'data-key="([^"]*)"', shown)
+    assert [each.finding.id for each in found.sightings] == re.findall(r'data-key="([^"]*)"', shown)
     assert "There is no run to draw." not in shown
     assert page(found.findings[0]).startswith("<!doctype html>")

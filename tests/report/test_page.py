@@ -7,14 +7,15 @@ import json
 import re
 from dataclasses import asdict, replace
 from html.parser import HTMLParser
+from importlib.resources import files
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pytest_pafot.report.page import render_frame, render_page
-from pytest_pafot.report.page_data import CampaignView, FindingView, Report
+from pytest_pafot.report.page import ASSETS, DRAWN, SCRIPTS, render_frame, render_page
+from pytest_pafot.report.page_data import FindingView, Report
 from tests.helpers.traces import trace_of, vehicle
 from tests.report.builders import HOSTILE, cut_in_trace, real_report, scenario, values_of, view_of
 
@@ -88,10 +89,15 @@ def test_everything_in_words_is_there_without_scripts(page):
     assert any(f"{who} responsible" in words for who in ("ego", "both"))
 
 
-def test_page_data_equals_report_without_repeated_texts(page):
+def test_page_data_have_what_the_scripts_read_and_nothing_else(page):
     data = json.loads(Reader(page).raw["script:application/json"])
-    slim = tuple(replace(finding, yaml="", explanation="") for finding in real_report().findings)
-    assert data == json.loads(json.dumps(asdict(replace(real_report(), findings=slim))))
+    scripts = "".join(files(ASSETS).joinpath(name).read_text() for name in SCRIPTS)
+    assert set(data) == set(re.findall(r"\breport\.(\w+)", scripts))
+    for told, finding in zip(data["findings"], real_report().findings, strict=True):
+        whole = json.loads(json.dumps(asdict(finding)))
+        assert told == {name: whole[name] for name in DRAWN}
+    read = {*re.findall(r"\bfinding\.(\w+)", scripts), *re.findall(r"report\.findings\[\w+\]\.(\w+)", scripts)}
+    assert read == set(DRAWN)
 
 
 def page_that_says(text):
@@ -100,10 +106,8 @@ def page_that_says(text):
         real_report().findings[0], id=text, headline=text, explanation=text, yaml=text, node_id=text, command=text,
         label=text, path=text, responsibility=text, test=text,
     )  # fmt: skip
-    campaign = replace(real_report().campaigns[0], node_id=text, warnings=(text,), outcomes=((text, 1),))
-    return render_page(
-        Report(title=text, facts=((text, text),), command=text, findings=(finding,), campaigns=(campaign,))
-    )
+    search = replace(real_report().searches[0], node_id=text, warnings=(text,), outcomes={text: 1})
+    return render_page(Report(title=text, facts=((text, text),), command=text, findings=(finding,), searches=(search,)))
 
 
 def test_hostile_text_stays_text_wherever_it_stands():
@@ -176,10 +180,10 @@ def test_the_frame_survives_being_read_as_an_attribute():
 def test_every_kind_of_view_renders_whatever_it_holds():
     cells = {int: st.integers(1, 8)}
 
-    @given(values_of(FindingView, cells), values_of(CampaignView, cells))
+    @given(values_of(FindingView, cells))
     @settings(max_examples=15)
-    def check(finding, campaign):
-        render_page(Report(title="t", findings=(finding,), campaigns=(campaign,)))
+    def check(finding):
+        render_page(Report(title="t", findings=(finding,)))
 
     check()
 

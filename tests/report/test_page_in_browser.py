@@ -321,8 +321,8 @@ def test_long_words_do_not_widen_a_narrow_page(browser, tmp_path):
         real_report().findings[0], headline=word, node_id=word, label=word, explanation=word, yaml=word, path=word,
         command=word,
     )  # fmt: skip
-    campaign = replace(real_report().campaigns[0], node_id=word, warnings=(word,), outcomes=((word, 1),))
-    report = Report(title=word, facts=((word, word),), command=word, findings=(finding,), campaigns=(campaign,))
+    search = replace(real_report().searches[0], node_id=word, warnings=(word,), outcomes={word: 1})
+    report = Report(title=word, facts=((word, word),), command=word, findings=(finding,), searches=(search,))
     path = tmp_path / "long.html"
     path.write_text(render_page(report), encoding="utf-8")
     page = browser.open(path.as_uri(), width=360)
@@ -358,8 +358,8 @@ def grouped_report():
             event = replace(finding.event, kind=kind)
             more = {"assertion": f"assert run.{kind}", "node_id": f"{test}[saved-{id_}]"}
             findings.append(replace(finding, id=id_, test=test, event=event, **more))
-    campaigns = tuple(replace(base.campaigns[0], node_id=f"{name}[search]") for name in ("first", "second"))
-    return replace(base, findings=tuple(findings), campaigns=campaigns)
+    searches = tuple(replace(base.searches[0], node_id=f"{name}[search]") for name in ("first", "second"))
+    return replace(base, findings=tuple(findings), searches=searches)
 
 
 @pytest.fixture

@@ -6,9 +6,10 @@ The texts are in ``__snapshots__``. ``--snapshot-update`` rewrites them; read th
 import re
 from dataclasses import replace
 
+from pytest_pafot.campaign.events import SearchSummary
 from pytest_pafot.model.trace import Outcome
-from pytest_pafot.report.page import campaign_article, finding_article, finding_list, render_page
-from pytest_pafot.report.page_data import CampaignView, Report
+from pytest_pafot.report.page import finding_article, finding_list, render_page, search_article
+from pytest_pafot.report.page_data import Report
 from tests.helpers.traces import trace_of, vehicle
 from tests.report.builders import TEST, scenario, view_of
 
@@ -27,19 +28,19 @@ def hand_made_finding():
     return replace(view_of(hand_made_trace()), yaml="test: '<its>' file\n")
 
 
-def hand_made_campaign():
-    return CampaignView(
+def hand_made_search():
+    return SearchSummary(
         node_id=f"{TEST}[search]",
         algorithm="pafot",
         seed=7,
         generations=2,
         asked=3,
-        reason="time",
-        simulated=8,
+        reason="--pafot-max-time",
+        runs=8,
         failing=1,
-        reused=1,
-        outcomes=(("safe", 7), ("collision", 1)),
-        responsibilities=(("none", 7), ("ego", 1)),
+        known_runs=1,
+        outcomes={"collision": 1, "safe": 7},
+        responsibilities={"ego": 1, "none": 7},
         coverage="reached 3/8 cells; requested 8/8",
         warnings=("few NPCs reached their cell",),
     )  # fmt: skip
@@ -70,7 +71,7 @@ def test_finding_list_of_two_tests_matches_its_snapshot(snapshot):
 
 
 def test_an_article_on_a_search_reads_so(snapshot):
-    assert lines_of(campaign_article(hand_made_campaign(), 0)) == snapshot
+    assert lines_of(search_article(hand_made_search(), 0)) == snapshot
 
 
 def test_page_with_only_an_error_matches_its_snapshot(snapshot):

@@ -8,35 +8,36 @@ from datetime import date
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pytest_pafot.campaign.events import Find, SearchSummary
+from pytest_pafot.campaign.events import SearchSummary
 from pytest_pafot.findings.failure_rate import FailureRate
+from pytest_pafot.findings.sighting import Sighting
 from pytest_pafot.model.driving_style import Traffic
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.plugin.failure_reports import SCENARIO
 from pytest_pafot.report.page import finding_article
 from pytest_pafot.report.session_record import (
+    FINDING,
+    NOT_WRITTEN,
     RESULTS,
-    TERMINAL_ONLY,
-    FindingRecord,
     SessionRecord,
+    finding_entry,
     to_text,
     worst,
 )
 from pytest_pafot.report.views import finding_view, run_view
 from pytest_pafot.world import Highway
-from tests.findings.builders import findings, plain_finding
+from tests.findings.builders import findings, plain_finding, sighting
 from tests.helpers.hostile import CHARACTERS
 from tests.helpers.sessions import read_record
 from tests.helpers.tables import table
 
 TEXTS = st.text(CHARACTERS, max_size=20)
-FIND = Find(id="a", node_id="test_it.py::x")
 COUNTS = st.dictionaries(TEXTS, st.integers(0, 9), max_size=3)
 SUMMARIES = st.builds(
     SearchSummary,
     node_id=TEXTS,
     seed=st.integers(0, 2**63),
-    finds=st.lists(st.builds(Find, id=TEXTS, node_id=TEXTS, headline=TEXTS), max_size=2).map(tuple),
+    finds=st.lists(st.builds(Sighting, finding=findings(), node_id=TEXTS, headline=TEXTS), max_size=2).map(tuple),
     unsaved=COUNTS,
     known=COUNTS,
     reached=st.none() | st.floats(0, 1),
@@ -48,7 +49,7 @@ RECORDS = st.builds(
     versions=st.dictionaries(TEXTS, TEXTS, max_size=2),
     searches=st.lists(SUMMARIES, max_size=2),
     findings=st.lists(
-        findings().map(lambda each: FindingRecord.of(each, FIND)),
+        findings().map(lambda each: finding_entry(Sighting(finding=each, node_id="test_it.py::x"))),
         max_size=1,
     ),
     warnings=st.lists(TEXTS, max_size=1),
@@ -76,8 +77,8 @@ def test_every_record_is_read_as_it_was_written(record):
 def test_finding_names_the_traffic_it_was_driven_in():
     scenario = replace(plain_finding().scenario, traffic=Traffic("everyday", least_gap=4))
     told, finding = "everyday traffic (least_gap 4)", plain_finding(scenario=scenario)
-    assert FindingRecord.of(finding, FIND).traffic == told
-    assert FindingRecord.of(plain_finding(), FIND).traffic == ""
+    assert finding_entry(sighting(finding={"scenario": scenario}))["traffic"] == told
+    assert finding_entry(sighting())["traffic"] == ""
     view = finding_view(None, finding, node_id="x")
     assert f"<li>{told}</li>" in finding_article(view, 0)
     trace = Highway(duration=1.0).rollout(scenario, lambda: lambda observation: (0.0, 0.0))
@@ -95,22 +96,30 @@ def test_keys_are_sorted_and_include_the_version():
 
 
 def test_a_finding_tells_what_its_file_does():
-    finding = plain_finding(xfail="issue 12", xfail_until=date(2027, 1, 31))
-    record = FindingRecord.of(finding, Find(id="a", node_id="x", label="fixed", path="a b.pafot.yaml"))
-    expect = finding.expect
-    assert (record.id, record.test, record.time) == (finding.id, finding.test, expect.time)
-    assert (record.outcome, record.responsible, record.kind) == ("collision", "ego", finding.signature.slug)
-    assert record.xfail == {"reason": "issue 12", "until": "2027-01-31", "flaky": False}
-    assert FindingRecord.of(plain_finding(), FIND).xfail is None
+    seen = sighting(finding={"xfail": "issue 12", "xfail_until": date(2027, 1, 31)}, label="fixed", path="a b.yaml")
+    entry, expect = finding_entry(seen), seen.finding.expect
+    assert (entry["id"], entry["test"], entry["time"]) == (seen.id, seen.finding.test, expect.time)
+    assert (entry["outcome"], entry["responsible"]) == ("collision", "ego")
+    assert (entry["kind"], entry["file"]) == (seen.finding.signature.slug, "a b.yaml")
+    assert entry["xfail"] == {"reason": "issue 12", "until": "2027-01-31", "flaky": False}
+    assert finding_entry(sighting())["xfail"] is None
 
 
 def test_a_finding_tells_how_often_it_fails_then_and_now():
-    finding, now = plain_finding(rate=FailureRate(failing=14, runs=20)), FailureRate(failing=2, runs=20)
-    assert FindingRecord.of(finding, FIND).rate == {"failing": 14, "runs": 20, "of": "seeds", "now": None}
-    record = FindingRecord.of(replace(finding, flaky="it differs"), replace(FIND, rate_now=now))
+    then, now = FailureRate(failing=14, runs=20), FailureRate(failing=2, runs=20)
+    entry = finding_entry(sighting(finding={"rate": then}))
+    assert entry["rate"] == {"failing": 14, "runs": 20, "of": "seeds", "now": None}
+    entry = finding_entry(sighting(finding={"rate": then, "flaky": "it differs"}, rate_now=now))
     changed = {"failing": 2, "runs": 20, "change": "better"}
-    assert record.rate == {"failing": 14, "runs": 20, "of": "runs", "now": changed}
-    assert FindingRecord.of(plain_finding(), FIND).rate is None
+    assert entry["rate"] == {"failing": 14, "runs": 20, "of": "runs", "now": changed}
+    assert finding_entry(sighting())["rate"] is None
+
+
+def test_of_a_file_that_cannot_be_read_an_entry_has_all_keys():
+    entry = finding_entry(None, node_id="a", detail="not YAML")
+    assert (entry.keys(), entry["status"], entry["detail"]) == (FINDING.keys(), "error", "not YAML")
+    entry["sentences"].append("x")
+    assert finding_entry(None)["sentences"] == []
 
 
 def test_no_duration_is_in_it():
@@ -118,11 +127,11 @@ def test_no_duration_is_in_it():
     assert to_text(SessionRecord(searches=[slow])) == to_text(SessionRecord(searches=[fast]))
 
 
-@table("kind", [SessionRecord, SearchSummary, FindingRecord])
+@table("kind", [SessionRecord, SearchSummary])
 def test_every_record_field_is_described_in_its_docstring(kind):
     told = re.findall(r"^ +(\w+(?:, \w+)*): ", kind.__doc__, re.MULTILINE)
     told = [name for names in told for name in names.split(", ")]
-    assert told == [each.name for each in fields(kind) if each.name not in TERMINAL_ONLY]
+    assert told == [each.name for each in fields(kind) if each.name not in NOT_WRITTEN]
 
 
 def test_the_worst_phase_of_an_item_counts():

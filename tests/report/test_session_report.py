@@ -5,12 +5,12 @@ from dataclasses import replace
 
 import pytest
 
-from pytest_pafot.campaign.events import Find
 from pytest_pafot.campaign.options import BY_NAME
 from pytest_pafot.findings.severity import Severity
 from pytest_pafot.report.animation import AnimationError
 from pytest_pafot.report.page import WHOLE, Draft, render_page, report_files, write_report
 from pytest_pafot.report.page_data import Report
+from tests.findings.builders import sighting
 from tests.helpers.tables import table
 from tests.report.builders import real_report
 
@@ -60,10 +60,9 @@ def shown(name="a1", label="new", responsibility="ego", runs=1, closing=None):
     return replace(real_report().findings[0], severity=severity, **more)
 
 
-def report_of(draft, findings=(), *, errors=(), is_interrupted=False):
-    return draft.report(
-        project="highway", command="pytest", findings=findings, errors=errors, is_interrupted=is_interrupted
-    )
+def report_of(draft, findings=(), *, errors=(), **more):
+    given = {"project": "highway", "command": "pytest", "is_interrupted": False} | more
+    return draft.report(findings=findings, errors=errors, **given)
 
 
 @table("told", [RANKED, RANKED[::-1], RANKED[3:] + RANKED[:3]])
@@ -73,10 +72,8 @@ def test_findings_are_sorted_by_novelty_fault_and_severity(told):
 
 
 def test_facts_include_interrupt_replay_labels_and_versions():
-    draft = Draft(target="x")
-    for number, label in enumerate(("fixed", "still failing", "fixed")):
-        draft.take(Find(id="a", node_id=f"t{number}", label=label))
-    facts = dict(report_of(draft, is_interrupted=True).facts)
+    replays = [sighting(f"t{number}", label=label) for number, label in enumerate(("fixed", "still failing", "fixed"))]
+    facts = dict(report_of(Draft(target="x"), is_interrupted=True, replays=replays).facts)
     assert facts["session"] == "interrupted; this report has what ran before that"
     assert facts["replayed"] == "3 saved scenarios: 2 passes, 1 still failing"
     assert {"pytest-pafot", "highway-env", "numpy", "written"} <= set(facts)

@@ -5,7 +5,7 @@ Long texts are in ``__snapshots__``. ``--snapshot-update`` rewrites them; read t
 
 from dataclasses import replace
 
-from pytest_pafot.campaign.events import Find, Progress, SearchSummary, concluded
+from pytest_pafot.campaign.events import Progress, SearchSummary, concluded
 from pytest_pafot.findings.finding import Expect
 from pytest_pafot.findings.severity import Severity
 from pytest_pafot.findings.shrink import Shrunk
@@ -15,11 +15,10 @@ from pytest_pafot.model.trace import Outcome
 from pytest_pafot.report import terminal
 from pytest_pafot.report.terminal import SessionSummary
 from pytest_pafot.support.text import wrapped_to
-from tests.findings.builders import plain_finding
+from tests.findings.builders import plain_finding, sighting
 from tests.helpers.tables import table
 
-FIND = Find(
-    id="front-2-1f3a9c",
+FIND = sighting(
     node_id="tests/test_safety.py::test_it[saved-front-2-1f3a9c]",
     headline="collision after 12.4 s: NPC 0 in cell 2 (front) against the ego's front",
     path="tests/pafot_corpus/test_safety/test_it/front-2-1f3a9c.pafot.yaml",
@@ -27,9 +26,9 @@ FIND = Find(
 )
 
 
-def replay(name, label, **more):
-    """Return what a session saw of a saved scenario."""
-    return Find(**{"id": name, "node_id": f"t[{name}]", "label": label} | more)
+def named(id_, **seen):
+    """Return the same finding by another id, and with more that was seen of it."""
+    return replace(FIND, finding=replace(FIND.finding, id=id_), **seen)
 
 
 SEARCH = SearchSummary(
@@ -92,14 +91,14 @@ def test_only_what_shrinking_changed_is_reported(found, simplest, is_minimal, li
 def test_failures_are_listed_new_first_then_worst_first():
     hit = Severity(kind="collision", value=4.6, unit="m/s")
     finds = [
-        replace(FIND, id="other", node_id="t[o]"),
-        replace(FIND, id="slow", severity=hit, responsible="both"),
-        replace(FIND, id="fast", severity=replace(hit, value=12.1), responsible="npc"),
+        sighting("other", node_id="t[o]"),
+        sighting("slow", severity=hit, responsible="both", repeats=1),
+        sighting("fast", severity=replace(hit, value=12.1), responsible="npc"),
     ]
     replays = [
-        replay("a", "fixed"),
-        replay("b", "still failing", id="known", headline="hit", severity=replace(hit, value=30.0)),
-        replay("c", "introduced", id="mine", headline="hit", severity=hit, responsible="ego"),
+        sighting("a", label="fixed"),
+        sighting("known", label="still failing", headline="hit", severity=replace(hit, value=30.0), responsible="none"),
+        sighting("mine", label="introduced", headline="hit", severity=hit),
     ]
     session = SessionSummary(searches=[replace(SEARCH, finds=tuple(finds))], replays=replays)
     assert terminal.worst_lines(session) == [
@@ -114,8 +113,8 @@ def test_failures_are_listed_new_first_then_worst_first():
 
 
 def test_the_summary_of_a_session_reads_so(snapshot):
-    flaky = replace(FIND, id="rear-6-222222", difference="running it again gave a different run", repeats=0)
-    lost = replace(FIND, id="left-8-333333", path="", detail="read-only file system")
+    flaky = named("rear-6-222222", difference="running it again gave a different run", repeats=0)
+    lost = named("left-8-333333", path="", detail="read-only file system")
     other = replace(
         SEARCH, node_id="tests/test_safety.py::test_other[search]", finds=(flaky, lost), unsaved={"front-2-aaaaaa": 3},
         shrink_runs=49, known={}, warnings=(), notes=(),
@@ -124,9 +123,9 @@ def test_the_summary_of_a_session_reads_so(snapshot):
         searches=[SEARCH, other],
         again="pytest FILE",
         replays=[
-            replay("saved-a", "fixed"),
-            replay("saved-b", "still failing"),
-            replay("saved-c", "drifted", detail="numpy 1 then, 2 now"),
+            sighting("saved-a", label="fixed"),
+            sighting("saved-b", label="still failing"),
+            sighting("saved-c", label="drifted", detail="numpy 1 then, 2 now"),
         ],
         orphans=[
             ("corpus/test_a", ["a.pafot.yaml", "b.pafot.yaml"], "expected the test t.py::test_a, received no file t.py")
@@ -179,7 +178,7 @@ def test_few_searches_and_those_of_verbose_sessions_are_whole():
 
 
 def test_the_failure_of_a_search_reads_so(snapshot):
-    flaky = replace(FIND, id="rear-6-222222", difference="running it again gave a different run", is_timed=True)
+    flaky = named("rear-6-222222", difference="running it again gave a different run", is_timed=True)
     search = replace(SEARCH, finds=(FIND, flaky), unsaved={"front-2-aaaaaa": 3, "rear-6-bbbbbb": 1})
     assert terminal.failure_message(search) == snapshot
 
@@ -273,13 +272,13 @@ def test_progress_fits_into_a_narrow_terminal():
     ],
 )
 def test_finding_has_remark_when_reader_needs_it(flags, remark):
-    assert Find(id="a", node_id="b", headline="c", **flags).remark == remark
+    assert sighting(headline="c", **flags).remark == remark
 
 
 def test_a_replay_says_what_was_driven_and_what_the_search_found():
-    passes = replace(replay("saved-a", "fixed"), test="t", signature="hit", neighbours=10)
+    passes = replace(sighting("saved-a", label="fixed"), test="t", neighbours=10)
     searches = {"t": replace(SEARCH, node_id="t[search]", reason="all runs done", runs=300, invalid=1)}
-    other = {"t": replace(searches["t"], failures={"hit": "hit-2", "miss": "miss-1"})}
+    other = {"t": replace(searches["t"], failures={passes.finding.signature.text: "hit-2", "miss": "miss-1"})}
     cut = {"t": replace(searches["t"], reason="interrupted")}
     told = [terminal.replay_lines([concluded(passes, each)])[2:] for each in ({}, searches, other, cut)]
     alone = ["  passes, and so do 10 neighbours: t[saved-a]"]
@@ -296,9 +295,9 @@ def test_a_replay_says_what_was_driven_and_what_the_search_found():
 
 def test_replays_are_counted_by_label_and_partly_listed():
     replays = [
-        replay("saved-a", "fixed"),
-        replay("saved-b", "still failing"),
-        replay("saved-c", "drifted", detail="numpy 1 then, 2 now"),
+        sighting("saved-a", label="fixed"),
+        sighting("saved-b", label="still failing"),
+        sighting("saved-c", label="drifted", detail="numpy 1 then, 2 now"),
     ]
     assert terminal.replay_lines(replays) == [
         "replayed 3 saved scenarios: 1 drifted, 1 passes, 1 still failing",
@@ -321,11 +320,11 @@ def test_orphans_are_reported_with_the_way_out():
 
 
 def test_what_is_no_ascii_is_escaped():
-    assert terminal.found_lines(Find(id="a", node_id="té", headline="→"))[:2] == ["pafot: found t\\xe9", "  \\u2192"]
+    assert terminal.found_lines(sighting(node_id="té", headline="→"))[:2] == ["pafot: found t\\xe9", "  \\u2192"]
 
 
 def test_finding_that_is_told_whole_has_its_story_and_its_command():
-    find = Find(id="a", node_id="t", headline="collision", path="corpus/a.pafot.yaml")
+    find = sighting(node_id="t", headline="collision", path="corpus/a.pafot.yaml")
     told = {"story": ("NPC 0 braked.", "The ego is responsible."), "again": "pytest corpus/a.pafot.yaml"}
     lines = ["pafot: found t", "  collision", "  NPC 0 braked.", "  The ego is responsible."]
     assert terminal.found_lines(find, **told) == [*lines, "  saved; run it with: pytest corpus/a.pafot.yaml"]
@@ -336,7 +335,7 @@ def test_finding_that_is_told_whole_has_its_story_and_its_command():
 
 
 def test_search_summary_line_names_some_of_its_findings():
-    finds = tuple(replace(FIND, id=f"front-2-{n}") for n in range(5))
+    finds = tuple(named(f"front-2-{n}") for n in range(5))
     assert terminal.failure_line(replace(SEARCH, finds=finds[:1])) == "1 new finding: front-2-0"
     assert terminal.failure_line(replace(SEARCH, finds=finds)) == (
         "5 new findings: front-2-0, front-2-1, front-2-2 and 2 more"

@@ -4,7 +4,8 @@ import json
 import math
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from datetime import date
 from typing import Any, get_args
 
 import pytest
@@ -13,15 +14,20 @@ from hypothesis import strategies as st
 
 from pytest_pafot.attribution.mistakes import Manoeuvre, Mistake
 from pytest_pafot.attribution.responsibility import Fault, Responsibility
+from pytest_pafot.findings.finding import Finding
+from pytest_pafot.findings.neighbours import Breadth
+from pytest_pafot.findings.sighting import Sighting
 from pytest_pafot.findings.signature import Signature
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.trace import Collision, Outcome, Side
+from pytest_pafot.plugin.messages import packed, unpacked
 from pytest_pafot.searching.algorithms.distinct import DistinctState
 from pytest_pafot.searching.evaluation import Evaluation
 from pytest_pafot.searching.health import CELLS, STEPS, Coverage, Health, speed_bins
 from pytest_pafot.searching.plain import from_plain, plain
 from pytest_pafot.strategies import scenarios
 from pytest_pafot.support.errors import FieldError
+from tests.findings.builders import findings, plain_finding
 from tests.helpers.hostile import CHARACTERS
 from tests.helpers.tables import table
 
@@ -167,3 +173,21 @@ def test_wrong_data_is_refused_with_its_place(kind, data, place, expected):
 def test_infinite_and_nan_numbers_are_stored_as_text(text, number):
     assert plain(number) == text
     assert repr(from_plain(float, text)) == repr(number)
+
+
+@given(findings(), texts)
+def test_a_sighting_is_read_as_it_was_sent_without_what_stays_in_its_process(finding, text):
+    seen = Sighting(
+        finding=replace(finding, trace=None), node_id=text, sentences=(text,), breadth=Breadth(failing=1, of=2)
+    )
+    here = replace(seen, exception=ValueError(text), origin=text, number=3)
+    assert unpacked(Sighting, packed(here)) == seen
+    assert packed(here).isascii()
+    assert unpacked(Sighting, packed(here)).origin == ""
+
+
+def test_a_day_and_a_mapping_are_read_strictly():
+    data = plain(plain_finding(xfail="issue 12", xfail_until=date(2027, 1, 31)))
+    for place, wrong in ((-2, 3), (-2, "31.1.2027"), (3, [])):
+        with pytest.raises(FieldError):
+            from_plain(Finding, [*data[:place], wrong, *data[place:][1:]])

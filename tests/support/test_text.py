@@ -14,14 +14,14 @@ from hypothesis import strategies as st
 
 from pytest_pafot.__main__ import main
 from pytest_pafot.campaign import saved_scenario
-from pytest_pafot.campaign.events import Find, Progress, SearchSummary
+from pytest_pafot.campaign.events import Progress, SearchSummary
 from pytest_pafot.corpus.reader import load
 from pytest_pafot.corpus.saved import Saved
 from pytest_pafot.corpus.writer import text_of
 from pytest_pafot.plugin.messages import set_properties
 from pytest_pafot.plugin.node_ids import saved_part
 from pytest_pafot.report import page, session_record, terminal
-from pytest_pafot.report.session_record import FindingRecord, SessionRecord, to_text
+from pytest_pafot.report.session_record import SessionRecord, finding_entry, to_text
 from pytest_pafot.support.errors import CorpusError, FieldError
 from pytest_pafot.support.text import (
     ascii_text,
@@ -32,7 +32,7 @@ from pytest_pafot.support.text import (
     visible_lines,
     wrapped_to,
 )
-from tests.findings.builders import plain_finding
+from tests.findings.builders import plain_finding, sighting
 from tests.helpers.hostile import TEXTS, obeyed
 from tests.helpers.tables import table
 
@@ -68,7 +68,7 @@ def test_visible_text_is_one_harmless_line(text, width):
 
 @given(TEXTS, TEXTS, WIDTHS)
 def test_no_line_of_the_terminal_is_obeyed(text, other, width):
-    find = Find(id="a", node_id=text, headline=other, path=text, detail=other, difference=text)
+    find = sighting(node_id=text, headline=other, path=text, detail=other, difference=text)
     search = SearchSummary(
         node_id=text, generations=1, runs=3, seconds=1.0, failing=1, finds=[find], known={text: 1}, rejected=0,
         skipped=0, no_interaction=0, invalid=0, algorithm=other, seed=1, base_seed=1, profile="ci", reason=text,
@@ -76,7 +76,7 @@ def test_no_line_of_the_terminal_is_obeyed(text, other, width):
     )  # fmt: skip
     session = terminal.SessionSummary(
         searches=[search],
-        replays=[Find(id=text, headline=text, node_id=text, label="drifted", detail=other, against=text)],
+        replays=[sighting(headline=text, node_id=text, label="drifted", detail=other, against=text)],
         orphans=[(text, [text], other)], way_out=other, strays=[(text, other)],
         problems=[text], written=[visible(text)], interrupted=[text], warnings=[text], notes=[text],
     )  # fmt: skip
@@ -89,8 +89,8 @@ def test_no_line_of_the_terminal_is_obeyed(text, other, width):
 
 @given(TEXTS, TEXTS)
 def test_job_summary_and_tables_contain_no_foreign_markup(text, other):
-    found = FindingRecord(
-        node_id=text, id=other, test=text, status="drifted", file=other, replay=text, headline=other, detail=text,
+    found = finding_entry(
+        None, node_id=text, id=other, test=text, status="drifted", file=other, replay=text, headline=other, detail=text,
         flaky=text, xfail={"reason": other, "until": None}, result="xfailed",
     )  # fmt: skip
     faulty = SearchSummary(node_id=text, message=other, result="failed", against=text)

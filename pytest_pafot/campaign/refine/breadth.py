@@ -4,16 +4,17 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from pytest_pafot.campaign.events import FindTold, Phase, Refining
+from pytest_pafot.campaign.events import Phase, Refining
 from pytest_pafot.campaign.harness import begins_alike, limits_of
 from pytest_pafot.campaign.refine.runs import announce, check_time, number_ahead, showing
 from pytest_pafot.campaign.state import State
 from pytest_pafot.campaign.store import Store
 from pytest_pafot.campaign.workers import Workers
 from pytest_pafot.findings.neighbours import Breadth, breadth_of
+from pytest_pafot.findings.sighting import Sighting
 
 
-def with_breadth(sighting: FindTold, state: State, workers: Workers, store: Store) -> Refining[FindTold]:
+def with_breadth(sighting: Sighting, state: State, workers: Workers, store: Store) -> Refining[Sighting]:
     """Run neighbours of a finding; return it with how broad its failure is, also in its file, unless it has none."""
     limits, number = limits_of(workers.harness.world), workers.harness.request.settings.neighbours
     asking, fails = breadth_of(sighting.finding.scenario, number, limits, number_ahead(workers)), None
@@ -24,7 +25,7 @@ def with_breadth(sighting: FindTold, state: State, workers: Workers, store: Stor
             announce(ahead, state, workers)
             check_time(workers)
             driven += 1
-            yield Phase(f"running neighbour {driven} of {sighting.find.id}", sighting.find.id)
+            yield Phase(f"running neighbour {driven} of {sighting.id}", sighting.id)
             state.neighbour_runs += 1
             run = yield from showing(sighting, neighbour, state, workers, store)
             is_own = run is not None and own is not None and begins_alike(own, run)  # then it is no neighbour
@@ -34,4 +35,4 @@ def with_breadth(sighting: FindTold, state: State, workers: Workers, store: Stor
     if breadth is None:
         return sighting
     sighting = store.rewritten(sighting, replace(sighting.finding, neighbours=breadth))
-    return replace(sighting, find=replace(sighting.find, breadth=breadth))
+    return replace(sighting, breadth=breadth)

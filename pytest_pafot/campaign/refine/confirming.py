@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from itertools import count
 
-from pytest_pafot.campaign.events import ENDED_OTHERWISE, FindTold, Phase, Refining
+from pytest_pafot.campaign.events import Phase, Refining
 from pytest_pafot.campaign.refine.runs import failure_rate, is_as_often, outcomes, shows
 from pytest_pafot.campaign.refine.simplest import Simplest
 from pytest_pafot.campaign.state import State
@@ -14,13 +14,14 @@ from pytest_pafot.campaign.workers import Workers
 from pytest_pafot.findings.failure_rate import FEW_RUNS, KNOWN_RUNS, MANY_RUNS, SURE_ODDS, FailureRate
 from pytest_pafot.findings.finding import ending
 from pytest_pafot.findings.shrink import sort_key
+from pytest_pafot.findings.sighting import ENDED_OTHERWISE, Sighting
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.support.errors import OutOfTime
 
 
 def confirmed(
-    sighting: FindTold, original: Scenario, simplest: Simplest, state: State, workers: Workers
+    sighting: Sighting, original: Scenario, simplest: Simplest, state: State, workers: Workers
 ) -> Refining[tuple[Simplest, Run, Verdict, str]]:
     """Run the simplest scenario of a finding again, or one on the way to it that fails as often as the finding.
 
@@ -49,10 +50,10 @@ def confirmed(
     return replace(simplest, rate=rate), run, verdict, differs
 
 
-def _run_again(scenario: Scenario, sighting: FindTold, state: State, workers: Workers) -> tuple[Run, Verdict, str]:
+def _run_again(scenario: Scenario, sighting: Sighting, state: State, workers: Workers) -> tuple[Run, Verdict, str]:
     """Run a scenario from scratch; return the run, its verdict, and its difference from the finding, if any."""
     __tracebackhide__ = True
-    for _ in range(MANY_RUNS if sighting.find.is_flaky else 1):
+    for _ in range(MANY_RUNS if sighting.is_flaky else 1):
         run = workers.run(scenario, afresh=True)
         verdict = workers.judge(run)
         if is_shown := shows(sighting, run, verdict, state):
@@ -60,12 +61,12 @@ def _run_again(scenario: Scenario, sighting: FindTold, state: State, workers: Wo
     if not is_shown:
         otherwise = f"{ENDED_OTHERWISE}: {ending(run)}"
         return run, verdict, "the reference failed when it ran again" if verdict.kind == "common" else otherwise
-    is_confirmed = sighting.find.is_flaky or (scenario == sighting.finding.scenario and not sighting.find.unshrunk)
+    is_confirmed = sighting.is_flaky or (scenario == sighting.finding.scenario and not sighting.unshrunk)
     return run, verdict, "" if is_confirmed else workers.difference(run)
 
 
 def _failing_as_often(
-    sighting: FindTold, as_found: FailureRate, simplest: Scenario, state: State, workers: Workers
+    sighting: Sighting, as_found: FailureRate, simplest: Scenario, state: State, workers: Workers
 ) -> Refining[Scenario | None]:
     """Return the simplest scenario found on the way to ``simplest`` that fails about as often as the finding.
 
@@ -75,7 +76,7 @@ def _failing_as_often(
     therefore compared again, in more runs with seeds by which nothing was chosen. If it fails more rarely, steps before
     it are tried at growing distances, and the last distance is bisected.
     """
-    answers, steps = state.answers[sighting.find.id], list[Scenario]()
+    answers, steps = state.answers[sighting.id], list[Scenario]()
     for _, shown in answers:
         if shown is not None and (not steps or sort_key(shown[0]) < sort_key(steps[-1])):
             steps.append(shown[0])
@@ -83,7 +84,7 @@ def _failing_as_often(
     unused = count(KNOWN_RUNS + 1 + len(answers) * FEW_RUNS, KNOWN_RUNS)  # the first seeds of each
     good, bad, back = -1, len(steps), 1  # -1 is the finding itself
     while good < bad - 1:
-        yield Phase(f"comparing how often {sighting.find.id} fails", sighting.find.id)
+        yield Phase(f"comparing how often {sighting.id} fails", sighting.id)
         middle = max(bad - back, 0) if good < 0 else (good + bad) // 2
         try:
             several = outcomes(sighting, steps[middle], state, workers, next(unused))

@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 
-from pytest_pafot.campaign.events import FindTold, Note, Phase, Refining
+from pytest_pafot.campaign.events import Note, Phase, Refining
 from pytest_pafot.campaign.refine.simplest import Simplest
 from pytest_pafot.campaign.store import Store
 from pytest_pafot.campaign.verdict import Verdict, headline
 from pytest_pafot.campaign.workers import Workers
 from pytest_pafot.findings.finding import Expect, Perceived
+from pytest_pafot.findings.sighting import Sighting
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.sight import Sight
 from pytest_pafot.oracle.run import Run, with_avoidance
@@ -19,7 +20,7 @@ from pytest_pafot.world.driving.perception import Perception
 
 
 def with_drivers(
-    sighting: FindTold, simplest: Simplest, run: Run, verdict: Verdict, workers: Workers, store: Store
+    sighting: Sighting, simplest: Simplest, run: Run, verdict: Verdict, workers: Workers, store: Store
 ) -> Refining[None]:
     """Try drivers, and the ADS with perfect sight, in a confirmed scenario; report the finding as it is then.
 
@@ -27,11 +28,11 @@ def with_drivers(
     """
     if verdict.failure is None or verdict.exception is None:
         return
-    harness, find, scenario = workers.harness, sighting.find, simplest.scenario
+    harness, scenario = workers.harness, simplest.scenario
     sighting = replace(sighting, finding=replace(sighting.finding, rate=simplest.rate))
     before = sighting.finding
     original = before.original or before.scenario
-    yield Phase(f"trying reference drivers in saved-{find.id}", find.id)
+    yield Phase(f"trying reference drivers in saved-{sighting.id}", sighting.id)
     outcomes, errors = harness.reference_outcomes(run, verdict)
     avoided, exception = None, verdict.exception
     try:
@@ -60,27 +61,27 @@ def with_drivers(
         original=original if scenario != original else None,
         shrunk=simplest.shrunk if simplest.shrunk.rollouts else None,
     )
-    if finding == before and not find.unshrunk:
+    if finding == before and not sighting.unshrunk:
         return
     line = headline(run, verdict)
-    find = replace(
-        find,
+    sighting = replace(
+        store.rewritten(sighting, finding),
         headline=line if perception is None else f"{line}, {perception.sentence}",
         severity=verdict.severity,
-        responsible=finding.expect.responsibility,
         unshrunk="",
-        rate=finding.on_rate,
+        exception=exception,
+        run=shown,
+        is_first=False,
     )
-    sighting = store.rewritten(sighting, finding)
-    yield from store.report(replace(sighting, find=find, exception=exception, run=shown, is_new=False))
+    yield from store.report(sighting)
 
 
-def _perceived(sighting: FindTold, scenario: Scenario, workers: Workers) -> Refining[Perceived | None]:
+def _perceived(sighting: Sighting, scenario: Scenario, workers: Workers) -> Refining[Perceived | None]:
     """Return the imperfections of the ADS's perception that a finding needs; None if its perception is perfect."""
     before, harness, ads = sighting.finding.perception, workers.harness, workers.harness.policy.factory
     if before is None or not isinstance(ads, Perception):
         return None
-    yield Phase(f"trying perfect sight in saved-{sighting.find.id}", sighting.find.id)
+    yield Phase(f"trying perfect sight in saved-{sighting.id}", sighting.id)
 
     def fails(sight: Sight) -> bool:
         return harness.fails_with(ads.seeing(sight), scenario, workers.record)

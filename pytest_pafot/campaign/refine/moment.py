@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from pytest_pafot.campaign.events import FindTold, Phase, Refining
+from pytest_pafot.campaign.events import Phase, Refining
 from pytest_pafot.campaign.harness import refusals
 from pytest_pafot.campaign.refine.runs import check_time
 from pytest_pafot.campaign.state import State
@@ -36,6 +36,7 @@ from pytest_pafot.findings.decisions import (
     vehicle_of,
     window,
 )
+from pytest_pafot.findings.sighting import Sighting
 from pytest_pafot.model.sight import Sight
 from pytest_pafot.model.trace import Trace
 from pytest_pafot.oracle.run import Run
@@ -65,7 +66,7 @@ POSSIBLE = {"acceleration": possible_acceleration, "steering": possible_steering
 """The parts of a planner's decision with limits, and the functions that limit them to what an ego can do."""
 
 
-def with_moment(sighting: FindTold, state: State, workers: Workers, store: Store) -> Refining[FindTold]:
+def with_moment(sighting: Sighting, state: State, workers: Workers, store: Store) -> Refining[Sighting]:
     """Return a finding with how many decisions depend on its vehicle, and the last that could have avoided the failure.
 
     The finding's run is driven again by its recorded actions. Fresh policies decide beside it, with all that the policy
@@ -79,12 +80,12 @@ def with_moment(sighting: FindTold, state: State, workers: Workers, store: Store
     moment = None if harness.against is None else _first_difference(run.trace, state, workers)
     ask = partial(_asked, sighting, run.trace, state, workers)
     answers, moment = yield from _on_vehicles(sighting, run, moment, harness.policy.sight, ask)
-    return replace(sighting, find=replace(sighting.find, answers=answers, moment=moment))
+    return replace(sighting, answers=answers, moment=moment)
 
 
-def with_conditions(sighting: FindTold, state: State, workers: Workers, store: Store) -> Refining[FindTold]:
+def with_conditions(sighting: Sighting, state: State, workers: Workers, store: Store) -> Refining[Sighting]:
     """Return a finding with the conditions that a fresh policy evaluates in its moment, if it decides as the run's."""
-    harness, moment, run = workers.harness, sighting.find.moment, sighting.run
+    harness, moment, run = workers.harness, sighting.moment, sighting.run
     conditions = None if moment is None else Conditions(source_files(harness.policy.factory), harness.root)
     if moment is None or run is None or not conditions:
         return sighting
@@ -96,11 +97,11 @@ def with_conditions(sighting: FindTold, state: State, workers: Workers, store: S
     if aside is None or any(differ(each, aside.of(at)) for at, each in enumerate(trace.actions[: number + 1])):
         return sighting
     moment = replace(moment, conditions=tuple(aside.conditions))
-    return replace(sighting, find=replace(sighting.find, moment=moment))
+    return replace(sighting, moment=moment)
 
 
 def _on_vehicles(
-    sighting: FindTold, run: Run, moment: Moment | None, sight: Sight | None, ask: Ask
+    sighting: Sighting, run: Run, moment: Moment | None, sight: Sight | None, ask: Ask
 ) -> Refining[tuple[Answers | None, Moment | None]]:
     """Return how many decisions depend on the vehicle of a failure, and the moment, unless there is one already."""
     expect, trace = sighting.finding.expect, run.trace
@@ -165,11 +166,11 @@ def _first_difference(trace: Trace, state: State, workers: Workers) -> Moment | 
 
 
 def _asked(
-    sighting: FindTold, trace: Trace, state: State, workers: Workers, npc: int | None, question: Question | None
+    sighting: Sighting, trace: Trace, state: State, workers: Workers, npc: int | None, question: Question | None
 ) -> Refining[Aside | None]:
     """Drive a finding by its recorded actions, and return what a policy decides beside the run: see :data:`Ask`."""
     check_time(workers)
-    yield Phase(f"asking the policy of {trace.executed.id} again", sighting.find.id)
+    yield Phase(f"asking the policy of {trace.executed.id} again", sighting.id)
     state.neighbour_runs += 1
     from pytest_pafot.world.driving.policy_driver import checked_action  # noqa: PLC0415  (it needs highway-env, helps do not)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from itertools import count, islice
 
-from pytest_pafot.campaign.events import FindTold, Phase, Refining
+from pytest_pafot.campaign.events import Phase, Refining
 from pytest_pafot.campaign.harness import limits_of
 from pytest_pafot.campaign.state import State, lose
 from pytest_pafot.campaign.store import Store
@@ -15,6 +15,7 @@ from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.findings.failure_rate import ENOUGH, FEW_RUNS, MANY_RUNS, ODDS, FailureRate, with_other_seed
 from pytest_pafot.findings.finding import of_failure
 from pytest_pafot.findings.shrink import Ahead
+from pytest_pafot.findings.sighting import Sighting
 from pytest_pafot.findings.signature import Signature
 from pytest_pafot.model.scenario import Scenario, ScenarioError
 from pytest_pafot.oracle.run import Run
@@ -25,7 +26,7 @@ BATCH = 16
 
 
 def showing(
-    sighting: FindTold, scenario: Scenario, state: State, workers: Workers, store: Store, most: int | None = None
+    sighting: Sighting, scenario: Scenario, state: State, workers: Workers, store: Store, most: int | None = None
 ) -> Refining[Run | None]:
     """Run a scenario; return the run if it shows the failure of a finding in fewer than ``most`` decisions."""
     __tracebackhide__ = True
@@ -50,15 +51,15 @@ def showing(
     return run
 
 
-def shows(sighting: FindTold, run: Run, verdict: Verdict, state: State) -> bool:
+def shows(sighting: Sighting, run: Run, verdict: Verdict, state: State) -> bool:
     """Return whether a run shows the failure of a finding, and by the same fault, so its name still fits."""
     shown = of_failure(run, verdict.failure) if verdict.failed and verdict.failure is not None else None
     return shown is not None and is_same(shown, signature_of(sighting, state))
 
 
-def signature_of(sighting: FindTold, state: State) -> Signature:
+def signature_of(sighting: Sighting, state: State) -> Signature:
     """Return the signature that a finding had when it was found."""
-    return next(signature for signature, id_ in state.finds.items() if id_ == sighting.find.id)
+    return next(signature for signature, id_ in state.finds.items() if id_ == sighting.id)
 
 
 def is_same(shown: Signature, found: Signature) -> bool:
@@ -93,9 +94,9 @@ def check_time(workers: Workers) -> None:
         raise OutOfTime
 
 
-def failure_rate(sighting: FindTold, scenario: Scenario, state: State, workers: Workers) -> Refining[FailureRate]:
+def failure_rate(sighting: Sighting, scenario: Scenario, state: State, workers: Workers) -> Refining[FailureRate]:
     """Return how often the policy fails in a scenario of a finding."""
-    yield Phase(f"measuring how often {sighting.find.id} fails", sighting.find.id)
+    yield Phase(f"measuring how often {sighting.id} fails", sighting.id)
     several = outcomes(sighting, scenario, state, workers)
     failing, runs = sum(islice(several, FEW_RUNS)), FEW_RUNS
     if failing < ENOUGH:
@@ -103,11 +104,11 @@ def failure_rate(sighting: FindTold, scenario: Scenario, state: State, workers: 
     return FailureRate(failing=failing, runs=runs)
 
 
-def outcomes(sighting: FindTold, scenario: Scenario, state: State, workers: Workers, first: int = 1) -> Iterator[bool]:
+def outcomes(sighting: Sighting, scenario: Scenario, state: State, workers: Workers, first: int = 1) -> Iterator[bool]:
     """Run a scenario with one other seed after another, or again and again, and yield whether each run fails."""
     for number in count(first):
         state.shrink_runs += 1
-        yield fails(scenario if sighting.find.is_flaky else with_other_seed(scenario, number), workers)
+        yield fails(scenario if sighting.is_flaky else with_other_seed(scenario, number), workers)
 
 
 def fails(scenario: Scenario, workers: Workers) -> bool:

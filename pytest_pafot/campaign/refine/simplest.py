@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import cache, partial
 from typing import Any
 
-from pytest_pafot.campaign.events import FindTold, Phase, Refining
+from pytest_pafot.campaign.events import Phase, Refining
 from pytest_pafot.campaign.harness import Harness
 from pytest_pafot.campaign.refine.runs import (
     announce,
@@ -26,6 +26,7 @@ from pytest_pafot.campaign.workers import Workers
 from pytest_pafot.findings.failure_rate import FEW_RUNS, KNOWN_RUNS, MANY_RUNS, FailureRate, with_other_seed
 from pytest_pafot.findings.finding import of_failure
 from pytest_pafot.findings.shrink import Ahead, Attempt, Likely, OutOfBudget, Shown, Shrunk, Start, shrink
+from pytest_pafot.findings.sighting import Sighting
 from pytest_pafot.findings.signature import Failure
 from pytest_pafot.model.scenario import Scenario, ScenarioError
 from pytest_pafot.model.trace import LANE, SPEED, Trace
@@ -121,11 +122,11 @@ class Simplest:
 
 
 def simplest_of(
-    sighting: FindTold, original: Scenario, state: State, workers: Workers, store: Store, turn_ends: float
+    sighting: Sighting, original: Scenario, state: State, workers: Workers, store: Store, turn_ends: float
 ) -> Refining[Simplest]:
     """Shrink the scenario of a finding as it was found, until a time at which the turn of the finding ends [s]."""
     __tracebackhide__ = True
-    harness, space, id_, is_flaky = workers.harness, state.space, sighting.find.id, sighting.find.is_flaky
+    harness, space, id_, is_flaky = workers.harness, state.space, sighting.id, sighting.is_flaky
     turn = Turn(until=turn_ends, runs_to_compare=RUNS_TO_COMPARE if sighting.finding.rate else 0)
     answers = state.answers.setdefault(id_, [])
     asked, rollouts, top_speed = 0, rollouts_for(harness), harness.world.speed_limit
@@ -235,15 +236,15 @@ def simplest_of(
     return Simplest(scenario=scenario, shrunk=shrunk, as_found=as_found, attempts=turn.attempts, is_cut=turn.is_over)
 
 
-def _repeats_collision(sighting: FindTold, harness: Harness) -> Trace | None:
+def _repeats_collision(sighting: Sighting, harness: Harness) -> Trace | None:
     """Return the run of a collision that another run with the same decisions of the ADS repeats here; else None."""
     trace = None if sighting.run is None else sighting.run.trace
-    is_sure = not sighting.find.is_flaky and sighting.finding.rate is None and codec.is_built_in(harness.world)
+    is_sure = not sighting.is_flaky and sighting.finding.rate is None and codec.is_built_in(harness.world)
     return trace if is_sure and trace is not None and trace.collision is not None and trace.actions else None
 
 
 def _likely(
-    sighting: FindTold, turn: Turn, state: State, workers: Workers, actions_in: Callable[[Scenario], tuple[Any, ...]]
+    sighting: Sighting, turn: Turn, state: State, workers: Workers, actions_in: Callable[[Scenario], tuple[Any, ...]]
 ) -> Callable[[Scenario, Scenario], bool] | None:
     """Return a function that says whether a small scenario is likely to fail, without a decision of the ADS.
 

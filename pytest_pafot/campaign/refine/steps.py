@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-from pytest_pafot.campaign.events import FindTold, Note, Refining
+from pytest_pafot.campaign.events import Note, Refining
 from pytest_pafot.campaign.refine.breadth import with_breadth
 from pytest_pafot.campaign.refine.confirming import confirmed
 from pytest_pafot.campaign.refine.drivers import with_drivers
@@ -20,6 +20,7 @@ from pytest_pafot.campaign.store import Store
 from pytest_pafot.campaign.workers import Workers
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.findings.shrink import Shrunk
+from pytest_pafot.findings.sighting import Sighting
 from pytest_pafot.support.errors import OutOfTime
 from pytest_pafot.support.text import one_line
 from pytest_pafot.world.guard.failure import is_interruption
@@ -56,9 +57,9 @@ def refine(
             state.shrink_decisions = workers.decisions - before
         try:
             for sighting in list(store.findings.values()) if workers.harness.request.settings.neighbours else ():
-                if sighting.is_firm and sighting.find.id in refined:
+                if sighting.is_firm and sighting.id in refined:
                     yield from _examined(sighting, state, workers, store)
-                    state.refined.add(sighting.find.id)
+                    state.refined.add(sighting.id)
         finally:
             state.neighbour_decisions = workers.decisions - before - state.shrink_decisions
 
@@ -81,12 +82,12 @@ def _in_turns(state: State, workers: Workers, store: Store, way_on: str) -> Refi
         waiting = [id_ for id_ in round_ if id_ not in done]
     for sighting in [store.findings[id_] for id_ in waiting]:
         cut = "not shrunk: out of time" if sighting.finding.shrunk is None else "shrunk in part: out of time"
-        find = replace(sighting.find, unshrunk=f"{sighting.find.unshrunk or cut}{way_on}")
-        yield from store.report(replace(sighting, find=find, is_new=False))
+        unshrunk = f"{sighting.unshrunk or cut}{way_on}"
+        yield from store.report(replace(sighting, unshrunk=unshrunk, is_first=False))
     return done
 
 
-def _turn(sighting: FindTold, state: State, workers: Workers, store: Store, *, sharing: int) -> Refining[bool]:
+def _turn(sighting: Sighting, state: State, workers: Workers, store: Store, *, sharing: int) -> Refining[bool]:
     """Simplify a finding in one of ``sharing`` equal shares of the time that is left; return True if it is done.
 
     If time ends, the finding stays as it is. A later turn or session makes the same attempts to shrink it in the same
@@ -108,20 +109,19 @@ def _turn(sighting: FindTold, state: State, workers: Workers, store: Store, *, s
         return True
 
 
-def _simplified(sighting: FindTold, state: State, workers: Workers, store: Store, turn_ends: float) -> Refining[bool]:
+def _simplified(sighting: Sighting, state: State, workers: Workers, store: Store, turn_ends: float) -> Refining[bool]:
     """Shrink a finding, run the result again, and try reference drivers in it; return True if nothing is left to do."""
     __tracebackhide__ = True
     original = sighting.finding.original or sighting.finding.scenario
     # How often it fails, if that is by chance. Another thread of this process may have drawn in one run, but hardly in
     # two.
     is_new = sighting.is_random and sighting.finding.rate is None
-    if is_new and (sighting.find.is_flaky or workers.rerun(sighting.finding.scenario).trace.drew):
+    if is_new and (sighting.is_flaky or workers.rerun(sighting.finding.scenario).trace.drew):
         rate = yield from failure_rate(sighting, sighting.finding.scenario, state, workers)
         sighting = store.rewritten(sighting, replace(sighting.finding, rate=rate))
-        find = replace(sighting.find, rate=sighting.finding.on_rate)
-        sighting = replace(sighting, find=find, is_new=False)
+        sighting = replace(sighting, is_first=False)
         yield from store.report(sighting)
-    if sighting.find.is_flaky and not (sighting.finding.rate and sighting.finding.rate.failing):
+    if sighting.is_flaky and not (sighting.finding.rate and sighting.finding.rate.failing):
         return True
     # The simplest scenario that fails in the same way, and still does when it is run again.
     simplest = yield from simplest_of(sighting, original, state, workers, store, turn_ends)
@@ -129,7 +129,7 @@ def _simplified(sighting: FindTold, state: State, workers: Workers, store: Store
     if simplest.is_cut and simplest.scenario == sighting.finding.scenario:
         return False
     simplest, run, verdict, differs = yield from confirmed(sighting, original, simplest, state, workers)
-    answers = state.answers[sighting.find.id]
+    answers = state.answers[sighting.id]
     if differs and len(answers) > simplest.attempts:
         answers.clear()  # Some are from earlier sessions: the ADS may have changed since.
         return (yield from _simplified(sighting, state, workers, store, turn_ends))
@@ -138,8 +138,8 @@ def _simplified(sighting: FindTold, state: State, workers: Workers, store: Store
         shrunk = Shrunk(rollouts=simplest.shrunk.rollouts, is_minimal=False)
         simplest = replace(simplest, scenario=original, shrunk=shrunk, is_cut=False)
         simplest, run, verdict, differs = yield from confirmed(sighting, original, simplest, state, workers)
-    if differs and not sighting.find.is_flaky:
-        sighting = replace(store.call_flaky(sighting, differs), is_new=False)
+    if differs and not sighting.is_flaky:
+        sighting = replace(store.call_flaky(sighting, differs), is_first=False)
         yield from store.report(sighting)
         if sighting.is_random:  # the runs that confirmed it were the same by chance
             answers.clear()
@@ -150,13 +150,13 @@ def _simplified(sighting: FindTold, state: State, workers: Workers, store: Store
     return bool(differs) or not simplest.is_cut
 
 
-def _examined(sighting: FindTold, state: State, workers: Workers, store: Store) -> Refining[None]:
+def _examined(sighting: Sighting, state: State, workers: Workers, store: Store) -> Refining[None]:
     """Examine a finding, and report what each step learns, unless the time ends before.
 
     No error ends the search here, because a user's world may not expect scenarios other than those of a search.
     """
     __tracebackhide__ = True
-    sighting, about = replace(sighting, is_new=False), "neighbours"
+    sighting, about = replace(sighting, is_first=False), "neighbours"
     try:
         check_time(workers)
         with runs_end_in(workers.until - workers.clock()):
@@ -164,8 +164,8 @@ def _examined(sighting: FindTold, state: State, workers: Workers, store: Store) 
                 sighting = yield from step(sighting, state, workers, store)
                 yield from store.report(sighting)
     except OutOfTime:
-        yield Note(f"no {about} of saved-{sighting.find.id}: out of time")
+        yield Note(f"no {about} of saved-{sighting.id}: out of time")
     except Exception as error:
         if is_interruption(error):
             raise
-        yield Note(f"no {about} of saved-{sighting.find.id}: {type(error).__name__}: {one_line(str(error))}")
+        yield Note(f"no {about} of saved-{sighting.id}: {type(error).__name__}: {one_line(str(error))}")

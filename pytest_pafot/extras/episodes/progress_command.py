@@ -466,8 +466,8 @@ def _rows(plan: ProgressPlan, part: str, numbers: range, tick: Tick) -> Iterator
             on_event=listen,
         )  # fmt: skip
         old, new = Result(failed=side == "old"), Result(failed=side == "new")
-        for each in found.told:
-            yield PairRow(part="alone", name=each.finding.id, old=old, new=new, told=each.find.headline)
+        for each in found.sightings:
+            yield PairRow(part="alone", name=each.finding.id, old=old, new=new, told=each.headline)
 
 
 def _driven(built: Any, world: World, side: str, is_planner: bool, seed: int) -> EpisodeRow:

@@ -1,0 +1,192 @@
+"""A sighting: a finding as a session saw it, when its search found it or when its saved scenario was replayed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from pytest_pafot.findings.decisions import Answers, Moment
+from pytest_pafot.findings.failure_rate import FailureRate
+from pytest_pafot.findings.finding import IN_MEMORY, Finding
+from pytest_pafot.findings.neighbours import Breadth
+from pytest_pafot.findings.severity import Severity
+from pytest_pafot.oracle.run import Run
+from pytest_pafot.support.text import ascii_text, plural
+
+NEW = "new"
+"""The label of a finding that was not known before this session."""
+
+ELSEWHERE = "still failing elsewhere"
+"""The label of a replay that passes while the search of its test finds the same failure in other scenarios."""
+
+PASSING = ("fixed", "fixed before", ELSEWHERE)
+"""The labels of replays that pass with the situation of the failure."""
+
+PASSES = "passes"
+"""The result of a replay with the label ``fixed`` that no search confirms, see :attr:`Sighting.result`."""
+
+NO_WORSE = "no worse"
+"""The label of a new finding that does not speak against a policy, since the reference fails as often elsewhere."""
+
+NOT_REPEATED, ENDED_OTHERWISE = "running it again gave a different run", "a later run of it ended differently"
+"""How the difference begins of a policy that drives the same scenario in different ways."""
+
+
+def passing(neighbours: int, searched: int) -> str:
+    """Say what passes: a saved scenario, a number of its neighbours, and a number of runs of the search of its test."""
+    others = f", and so {'does' if neighbours == 1 else 'do'} {plural(neighbours, 'neighbour')}" if neighbours else ""
+    runs = f"; no such failure in {plural(searched, 'run')} of the search" if searched else ""
+    return f"{PASSES}{others}{runs}"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Sighting:
+    """A finding as this session saw it, new or replayed. All reports of a session are written from it.
+
+    As an event of a search it reports a new finding. The event is repeated with each detail that becomes known; only
+    the last event of a finding is valid. The last attributes, from ``is_first`` on, stay in the process of the item.
+
+    Attributes:
+        finding: the content of its file; of a replay whose neighbour fails, what the file would be with the neighbour.
+        node_id: node id of the item that replays it, in this session or, if it is new, from the next one on.
+        test: node id of the test of a replayed one, as it is in this session.
+        label: ``new``, or ``no worse`` if it is new and does not count in a comparison; of a replay ``fixed``, ``still
+            failing``, ``still failing, nearby``, ``drifted``, ``flaky``; in a comparison with a reference also
+            ``introduced``, ``common`` or ``fixed before``. The search of the test may make it ``still failing
+            elsewhere``, see :func:`~pytest_pafot.campaign.events.concluded`.
+        headline: how the run failed; empty if it passes.
+        path: path of its file; empty if a new finding has none.
+        detail: why a new finding has no file or does not count, or what differs from the file of a replayed one; may be
+            empty.
+        difference: what differed when the scenario of a new finding was run again; empty if nothing did.
+        rate_now: how often it fails in a replay; None for a new finding, and without a rate.
+        is_timed: True if the failure depends on wall-clock time.
+        unshrunk: why a new finding is not yet fully shrunk; empty if it is.
+        breadth: how many neighbours of a new finding fail in the same way; None if that was not examined.
+        answers: how many decisions depend on the vehicle of a new finding; None if that was not examined.
+        moment: the last decision that could have avoided it; None if that was not examined, or none is known.
+        neighbours: number of neighbours of a replayed scenario that were driven and pass.
+        searched: number of runs of the search of its test that found no such failure, if a replay passes and that
+            search ran to its end in this session; otherwise 0.
+        elsewhere: id of the finding that this search shows and that fails as the file says; empty if there is none.
+        severity: severity of the failure; None if it passes, nothing measures it, or there is no run.
+        severity_before: severity with the reference of a replay; None if there is none.
+        repeats: number of other runs of the search that failed in the same way.
+        against: the reference that a replay is compared with; empty without one.
+        is_accepted: True if the file of a replay accepts its failure.
+        may_pass: True if the failure is accepted as flaky, so that its scenario may pass as well.
+        sentences: who did what in a collision; empty without one, and until an item reports it.
+        command: the command that runs it again; empty until an item reports it.
+        is_first: True if it is reported for the first time.
+        origin: one line on how a new finding was found.
+        exception: what the test function raised in the run of a new finding, or what stands for the death of its
+            process.
+        run: the run of the scenario in the file; None if its process died or hung.
+        file: the file; None if a new finding has none.
+        content: the content of a file that could not be written, or empty.
+        number: the number of its run in the search, from 1; 0 if the search did not run it.
+    """
+
+    finding: Finding
+    node_id: str
+    test: str = ""
+    label: str = NEW
+    headline: str = ""
+    path: str = ""
+    detail: str = ""
+    difference: str = ""
+    rate_now: FailureRate | None = None
+    is_timed: bool = False
+    unshrunk: str = ""
+    breadth: Breadth | None = None
+    answers: Answers | None = None
+    moment: Moment | None = None
+    neighbours: int = 0
+    searched: int = 0
+    elsewhere: str = ""
+    severity: Severity | None = None
+    severity_before: Severity | None = None
+    repeats: int = 0
+    against: str = ""
+    is_accepted: bool = False
+    may_pass: bool = False
+    sentences: tuple[str, ...] = ()
+    command: str = ""
+    is_first: bool = True
+    origin: str = field(default="", compare=False, repr=False, metadata=IN_MEMORY)
+    exception: BaseException = field(default=AssertionError(), compare=False, repr=False, metadata=IN_MEMORY)
+    run: Run | None = field(default=None, compare=False, repr=False, metadata=IN_MEMORY)
+    file: Path | None = field(default=None, compare=False, repr=False, metadata=IN_MEMORY)
+    content: str = field(default="", compare=False, repr=False, metadata=IN_MEMORY)
+    number: int = field(default=0, compare=False, repr=False, metadata=IN_MEMORY)
+
+    @property
+    def id(self) -> str:
+        """The name of its file without the suffix."""
+        return self.finding.id
+
+    @property
+    def responsible(self) -> str:
+        """Who is responsible for the collision, as in its file."""
+        return self.finding.expect.responsibility
+
+    @property
+    def is_flaky(self) -> bool:
+        """True if running the scenario again gave a different run."""
+        return bool(self.difference)
+
+    @property
+    def is_firm(self) -> bool:
+        """True if its scenario is expected to give the same run each time."""
+        return not (self.is_flaky or self.is_timed or self.finding.expect.is_crash)
+
+    @property
+    def is_random(self) -> bool:
+        """True if the policy draws random numbers, so that the finding has a rate: its runs differ, or have drawn.
+
+        If it is flaky for another reason, the same seed gives the same run here, and no rate can be measured.
+        """
+        is_other = self.difference.startswith((NOT_REPEATED, ENDED_OTHERWISE))
+        has_drawn = self.run is not None and (is_other or (self.run.trace.drew and not self.is_flaky))
+        return (self.finding.rate is not None or has_drawn) and not self.is_timed
+
+    @property
+    def result(self) -> str:
+        """The label, but ``passes`` if no search of the session confirms that the failure is fixed.
+
+        With a reference the label compares two policies in one scenario, so no search has to confirm it.
+        """
+        return PASSES if self.label == "fixed" and not (self.searched or self.against) else self.label
+
+    @property
+    def heading(self) -> str:
+        """The result of a replay in a few words that claim no more than what was driven."""
+        if self.result == PASSES:
+            return self.driven
+        return f"{self.label}: {self.elsewhere}" if self.elsewhere else self.label
+
+    @property
+    def driven(self) -> str:
+        """The runs of a replay that passes, and of the search of its test; empty for any other replay."""
+        return passing(self.neighbours, self.searched) if self.label in PASSING else ""
+
+    @property
+    def remark(self) -> str:
+        """Remarks on the finding, such as that it is flaky, or how broad it is; empty if there are none."""
+        flaky = f"flaky: {self.difference}" if self.is_flaky else ""
+        timed = "depends on wall-clock time" if self.is_timed else ""
+        breadth = "" if self.breadth is None else str(self.breadth)
+        return "; ".join(filter(None, [flaky, self.finding.on_rate, timed, self.unshrunk, breadth]))
+
+    @property
+    def on_decisions(self) -> list[str]:
+        """The lines on the policy's decisions, each with a title of ten letters at most, or indented below one."""
+        lines = [f"answers    {self.answers}"] if self.answers is not None else []
+        if self.moment is not None:
+            lines += [f"moment     {self.moment}", *(f"  {each}" for each in self.moment.conditions)]
+        return lines
+
+    @property
+    def summary(self) -> str:
+        """The headline of the finding in one line, with its remarks."""
+        return ascii_text(f"{self.headline} ({self.remark})" if self.remark else self.headline)
