@@ -2,6 +2,7 @@
 
 import faulthandler
 import functools
+import gc
 import importlib
 import inspect
 import json
@@ -238,8 +239,11 @@ ASKED = list(inspect.signature(subprocess.Popen._execute_child).parameters)[2:]
 """What is asked of a process apart from its command, as `subprocess` names it."""
 PIPES = ("p2cread", "p2cwrite", "c2pread", "c2pwrite", "errread", "errwrite")
 """The ends of the pipes of a process among these."""
-OF_ALL = (sys.prefix, sys.base_prefix, str(Path(__file__).parents[2]))
+OF_ALL = (sys.prefix, sys.base_prefix, str(Path(__file__).parents[2] / "pytest_pafot"))
 """The folders of the modules that a copy keeps. Those of the project in which it runs may have changed."""
+REVISION = "pytest_pafot.extras.revisions."
+"""The beginning of the name of a module that drives the policy of a revision."""
+SESSION = search_command.PYTEST
 WORKER = "import sys;exec(eval(sys.stdin.readline()))"
 """The program of a worker of pytest-xdist, which receives the rest."""
 
@@ -274,7 +278,7 @@ def _call_of(command):
             return command[2:], lambda: _with_room(pytest.main, arguments)
         case [sys.executable, "-m", "pytest_pafot", *arguments]:
             return command[2:], lambda: _with_room(__main__.main_in_child, arguments)
-        case [sys.executable, "-c", search_command.PYTEST as program, *arguments]:
+        case [sys.executable, "-c", str() as program, *arguments] if program == SESSION or REVISION in program:
             return ["-c", *arguments], lambda: _with_room(exec, program, {"__name__": "__main__"})
         case [sys.executable, "-u", "-c", str() as program] if program == WORKER:
             return ["-c"], lambda: _with_room(exec, program, {"__name__": "__main__"})
@@ -328,6 +332,7 @@ def _settle(*, p2cread, c2pwrite, errwrite, pass_fds, cwd, env, start_new_sessio
         if not (getattr(module, "__file__", None) or sys.prefix).startswith(OF_ALL):
             del sys.modules[name]
     subprocess.Popen = Copy
+    gc.freeze()  # or the end of a session would search all that it shares with this process
 
 
 def _with_room(call, *args, **kwargs):
