@@ -55,7 +55,7 @@ def test_it():
     handlers = [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGSEGV)]
     places = [os.getcwd(), sys.path[:2], planner.__file__, tempfile.gettempdir()]
     given = [sys.argv[1:], sys.orig_argv[1:], os.environ["NAME"], os.read(0, 9), os.read(int(os.environ["PIPE"]), 9)]
-    print([places, given, handlers, os.getsid(0) == os.getpid()])
+    print([places, given, handlers, os.getsid(0) == os.getpid(), sys.dont_write_bytecode])
 """
 """A test that tells what its process was given when it started."""
 
@@ -73,6 +73,8 @@ def test_copy_of_this_process_has_what_a_new_one_has(tmp_path, monkeypatch):
     monkeypatch.setattr(tempfile, "tempdir", str(present))
     command = [sys.executable, "-m", "pytest", "-qs", "-p", "no:cacheprovider", "test_it.py"]
     own = {"PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1", "NAME": "a", "TMPDIR": str(other), "PYTHONPATH": str(other)}
+    own["PYTHONDONTWRITEBYTECODE"] = "1"
+    monkeypatch.setattr(sys, "dont_write_bytecode", False)
     told = []
     for kind in (subprocess.Popen, Copy):
         reader, writer = os.pipe()

@@ -325,12 +325,14 @@ def _settle(*, p2cread, c2pwrite, errwrite, pass_fds, cwd, env, start_new_sessio
     if env is not None:
         os.environ.clear()
         os.environ.update(env)
-    tempfile.tempdir = None
+    tempfile.tempdir = os.environ.get("TMPDIR")  # finding it out writes a file, which a killed process leaves
+    sys.dont_write_bytecode |= bool(os.environ.get("PYTHONDONTWRITEBYTECODE"))
     os.chdir(cwd or ".")
     sys.path[:0] = [str(Path.cwd()), *filter(None, os.environ.get("PYTHONPATH", "").split(os.pathsep))]
     for name, module in [*sys.modules.items()]:
         if not (getattr(module, "__file__", None) or sys.prefix).startswith(OF_ALL):
             del sys.modules[name]
+    importlib.invalidate_caches()
     subprocess.Popen = Copy
     gc.freeze()  # or the end of a session would search all that it shares with this process
 
