@@ -3,7 +3,6 @@
 import csv
 import json
 import os
-import subprocess
 import sys
 from pathlib import Path
 
@@ -15,6 +14,7 @@ from pytest_pafot import door
 from pytest_pafot.__main__ import main
 from pytest_pafot.searching import SearchSpace, resolve_algorithm
 from pytest_pafot.world import AdsFactoryError
+from tests.helpers.sessions import command_in_a_copy
 from tests.plugin.conftest import found, project  # noqa: F401
 from tests.searching.conftest import make_evaluation  # noqa: F401
 
@@ -241,7 +241,6 @@ def test_reference_may_be_a_revision(commit):  # noqa: F811
     commit(f"{POLICIES}\n# its first version\n")
     Path("planner.py").write_text(POLICIES)
     line = "search planner:brakes --runs 4 --seed 1 --against rev:HEAD"
-    command = [sys.executable, "-m", "pytest_pafot", *line.split()]
-    told = subprocess.run(command, check=False, capture_output=True, text=True).stdout
+    told = command_in_a_copy("pytest_pafot", *line.split()).out
     assert "1 of 1 file of the policy differ: planner.py" in " ".join(told.split()), told
     assert "introduces 0 failures" in told

@@ -1,7 +1,12 @@
 """The project itself: which warnings are errors in its tests, its Python versions, and the shape of its code."""
 
+import importlib
+import os
 import re
 import shutil
+import subprocess
+import sys
+import tempfile
 import tomllib
 import warnings
 from collections import Counter
@@ -9,6 +14,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.helpers.sessions import Copy
 from tests.helpers.tables import table
 from tests.test_layers import MODULES, ROOMS
 
@@ -39,6 +45,49 @@ def test_warning_of_a_plugin_does_not_end_session(pytester, monkeypatch):
     result = pytester.runpytest_subprocess("-p", "noisy", "-p", "xdist", "-n", "1", "test_it.py")
     result.assert_outcomes(passed=1, failed=1)
     result.stdout.fnmatch_lines(["*UserWarning: ran"])
+
+
+FACTS = """
+import os, signal, sys, tempfile
+import planner
+
+def test_it():
+    handlers = [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGSEGV)]
+    places = [os.getcwd(), sys.path[:2], planner.__file__, tempfile.gettempdir()]
+    given = [sys.argv[1:], sys.orig_argv[1:], os.environ["NAME"], os.read(0, 9), os.read(int(os.environ["PIPE"]), 9)]
+    print([places, given, handlers, os.getsid(0) == os.getpid(), sys.dont_write_bytecode])
+"""
+"""A test that tells what its process was given when it started."""
+
+
+@pytest.mark.processes
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="there are no copies without forking")
+def test_copy_of_this_process_has_what_a_new_one_has(tmp_path, monkeypatch):
+    present, other = tmp_path / "present", tmp_path / "other"
+    for folder in (present, other):
+        folder.mkdir()
+        (folder / "planner.py").write_text("")
+    (tmp_path / "test_it.py").write_text(FACTS)
+    monkeypatch.syspath_prepend(present)
+    assert importlib.import_module("planner").__file__ == str(present / "planner.py")
+    monkeypatch.setattr(tempfile, "tempdir", str(present))
+    command = [sys.executable, "-m", "pytest", "-qs", "-p", "no:cacheprovider", "test_it.py"]
+    own = {"PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1", "NAME": "a", "TMPDIR": str(other), "PYTHONPATH": str(other)}
+    own["PYTHONDONTWRITEBYTECODE"] = "1"
+    monkeypatch.setattr(sys, "dont_write_bytecode", False)
+    told = []
+    for kind in (subprocess.Popen, Copy):
+        reader, writer = os.pipe()
+        os.write(writer, b"passed")
+        os.close(writer)
+        given = {"cwd": tmp_path, "env": {**os.environ, **own, "PIPE": str(reader)}, "pass_fds": [reader]}
+        pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+        with kind(command, start_new_session=True, text=True, **given, **pipes) as process:
+            out, err = process.communicate("typed")
+        os.close(reader)
+        told.append((process.returncode, err, out.partition("\n")[0]))
+    assert told[0] == told[1]
+    assert told[0][:2] == (0, "")
 
 
 def test_wheels_are_built_for_every_supported_python_and_one_more():

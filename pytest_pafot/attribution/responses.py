@@ -180,15 +180,18 @@ class Conduct:
         fact = fact._replace(phases=phases, moves=moves)
         if self.avoids is None:
             return fact
-        free = [self.avoids(tick, HARDEST) for tick in range(self.perceived, self.deed)]
-        lasting = [last for first, last in stretches(np.array(free, dtype=bool)) if last - first >= LEAST * hz]
-        due = before + (self.perceived + lasting[-1] if lasting else self.deed) - 1
+        tick, lasting = self.deed, 0  # from the end, since each tick takes long, and the last that helps is near it
+        while lasting < LEAST * hz and tick > self.perceived:
+            tick -= 1
+            lasting = lasting + 1 if self.avoids(tick, HARDEST) else 0
+        helps = lasting >= LEAST * hz
+        due = before + (tick + lasting if helps else self.deed) - 1
         recent = speeds[max(due - round(SET_OFF * hz), 0) : due + 1]
         stood = np.flatnonzero(recent <= min(recent.min(), STANDING_SPEED))
         if stood.size and speeds[due + 1] > recent[stood[-1]]:
             set_off = due - len(recent) + 1 + int(stood[-1])
             return fact._replace(what=What.SHOULD_HAVE_WAITED, due_s=due / hz, later_s=set_off / hz)
-        if not lasting:
+        if not helps:
             rose = any(each.doing is Doing.SPED_UP and each.until_s > fact.time_s for each in phases)
             return fact._replace(what=What.SHOULD_NOT_HAVE_SPED_UP) if rose else fact
         braking = float(speeds[due] - speeds[due + 1]) * hz

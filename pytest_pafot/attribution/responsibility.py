@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import lru_cache, partial
+from functools import cache, lru_cache, partial
 from itertools import pairwise
 from typing import Literal, NamedTuple
 
@@ -1132,9 +1132,10 @@ class Conflict:
 
         The follower had to respond from the tick ``since`` on. What it did is told from the tick ``danger`` on.
         """
+        pursuit = cache(partial(self._pursuit, by_ego=vehicle == 0, goes_on=True))  # made if somebody reads the fact
 
         def avoids(tick: int, rate: float) -> bool:
-            return self._pursuit(by_ego=vehicle == 0, goes_on=True).is_avoided_by_braking(tick, rate)
+            return pursuit().is_avoided_by_braking(tick, rate)
 
         return answer(self._trace, vehicle, since, avoids, response, danger=danger)
 

@@ -10,6 +10,7 @@ import traceback
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, field, fields, replace
 from datetime import date
+from itertools import islice
 from types import MappingProxyType, TracebackType
 from typing import Any, NamedTuple, Self
 
@@ -614,8 +615,8 @@ def _statements(tb: TracebackType | None) -> Iterator[tuple[str, str]]:
     """Yield for each entry of a traceback the whole source text of its statement, which may be empty, and its file."""
     while tb is not None:
         frame, code = tb.tb_frame, tb.tb_frame.f_code
-        positions = list(code.co_positions())
-        start, end, *_ = positions[tb.tb_lasti // 2] if 0 <= tb.tb_lasti // 2 < len(positions) else (None, None)
+        at = tb.tb_lasti // 2
+        start, end, *_ = next(islice(code.co_positions(), at, None), (None, None)) if at >= 0 else (None, None)
         first, last = start or tb.tb_lineno or 0, end or start or tb.tb_lineno or 0
         numbers = range(first, min(last, first + 50) + 1)
         lines = [linecache.getline(code.co_filename, number, frame.f_globals) for number in numbers]

@@ -5,9 +5,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pytest_pafot.attribution.responses import FINEST, MOST, NEAR, phases_of
+from pytest_pafot.attribution.responses import FINEST, MOST, NEAR, answer, phases_of
 from pytest_pafot.attribution.responsibility import rss_rule
 from pytest_pafot.attribution.sentences import What, due_by, sentences
+from pytest_pafot.model.trace import Outcome
 from tests.helpers import junctions
 from tests.helpers.drives import crash, driven
 from tests.helpers.junctions import plan
@@ -15,6 +16,7 @@ from tests.helpers.random_collisions import collision
 from tests.helpers.situations import SITUATIONS
 from tests.helpers.stories import Story, entry_of, stories_of
 from tests.helpers.tables import table
+from tests.helpers.traces import trace_of, vehicle
 
 WEAKLY_THEN_UP = [(3.0, 1.9, 16.0), (5.2, -2.0, 25.0)]
 WAITS_THEN_GOES = plan("west straight", 4, 8, (2.0, -3.5, 0.0), (8.0, 2.5, 8.0))
@@ -87,6 +89,24 @@ def test_driver_that_had_just_stood_should_have_waited():
     told = rss_rule(trace).sentences
     assert told[1] == "The ego should have waited but set off at 8.0 s."
     assert [each.wrong(entry_of(trace, told, 0)) for each in stories_of(trace, told)] == [[]]
+
+
+@table(
+    ("helps", "due"),
+    [
+        (range(5, 20), 19),  # until this tick
+        ((*range(5, 20), *range(25, 27)), 19),  # and for a moment later on
+        ((*range(5, 20), *range(30, 40)), 39),
+        ((*range(20, 22), *range(23, 25), *range(26, 28)), None),  # never for long
+        ((), None),
+    ],
+)
+def test_braking_is_due_at_the_end_of_the_last_time_in_which_it_helps(helps, due):
+    speeds = np.append(np.full(45, 20.0), 19.9)
+    trace = trace_of(vehicle(np.arange(46.0), speed=speeds), vehicle(60.0), outcome=Outcome.COLLISION)
+    fact = answer(trace, 0, 0, lambda tick, rate: tick in helps).in_full
+    wanted = (What.DROVE, None) if due is None else (What.SHOULD_HAVE_BRAKED, due / 15)
+    assert (fact.what, fact.due_s) == wanted
 
 
 def test_braking_is_due_only_while_it_avoids_the_collision():

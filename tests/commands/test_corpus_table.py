@@ -21,6 +21,7 @@ from pytest_pafot.findings.neighbours import Breadth
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.support.errors import RequestError
 from tests.findings.builders import plain_finding
+from tests.helpers.sessions import Copy
 
 AHEAD = {"outcome": Outcome.SAFE, "time": 5.9, "cell": None, "side": None, "responsibility": "none"}
 
@@ -41,6 +42,7 @@ def save(root, *findings, test="test_x"):
 @pytest.fixture
 def here(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(subprocess, "Popen", Copy)
     return tmp_path
 
 

@@ -11,6 +11,7 @@ import pytest
 
 from tests.commands.test_endings import check_that_all_ends
 from tests.commands.test_receipt import ENDINGS, check_ending, ended
+from tests.helpers.sessions import Copy, command_in_a_copy
 
 pytestmark = pytest.mark.processes
 
@@ -57,8 +58,7 @@ def test_commands_that_come_to_their_end_keep_their_codes(tmp_path):
 
 def test_wrong_arguments_and_help_keep_their_codes(tmp_path):
     def code(*arguments):
-        line = [sys.executable, "-m", "pytest_pafot", *arguments]
-        return subprocess.run(line, cwd=tmp_path, capture_output=True, check=False).returncode
+        return command_in_a_copy("pytest_pafot", *arguments, folder=tmp_path).code
 
     assert [code("map", "--help"), code("rate", "--hel"), code("map", "--nothing"), code("map")] == [0, 0, 2, 0]
 
@@ -84,7 +84,7 @@ def test_a_signal_to_the_command_ends_the_process_that_drives(tmp_path, number):
         "import os, time\ndef make():\n    open(f'pid-{os.getpid()}', 'w').close()\n    time.sleep(0.1)\n"
         "    return lambda seen: (0.0, 0.0)\n"
     )
-    process = subprocess.Popen(line, cwd=tmp_path, stdin=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+    process = Copy(line, cwd=tmp_path, stdin=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
     while not (begun := list(tmp_path.glob("pid-*"))):
         assert process.poll() is None
         time.sleep(0.02)

@@ -43,7 +43,11 @@ def dot_of_products() -> Callable[[Any, Any], Any]:
     numpys = np.dot
 
     def dot(a: Any, b: Any) -> Any:
-        return a[0] * b[0] + a[1] * b[1] if np.shape(a) == np.shape(b) == (2,) else numpys(a, b)
+        if type(a) is type(b) is np.ndarray:  # `np.shape` takes longer than the products
+            are_points = a.shape == b.shape == (2,)
+        else:
+            are_points = np.shape(a) == np.shape(b) == (2,)
+        return a[0] * b[0] + a[1] * b[1] if are_points else numpys(a, b)
 
     return dot
 

@@ -2,10 +2,10 @@
 
 import faulthandler
 import functools
+import gc
 import importlib
 import inspect
 import json
-import math
 import os
 import pkgutil
 import re
@@ -81,18 +81,10 @@ def in_a_copy(pytester, *args):
     A new interpreter takes longer than most sessions. A copy may end in any way. It cannot test what a session imports,
     hash seeds, or other things that are settled when an interpreter starts.
     """
-    if not hasattr(os, "fork"):
-        return pytester.runpytest_subprocess(*args)
     begun = time.monotonic()
     base = tempfile.mkdtemp(prefix="runpytest-", dir=pytester.path)
-    streams = [pytester.path / name for name in ("stdout", "stderr")]
-    pid = _forked()
-    if not pid:
-        _be_a_session(streams, [f"--basetemp={base}", *map(str, args)])
-    status = os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
-    out, err = (stream.read_text(encoding="utf-8") for stream in streams)
-    print(out, err, sep="\n")
-    return pytest.RunResult(status, out.splitlines(), err.splitlines(), time.monotonic() - begun)
+    done = command_in_a_copy("pytest", f"--basetemp={base}", *args, folder=pytester.path)
+    return pytest.RunResult(done.code, done.out.splitlines(), done.err.splitlines(), time.monotonic() - begun)
 
 
 CORE = (
@@ -128,26 +120,14 @@ class Ended(NamedTuple):
 
 
 def command_in_a_copy(module, *arguments, folder="."):
-    """Run ``python -m pytest_pafot ...`` or ``python -m pytest ...`` in a copy of this process, for the same reason.
-
-    The process that drives is a copy, too. Neither comes to the end of an interpreter, where `atexit` is.
-    """
-    arguments = list(map(str, arguments))
-    assert module in ("pytest", "pytest_pafot"), module
-    if not hasattr(os, "fork"):
-        command = [sys.executable, "-m", module, *arguments]
-        done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False, timeout=120)
-        return Ended(done.returncode, done.stdout, done.stderr)
-    imported(
-        "attribution", "campaign", "corpus", "execution", "findings", "oracle", "plugin", "report", "searching", "world"
-    )
+    """Run ``python -m pytest_pafot ...`` or ``python -m pytest ...`` as a :class:`Copy`."""
+    imported(*CORE)
     if module == "pytest_pafot" and arguments[0] in __main__.COMMANDS:
         importlib.import_module(__main__.COMMANDS[arguments[0]].module)
+    command = [sys.executable, "-m", module, *map(str, arguments)]
     with tempfile.TemporaryFile() as out, tempfile.TemporaryFile() as err:
-        pid = _forked()
-        if not pid:
-            _be_a_command(module, arguments, folder, (out.fileno(), err.fileno()))
-        code = os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
+        with Copy(command, cwd=folder, stdin=subprocess.DEVNULL, stdout=out, stderr=err) as process:
+            code = process.wait()
         texts = []
         for stream in (out, err):
             stream.seek(0)
@@ -167,6 +147,7 @@ def quick_sessions(monkeypatch):
     monkeypatch.setattr(pluggy._manager, "_static_hook_attr", _hook, raising=False)
     monkeypatch.setattr(_pytest.assertion.rewrite, "_rewrite_test", _rewritten)
     monkeypatch.setattr(_pytest._code.code, "getstatementrange_ast", _statement_range)
+    monkeypatch.setattr(subprocess, "Popen", Copy)
     monkeypatch.setattr(sys, "dont_write_bytecode", True)  # rewritten code is already in KNOWN_CODE
     monkeypatch.setattr(sys, "path_importer_cache", dict(sys.path_importer_cache))  # without the folders of other tests
 
@@ -261,113 +242,106 @@ def _is_shared(source):
     )
 
 
-def _forked():
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DeprecationWarning)  # a thread of a worker of pytest-xdist only waits
-        return os.fork()
+ASKED = list(inspect.signature(subprocess.Popen._execute_child).parameters)[2:]
+"""What is asked of a process apart from its command, as `subprocess` names it."""
+PIPES = ("p2cread", "p2cwrite", "c2pread", "c2pwrite", "errread", "errwrite")
+"""The ends of the pipes of a process among these."""
+OF_ALL = (sys.prefix, sys.base_prefix, str(Path(__file__).parents[2] / "pytest_pafot"))
+"""The folders of the modules that a copy keeps. Those of the project in which it runs may have changed."""
+REVISION = "pytest_pafot.extras.revisions."
+"""The beginning of the name of a module that drives the policy of a revision."""
+SESSION = search_command.PYTEST
+WORKER = "import sys;exec(eval(sys.stdin.readline()))"
+"""The program of a worker of pytest-xdist, which receives the rest."""
 
 
-def _be_a_session(streams, args):
-    """Run pytest to the end of this process, with standard output and errors in files."""
-    _end_with(
-        lambda: int(_with_room(pytest.main, args)),
-        [os.open(path, os.O_RDWR | os.O_CREAT | os.O_TRUNC) for path in streams],
-    )
+class Copy(subprocess.Popen):
+    """What `subprocess.Popen` starts, but pytest, a command of this package and a worker of pytest-xdist as copies.
 
+    A copy of this process has already imported everything, and importing takes longer than most sessions. It cannot
+    test what an interpreter settles when it starts, such as finders and hash seeds, and does not come to the end of an
+    interpreter, where `atexit` is.
+    """
 
-def _be_a_command(module, arguments, folder, streams):
-    """Run a command to the end of this process, as ``python -m`` does."""
-
-    def run():
-        os.chdir(folder)
-        sys.path.insert(0, str(Path.cwd()))
-        sys.argv = [module, *arguments]
-        sys.orig_argv = [sys.executable, "-m", module, *arguments]
-        for each in (__main__, search_command):
-            each.subprocess = types.SimpleNamespace(Popen=_started, TimeoutExpired=subprocess.TimeoutExpired)
-        return int(_with_room(pytest.main, arguments)) if module == "pytest" else _drive(arguments)
-
-    _end_with(run, streams)
-
-
-def _drive(arguments):
-    return _with_room(__main__.main_in_child, arguments)
-
-
-def _started(command, **options):
-    """Return what `subprocess.Popen` does: a copy of this process for this package's own processes."""
-    place = command.index("-m") if "-m" in command else 1
-    is_own = command[place : place + 2] in (["-m", "pytest_pafot"], ["-c", search_command.PYTEST])
-    return Copy(command[place:], **options) if is_own else subprocess.Popen(command, **options)
-
-
-class Copy:
-    """What `subprocess.Popen` is for a command that starts itself again, or a session, in a child process."""
-
-    def __init__(self, command, env, stdout=None, stderr=None):
-        self.left = None
-        self.pid = _forked()
+    def _execute_child(self, args, *given):
+        found = _call_of(args) if hasattr(os, "fork") else None
+        if found is None:
+            return super()._execute_child(args, *given)
+        asked = dict(zip(ASKED, given, strict=True))
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", DeprecationWarning)  # a thread of a worker of pytest-xdist only waits
+            self.pid = os.fork()
         if not self.pid:
-            _end_with(lambda: self._run(command, env), (stdout or 1, stderr or 2))
-
-    def _run(self, command, env):
-        os.environ.clear()
-        os.environ.update(env)
-        if command[0] == "-m":
-            return _drive(command[2:])
-        sys.argv = ["-c", *command[2:]]
-        return _with_room(exec, command[1], {"__name__": "__main__"})
-
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *_):
-        self.wait()
-
-    def send_signal(self, number):
-        if self.left is None:
-            os.kill(self.pid, number)
-
-    def terminate(self):
-        self.send_signal(signal.SIGTERM)
-
-    def kill(self):
-        self.send_signal(signal.SIGKILL)
-
-    def wait(self, timeout=None):
-        deadline = math.inf if timeout is None else time.monotonic() + timeout
-        while self.left is None:
-            pid, status = os.waitpid(self.pid, 0 if timeout is None else os.WNOHANG)
-            if pid:
-                self.left = os.waitstatus_to_exitcode(status)
-            elif time.monotonic() > deadline:
-                raise subprocess.TimeoutExpired("a copy", timeout)
-            else:
-                time.sleep(0.01)
-        return self.left
+            sys.orig_argv, (sys.argv, call) = args, found
+            _end_with(call, asked)
+        self._child_created = True
+        return self._close_pipe_fds(*map(asked.get, PIPES))
 
 
-def _end_with(call, streams=(1, 2)):
-    """End this process with the exit code that a call returns, with standard output and errors in other streams."""
+def _call_of(command):
+    """Return what a copy of this process calls instead of a command, with its `sys.argv`, or None."""
+    match command:
+        case [sys.executable, "-m", "pytest", *arguments]:
+            return command[2:], lambda: _with_room(pytest.main, arguments)
+        case [sys.executable, "-m", "pytest_pafot", *arguments]:
+            return command[2:], lambda: _with_room(__main__.main_in_child, arguments)
+        case [sys.executable, "-c", str() as program, *arguments] if program == SESSION or REVISION in program:
+            return ["-c", *arguments], lambda: _with_room(exec, program, {"__name__": "__main__"})
+        case [sys.executable, "-u", "-c", str() as program] if program == WORKER:
+            return ["-c"], lambda: _with_room(exec, program, {"__name__": "__main__"})
+    return None
+
+
+def _end_with(call, asked):
+    """End this process with the exit code that a call returns, in the surroundings that `subprocess` is asked for."""
     status = 1
     try:
-        for number, stream in enumerate((os.open(os.devnull, os.O_RDWR), *streams)):
-            if stream != number:
-                os.dup2(stream, number)
-        sys.stdout, sys.stderr = (open(number, "w", encoding="utf-8", closefd=False) for number in (1, 2))  # noqa: SIM115
-        sys.__stdout__, sys.__stderr__ = sys.stdout, sys.stderr
-        warnings.resetwarnings()
-        faulthandler.disable()
-        signal.signal(signal.SIGSEGV, signal.SIG_DFL)  # pygame has a handler that aborts
-        status = call()
+        _settle(**asked)
+        status = int(call() or 0)
     except SystemExit as ended:
         status = ended.code if isinstance(ended.code, int) else int(ended.code is not None)
     except BaseException:  # noqa: BLE001
         traceback.print_exc()
     finally:
-        sys.stdout.flush()
-        sys.stderr.flush()
-        os._exit(status)
+        try:
+            sys.stdout.flush()
+            sys.stderr.flush()
+        finally:
+            os._exit(status)
+
+
+def _settle(*, p2cread, c2pwrite, errwrite, pass_fds, cwd, env, start_new_session, **_):
+    """Give a copy of this process what a new interpreter has: its own streams, signals, variables, folder, modules."""
+    if start_new_session:
+        os.setsid()
+    for number, stream in enumerate((p2cread, c2pwrite, errwrite)):
+        if stream >= 0:
+            os.dup2(stream, number)
+    nothing = os.open(os.devnull, os.O_RDWR)
+    for number in [int(each.name) for each in Path("/dev/fd").iterdir()]:
+        if number > 2 and number not in (nothing, *pass_fds):  # closed, it might be a new file's when its object ends
+            os.dup2(nothing, number, inheritable=False)
+    sys.stdin = open(0, encoding="utf-8", closefd=False)  # noqa: SIM115
+    sys.stdout, sys.stderr = (open(number, "w", encoding="utf-8", closefd=False) for number in (1, 2))  # noqa: SIM115
+    sys.__stdin__, sys.__stdout__, sys.__stderr__ = sys.stdin, sys.stdout, sys.stderr
+    warnings.resetwarnings()
+    faulthandler.disable()
+    for number in signal.valid_signals() - {signal.SIGKILL, signal.SIGSTOP}:
+        if signal.getsignal(number) != signal.SIG_IGN:  # pygame's handlers, which abort, are not even known here
+            signal.signal(number, signal.default_int_handler if number == signal.SIGINT else signal.SIG_DFL)
+    if env is not None:
+        os.environ.clear()
+        os.environ.update(env)
+    tempfile.tempdir = os.environ.get("TMPDIR")  # finding it out writes a file, which a killed process leaves
+    sys.dont_write_bytecode |= bool(os.environ.get("PYTHONDONTWRITEBYTECODE"))
+    os.chdir(cwd or ".")
+    sys.path[:0] = [str(Path.cwd()), *filter(None, os.environ.get("PYTHONPATH", "").split(os.pathsep))]
+    for name, module in [*sys.modules.items()]:
+        if not (getattr(module, "__file__", None) or sys.prefix).startswith(OF_ALL):
+            del sys.modules[name]
+    importlib.invalidate_caches()
+    subprocess.Popen = Copy
+    gc.freeze()  # or the end of a session would search all that it shares with this process
 
 
 def _with_room(call, *args, **kwargs):

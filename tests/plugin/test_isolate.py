@@ -364,7 +364,7 @@ def falls_back(observation):
 @pytest.mark.processes
 def test_policy_that_does_without_its_thread_in_another_process_stays_in_the_session(isolated, monkeypatch):
     project = isolated("falls_back", ANSWERS.replace("TIMEOUT", "5.0"))
-    options = {"generations": 1, "seed": 0, "fresh": True}  # a new interpreter, in which the thread ends, too
+    options = {"generations": 1, "seed": 0, "apart": True}  # another process, with which the thread ends, too
     project.run(*QUICK, **options)
     contents = project.contents
     project.forget()
@@ -381,7 +381,7 @@ def test_policy_with_a_thread_that_its_decisions_do_not_need_is_isolated_all_the
     source = ANSWERS.replace("TIMEOUT", "5.0") + "\ndef alone(observation):\n    return keep(observation)\n"
     project = isolated("alone", source)
     monkeypatch.setenv("CI", "true")
-    result = project.run(*QUICK, generations=1, seed=0, fresh=True)
+    result = project.run(*QUICK, generations=1, seed=0, apart=True)
     assert project.contents
     assert "although the profile ci isolates" not in result.stdout.str()
 

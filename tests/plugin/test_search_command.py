@@ -12,7 +12,7 @@ import pytest
 
 from pytest_pafot.__main__ import main
 from tests.helpers.processes import begun
-from tests.helpers.sessions import INTERRUPTIBLE, command_in_a_copy
+from tests.helpers.sessions import Copy, command_in_a_copy
 
 POLICY = """\
 import pytest_pafot as pafot
@@ -42,6 +42,9 @@ def here(tmp_path, monkeypatch):
     (tmp_path / "a_planner.py").write_text(POLICY)
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setattr(subprocess, "Popen", Copy)
+    monkeypatch.setenv("PAFOT_SHRINK_ROLLOUTS", "0")
+    monkeypatch.setenv("PAFOT_NEIGHBOURS", "0")
     return tmp_path
 
 
@@ -51,7 +54,9 @@ def python(*arguments):
 
 
 @pytest.mark.processes
-def test_search_command_saves_a_finding_and_writes_tests(here):
+def test_search_command_saves_a_finding_and_writes_tests(here, monkeypatch):
+    for name in ("PAFOT_SHRINK_ROLLOUTS", "PAFOT_NEIGHBOURS"):
+        monkeypatch.delenv(name)
     code, told = python("pytest_pafot", "search", "a_planner:Planner", "--runs", "4", "--seed", "2", "--", "-q")
     assert code == 1
     assert "leader-unanswered" in told
@@ -325,7 +330,7 @@ def wait_for_a_finding(search):
 @pytest.mark.processes
 @pytest.mark.skipif(os.name == "nt", reason="a group of processes has no signals there")
 def test_an_interrupted_search_ends_with_its_summary_and_its_page(here):
-    command = [*INTERRUPTIBLE, "search", "a_planner:Planner", "--runs", "100000", "--seed", "2"]
+    command = [sys.executable, "-m", "pytest_pafot", "search", "a_planner:Planner", "--runs", "100000", "--seed", "2"]
     with begun(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as search:
         wait_for_a_finding(search)
         os.killpg(search.pid, signal.SIGINT)

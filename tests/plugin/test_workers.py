@@ -241,14 +241,6 @@ def test_worker_stuck_in_native_code_is_a_hang(dear, monkeypatch):
     result.stdout.fnmatch_lines(["*ended: all generations done*"])
 
 
-OBEYING = """
-import signal, sys, pytest
-signal.signal(signal.SIGINT, signal.default_int_handler)
-sys.exit(pytest.main())
-"""
-"""A session that can be interrupted, even if a shell put the outer session in the background."""
-
-
 def test_keyboard_interrupt_ends_all_processes_without_losing_findings(dear):
     more = """
 def noting(observation):
@@ -257,7 +249,7 @@ def noting(observation):
     return 0.0, 0.0
 """
     project = dear("noting", more, test=MANY)
-    command = [sys.executable, "-c", OBEYING, "-p", "pafot", "--pafot-generations=999", "--pafot-seed=1"]
+    command = [sys.executable, "-m", "pytest", "-p", "pafot", "--pafot-generations=999", "--pafot-seed=1"]
     one = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT}
     with begun([*command, "--pafot-workers=2"], cwd=project.path, text=True, **one) as process:
         found = next(line for line in process.stdout if line.startswith("pafot: found ")).split()[-1]

@@ -16,6 +16,7 @@ from functools import cached_property
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.trace import ALONG, STRETCH, FloatArray, Lane, Outcome
@@ -48,13 +49,20 @@ def allowed_speeds(
     slowing = min(SLOWING, limits.braking / 3)
     if stops is not None:
         speed = np.where(lengths >= stops, 0.0, speed)
-    squares = speed**2
+    squares, places = (speed**2).tolist(), lengths.tolist()
     for index in range(len(squares) - 2, -1, -1):
-        reach = squares[index + 1] + 2 * slowing * (lengths[index + 1] - lengths[index])
+        reach = squares[index + 1] + 2 * slowing * (places[index + 1] - places[index])
         squares[index] = min(squares[index], reach)
     speed = np.sqrt(squares)
     reached = np.searchsorted(lengths, lengths + speed * SPEED_LAG, side="right")  # the lag of the speed control
-    return np.array([speed[index : last + 1].min() for index, last in enumerate(reached)])
+    return _of_windows(np.minimum, speed, np.minimum(reached + 1, len(speed)))
+
+
+def _of_windows(extreme: np.ufunc, values: FloatArray, ends: npt.NDArray[np.intp]) -> FloatArray:
+    """Return the least or the largest of the values from each point on, up to the end that it has."""
+    bounds = np.stack([np.arange(len(values)), ends], axis=-1).ravel()
+    windows: FloatArray = extreme.reduceat(np.append(values, values[-1]), bounds)[::2]  # an end may be after the last
+    return windows
 
 
 def leans(direction: FloatArray, lengths: FloatArray, vehicle_length: float) -> FloatArray:
@@ -63,21 +71,17 @@ def leans(direction: FloatArray, lengths: FloatArray, vehicle_length: float) -> 
     The rear axle is half a length behind the centre and moves in the direction of the heading. The heading therefore
     turns by sin(direction - heading) / (length / 2) per metre.
     """
-    lean = np.zeros(len(direction))
-    for index in range(1, len(direction)):
-        step = float(lengths[index] - lengths[index - 1])
-        turn = float(direction[index] - direction[index - 1])
+    lean = [0.0]
+    for step, turn in zip(np.diff(lengths).tolist(), np.diff(direction).tolist(), strict=True):
         settled = math.asin(max(-0.99, min(0.99, turn / step * vehicle_length / 2))) if step > 0 else 0.0
         share = 1 - math.exp(-2 * step / vehicle_length)
-        lean[index] = lean[index - 1] + share * (-settled - lean[index - 1])
-    return lean
+        lean.append(lean[-1] + share * (-settled - lean[-1]))
+    return np.array(lean)
 
 
 def sharpest_ahead(curvature: FloatArray, lengths: FloatArray, reach: float) -> FloatArray:
     """Return the largest curvature within a distance ahead of each point of a lane [1/m]."""
-    last = np.searchsorted(lengths, lengths + reach, side="right")
-    bend = np.abs(curvature)
-    return np.array([bend[index:end].max() for index, end in enumerate(last)])
+    return _of_windows(np.maximum, np.abs(curvature), np.searchsorted(lengths, lengths + reach, side="right"))
 
 
 class Spot(NamedTuple):

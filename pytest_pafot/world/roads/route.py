@@ -149,16 +149,16 @@ def line_of(pieces: Sequence[Piece]) -> Line:
 
 
 def _sampled(pieces: Sequence[Piece]) -> tuple[FloatArray, FloatArray]:
-    rows: list[FloatArray] = []
+    rows: list[tuple[float, float]] = []
     owners: list[int] = []
     for number, piece in enumerate(pieces):
         count = max(2, math.ceil((piece.end - piece.begin) / STEP) + 1)
-        for longitudinal in np.linspace(piece.begin, piece.end, count):
-            point = np.asarray(piece.lane.position(float(longitudinal), 0), dtype=float)
-            if rows and np.hypot(*(point - rows[-1])) < STEP / 10:  # the last piece ends where this one begins
+        for longitudinal in np.linspace(piece.begin, piece.end, count).tolist():
+            x, y = map(float, piece.lane.position(longitudinal, 0))
+            if rows and math.dist((x, y), rows[-1]) < STEP / 10:  # the last piece ends where this one begins
                 owners[-1] = number
             else:
-                rows.append(point)
+                rows.append((x, y))
                 owners.append(number)
     return np.array(rows), np.array(owners)
 

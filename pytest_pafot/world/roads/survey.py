@@ -152,7 +152,8 @@ def _strips(network: Any, pieces: Sequence[Piece], line: Line, ego_speed: float)
 
 def _beside(network: Any, piece: Piece, line: Line, point: int) -> dict[int, tuple[float, Any, float]]:
     """Return each lane's distance across, the lane, and the place in it at a point of the line, by lane number."""
-    place, heading = np.array([line.x[point], line.y[point]]), float(line.heading[point])
+    x, y, heading = float(line.x[point]), float(line.y[point]), float(line.heading[point])
+    place, cos, sin = np.array([x, y]), math.cos(heading), math.sin(heading)
     origin, end, own = piece.index
     found = []
     for number, lane in enumerate(network.graph[origin][end]):
@@ -161,8 +162,10 @@ def _beside(network: Any, piece: Piece, line: Line, point: int) -> dict[int, tup
         if number == own:
             found.append((0.0, True, lane, min(max(longitudinal, 0.0), float(lane.length))))
         elif reaches and abs(wrapped(float(lane.heading_at(longitudinal)) - heading)) <= SAME_DIRECTION:
-            step = np.asarray(lane.position(longitudinal, 0)) - place
-            found.append((float(step[1] * math.cos(heading) - step[0] * math.sin(heading)), False, lane, longitudinal))
+            there_x, there_y = map(float, lane.position(longitudinal, 0))
+            found.append(((there_y - y) * cos - (there_x - x) * sin, False, lane, longitudinal))
+    if len(found) == 1:
+        return {0: (0.0, found[0][2], found[0][3])}
     found.sort(key=lambda each: each[0])
     own_rank = next(rank for rank, each in enumerate(found) if each[1])
     return {rank - own_rank: (across, lane, at) for rank, (across, _, lane, at) in _neighbours(found, own_rank)}

@@ -4,7 +4,6 @@ import csv
 import json
 import os
 import re
-import subprocess
 import sys
 
 import pytest
@@ -14,6 +13,7 @@ from pytest_pafot.__main__ import main
 from pytest_pafot.extras.episodes import rate as rates
 from pytest_pafot.extras.episodes import rate_command
 from pytest_pafot.extras.episodes.rate import EpisodeRow, Pair, Rate, shown
+from tests.helpers.sessions import command_in_a_copy
 
 SHORT = ["--world", "highway-fast-v0", "--config", '{"vehicles_count": 8, "duration": 12}', "--workers", "1"]
 ONE_CRASH = ["--ads", "constant_speed@planner", "--episodes", "1", "--seed", "2"]
@@ -322,17 +322,7 @@ def test_policy_that_ends_its_process_fails_a_gate(tmp_path, monkeypatch):
     (tmp_path / "policies.py").write_text(ENDS)
     monkeypatch.chdir(tmp_path)
     given = ["rate", "--world", "highway-fast-v0", "--episodes", "2", "--json"]
-    told = subprocess.run(
-        [sys.executable, "-m", "pytest_pafot", *given, "--ads", "policies:ends", "--fail-above", "2%"],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert (told.returncode, "expected the process that drives to finish" in told.stderr) == (2, True), told
-    told = subprocess.run(
-        [sys.executable, "-m", "pytest_pafot", *given, "--ads", "policies:talks"],
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    assert (json.loads(told.stdout)["episodes"], "hello" in told.stderr) == (2, True)
+    told = command_in_a_copy("pytest_pafot", *given, "--ads", "policies:ends", "--fail-above", "2%")
+    assert (told.code, "expected the process that drives to finish" in told.err) == (2, True), told
+    told = command_in_a_copy("pytest_pafot", *given, "--ads", "policies:talks")
+    assert (told.code, json.loads(told.out)["episodes"], "hello" in told.err) == (0, 2, True)

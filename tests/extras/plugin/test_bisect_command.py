@@ -17,7 +17,7 @@ from pytest_pafot.__main__ import DRIVES, main
 from pytest_pafot.extras.revisions.bisect_command import Trials, _group, parted
 from pytest_pafot.extras.revisions.bisect_session import TOLD
 from tests.helpers.processes import begun
-from tests.helpers.sessions import INTERRUPTIBLE
+from tests.helpers.sessions import Copy
 from tests.plugin.test_driving_on import replay as replayed
 from tests.plugin.test_driving_on import saved  # noqa: F401  (a fixture)
 
@@ -327,6 +327,7 @@ def real(commit, monkeypatch):
     Path("test_safety.py").write_text("import pytest_pafot as pafot\n" + TEST)
     for name in ("PYTEST_ADDOPTS", "PYTHONPATH"):
         monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr(subprocess, "Popen", Copy)
     return commit
 
 
@@ -381,7 +382,7 @@ def test_interrupt_leaves_no_processes_or_folders_behind(real, tmp_path, monkeyp
     (tmp_path / "temporary").mkdir()
     monkeypatch.setenv("TMPDIR", str(tmp_path / "temporary"))
     before = git("status"), git("worktree", "list"), git("for-each-ref"), Path(".git/index").read_bytes()
-    command = [*INTERRUPTIBLE, "bisect", FILE, "--good", first, "--policy", "planner.py"]
+    command = [sys.executable, "-m", "pytest_pafot", "bisect", FILE, "--good", first, "--policy", "planner.py"]
     for end, code in ((signal.SIGINT, 130), (signal.SIGTERM, 143), (signal.SIGHUP, 129)):
         pid.unlink(missing_ok=True)
         with begun(command, stderr=subprocess.PIPE, stdout=subprocess.PIPE) as process:

@@ -82,7 +82,7 @@ def commit(project, **files):
 
 
 def run(project, *args, revision="rev:main", fresh=False, **options):
-    """Run a session against a revision; what `PYTHONPATH` says counts only in a fresh interpreter."""
+    """Run a session against a revision; what `sitecustomize.py` does counts only in a fresh interpreter."""
     return project.run(f"--pafot-against={revision}", *args, fresh=fresh, apart=not fresh, **options)
 
 
@@ -327,14 +327,14 @@ def test_installed_copy_of_the_policy_is_refused(repository, monkeypatch, tmp_pa
     site = tmp_path_factory.mktemp("installed")
     shutil.copytree(repository.path / "src" / "pkg", site / "pkg")
     monkeypatch.setenv("PYTHONPATH", str(site))
-    result = run(repository, fresh=True)
+    result = run(repository)
     assert result.ret == pytest.ExitCode.USAGE_ERROR
     where = (
         f"*received pkg.adapter from {site}/pkg/adapter.py, which is the same on both sides; run where*PYTHONPATH=src"
     )
     result.stdout.fnmatch_lines([where])
     monkeypatch.setenv("PYTHONPATH", f"src{os.pathsep}{site}")
-    run(repository, fresh=True).stdout.fnmatch_lines(["against rev:main (*): introduces 1 failure, *"])
+    run(repository).stdout.fnmatch_lines(["against rev:main (*): introduces 1 failure, *"])
 
 
 def test_policy_of_another_repository_is_refused(repository, monkeypatch, tmp_path_factory):
@@ -343,7 +343,7 @@ def test_policy_of_another_repository_is_refused(repository, monkeypatch, tmp_pa
     repository.write(TEST.replace("pkg.adapter", "other"))
     commit(repository)
     monkeypatch.setenv("PYTHONPATH", str(site))
-    result = run(repository, fresh=True)
+    result = run(repository)
     assert result.ret == pytest.ExitCode.USAGE_ERROR
     result.stdout.fnmatch_lines([f"*expected a policy of the repository*received that of {site}/other.py, which is *"])
 
@@ -353,7 +353,7 @@ def test_files_outside_the_repository_are_a_reason_to_search(repository, monkeyp
     (site / "other.py").write_text("SPEED_UP = 1.25\n")
     commit(repository, **{"pkg/core.py": "from other import SPEED_UP\n"})
     monkeypatch.setenv("PYTHONPATH", str(site))
-    run(repository, fresh=True).stdout.fnmatch_lines(["against rev:main (*): introduces 0 failures, *"])
+    run(repository).stdout.fnmatch_lines(["against rev:main (*): introduces 0 failures, *"])
 
 
 def test_programs_of_a_policy_import_from_its_revision(repository, monkeypatch, tmp_path_factory):
@@ -509,7 +509,7 @@ def test_odd_branch_names_are_revisions(repository):
 
 def test_workers_of_xdist_each_have_their_own_copy(repository):
     repository.write(TEST.replace("test_keeps_its_speed", "test_second"), name="test_second")
-    result = run(repository, "-n2", fresh=True)
+    result = run(repository, "-n2")
     result.stdout.fnmatch_lines(["against rev:main (*): introduces 2 failures, fixes 0, 0 as before"])
 
 
