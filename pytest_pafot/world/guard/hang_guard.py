@@ -30,6 +30,8 @@ LATE = 5.0
 [s]. Between decisions, a run ends at once; in them, an interruption may leave the user's code in any state."""
 LONGEST_TIMER = 1e6
 """The longest timer [s]; systems refuse much longer timers, and no session lasts that long."""
+SWALLOWING = frozenset({"weakref", "_weakrefset"})
+"""The modules whose functions Python calls when an object goes; what these raise is printed, and reaches nobody."""
 DEBUGGERS = frozenset({"bdb", "pydevd"})
 """The modules that have a function on the stack while pdb, or an editor's debugger, waits for its user."""
 
@@ -293,13 +295,15 @@ class HangGuard:
             return None
         return AdsHang if now - started > self.limit else OutOfTime if now > self.until + LATE else None
 
-    def _received(self, number: int, frame: object) -> None:
+    def _received(self, number: int, frame: FrameType | None) -> None:
         now = self.clock()  # before started is read; see the class
         why = self._interruption(now, self.started)
         if why is None:  # a signal that arrives late interrupts nothing
             outer = getattr(self._previous, "__self__", None)
             if isinstance(outer, HangGuard):  # of a user's world, in which a built-in world runs
                 outer._received(number, frame)
+            return
+        if frame is not None and frame.f_globals.get("__name__") in SWALLOWING:  # the next look comes soon
             return
         if _waits_in_a_debugger(sys._getframe()):
             self.started = self.clock()  # the user's time in the debugger does not count

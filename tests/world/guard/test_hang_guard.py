@@ -10,6 +10,7 @@ import signal
 import subprocess
 import sys
 import time
+import weakref
 
 import pytest
 
@@ -196,6 +197,24 @@ def test_debugger_may_pause_a_decision_beyond_its_limit(watchdog):
     finally:
         sys.settrace(tracer)
     assert hang(0.02)
+
+
+@pytest.mark.filterwarnings("error::pytest.PytestUnraisableExceptionWarning")
+def test_no_interruption_is_lost_in_what_python_calls_when_an_object_goes():
+    class Going:
+        pass
+
+    def hang():
+        noted = weakref.WeakKeyDictionary()
+        while True:
+            noted[Going()] = None
+
+    for _ in range(8):
+        with HangGuard(0.01) as guard:
+            guard.decision_starts()
+            with pytest.raises(AdsHang):
+                hang()
+            guard.decision_ends()
 
 
 def test_interruption_that_arrives_late_is_waited_for():
