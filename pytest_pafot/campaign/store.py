@@ -212,7 +212,8 @@ class Store:
 
     def call_flaky(self, sighting: Sighting, difference: str) -> Sighting:
         """Mark a finding as flaky, also in its file; return it. ``difference`` is what did not repeat."""
-        marked = self.rewritten(sighting, replace(sighting.finding, flaky=portable(difference, str(self.harness.root))))
+        flaky = portable(difference, str(self.harness.root))
+        marked = self.rewritten(replace(sighting, finding=replace(sighting.finding, flaky=flaky)))
         self.findings[sighting.id] = replace(marked, difference=difference, unshrunk="")
         return self.findings[sighting.id]
 
@@ -221,17 +222,17 @@ class Store:
         self.findings[sighting.id] = replace(sighting, unshrunk=UNCONFIRMED)
         return self.findings[sighting.id]
 
-    def rewritten(self, sighting: Sighting, finding: Finding) -> Sighting:
-        """Replace a finding by a new version, also in its file; return it.
+    def rewritten(self, sighting: Sighting) -> Sighting:
+        """Write a finding of which more is known to its file, whose ``xfail`` stays; return it.
 
-        If the file cannot be written, the old finding is returned, with the reason.
+        If the file cannot be written, its origin says why.
         """
         if sighting.file is None:
-            return replace(sighting, finding=finding, content=text_of(finding) if sighting.content else "")
+            return replace(sighting, content=text_of(sighting.finding) if sighting.content else "")
         try:
-            return replace(sighting, finding=rewrite(sighting.file, finding))
+            return replace(sighting, finding=rewrite(sighting.file, sighting.finding))
         except CorpusWriteError as error:
-            return replace(sighting, origin=f"{sighting.origin}; its file is as first found: {error}")
+            return replace(sighting, origin=f"{sighting.origin}; its file is as it was before: {error}")
 
     def add_crash(self, leftover: Leftover, scenario: Scenario, again: LostRun | None) -> Sighting:
         """Save a scenario in which a process died in an earlier session, as its record ``leftover`` says.

@@ -23,7 +23,7 @@ from pytest_pafot.campaign.refine import simplest
 from pytest_pafot.campaign.search_session import SearchSession, prepared
 from pytest_pafot.campaign.watch import TimeLimit
 from pytest_pafot.corpus.reader import load
-from pytest_pafot.corpus.writer import write
+from pytest_pafot.corpus.writer import CorpusWriteError, write
 from pytest_pafot.findings.finding import of_failure
 from pytest_pafot.findings.shrink import Shrunk
 from pytest_pafot.findings.sighting import Sighting
@@ -527,3 +527,16 @@ def test_finding_that_does_not_repeat_is_flaky(tmp_path):
     assert finds
     assert {each.difference for each in finds} == {"running it again gave a different run"}
     assert {load(path).flaky for path in tmp_path.rglob("*.yaml")} == {"running it again gave a different run"}
+
+
+def test_finding_is_told_as_shrunk_even_if_its_file_cannot_be_written_again(tmp_path, monkeypatch):
+    def refuse(path, finding):
+        raise CorpusWriteError(path, "Read-only file system", "mount it")
+
+    monkeypatch.setattr("pytest_pafot.campaign.store.rewrite", refuse)
+    found = pafot.explore(constant_speed.make, holds=never_collides, seed=5, corpus=tmp_path, **SHORT)
+    (first, *_) = found.sightings
+    assert load(first.file).original is None
+    assert first.finding.original == load(first.file).scenario
+    assert "its file is as it was before: " in first.origin
+    assert "mount it" in first.origin

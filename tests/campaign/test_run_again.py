@@ -50,6 +50,12 @@ BLURRED = pafot.Perception(
     blind_lane_change.make, noise={"position": 1.5, "speed": 1.0}, dropout=0.2, latency=0.2, range=60.0
 )
 
+
+def _as_it_is(sighting):
+    return sighting
+    yield
+
+
 SEARCHES = {
     "highway": {"ads": constant_speed.make},
     "highway of the paper": {"ads": constant_speed.make, "algorithm": "pafot"},
@@ -68,7 +74,7 @@ SEARCHES = {
 def test_each_row_is_enough_to_run_its_run_again(name, monkeypatch):
     # What a search does with its findings adds no row, and takes longer than its runs.
     monkeypatch.setattr(workers, "_difference_in_gym", lambda run, workers: "")
-    monkeypatch.setattr(steps, "with_drivers", lambda *given: ())
+    monkeypatch.setattr(steps, "with_drivers", lambda sighting, *given: _as_it_is(sighting))
     search = {"world": pafot.Highway(), **SEARCHES[name]}
     found = pafot.explore(**search, holds=never_collides, runs=32, seed=5, shrink_rollouts=0)
     assert len(found.runs) >= 32

@@ -34,5 +34,5 @@ def with_breadth(sighting: Sighting, state: State, workers: Workers, store: Stor
         breadth: Breadth | None = done.value
     if breadth is None:
         return sighting
-    sighting = store.rewritten(sighting, replace(sighting.finding, neighbours=breadth))
+    sighting = store.rewritten(replace(sighting, finding=replace(sighting.finding, neighbours=breadth)))
     return replace(sighting, breadth=breadth)

@@ -7,7 +7,6 @@ from dataclasses import replace
 
 from pytest_pafot.campaign.events import Note, Phase, Refining
 from pytest_pafot.campaign.refine.simplest import Simplest
-from pytest_pafot.campaign.store import Store
 from pytest_pafot.campaign.verdict import Verdict, headline
 from pytest_pafot.campaign.workers import Workers
 from pytest_pafot.findings.finding import Expect, Perceived
@@ -20,17 +19,16 @@ from pytest_pafot.world.driving.perception import Perception
 
 
 def with_drivers(
-    sighting: Sighting, simplest: Simplest, run: Run, verdict: Verdict, workers: Workers, store: Store
-) -> Refining[None]:
-    """Try drivers, and the ADS with perfect sight, in a confirmed scenario; report the finding as it is then.
+    sighting: Sighting, simplest: Simplest, run: Run, verdict: Verdict, workers: Workers
+) -> Refining[Sighting]:
+    """Return a finding as its confirmed scenario shows it, with what other drivers, and perfect sight, do in it.
 
-    Its file says what this scenario shows from then on, and keeps the scenario as found.
+    It keeps the scenario as found.
     """
     if verdict.failure is None or verdict.exception is None:
-        return
+        return sighting
     harness, scenario = workers.harness, simplest.scenario
-    sighting = replace(sighting, finding=replace(sighting.finding, rate=simplest.rate))
-    before = sighting.finding
+    before = replace(sighting.finding, rate=simplest.rate)
     original = before.original or before.scenario
     yield Phase(f"trying reference drivers in saved-{sighting.id}", sighting.id)
     outcomes, errors = harness.reference_outcomes(run, verdict)
@@ -62,10 +60,11 @@ def with_drivers(
         shrunk=simplest.shrunk if simplest.shrunk.rollouts else None,
     )
     if finding == before and not sighting.unshrunk:
-        return
+        return sighting
     line = headline(run, verdict)
-    sighting = replace(
-        store.rewritten(sighting, finding),
+    return replace(
+        sighting,
+        finding=finding,
         headline=line if perception is None else f"{line}, {perception.sentence}",
         severity=verdict.severity,
         unshrunk="",
@@ -73,7 +72,6 @@ def with_drivers(
         run=shown,
         is_first=False,
     )
-    yield from store.report(sighting)
 
 
 def _perceived(sighting: Sighting, scenario: Scenario, workers: Workers) -> Refining[Perceived | None]:

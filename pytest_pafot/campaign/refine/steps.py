@@ -118,8 +118,8 @@ def _simplified(sighting: Sighting, state: State, workers: Workers, store: Store
     is_new = sighting.is_random and sighting.finding.rate is None
     if is_new and (sighting.is_flaky or workers.rerun(sighting.finding.scenario).trace.drew):
         rate = yield from failure_rate(sighting, sighting.finding.scenario, state, workers)
-        sighting = store.rewritten(sighting, replace(sighting.finding, rate=rate))
-        sighting = replace(sighting, is_first=False)
+        sighting = replace(sighting, finding=replace(sighting.finding, rate=rate), is_first=False)
+        sighting = store.rewritten(sighting)
         yield from store.report(sighting)
     if sighting.is_flaky and not (sighting.finding.rate and sighting.finding.rate.failing):
         return True
@@ -145,8 +145,11 @@ def _simplified(sighting: Sighting, state: State, workers: Workers, store: Store
             answers.clear()
             return (yield from _simplified(sighting, state, workers, store, turn_ends))
     elif not differs:
-        # Drivers in the ego's place say who could have prevented the failure, and how.
-        yield from with_drivers(sighting, simplest, run, verdict, workers, store)
+        # Drivers in the ego's place say who could have prevented the failure, and how. With that, the simplest scenario
+        # replaces the one in the file.
+        refined = yield from with_drivers(sighting, simplest, run, verdict, workers)
+        if refined is not sighting:
+            yield from store.report(store.rewritten(refined))
     return bool(differs) or not simplest.is_cut
 
 
