@@ -38,7 +38,7 @@ from pytest_pafot.findings.finding import (
     replay_label,
     unhandled,
 )
-from pytest_pafot.findings.labels import FLAKY, Facts, RunLabel
+from pytest_pafot.findings.labels import FLAKY, Observed, RunLabel
 from pytest_pafot.findings.neighbours import FEWEST, around
 from pytest_pafot.findings.signature import SLOW_DECISION, Failure, Signature
 from pytest_pafot.findings.situation import missed
@@ -144,7 +144,7 @@ class Replayed:
         rate: how often it fails now; None unless the file has a rate.
     """
 
-    facts: Facts
+    facts: Observed
     run: Run
     verdict: Verdict
     note: str = ""
@@ -220,7 +220,7 @@ class Replays:
         The other values say whether a run that passes showed it when it was repeated, and whether only a neighbour did.
         """
         try:
-            first = Replayed(Facts(), *self.tried(saved, world, owner))
+            first = Replayed(Observed(), *self.tried(saved, world, owner))
             now = first
             if not first.verdict.failed and not first.verdict.discarded and world.can_last:
                 now = self._repeated(saved, world, owner, first)
@@ -499,7 +499,7 @@ class Replays:
         if finding.expect.is_crash:
             shows = "drifted" if verdict.failed else "fixed"  # The process survived, whatever the run shows.
         is_elsewhere = bool(self.world_changes(finding) or self.sight_change(finding))
-        now = Replayed(Facts(shows=shows, fails=verdict.failed, is_elsewhere=is_elsewhere), run, verdict)
+        now = Replayed(Observed(shows=shows, fails=verdict.failed, is_elsewhere=is_elsewhere), run, verdict)
         if verdict.discarded:
             return now
         # A pass is tried once more and past the end of the file, because a slower policy fails a little later.

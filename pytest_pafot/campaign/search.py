@@ -61,7 +61,7 @@ def search(
                 with runs_end_in(watch.seconds_left()):
                     done = workers.next(plan, state.fatal)
                     if isinstance(done, Run):
-                        taken = [plan.take((yield from _judged(done, state, workers, store, watch)))]
+                        taken = [plan.take((yield from _judge_and_count(done, state, workers, store, watch)))]
             except OutOfTime:
                 reason = "time"
                 break
@@ -109,7 +109,7 @@ def _taken(tally: Tally, plan: Plan[Any]) -> Sequence[Event]:
     return [replace(tally, index=first)]
 
 
-def _judged(
+def _judge_and_count(
     run: Run, state: State, workers: Workers, store: Store, watch: Watch
 ) -> Generator[SearchEvent, None, Evaluation]:
     """Judge and count a run, and save a new failure before the next run; return what the algorithm sees of it."""
@@ -134,12 +134,12 @@ def _judged(
         if state.knows(signature):
             state.repeat(signature)
         else:
-            found = yield from saved_as(run, verdict, state.generation, state.runs, workers, store, watch)
+            found = yield from save_and_confirm(run, verdict, state.generation, state.runs, workers, store, watch)
             state.add(signature, found)
     return workers.evaluation(run, verdict, signature)
 
 
-def saved_as(
+def save_and_confirm(
     run: Run, verdict: Verdict, generation: int, number: int, workers: Workers, store: Store, watch: Watch
 ) -> Generator[SearchEvent, None, str]:
     """Save a new failure, run its scenario again to confirm it, and report it or hold it back; return its id.

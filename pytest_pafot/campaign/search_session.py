@@ -32,12 +32,12 @@ from pytest_pafot.campaign.options import FULL, LOCAL, PROFILES
 from pytest_pafot.campaign.refine.steps import refine
 from pytest_pafot.campaign.replays import Replays
 from pytest_pafot.campaign.request import build_space
-from pytest_pafot.campaign.search import saved_as, search
+from pytest_pafot.campaign.search import save_and_confirm, search
 from pytest_pafot.campaign.setup_fault import SetupFaultError
 from pytest_pafot.campaign.state import State, agreed, lose
 from pytest_pafot.campaign.state_file import FLAG, StateFile, state_path
 from pytest_pafot.campaign.store import Store
-from pytest_pafot.campaign.tallies import Driver, Reader
+from pytest_pafot.campaign.tallies import BlockDriver, Reader
 from pytest_pafot.campaign.verdict import no_skip, skips
 from pytest_pafot.campaign.watch import LEAST, TimedWatch, TimeLimit, Watch
 from pytest_pafot.campaign.workers import Workers, left_out_text
@@ -201,7 +201,7 @@ def prepared(
         has_table=has_table,
     )
     can_drive = not why_here and harness.against is None  # only this process runs the reference
-    driver = Driver(reader=reader) if can_drive else None
+    driver = BlockDriver(reader=reader) if can_drive else None
     if settings.isolate:  # Isolated processes also make the runs that confirm findings, which the session judges.
         reader = replace(reader, harness=None)
     remark = f"; this process judges all runs, since {why_here}" if why_here else ", which also judge their runs"
@@ -601,7 +601,7 @@ class SearchSession:
             verdict = workers.judge(run)
             failure = verdict.failure if verdict.failed else None
             if failure is not None and of_failure(run, failure) == find.signature:
-                find_id = yield from saved_as(run, verdict, generation, number, workers, store, self.watch)
+                find_id = yield from save_and_confirm(run, verdict, generation, number, workers, store, self.watch)
                 state.add(find.signature, find_id)
                 state.answers[find_id] = list(find.answers)
 

@@ -42,7 +42,7 @@ from pytest_pafot.world import codec
 COUNTED_AT_ONCE = 16
 """The number of evaluations after which their health is counted: then it takes less time than for each alone."""
 
-Answer = tuple[str, Shown]
+Answered = tuple[str, Shown]
 """An attempt to shrink a finding: the id of the candidate, and the result of its run."""
 
 
@@ -64,7 +64,7 @@ class EarlierFind:
     repeats: int
     found: tuple[Scenario, int, int] | None
     is_due: bool
-    answers: tuple[Answer, ...]
+    answers: tuple[Answered, ...]
 
 
 @dataclass(slots=True)
@@ -154,7 +154,7 @@ class State:
     manners: dict[Signature, dict[Manner, str]] = field(init=False, default_factory=dict)
     failures: dict[Signature, str] = field(init=False, default_factory=dict)  # ids by failures that this session showed
     # results of the attempts to shrink each finding so far, by the id of the finding
-    answers: dict[str, list[Answer]] = field(init=False, default_factory=dict)
+    answers: dict[str, list[Answered]] = field(init=False, default_factory=dict)
     refined: set[str] = field(init=False, default_factory=set)  # ids of findings for which no step is left to do
     shrink_runs: int = field(init=False, default=0)  # number of attempts to shrink findings, and of runs for rates
     shrink_decisions: int = field(init=False, default=0)  # that the ADS made in these

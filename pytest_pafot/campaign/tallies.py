@@ -219,7 +219,7 @@ class Recovered:
 
 
 @dataclass(slots=True, kw_only=True)
-class Driver:
+class BlockDriver:
     """The driving of whole blocks of a search in the processes that run its scenarios.
 
     Attributes:

@@ -12,7 +12,7 @@ from itertools import chain
 from typing import Any
 
 from pytest_pafot.campaign.harness import Harness, is_same_run, refusals
-from pytest_pafot.campaign.tallies import Driver, Recovered, Tally, facts_of
+from pytest_pafot.campaign.tallies import BlockDriver, Recovered, Tally, facts_of
 from pytest_pafot.campaign.verdict import Verdict, evaluated, skips
 from pytest_pafot.execution.crash_records import CrashRecord, Leftover
 from pytest_pafot.execution.pool import ProcessLostError
@@ -62,7 +62,7 @@ class Workers:
     runner: Runner
     record: CrashRecord
     reference: Runner | None = None  # the runner of the reference
-    driver: Driver | None = None  # how other processes drive blocks; None if they cannot
+    driver: BlockDriver | None = None  # how other processes drive blocks; None if they cannot
     fitness: Callable[[Run], float]  # the fitness of a run; higher is worse for the ego
     is_steered_by_checks: bool = True  # as in :class:`~pytest_pafot.campaign.tallies.Reader`
     clock: Callable[[], float] = time.monotonic  # returns the seconds since some fixed moment
@@ -109,7 +109,7 @@ class Workers:
         return None
 
     def begin(self, plan: Plan[Any], random_runs: float) -> None:
-        """Prepare for the blocks of a plan; ``random_runs`` is as in :class:`~pytest_pafot.campaign.tallies.Driver`."""
+        """Prepare for the blocks of a plan; ``random_runs`` is as in :class:`.BlockDriver`."""
         if self.driver is not None and plan.length is not None:
             self.driver.plan, self.driver.random_runs = plan, random_runs
             self.runner.processes.end()  # processes that were started before do not know the plan

@@ -22,7 +22,7 @@ RunLabel = Literal["fixed", "still failing", "drifted", "judged otherwise"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Facts:
+class Observed:
     """The observations in a replay.
 
     Attributes:

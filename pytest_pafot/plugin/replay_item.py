@@ -21,7 +21,7 @@ from pytest_pafot.corpus.writer import scenario_lines
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.execution.scenario_pool import LostRun
 from pytest_pafot.findings.finding import Finding, of_failure, unhandled
-from pytest_pafot.findings.labels import COMMON, FLAKY, JUDGED_OTHERWISE, NEARBY, Facts, RunLabel
+from pytest_pafot.findings.labels import COMMON, FLAKY, JUDGED_OTHERWISE, NEARBY, Observed, RunLabel
 from pytest_pafot.findings.sighting import Sighting
 from pytest_pafot.oracle.checks import CheckFailed
 from pytest_pafot.oracle.run import Run
@@ -61,11 +61,11 @@ def run_replay(item: pytest.Function, request: Request, saved: Saved) -> None:
         now = replays.labelled(saved, item.nodeid)
     except ProcessLostError as error:
         lost = error
-    facts = Facts()
+    facts = Observed()
     if lost is not None:  # Outside of the handler, so that pytest does not print the error twice, once as a cause.
         passes = replays.passes_reference(saved, replays.world_of(saved), item.nodeid)
         shows: RunLabel = "still failing" if was_lost(finding, lost) else "drifted"
-        facts = Facts(shows=shows, fails=True, reference_passes=passes)
+        facts = Observed(shows=shows, fails=True, reference_passes=passes)
     for leftover in harness.left_behind(item.nodeid) if lost is not None or not now.is_lost else ():
         leftover.discard()  # The item reports its result now.
     if lost is not None:
@@ -151,7 +151,7 @@ def _explain_pass(item: pytest.Function, finding: Finding, sighting: Sighting, p
 
 
 def _conclude_lost(
-    item: pytest.Function, replays: Replays, saved: Saved, finding: Finding, lost: LostRun, facts: Facts
+    item: pytest.Function, replays: Replays, saved: Saved, finding: Finding, lost: LostRun, facts: Observed
 ) -> NoReturn:
     """Report and fail the replay of a saved scenario whose process died or hung."""
     __tracebackhide__ = True

@@ -186,7 +186,7 @@ def test_sessions_of_5_16_and_40_runs_are_one_long_one(searched, tmp_path):
 @pytest.fixture
 def saved_early(monkeypatch):
     """Return a list of the files that are saved before their block is counted, while block 1 takes long."""
-    saved, add_early, drive = [], Store.add_early, tallies.Driver.__call__
+    saved, add_early, drive = [], Store.add_early, tallies.BlockDriver.__call__
 
     def add(self, *given):
         before = {*self.early}
@@ -198,7 +198,7 @@ def saved_early(monkeypatch):
         drive(self, task, *given)
 
     monkeypatch.setattr(Store, "add_early", add)
-    monkeypatch.setattr(tallies.Driver, "__call__", late)
+    monkeypatch.setattr(tallies.BlockDriver, "__call__", late)
     return saved
 
 
@@ -215,14 +215,16 @@ def test_a_failure_of_a_later_block_is_saved_before_its_turn(searched, saved_ear
 
 
 def test_a_death_in_a_later_block_is_saved_before_its_turn(searched, saved_early, monkeypatch):
-    driven, drive = [], tallies.Driver.__call__
+    driven, drive = [], tallies.BlockDriver.__call__
 
     def dies(observation):
         """End the process of the process that drives one of the last blocks."""
         return mortal(observation) if driven and driven[-1] > 2 else keep(observation)
 
     monkeypatch.setattr(
-        tallies.Driver, "__call__", lambda self, task, *more: driven.append(task.number) or drive(self, task, *more)
+        tallies.BlockDriver,
+        "__call__",
+        lambda self, task, *more: driven.append(task.number) or drive(self, task, *more),
     )
     task = workers.BlockTask
     monkeypatch.setattr(workers, "BlockTask", lambda *given, is_apart: task(*given, is_apart=True))

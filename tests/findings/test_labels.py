@@ -4,7 +4,7 @@ from itertools import product
 
 import pytest
 
-from pytest_pafot.findings.labels import COMMON, FLAKY, JUDGED_OTHERWISE, NEARBY, Facts
+from pytest_pafot.findings.labels import COMMON, FLAKY, JUDGED_OTHERWISE, NEARBY, Observed
 from tests.helpers.tables import table
 
 PASSES, FAILS = {"shows": "fixed"}, {"shows": "still failing", "fails": True}
@@ -38,10 +38,10 @@ PASSES, FAILS = {"shows": "fixed"}, {"shows": "still failing", "fails": True}
     ],
 )
 def test_each_label_follows_from_the_facts(label, facts):
-    assert Facts(**facts).label == label
+    assert Observed(**facts).label == label
 
 
 @pytest.mark.parametrize("others", list(product((False, True), repeat=4)))
 def test_nothing_is_said_of_a_policy_that_drives_a_scenario_in_different_ways(others):
     names = ("fails", "is_hit", "is_nearby", "reference_passes")
-    assert Facts(shows="fixed", is_unsteady=True, **dict(zip(names, others, strict=True))).label == FLAKY
+    assert Observed(shows="fixed", is_unsteady=True, **dict(zip(names, others, strict=True))).label == FLAKY

@@ -20,7 +20,7 @@ from pytest_pafot.campaign.refine.runs import (
     showing,
     signature_of,
 )
-from pytest_pafot.campaign.state import Answer, State
+from pytest_pafot.campaign.state import Answered, State
 from pytest_pafot.campaign.store import Store
 from pytest_pafot.campaign.workers import Workers
 from pytest_pafot.findings.failure_rate import FEW_RUNS, KNOWN_RUNS, MANY_RUNS, FailureRate, with_other_seed
@@ -140,7 +140,7 @@ def simplest_of(
             actions[scenario] = workers.rerun(scenario).trace.actions
         return actions[scenario]
 
-    def answered(ids: tuple[str, ...], work: Refining[Answer]) -> Refining[Answer]:
+    def answered(ids: tuple[str, ...], work: Refining[Answered]) -> Refining[Answered]:
         nonlocal asked
         # Shrinking asks the same questions in the same order, so an earlier session's answers serve as a prefix.
         if asked < len(answers) and answers[asked][0] not in ids:
@@ -161,11 +161,11 @@ def simplest_of(
         asked += 1
         return answers[asked - 1]
 
-    def outcome(scenario: Scenario, texts: tuple[str, str]) -> Refining[Answer]:
+    def outcome(scenario: Scenario, texts: tuple[str, str]) -> Refining[Answered]:
         yield Phase(f"measuring how often {id_} fails", id_)
         return texts[fails(scenario, workers)], None
 
-    def attempt(candidate: Scenario, best: Scenario | None) -> Refining[Answer]:
+    def attempt(candidate: Scenario, best: Scenario | None) -> Refining[Answered]:
         number = asked + 1 - (0 if as_found is None else KNOWN_RUNS)
         yield Phase(f"shrinking {id_}, run {number} of {rollouts}", id_)
         most = None
