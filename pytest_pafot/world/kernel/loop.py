@@ -1,4 +1,4 @@
-# cython: auto_pickle=False
+# cython: initializedcheck=False, wraparound=False, auto_pickle=False
 """The loop of a run, on every road and with every kind of ego.
 
 In each tick the ego's driver decides if it is due, and sets the ego's controls; the director sets those of the NPCs,
