@@ -74,7 +74,7 @@ class VehiclesOfRun:
                 rules.refuse_start(scenario, each)
         self.sizes = [(each.length, each.width) for each in self.vehicles]
         # Not zeroed, which would take a fortieth of a run: the loop writes each row before anything reads it.
-        self.rows: Any = memoryview(np.empty((ticks + 1) * len(self.sizes) * COLUMNS))
+        self.rows: Any = np.empty((ticks + 1) * len(self.sizes) * COLUMNS).data
         self.loop = Loop(director, self.places, self.rows, 1 / rules.physics_hz)
 
     def trace(self, driver: EgoDriver, error: AdsError | None = None) -> Trace:

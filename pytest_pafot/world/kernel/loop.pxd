@@ -67,7 +67,7 @@ cdef class Loop:
     cdef Lanes _lanes
     cdef double[::1] _record
     cdef double _dt, _reach
-    cdef Py_ssize_t _row, _columns
+    cdef Py_ssize_t _row, _end, _columns
     cdef list _vehicles, _npcs, _obstacles
 
     @cython.locals(due=int, body=Body)
