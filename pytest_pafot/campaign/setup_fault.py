@@ -156,14 +156,14 @@ def unit_doubt(trace: Trace) -> str:
     It is always empty for policies of an environment, whose actions are not in SI units.
     """
     pairs = [action for action in trace.actions if type(action) is tuple and len(action) == 2]
-    steering = max((abs(pair[1]) for pair in pairs), default=0.0)
+    steering = max([abs(angle) for _, angle in pairs], default=0.0)
     if steering > NO_STEERING:
         return (
             f"the ADS requested a steering angle of {steering:.3g} rad, of which {possible_steering(steering):.2f} rad "
             "take effect: convert degrees with math.radians(...); an action is (acceleration, steering), in this order"
         )
-    drives = [action for action in trace.actions if isinstance(action, Drive)]
-    speed = max((drive.speed or 0.0 for drive in drives), default=0.0)
+    drives = [] if len(pairs) == len(trace.actions) else [each for each in trace.actions if isinstance(each, Drive)]
+    speed = max([drive.speed or 0.0 for drive in drives], default=0.0)
     if speed > TOP_SPEED:
         return (
             f"the ADS requested a speed of {speed:.3g} m/s, but no vehicle drives faster than {TOP_SPEED:g} m/s: "
