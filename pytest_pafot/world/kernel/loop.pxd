@@ -52,7 +52,7 @@ cdef class PlannerDriver(GivenDriver):
     cdef object _ads, _guard, _clock
     cdef tuple _decisions
     cdef Py_ssize_t _given
-    cdef double _until
+    cdef double _until, _limit
 
     @cython.locals(started=double, seconds=double, taken=Py_ssize_t)
     cpdef decide(self, int tick)

@@ -218,6 +218,7 @@ class PlannerDriver(GivenDriver):
         self._guard = guard
         self._clock = guard.clock
         self._until = guard.until
+        self._limit = guard.limit
 
     def decide(self, tick: int) -> AdsError | None:
         """Observe, call the ADS under guard, and check and apply its action; or apply a given decision.
@@ -242,7 +243,7 @@ class PlannerDriver(GivenDriver):
             finally:
                 guard.started = None  # before the clock is read; see HangGuard
                 seconds = self._clock() - started
-                if seconds > guard.limit or started + seconds > self._until:
+                if seconds > self._limit or started + seconds > self._until:
                     guard.settle()
             if guard.interruption is not None:
                 del self.actions[taken:]  # the action of an interrupted decision
