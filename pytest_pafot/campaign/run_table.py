@@ -12,6 +12,7 @@ from typing import Any
 from pytest_pafot.campaign.events import Judged, SearchEvent, SearchStarted
 from pytest_pafot.campaign.verdict import Verdict
 from pytest_pafot.findings.signature import Signature
+from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.searching.evaluation import EVALUATIONS, Evaluation
 from pytest_pafot.searching.events import Evaluated, RunsEvaluated
@@ -68,8 +69,8 @@ class RunTable:
     number: int = 0
     rows: list[Row] = field(default_factory=list)
     more: Callable[[Run], Row] = lambda run: {}  # returns the values of a run for columns that only one table has
-    # the columns of the last runs, as many as a search reuses, by the id of the scenario
-    _judged: dict[str, Row] = field(default_factory=dict)
+    # the columns of the last runs, as many as a search reuses, by the scenario as driven
+    _judged: dict[Scenario, Row] = field(default_factory=dict)
 
     def see(self, event: SearchEvent) -> None:
         """Process an event of the search."""
@@ -77,16 +78,15 @@ class RunTable:
             case SearchStarted():
                 self.test, self.seed = event.node_id, event.seed
             case Judged():
-                id_ = event.executed.id
-                self._judged.pop(id_, None)  # so that the order is that of the last runs
+                self._judged.pop(event.executed, None)  # so that the order is that of the last runs
                 known, run = event.columns, event.run
-                self._judged[id_] = (
+                self._judged[event.executed] = (
                     dict(known or {}) if run is None else columns_of(run, event.verdict) | self.more(run)
                 )
             case Evaluated():
                 row = row_of(event.evaluation, event.generation, event.local_generation, reused=event.reused)
                 # A run knows its scenario as it was driven.
-                self._add(row | self._judged.get(event.evaluation.executed.id, {}))
+                self._add(row | self._judged.get(event.evaluation.executed, {}))
             case RunsEvaluated():
                 for row in event.rows:
                     self._add(row)
@@ -94,8 +94,8 @@ class RunTable:
     def taken(self) -> list[Row]:
         """Return the rows that are new since the last call, and remove them. Call it between two generations."""
         rows, self.rows = self.rows, []
-        for id_ in list(islice(self._judged, max(0, len(self._judged) - EVALUATIONS))):
-            del self._judged[id_]
+        for scenario in list(islice(self._judged, max(0, len(self._judged) - EVALUATIONS))):
+            del self._judged[scenario]
         return rows
 
     def _add(self, row: Row) -> None:

@@ -155,21 +155,27 @@ def unit_doubt(trace: Trace) -> str:
 
     It is always empty for policies of an environment, whose actions are not in SI units.
     """
-    pairs = [action for action in trace.actions if type(action) is tuple and len(action) == 2]
-    steering = max((abs(pair[1]) for pair in pairs), default=0.0)
+    steering = speed = acceleration = 0.0
+    for action in trace.actions:  # one loop without calls, because each run is looked at
+        if type(action) is tuple and len(action) == 2:
+            wanted, angle = action
+            steering = abs(angle) if not -steering <= angle <= steering else steering
+        elif isinstance(action, Drive):
+            wanted = action.acceleration or 0.0
+            speed = max(speed, action.speed or 0.0)
+        else:
+            continue
+        acceleration = wanted if wanted > acceleration else acceleration
     if steering > NO_STEERING:
         return (
             f"the ADS requested a steering angle of {steering:.3g} rad, of which {possible_steering(steering):.2f} rad "
             "take effect: convert degrees with math.radians(...); an action is (acceleration, steering), in this order"
         )
-    drives = [action for action in trace.actions if isinstance(action, Drive)]
-    speed = max((drive.speed or 0.0 for drive in drives), default=0.0)
     if speed > TOP_SPEED:
         return (
             f"the ADS requested a speed of {speed:.3g} m/s, but no vehicle drives faster than {TOP_SPEED:g} m/s: "
             "divide km/h by 3.6"
         )
-    acceleration = max([*[pair[0] for pair in pairs], *[drive.acceleration or 0.0 for drive in drives]], default=0.0)
     if acceleration > NO_ACCELERATION:
         return (
             f"the ADS requested an acceleration of {acceleration:.3g} m/s^2, of which "

@@ -1,7 +1,7 @@
 cimport cython
 from libc cimport math
 
-cdef double SLACK, LARGE, LONGEST, TINY
+cdef double SLACK, LARGE, LONGEST, UNENDING, TINY
 
 @cython.locals(tick=Py_ssize_t, vehicle=Py_ssize_t, column=Py_ssize_t, size=double, comes=bint, near=bint,
                min_ttc=double, min_gap=double, max_shortfall=double, al=double, aw=double, bl=double, bw=double,

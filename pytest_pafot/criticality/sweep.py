@@ -28,6 +28,8 @@ LARGE = 1e6
 this pass."""
 LONGEST = 1e5
 """The limit for the least time to contact [s]. If it is longer or infinite, numpy's arrays replace this pass."""
+UNENDING = math.inf
+"""Infinity; unlike ``math.inf``, it is a C number in compiled code."""
 TINY = 1e-290
 """A tiny velocity that avoids a division by zero [m/s], as in :mod:`~pytest_pafot.criticality.boxes`."""
 
@@ -72,7 +74,7 @@ def extremes(
 def _swept(
     states: Any, sizes: Any, road_cos: float, road_sin: float, seconds: float
 ) -> tuple[float, float, float] | None:
-    min_ttc, min_gap, max_shortfall = math.inf, math.inf, 0.0
+    min_ttc, min_gap, max_shortfall = UNENDING, UNENDING, 0.0
     al, aw = sizes[0, 0] / 2, sizes[0, 1] / 2
     for tick in range(states.shape[0]):
         for vehicle in range(states.shape[1]):
@@ -135,7 +137,7 @@ def _swept(
 
             if comes:  # the time to contact, as in boxes.contact_time
                 vx, vy = speed_b * bc - speed_a * ac, speed_b * sb - speed_a * sa
-                begins, ends = _cut(-math.inf, math.inf, offset_0, reach_0, vx * ac + vy * sa)
+                begins, ends = _cut(-UNENDING, UNENDING, offset_0, reach_0, vx * ac + vy * sa)
                 begins, ends = _cut(begins, ends, offset_1, reach_1, vy * ac - vx * sa)
                 begins, ends = _cut(begins, ends, offset_2, reach_2, vx * bc + vy * sb)
                 begins, ends = _cut(begins, ends, offset_3, reach_3, vy * bc - vx * sb)
@@ -183,7 +185,7 @@ def _corners_to_box(
     ``(u, v)`` is the centre of the first box in the frame of the second box, which is centred at the origin and has the
     half sizes ``half_length`` and ``half_width``. The other arguments are the half sides of the first box as vectors.
     """
-    nearest = math.inf
+    nearest = UNENDING
     for corner in range(4):
         along, across = 1.0 if corner < 2 else -1.0, 1.0 if corner % 2 == 0 else -1.0
         outside_u = abs(u + along * length_u + across * width_u) - half_length

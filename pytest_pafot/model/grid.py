@@ -13,9 +13,20 @@ from enum import IntEnum
 from functools import cache
 from itertools import pairwise
 
+_ROWS = (1, 1, 1, 0, -1, -1, -1, 0)
+_COLUMNS = (-1, 0, 1, 1, 1, 0, -1, -1)
+
 
 class Cell(IntEnum):
-    """A target cell, numbered clockwise from the front left as in the paper's figure 2."""
+    """A target cell, numbered clockwise from the front left as in the paper's figure 2.
+
+    Attributes:
+        row: +1 ahead of the ego, 0 next to the ego, -1 behind the ego.
+        column: the number of lanes to the right of the ego's lane: -1, 0 or +1.
+    """
+
+    row: int
+    column: int
 
     FRONT_LEFT = 1
     FRONT = 2
@@ -26,20 +37,13 @@ class Cell(IntEnum):
     REAR_LEFT = 7
     LEFT = 8
 
+    def __init__(self, number: int) -> None:
+        self.row, self.column = _ROWS[number - 1], _COLUMNS[number - 1]
+
     def __repr__(self) -> str:
         return f"Cell.{self.name}"  # an expression that makes it, unlike an enumeration's own
 
     __hash__ = int.__hash__  # the hash of the equal number; an enumeration's is several times as slow
-
-    @property
-    def row(self) -> int:
-        """The cell's row: +1 ahead of the ego, 0 next to the ego, -1 behind the ego."""
-        return _ROWS[self - 1]
-
-    @property
-    def column(self) -> int:
-        """The cell's column, as a number of lanes to the right of the ego's lane: -1, 0 or +1."""
-        return _COLUMNS[self - 1]
 
     @property
     def neighbours(self) -> tuple[Cell, Cell]:
@@ -53,8 +57,6 @@ class Cell(IntEnum):
 
 
 _NEIGHBOURS = tuple((Cell((number - 2) % 8 + 1), Cell(number % 8 + 1)) for number in range(1, 9))
-_ROWS = (1, 1, 1, 0, -1, -1, -1, 0)
-_COLUMNS = (-1, 0, 1, 1, 1, 0, -1, -1)
 _CELLS = dict(zip(zip(_ROWS, _COLUMNS, strict=True), Cell, strict=True))
 
 ALL_CELLS = frozenset(Cell)

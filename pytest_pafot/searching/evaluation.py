@@ -23,7 +23,7 @@ from pytest_pafot.model.scenario import (
     retimed,
     with_targets,
 )
-from pytest_pafot.model.trace import LANE, SPEED, Collision, Outcome, Trace
+from pytest_pafot.model.trace import HEADING, LANE, SPEED, Collision, Outcome, Trace, X, Y
 from pytest_pafot.searching.space import repaired
 
 Rank = tuple[bool, bool, float]
@@ -211,7 +211,8 @@ def interaction_of(trace: Trace) -> tuple[bool, bool]:
     2 m, and if the ego and an NPC that crosses were expected in their zone within 1.5 s of each other. All NPCs are
     left behind if they were over 100 m behind the ego for half of the run; an NPC that crosses is never behind.
     """
-    x, y, heading, speed, _, _, lane = np.ascontiguousarray(trace.states.T)  # each of shape [vehicles, ticks + 1]
+    columns = (X, Y, HEADING, SPEED, LANE)
+    x, y, heading, speed, lane = (np.ascontiguousarray(trace.states[..., each].T) for each in columns)
     # How far each NPC's centre is ahead of the ego's [m]: along the ego's heading, or on bent roads along its way.
     if trace.track is None:
         ahead = (x[1:] - x[0]) * np.cos(heading[0]) + (y[1:] - y[0]) * np.sin(heading[0])
@@ -220,8 +221,8 @@ def interaction_of(trace: Trace) -> tuple[bool, bool]:
     gap = np.abs(ahead) - (trace.sizes[0, 0] + trace.sizes[1:, :1]) / 2
     follower = np.where(ahead >= 0, speed[0], speed[1:])
     is_close = (lane[1:] == lane[0]) & (gap < np.maximum(INTERACTION_HEADWAY * follower, INTERACTION_GAP))
-    meets = time_advantage(trace) < INTERACTION_HEADWAY
-    interacted = trace.outcome is Outcome.COLLISION or bool(is_close.any() or meets.any())
+    meets = any(trace.zones) and (time_advantage(trace) < INTERACTION_HEADWAY).any()
+    interacted = trace.outcome is Outcome.COLLISION or bool(is_close.any() or meets)
     return interacted, bool(np.mean((ahead < -FAR_BEHIND).all(axis=0)) >= 0.5)
 
 

@@ -84,6 +84,11 @@ PATTERNS = (
     ),
 )
 """All patterns; each is sampled with equal probability."""
+MIRRORED = {
+    pattern.name: tuple(step._replace(cell=Cell((3 - step.cell) % 8 + 1)) for step in pattern.steps)
+    for pattern in PATTERNS
+}
+"""The steps of each pattern with left and right exchanged, by its name; half of the samples have these."""
 
 WALKING = ((1.0, -2.0), (1.0, 3.0))
 """The lowest and highest target speed on the way from one pattern to the next."""
@@ -106,9 +111,8 @@ def followed_by_pattern(
     chain: Sequence[PositionInstruction], ego_speed: float, bounds: tuple[int, int], rng: Generator
 ) -> list[PositionInstruction]:
     """Append a random pattern to a chain, with the steps on the ring to its first cell; the chain may be empty."""
-    steps = PATTERNS[int(rng.integers(len(PATTERNS)))].steps
-    if rng.integers(2):
-        steps = tuple(step._replace(cell=Cell((3 - step.cell) % 8 + 1)) for step in steps)
+    pattern = PATTERNS[int(rng.integers(len(PATTERNS)))]
+    steps = MIRRORED[pattern.name] if rng.integers(2) else pattern.steps
     way = [Step(cell, *WALKING) for cell in _between(chain[-1].cell, steps[0].cell, rng)] if chain else []
     return [*chain, *(_drawn(step, ego_speed, bounds, rng) for step in (*way, *steps))]
 

@@ -79,6 +79,7 @@ def make_ads(factory: AdsFactory, **arguments: Any) -> Any:
     )
 
 
+@functools.lru_cache(maxsize=1)  # a run of the kernel takes little longer than the signature of its vehicle class
 def _checked_vehicle_class(vehicle_class: Any) -> Any:
     """Return a vehicle class that each run can call with a road, a position, a heading and a speed."""
     signature = inspect.signature(vehicle_class)

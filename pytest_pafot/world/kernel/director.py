@@ -191,6 +191,7 @@ class Director(BaseDirector):
         self._top_speed = top_speed
         self._hz = physics_hz
         self.skips = False
+        self._is_bent = False
         self._road: Any = road
         self._clearance = clearance
         self._row = (ego_length + length) / 2.0
@@ -573,12 +574,17 @@ class Director(BaseDirector):
         claims = theirs.heading_for == lane and theirs.index < mine.index
         if not (in_lane or claims):
             return True
-        front, rear = (theirs, mine) if theirs.x > mine.x else (mine, theirs)
+        front, rear = mine, theirs
+        if theirs.x > mine.x:  # compiled, a conditional expression would make a tuple
+            front, rear = theirs, mine
         return clear_to_enter(self._gap(front, rear), rear.speed - front.speed)
 
     def _gap(self, front: Npc, rear: Npc) -> float:
         """Return the gap between two NPCs in one lane [m]; in a bend, that on the side on which it is shorter."""
-        return (front.x - rear.x) * min(self._stretch(front), self._stretch(rear)) - self._length
+        distance = front.x - rear.x
+        if self._is_bent:
+            distance *= min(self._stretch(front), self._stretch(rear))
+        return distance - self._length
 
     def _following(self, mine: Npc, speed: float) -> float:
         """Limit a desired speed to what leaves room behind the NPCs ahead [m/s]."""
@@ -589,11 +595,14 @@ class Director(BaseDirector):
                 continue
             if distance == 0.0 and theirs.index > mine.index:
                 continue
-            gap = self._gap(theirs, mine)
-            crosses = gap > -self._length / 2.0 and (
+            is_beside = abs(theirs.y - mine.y) < self._width + BESIDE
+            crosses = (
                 theirs.lane == lane or theirs.lane == goal or theirs.heading_for == lane or theirs.heading_for == goal
             )
-            if crosses or abs(theirs.y - mine.y) < self._width + BESIDE:
+            if not (is_beside or crosses):
+                continue
+            gap = self._gap(theirs, mine)
+            if is_beside or gap > -self._length / 2.0:
                 safe = following_speed(gap, theirs.speed, mine.speed)
                 speed = safe if safe < speed else speed
         return speed

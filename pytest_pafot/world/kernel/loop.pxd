@@ -52,7 +52,7 @@ cdef class PlannerDriver(GivenDriver):
     cdef object _ads, _guard, _clock
     cdef tuple _decisions
     cdef Py_ssize_t _given
-    cdef double _until
+    cdef double _until, _limit
 
     @cython.locals(started=double, seconds=double, taken=Py_ssize_t)
     cpdef decide(self, int tick)
@@ -67,7 +67,7 @@ cdef class Loop:
     cdef Lanes _lanes
     cdef double[::1] _record
     cdef double _dt, _reach
-    cdef Py_ssize_t _row, _columns
+    cdef Py_ssize_t _row, _end, _columns
     cdef list _vehicles, _npcs, _obstacles
 
     @cython.locals(due=int, body=Body)

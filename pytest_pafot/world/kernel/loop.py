@@ -1,4 +1,5 @@
-# cython: auto_pickle=False
+# cython: boundscheck=False, initializedcheck=False, wraparound=False, auto_pickle=False
+# The checks are off because `_note` makes one for all values of a tick.
 """The loop of a run, on every road and with every kind of ego.
 
 In each tick the ego's driver decides if it is due, and sets the ego's controls; the director sets those of the NPCs,
@@ -9,7 +10,6 @@ and contacts are looked for, so the last row of a record has the contact. Row 0 
 from __future__ import annotations
 
 import math
-from array import array
 from collections.abc import Callable, Sequence
 from typing import Any, cast
 
@@ -218,6 +218,7 @@ class PlannerDriver(GivenDriver):
         self._guard = guard
         self._clock = guard.clock
         self._until = guard.until
+        self._limit = guard.limit
 
     def decide(self, tick: int) -> AdsError | None:
         """Observe, call the ADS under guard, and check and apply its action; or apply a given decision.
@@ -242,7 +243,7 @@ class PlannerDriver(GivenDriver):
             finally:
                 guard.started = None  # before the clock is read; see HangGuard
                 seconds = self._clock() - started
-                if seconds > guard.limit or started + seconds > self._until:
+                if seconds > self._limit or started + seconds > self._until:
                     guard.settle()
             if guard.interruption is not None:
                 del self.actions[taken:]  # the action of an interrupted decision
@@ -273,7 +274,7 @@ class Loop:
         npcs_touched: true if the run ended by a contact of two NPCs, or of one with a fixed object.
     """
 
-    def __init__(self, director: Any, places: Places, record: array[float], dt: float) -> None:
+    def __init__(self, director: Any, places: Places, record: Any, dt: float) -> None:
         self.tick = 0
         self.ego_touched = False
         self.npcs_touched = False
@@ -283,6 +284,7 @@ class Loop:
         self._record = record
         self._dt = dt
         self._row = 0
+        self._end = len(record)
         self._columns = COLUMNS
         self._vehicles: list[Body] = places.vehicles
         self._npcs: list[Body] = places.vehicles[1:]
@@ -334,6 +336,8 @@ class Loop:
     def _note(self) -> None:
         """Record the state after a step, and the controls that led to it."""
         row, record, columns, lanes = self._row, self._record, self._columns, self._lanes
+        if row + len(self._vehicles) * columns > self._end:
+            raise IndexError(f"record: expected room for tick {self.tick}, received {self._end} numbers")
         for body in self._vehicles:
             record[row] = body.x
             record[row + 1] = body.y

@@ -4,6 +4,8 @@ from pytest_pafot.world.kernel.lanes cimport Lanes
 
 cpdef double lateral_velocity(double heading, double speed, double steering) except? -1e300
 
+cdef object _NEW
+
 cdef class Sensor:
     cdef public bint is_bent
     cdef public double along, across, heading, bend

@@ -1,3 +1,4 @@
+# cython: initializedcheck=False, wraparound=False
 """The observation of a planner: the world in SI units, read-only and made lazily; its makers on straight roads."""
 
 from __future__ import annotations
@@ -36,6 +37,9 @@ class VehicleState(NamedTuple):
     length: float
     width: float
 
+
+_NEW = tuple.__new__
+"""Makes a :class:`VehicleState` in half the time of the class itself."""
 
 _Details = tuple[float, float, float, tuple[int, ...], float, tuple[CrossingVehicle, ...]]
 """The fields that few planners use: decision period, acceleration, steering, ids, road length, crossing vehicles."""
@@ -113,7 +117,7 @@ class Observer(Sensor):
         row = (tick * len(self.sizes) + index) * self.columns
         x, y, heading = self.record[row] - self._x0, self.record[row + 1] - self._y0, self.record[row + 2]
         lane = self.lanes.closest(x, y, heading)
-        return tuple.__new__(VehicleState, (x, y, heading, self.record[row + 3], lane, length, width))
+        return _NEW(VehicleState, (x, y, heading, self.record[row + 3], lane, length, width))
 
     def details(self, tick: int) -> _Details:
         """Return the fields that few planners use, for a tick."""

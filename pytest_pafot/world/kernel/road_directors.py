@@ -49,7 +49,7 @@ class NetworkDirector(Director):
     ) -> None:
         narrower = replace(limits, heading=HEADING_SHARE * limits.heading)
         super().__init__(scenario, road, narrower, **common)
-        self.skips = True
+        self.skips = self._is_bent = True
         self.others: JunctionDirector | None = None
         self._bends: Bends = road.bends
         self._width_of_lanes: float = road.lane_width

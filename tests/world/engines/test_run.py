@@ -1,10 +1,14 @@
-"""The record of a collision."""
+"""The record of a run, and of a collision."""
 
 import random
 
+import pytest
+
+from pytest_pafot.model.scenario import PositionInstruction, Scenario
 from pytest_pafot.model.trace import HEADING, X, Y
 from pytest_pafot.world import Highway
-from pytest_pafot.world.kernel.bodies import Box, overlap, side_hit
+from pytest_pafot.world.engines.run import VehiclesOfRun
+from pytest_pafot.world.kernel.bodies import Body, Box, overlap, side_hit
 from tests.helpers.world_cases import random_scenario
 
 
@@ -29,3 +33,13 @@ def test_side_hit_is_that_of_last_tick_apart():
         assert hit.side == side_hit(ego, npc)
         differ += side_hit(*overlapping) != hit.side
     assert differ, "the tick of the contact would tell the same"
+
+
+def test_record_has_no_room_for_ticks_beyond_the_run():
+    """The kernel writes without looking at each index, so one look must keep it within its buffer."""
+    world, scenario = Highway(), Scenario.repaired([[PositionInstruction(2, 20.0)]], seed=1, ego_lane=1, ego_speed=20.0)
+    run = VehiclesOfRun(world.rules, scenario, Body(5.0, 2.0))
+    for _ in range(world.rules.ticks(scenario)):
+        run.loop.moved()
+    with pytest.raises(IndexError, match="expected room for tick"):
+        run.loop.moved()
