@@ -180,7 +180,7 @@ class SearchSummary:
     requirements: tuple[str, ...] = ()  # these three are known only to the controller
     title: str = ""
     owner: str = ""
-    # for the page alone: numbers of runs of this session by outcome, and by who was responsible
+    # for the page alone: numbers of runs by outcome, and by who was responsible
     outcomes: Mapping[str, int] = field(default_factory=dict)
     responsibilities: Mapping[str, int] = field(default_factory=dict)
     # for the terminal alone, because they differ between machines and numbers of workers

@@ -161,13 +161,14 @@ def explore(
             limit = time_limit(request.settings, now=now, began=now, left=1)
             session = SearchSession(watch=parts.watch(name, limit, progress_seconds=0.5), replays=replays)
             happens = Events(session.run())
-            for event in happens:
+            while not happens.is_over:
                 with happens:
-                    table.see(event)
-                    if not isinstance(event, Judged):  # its trace is large: all of them would fill the memory
-                        events.append(event)
-                    if on_event is not None:
-                        on_event(event)
+                    for event in happens:
+                        table.see(event)
+                        if not isinstance(event, Judged):  # its trace is large: all of them would fill the memory
+                            events.append(event)
+                        if on_event is not None:
+                            on_event(event)
     result = happens.result
     if result.fault is not None:
         raise result.fault

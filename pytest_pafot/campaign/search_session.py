@@ -12,6 +12,7 @@ from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
+from inspect import GEN_CLOSED, getgeneratorstate
 from typing import Any, Self
 
 import numpy as np
@@ -97,9 +98,10 @@ class SearchResult:
 
 
 class Events:
-    """The events of a search, for a consumer that may fail: ``for event in events:`` and in it ``with events: ...``.
+    """The events of a search, for a consumer that may fail: ``with events:`` around its loop, until they are over.
 
-    What is raised in the context is raised in the search, which ends by it and still reports what it has.
+    What is raised in the context is raised in the search, which ends by it and still reports what it has. The loop is
+    in the context, because an interrupt may also come between two events.
 
     Attributes:
         result: the result of the search, after its last event.
@@ -110,6 +112,11 @@ class Events:
     def __init__(self, happens: Generator[SearchEvent, None, SearchResult]) -> None:
         self._happens = happens
         self._error: BaseException | None = None
+
+    @property
+    def is_over(self) -> bool:
+        """True if the search has ended, by itself or by an error."""
+        return getgeneratorstate(self._happens) == GEN_CLOSED
 
     def __iter__(self) -> Self:
         return self
@@ -129,8 +136,8 @@ class Events:
         pass
 
     def __exit__(self, kind: object, error: BaseException | None, place: object) -> bool:
-        self._error = error
-        return True
+        self._error = None if self.is_over else error
+        return not self.is_over
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

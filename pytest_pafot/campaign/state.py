@@ -132,6 +132,8 @@ class State:
     earlier: tuple[EarlierFind, ...] = ()  # the findings of earlier sessions in the order of discovery
     known: Counter[str] = field(default_factory=Counter)  # number of failing runs by the file that covers them
     verdicts: Counter[str] = field(default_factory=Counter)  # number of verdicts by kind
+    outcomes: Counter[str] = field(default_factory=Counter)  # number of runs by outcome
+    responsibilities: Counter[str] = field(default_factory=Counter)  # and by who was responsible
     caught: Counter[str] = field(default_factory=Counter)  # number of passed runs by a check that failed in them
     doubt: str = ""  # a doubt about the units of the ADS's actions, if any
     avoidable: str = ""  # what happened in the first run that is excused though braking late avoids the collision
@@ -167,8 +169,6 @@ class State:
     first: FirstGeneration = field(init=False, default_factory=FirstGeneration)
     # number of runs that failed in lock step, by whether they failed alone, too
     repeated: Counter[bool] = field(init=False, default_factory=Counter)
-    outcomes: Counter[str] = field(init=False, default_factory=Counter)  # number of runs of this session by outcome
-    responsibilities: Counter[str] = field(init=False, default_factory=Counter)  # and by who was responsible
     # a scenario in which an ADS decided otherwise than it must, and the mark by which it must not
     impure: tuple[str, str] | None = field(init=False, default=None)
     # the numbers of runs and generations of earlier sessions; None if there is none

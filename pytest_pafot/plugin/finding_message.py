@@ -16,7 +16,6 @@ from pytest_pafot.findings.sighting import NEW, Sighting
 from pytest_pafot.oracle.checks import Check
 from pytest_pafot.plugin import messages
 from pytest_pafot.plugin.tracing import traced
-from pytest_pafot.searching.plain import plain
 from pytest_pafot.support.errors import rerun
 
 
@@ -75,6 +74,6 @@ def send_sighting(
                 path=sighting.path,
                 command=rerun(["pytest", shown], os.environ, *options, saved=saved),
             )
-            data["view"] = plain(with_neighbours(view, sighting))
+            data["view"] = messages.packed(with_neighbours(view, sighting))
     messages.send(item, "finding", data)
     return sighting

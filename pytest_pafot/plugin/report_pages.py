@@ -14,7 +14,7 @@ import pytest
 
 from pytest_pafot.campaign.options import BY_NAME, is_page_file
 from pytest_pafot.plugin.marks import SEARCH_MARK
-from pytest_pafot.plugin.messages import Message, received
+from pytest_pafot.plugin.messages import Message, received, unpacked
 from pytest_pafot.plugin.record import Record
 from pytest_pafot.plugin.session import SUMMARY_LINES, exit_code, not_written
 from pytest_pafot.support.errors import flag, rerun
@@ -72,10 +72,9 @@ class Pages:
         """Store what a finding or a search sends for the page."""
         from pytest_pafot.report.page import Draft  # noqa: PLC0415
         from pytest_pafot.report.page_data import FindingView  # noqa: PLC0415
-        from pytest_pafot.searching.plain import from_plain  # noqa: PLC0415
 
         data = message.data
-        finding = from_plain(FindingView, data["view"]) if "view" in data else None
+        finding = unpacked(FindingView, data["view"]) if "view" in data else None
         if finding is not None:
             self._shown |= {finding.node_id, node_id}  # the search that found it fails because of it, too
             if self._config.getoption("htmlpath", None):  # pytest-html writes a report

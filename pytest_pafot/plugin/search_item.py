@@ -301,9 +301,10 @@ def run_search(item: pytest.Function, request: Request) -> None:
             process_notes=[] if chosen is harness else [AFTER_A_DEATH],
         )
         events = Events(session.run())
-        for event in events:
+        while not events.is_over:
             with events:
-                messages_of_search.take(event)
+                for event in events:
+                    messages_of_search.take(event)
     result = events.result
     # The item fails for a fault of the set-up, for new findings, for failures without an item, and for an empty search.
     summary = result.summary

@@ -20,7 +20,7 @@ from example_ads import constant_speed
 from pytest_pafot.campaign import explore
 from pytest_pafot.campaign.events import Judged, SearchStarted, SearchSummary
 from pytest_pafot.campaign.refine import simplest
-from pytest_pafot.campaign.search_session import SearchSession, prepared
+from pytest_pafot.campaign.search_session import Events, SearchSession, prepared
 from pytest_pafot.campaign.watch import TimeLimit
 from pytest_pafot.corpus.reader import load
 from pytest_pafot.corpus.writer import CorpusWriteError, write
@@ -148,6 +148,21 @@ def test_a_search_whose_listener_raises_reports_what_it_has():
     kinds = [type(event) for event in heard]
     assert kinds.count(Evaluated) == 1
     assert (kinds[-1], heard[-1].reason, heard[-1].runs) == (SearchSummary, "error", 1)
+
+
+def test_an_interrupt_between_two_events_does_not_cost_the_summary(monkeypatch):
+    heard, following = [], Events.__next__
+
+    def next_or_interrupt(events):
+        if sum(isinstance(event, Evaluated) for event in heard) == 1:
+            monkeypatch.undo()
+            raise KeyboardInterrupt
+        return following(events)
+
+    monkeypatch.setattr(Events, "__next__", next_or_interrupt)
+    with pytest.raises(KeyboardInterrupt):
+        pafot.explore(constant_speed.make, holds=never_collides, seed=5, on_event=heard.append, **SHORT)
+    assert (type(heard[-1]), heard[-1].reason, heard[-1].runs) == (SearchSummary, "interrupted", 1)
 
 
 def test_a_search_that_is_closed_keeps_the_findings_it_has(tmp_path):

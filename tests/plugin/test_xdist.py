@@ -59,6 +59,14 @@ def test_workers_replay_and_label(project):
     result.stdout.fnmatch_lines(["replayed 1 saved scenario: 1 still failing"])
 
 
+def test_a_worker_can_send_what_no_text_encoding_has(project):
+    project.write("@pafot.search(SHORT)\ndef test_it(run):\n    assert run.duration < 1, '\\ud800'\n")
+    for label, passed in (("new", 0), ("still failing", 1)):
+        result = project.run("-n1", "--pafot-report=report.html", generations=1)
+        result.assert_outcomes(failed=2 - passed, passed=passed)
+        assert [finding.label for finding in read_page(project.path / "report.html")[1]] == [label]
+
+
 def test_workers_use_one_fresh_base_seed(project):
     project.write(TWO.replace('run.scenario.id == ""', "run"))
     output = project.run("-n2", seed=None).stdout.str()
