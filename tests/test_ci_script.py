@@ -161,7 +161,7 @@ def test_night_resumes_in_fresh_clone_from_cached_states(repository, tmp_path):
     for folder in (repository, tmp_path / "next"):
         code, printed = run_action(inputs, folder)
         assert code == 1, printed
-        found.append([finding.file for finding in record_of(folder).findings if finding.is_new])
+        found.append([finding.file for finding in record_of(folder).findings if finding.status == "new"])
         if folder is repository:
             shutil.copytree(repository / "pafot_state", tmp_path / "next" / "pafot_state")
     assert "resumed after 4 runs of earlier sessions" in printed
