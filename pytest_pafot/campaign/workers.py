@@ -359,7 +359,6 @@ class Workers:
         world = self.harness.world
         if not world.replays_in_gym:
             return None
-        self.record.write(scenario)
         policy = self.harness.policy
         with self._recorded(), refusals():
             if policy.elsewhere is not None:
@@ -367,6 +366,7 @@ class Workers:
             elif self.harness.request.settings.isolate:
                 trace = replay_in_gym_apart(self.harness.job(), self.record, scenario)
             else:
+                self.record.write(scenario)
                 trace = GENERATORS.run(world.rollout_in_gym, scenario, self.harness.drawing(policy).factory)
         self.runner.asked += len(trace.actions)
         self.record.clear()
