@@ -7,7 +7,9 @@ import time
 import pytest
 
 import pytest_pafot.execution.scenario_pool
+from pytest_pafot.campaign import workers
 from pytest_pafot.corpus.reader import load
+from pytest_pafot.execution.crash_records import CrashRecord
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.world import Highway
@@ -109,6 +111,22 @@ def killed_once():
     assert left_in_the_end(project, 2), "of the session before and of the process that ran its scenario again"
     replayed(project).stdout.fnmatch_lines([INNOCENT])
     assert (project.files, records(project)) == ([], [])
+
+
+@forks
+@pytest.mark.usefixtures("in_highway_env")
+def test_no_record_of_the_session_stands_while_another_process_drives_in_highway_env(
+    project, monkeypatch, in_highway_env
+):
+    standing, seen = [], []
+    monkeypatch.setattr(CrashRecord, "write", lambda self, *scenarios, **_: standing.append(self))
+    monkeypatch.setattr(CrashRecord, "clear", lambda _: standing.clear())
+    in_gym = workers.replay_in_gym_apart
+    monkeypatch.setattr(workers, "replay_in_gym_apart", lambda *given: seen.append(len(standing)) or in_gym(*given))
+    write(project, "None", TEST.replace("pass", "assert not run.collision"))
+    project.run("--pafot-isolate", generations=3)
+    assert seen
+    assert not any(seen)
 
 
 @forks
