@@ -714,9 +714,8 @@ class SearchSession:
         """A note on what reference drivers can do and the ADS cannot; empty if its actions can stop the ego."""
         speed, sightings = self.harness.world.least_action_speed, self.store.findings.values()
         expected = [each.finding.expect for each in sightings]
-        runs = [
-            each.run.ego.speed for each in sightings if each.run is not None
-        ]  # which may begin slower, and speed up
+        # They may begin slower, and speed up.
+        runs = [each.run.ego.speed for each in sightings if each.run is not None]
         was_slower = any(((each[1:] < each[:-1]) & (each[1:] < speed - SLOWER)).any() for each in runs)
         is_avoided = any(each.avoided_by or "avoids" in (each.reference_drivers or {}).values() for each in expected)
         if speed <= 0 or was_slower or not is_avoided or self.harness.policy.drives_itself:

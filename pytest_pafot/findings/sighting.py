@@ -127,7 +127,7 @@ class Sighting:
 
     @property
     def responsible(self) -> str:
-        """Who is responsible for the collision, as in its file."""
+        """The side that is responsible for the collision, as in its file."""
         return self.finding.expect.responsibility
 
     @property

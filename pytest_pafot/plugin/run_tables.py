@@ -59,7 +59,7 @@ class TableMessages:
 
 
 class Tables:
-    """What writes the table of runs, only on the controller."""
+    """The writer of the table of runs, only on the controller."""
 
     def __init__(self, config: pytest.Config) -> None:
         from pytest_pafot.support.files import is_stream  # noqa: PLC0415

@@ -353,7 +353,7 @@ def shown(exception: BaseException) -> BaseException:
 
 @dataclass(frozen=True, slots=True)
 class SearchMessages:
-    """What takes the events of a search and sends them as messages; also to the table, if requested."""
+    """The sender of the events of a search as messages; also to the table, if requested."""
 
     item: pytest.Function
     settings: Settings

@@ -50,7 +50,7 @@ def is_asked_for(config: pytest.Config, environ: Mapping[str, str]) -> bool:
 
 
 class Records:
-    """What writes the record of the session as JSON, for hooks of other plugins, and as the summary of a CI job."""
+    """The writer of the record of the session as JSON, for hooks of other plugins, and as the summary of a CI job."""
 
     def __init__(self, config: pytest.Config, record: Record, clock: Callable[[], float] = time.monotonic) -> None:
         self._config = config

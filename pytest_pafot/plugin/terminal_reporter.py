@@ -91,7 +91,7 @@ class LiveTerminal:
 
 
 class Reporter:
-    """What writes on the terminal, only on the controller."""
+    """The writer on the terminal, only on the controller."""
 
     def __init__(self, config: pytest.Config, record: Record) -> None:
         self._config = config

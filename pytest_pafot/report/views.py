@@ -492,10 +492,8 @@ def _instructions(trace: Trace | None, scenario: Scenario) -> tuple[InstructionV
                 words += "" if followed == requested else f" (requested {requested.goal})"
                 view = replace(view, lane=followed.lane, words=words)
             if isinstance(followed, CrossingInstruction):
-                slot, words = (
-                    f"{followed.slot:+g} s" if followed.slot else "together",
-                    crossing_text(followed, zones[npc]),
-                )
+                slot = f"{followed.slot:+g} s" if followed.slot else "together"
+                words = crossing_text(followed, zones[npc])
                 end = view.end if trace is None else max(view.end, trace.duration)  # it lasts for the whole run
                 view = replace(view, zone=followed.zone, slot=slot, words=words, end=round(end, 3))
             views.append(view)

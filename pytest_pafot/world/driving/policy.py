@@ -45,7 +45,7 @@ class DrivesElsewhere(ABC):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Ads:
-    """What a policy has made for one run, or for all that run in lock step.
+    """The ADS that a policy has made for one run, or for all that run in lock step.
 
     Attributes:
         given: the ADS itself; it is closed after the run.
