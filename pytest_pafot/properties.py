@@ -41,7 +41,7 @@ from pytest_pafot.criticality import (
     time_advantage,
 )
 from pytest_pafot.criticality.signals import Signal
-from pytest_pafot.model.trace import LANE, OFFSET, FloatArray, X, Y
+from pytest_pafot.model.trace import LANE, FloatArray
 from pytest_pafot.oracle.checks import check, require
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.support.errors import checked_number
@@ -155,17 +155,8 @@ def stays_on_road(run: Run) -> None:
     It fails for the runs with ``run.off_road``. On roads that bend, half the width of its lane stands for this
     distance while the ego is on the road. No source.
     """
-    trace, lane = run.trace, run.trace.ego[:, LANE].astype(np.intp)
-    half = np.array([each.width for each in trace.lanes])[np.maximum(lane, 0)] / 2
-    if trace.track is not None:
-        to_edge = np.where(lane < 0, np.minimum(half - np.abs(trace.track_of(0)[:, OFFSET]), -1e-6), half)
-    else:
-        cos, sin = math.cos(trace.lanes[0].heading), math.sin(trace.lanes[0].heading)
-        across = trace.ego[:, Y] * cos - trace.ego[:, X] * sin
-        edges = [(each.y * cos - each.x * sin, each.width / 2) for each in trace.lanes]
-        left, right = min(centre - width for centre, width in edges), max(centre + width for centre, width in edges)
-        to_edge = np.minimum(across - left, right - across)
-    check(Signal(to_edge, hz=trace.physics_hz, unit="m"), name="road edge", at_least=0.0)
+    trace = run.trace
+    check(Signal(trace.road.to_edge(), hz=trace.physics_hz, unit="m"), name="road edge", at_least=0.0)
 
 
 def keeps_up(

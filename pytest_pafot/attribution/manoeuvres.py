@@ -58,16 +58,7 @@ class LanePlaces:
 
     @cached_property
     def _offsets(self) -> FloatArray:
-        if self.trace.track is not None:
-            return self.trace.track[:, :, OFFSET].T
-        centres = np.array([lane.y * self._cos - lane.x * self._sin for lane in self.trace.lanes])
-        offset, off = self._across - centres[self._lanes], self._lanes < 0
-        if off.any():  # off the road: as if there were one more lane on either side
-            width = self.trace.lanes[0].width
-            beside = np.concatenate((centres, [centres.min() - width, centres.max() + width]))
-            apart = self._across[off, None] - beside
-            offset[off] = apart[np.arange(len(apart)), np.abs(apart).argmin(axis=1)]
-        return np.asarray(offset)
+        return np.ascontiguousarray(self._track[:, :, OFFSET].T)
 
     def over_line(self, vehicle: int, side: float, tick: int) -> bool:
         """Return whether a vehicle's box reaches over the line of its lane on one side (1: right, -1: left)."""
@@ -107,7 +98,7 @@ class LanePlaces:
         over = self._over[side][vehicle, part]
         if over.any():
             moment = began + _run_start(over, int(np.flatnonzero(over)[-1]))
-        elif self.trace.track is not None:  # in a bend a lane itself may lead into the other's
+        elif not self.trace.road.is_straight:  # in a bend a lane itself may lead into the other's
             line = side * (self._across - self._offsets)[other, onset] - self._half_widths[other, onset]
             beyond = side * self._across[vehicle, part] + self.frame.half_across[vehicle, part] > line
             if not beyond.any():
@@ -177,10 +168,11 @@ class LanePlaces:
 
     @cached_property
     def _across(self) -> FloatArray:
-        if self.trace.track is not None:
-            return self.trace.track[:, :, ACROSS].T
-        x, y = (np.ascontiguousarray(self.trace.states[:, :, column].T) for column in (X, Y))
-        return np.asarray(y * self._cos - x * self._sin)
+        return np.ascontiguousarray(self._track[:, :, ACROSS].T)
+
+    @cached_property
+    def _track(self) -> FloatArray:
+        return self.trace.road.track
 
     @cached_property
     def _lanes(self) -> npt.NDArray[np.intp]:
@@ -191,14 +183,6 @@ class LanePlaces:
         """Half the width of each vehicle's lane, or of the first lane if the vehicle is off the road [m]."""
         widths = np.array([lane.width for lane in self.trace.lanes])
         return np.asarray(widths[np.maximum(self._lanes, 0)] / 2)
-
-    @property
-    def _cos(self) -> float:
-        return float(np.cos(self.trace.lanes[0].heading))
-
-    @property
-    def _sin(self) -> float:
-        return float(np.sin(self.trace.lanes[0].heading))
 
 
 def _run_start(holds: npt.NDArray[np.bool_], tick: int) -> int:

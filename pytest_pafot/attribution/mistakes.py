@@ -6,7 +6,6 @@ different mistakes by the place of the other vehicle at the time when the ego ha
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import replace
 from types import MappingProxyType
@@ -14,7 +13,7 @@ from typing import Literal
 
 from pytest_pafot.attribution.responsibility import Attribution, Fault, Mistake, frame_of, rss_rule
 from pytest_pafot.model.crossings import Origin
-from pytest_pafot.model.trace import ACROSS, LANE, Trace, X, Y
+from pytest_pafot.model.trace import Trace
 
 # The manoeuvre of a vehicle shortly before an event, in a few words that distinguish kinds of failures.
 
@@ -32,13 +31,7 @@ width of a lane."""
 def manoeuvre_before(trace: Trace, vehicle: int, tick: int) -> Manoeuvre:
     """Return whether a vehicle (0: the ego, ``i + 1``: NPC ``i``) changed lanes at a tick or shortly before."""
     first = max(0, tick - round(WINDOW_SECONDS * trace.physics_hz))
-    if trace.track is not None:
-        across = trace.track[first : tick + 1, vehicle, ACROSS]
-    else:
-        states = trace.states[first : tick + 1, vehicle]
-        heading = trace.lanes[max(int(states[-1, LANE]), 0)].heading
-        across = states[:, Y] * math.cos(heading) - states[:, X] * math.sin(heading)
-    return "lane-change" if float(abs(across - across[-1]).max()) > DISPLACEMENT else "lane-keeping"
+    return "lane-change" if trace.road.displacement(vehicle, first, tick) > DISPLACEMENT else "lane-keeping"
 
 
 LANE_CHANGES: tuple[Mistake, ...] = ("kept-no-distance", "moved-into-side", "moved-in-front")

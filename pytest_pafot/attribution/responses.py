@@ -16,7 +16,7 @@ from pytest_pafot.attribution.avoidance import HARDEST, Braking, Emergency
 from pytest_pafot.attribution.manoeuvres import STANDING_SPEED, stretches
 from pytest_pafot.attribution.sentences import BRAKES, Doing, Fact, Phase, What
 from pytest_pafot.criticality import RssRules
-from pytest_pafot.model.trace import LANE, SPEED, FloatArray, Trace
+from pytest_pafot.model.trace import SPEED, FloatArray, Trace
 
 DISTANCES = RssRules(ego_response=1.0, npc_response=1.0, acceleration=0.0, least_braking=6.0, hardest_braking=8.0)
 """The safe distances of attribution. The usual headway of two seconds to a leader of equal speed must never be a fault:
@@ -172,8 +172,8 @@ class Conduct:
         speeds = whole.states[: before + self.trace.ticks + 1, self.vehicle, SPEED]
         begin = max(before + self.danger - round(BEFORE * hz), 0)
         phases = phases_of(speeds, hz, begin)
-        lanes = whole.states[begin : len(speeds), self.vehicle, LANE]
-        changes = () if whole.track is not None else np.flatnonzero((np.diff(lanes) != 0) & (lanes[1:] >= 0))
+        lanes = whole.road.numbers(self.vehicle)[begin : len(speeds)]
+        changes = np.flatnonzero((np.diff(lanes) != 0) & (lanes[1:] >= 0))
         moves = tuple(((begin + int(tick) + 1) / hz, int(lanes[tick + 1])) for tick in changes[-MOVES:])
         has_braked = bool(brakings(speeds[begin:], hz))
         fact = Fact(What.DROVE, self.vehicle, (before + self.since) / hz, has_braked=has_braked)

@@ -1095,13 +1095,13 @@ class Conflict:
         If it paused over the line, the lane change is the motion after the pause.
         """
         vehicle, tick = change.vehicle, change.tick
-        before, side = int(self._trace.states[tick, vehicle, LANE]), 1 if self._frame.drift[vehicle, tick] > 0 else -1
+        before, side = int(self._trace.road.numbers(vehicle)[tick]), 1 if self._frame.drift[vehicle, tick] > 0 else -1
         earlier = range(max(tick - round(PAUSE * self._hz), 0), tick)
         lanes = self._trace.states[:, vehicle, LANE]
-        has_paused = any(lanes[at] == before and self._lanes.over_line(vehicle, side, at) for at in earlier)
+        has_paused = any(lanes[at] == lanes[tick] and self._lanes.over_line(vehicle, side, at) for at in earlier)
         crossed = self._placed(What.MOVED_FURTHER if has_paused else What.CROSSED_LINE, vehicle, tick)
         lane = before + side
-        is_numbered = self._trace.track is None and before >= 0 and 0 <= lane < len(self._trace.lanes)
+        is_numbered = before >= 0 and 0 <= lane < len(self._trace.lanes)
         return crossed._replace(lane=lane if is_numbered else None)
 
     def _placed(self, what: What, vehicle: int, tick: int) -> Fact:

@@ -15,7 +15,7 @@ import numpy as np
 
 from pytest_pafot.criticality.zones import passages, times_expected
 from pytest_pafot.model.scenario import CrossingInstruction, Manoeuvre, Step
-from pytest_pafot.model.trace import ACCELERATION, LANE, SPEED, FloatArray, Trace, X, Y
+from pytest_pafot.model.trace import ACCELERATION, SPEED, FloatArray, Trace, Y
 
 GAP, HEADWAY, SPEED_OFF, EGO_SPEED_OFF, SLOT = 1.0, 0.1, 1.0, 1.0, 0.3
 """The tolerances of a gap [m], a headway [s], an NPC's speed and the ego's speed [m/s], and a slot [s]."""
@@ -79,10 +79,7 @@ class Asked:
 
 def gap_at(trace: Trace, npc: int, tick: int) -> float:
     """Return the gap between the ego and an NPC along the road [m]; negative if the NPC is behind the ego."""
-    if trace.track is None:
-        distance = float(trace.states[tick, npc + 1, X] - trace.states[tick, 0, X])
-    else:
-        distance = float((trace.track[tick, npc + 1, 0] - trace.track[tick, 0, 0]) * trace.track[tick, 0, 4])
+    distance = trace.road.distance(npc, tick)
     room = abs(distance) - float(trace.sizes[0, 0] + trace.sizes[npc + 1, 0]) / 2
     return math.copysign(max(room, 0.0), distance)
 
@@ -186,10 +183,10 @@ def _of_npc(trace: Trace, npc: int, manoeuvre: Manoeuvre, *, has_time: bool) -> 
 
 def _without_lane(trace: Trace, npc: int, steps: Sequence[Step]) -> int | None:
     """Return the first step to a lane that a straight road does not have; None if there is none."""
-    lane = int(trace.states[0, npc + 1, LANE])
+    first = lane = int(trace.road.numbers(npc + 1)[0])
     for number, step in enumerate(steps):
         lane += step.column
-        if trace.track is None and not 0 <= lane < len(trace.lanes):
+        if first >= 0 and not 0 <= lane < len(trace.lanes):
             return number
     return None
 
@@ -215,7 +212,7 @@ def _dynamics(
 
     rows = trace.states[begin : end + 1, npc + 1]
     change = 0.0 if step.speed is None else step.speed - float(rows[0, SPEED])
-    if step.lane != "keep" and trace.track is None and not _move_aside(step, others):
+    if step.lane != "keep" and trace.road.is_straight and not _move_aside(step, others):
         values = np.abs(np.diff(rows[:, Y])) * trace.physics_hz
         fastest, tolerance = float(np.max(values, initial=0.0)), LATERAL + LATERAL_SHARE * step.lateral_speed
         yield (

@@ -88,7 +88,7 @@ class Encounters(RelativePositions):
         """Return the follower's value minus the leader's, for values of all vehicles; NaN off the ego's way."""
         ego_minus_npc = values[:1] - values[1:]
         gain: FloatArray = np.where(self.ego_follows, ego_minus_npc, -ego_minus_npc)
-        return gain if self._track is None else np.where(self.is_on_way, gain, np.nan)
+        return np.where(self.is_on_way, gain, np.nan)
 
 
 @lru_cache(maxsize=1)
@@ -213,8 +213,8 @@ def _swept(trace: Trace) -> tuple[float, float, float] | None:
     None without such a pass, on roads of several directions, and if the results of the pass are not valid. The last
     result is cached, because the default fitness needs all three.
     """
-    heading = trace.lanes[0].heading
-    if not _SWEEPS or trace.track is not None or any(lane.heading != heading for lane in trace.lanes):
+    heading = trace.road.heading
+    if not _SWEEPS or heading is None:
         return None
     return sweep.extremes(trace.states, trace.sizes, (math.cos(heading), math.sin(heading)), MANOEUVRE_SECONDS)
 

@@ -15,7 +15,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from pytest_pafot.criticality.measures import Encounters
-from pytest_pafot.model.trace import ANGLE, FloatArray, Trace
+from pytest_pafot.model.trace import FloatArray, Trace
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -100,19 +100,7 @@ class RoadFrame:
         encounters = Encounters(trace)
         boxes = encounters.boxes
         self.is_on_way, self.ahead, self.right = encounters.is_on_way, encounters.ahead, encounters.right
-        if trace.track is None:
-            road_cos, road_sin = encounters.road
-            self.cos, self.sin = (
-                boxes.cos * road_cos + boxes.sin * road_sin,
-                boxes.sin * road_cos - boxes.cos * road_sin,
-            )
-        else:
-            angle = trace.track[:, :, ANGLE].T
-            self.cos, self.sin = np.cos(angle), np.sin(angle)
-            road_cos, road_sin = (
-                boxes.cos * self.cos + boxes.sin * self.sin,
-                boxes.sin * self.cos - boxes.cos * self.sin,
-            )
+        self.cos, self.sin, road_cos, road_sin = trace.road.turned(boxes.cos, boxes.sin)
         speed = encounters.speed
         self.speed, self.drift = speed * self.cos, speed * self.sin
         before = slice(-1) if road_cos.shape[1] > 1 else slice(None)

@@ -58,7 +58,7 @@ def passages(trace: Trace) -> tuple[Passage | None, ...]:
 
     None, too, if a user's world records zones but not the vehicles' positions on their ways.
     """
-    zones = trace.zones if trace.on_way is not None and trace.track is not None else ()
+    zones = trace.zones if _has_places(trace) else ()
     return tuple(_passage(trace, npc, zone) for npc, zone in enumerate(zones or (None,) * len(trace.npcs[0])))
 
 
@@ -72,7 +72,7 @@ def time_advantage(trace: Trace) -> FloatArray:
     for npc, zone in enumerate(trace.zones):
         if zone is None:
             continue
-        if trace.on_way is None or trace.track is None:
+        if not _has_places(trace):
             advantage[:, npc] = np.nan
             continue
         ego, other = (
@@ -109,6 +109,11 @@ def still_to_pass(trace: Trace) -> npt.NDArray[np.bool_]:
     ticks = np.arange(trace.ticks + 1)[:, None]
     left = [0.0 if each is None else min(each.ego_leaves, each.npc_leaves) for each in passages(trace)]
     return np.asarray(ticks < np.multiply(left, trace.physics_hz) - ROUNDING)
+
+
+def _has_places(trace: Trace) -> bool:
+    """Return whether a run has the places of all vehicles on the ways for which its zones are."""
+    return trace.on_way is not None and not trace.road.is_straight
 
 
 def _passage(trace: Trace, npc: int, zone: Zone | None) -> Passage | None:

@@ -192,7 +192,7 @@ def _begun(trace: Trace, tick: int, number: int) -> int:
     turned back.
     """
     ticks = trace.decision_ticks
-    if trace.track is not None:
+    if not trace.road.is_straight:
         return number
     drifts = frame_of(trace).drift[0]
     side = 1.0 if drifts[tick] > 0 else -1.0
@@ -219,7 +219,7 @@ def _begun(trace: Trace, tick: int, number: int) -> int:
 def seen_of(trace: Trace, npc: int, number: int) -> str:
     """Return where a vehicle was at a decision, relative to the ego."""
     ego, other = trace.states[trace.decision_ticks[number], [0, npc + 1]]
-    turn = trace.lanes[0].heading if trace.track is None else ego[HEADING]  # on a straight road as in a verdict
+    turn = trace.road.direction_of_places(trace.decision_ticks[number])
     (dx, dy), cos, sin = other[[X, Y]] - ego[[X, Y]], np.cos(turn), np.sin(turn)
     boxes = [(each[HEADING] - turn, *trace.sizes[index]) for each, index in ((ego, 0), (other, npc + 1))]
     return placed(dx * cos + dy * sin, dy * cos - dx * sin, other[SPEED] - ego[SPEED], *boxes)

@@ -1,10 +1,13 @@
-"""The record of one run: every vehicle at every physics tick, and how the run ended."""
+"""The record of one run: every vehicle at every physics tick, how the run ended, and where vehicles are on its road."""
 
 from __future__ import annotations
 
+import math
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
+from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
@@ -127,6 +130,335 @@ class AdsError:
         return self.message if self.message.startswith(self.kind) else f"{self.kind}: {self.message}"
 
 
+class RoadOfRun(ABC):
+    """The road of a run, and where the vehicles are on it. Whoever reads a trace asks it, whatever the kind of road.
+
+    Distances are in metres, across the road to the right, and angles are in rad. Unless a line says otherwise, arrays
+    have the shape [vehicles, ticks + 1] or [NPCs, ticks + 1]: with the long dimension innermost, numpy is about three
+    times as fast. Each kind of road has formulas of its own. Replays compare their results with saved files, so even
+    the order of their operations must stay.
+
+    Attributes:
+        is_straight: True if y of ``states`` is across the road, and each lane has the same place along all of it.
+    """
+
+    is_straight: bool
+
+    def __init__(self, states: FloatArray, lanes: Sequence[Lane]) -> None:
+        self._states = states
+        self._lanes = lanes
+
+    def column(self, index: int) -> FloatArray:
+        """Return one column of the trace's states, shape [vehicles, ticks + 1]."""
+        return np.ascontiguousarray(self._states[:, :, index].T)
+
+    @cached_property
+    def x(self) -> FloatArray:
+        """The x coordinates of all vehicles."""
+        return self.column(X)
+
+    @cached_property
+    def y(self) -> FloatArray:
+        """The y coordinates of all vehicles."""
+        return self.column(Y)
+
+    @cached_property
+    def direction(self) -> tuple[FloatArray, FloatArray]:
+        """Cosine and sine of the heading of the ego's lane, each of shape [1, ticks + 1].
+
+        If all lanes have the same heading, as on a straight road, the shape is [1, 1]. While the ego is off the road,
+        the heading of the last lane in the list is used.
+        """
+        headings = [lane.heading for lane in self._lanes]
+        if headings.count(headings[0]) == len(headings):
+            heading = np.array([headings[:1]])
+        else:
+            heading = np.array(headings)[self.column(LANE)[:1].astype(np.intp)]
+        return np.cos(heading), np.sin(heading)
+
+    @property
+    @abstractmethod
+    def track(self) -> FloatArray:
+        """The places of all vehicles along the road and across it, with the columns of ``Trace.track``."""
+
+    @property
+    @abstractmethod
+    def heading(self) -> float | None:
+        """The heading that all lanes have everywhere; None if there are several."""
+
+    @property
+    @abstractmethod
+    def angles(self) -> FloatArray:
+        """The headings relative to the road, shape [ticks + 1, vehicles]."""
+
+    @property
+    @abstractmethod
+    def is_on_way(self) -> npt.NDArray[np.bool_]:
+        """True while an NPC is on the ego's way. An NPC that crosses is on that way only after it has merged."""
+
+    @property
+    @abstractmethod
+    def offsets(self) -> tuple[FloatArray, FloatArray]:
+        """How far each NPC's centre is ahead of the ego's and to the right of it; NaN off the ego's way."""
+
+    @abstractmethod
+    def offset(self, npc: int, tick: int) -> tuple[float, float]:
+        """Return the offsets of one NPC at one tick."""
+
+    @abstractmethod
+    def distance(self, npc: int, tick: int) -> float:
+        """Return how far an NPC is ahead of the ego at a tick, as manoeuvres ask for it."""
+
+    @abstractmethod
+    def turned(self, cos: FloatArray, sin: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Return cosine and sine of each vehicle's angle to the road, from those of its heading, and the road's own."""
+
+    @abstractmethod
+    def displacement(self, vehicle: int, first: int, last: int) -> float:
+        """Return how far to the side a vehicle was, between two ticks, of where it is at the last one."""
+
+    @abstractmethod
+    def to_edge(self) -> FloatArray:
+        """Return the distance of the ego's centre to the nearer road edge, shape [ticks + 1]; negative off the road."""
+
+    @abstractmethod
+    def numbers(self, vehicle: int) -> FloatArray:
+        """Return the lane of a vehicle at each tick, counted from the left; -1 where such a number does not exist."""
+
+    @abstractmethod
+    def counted(self, tick: int, vehicle: int) -> float:
+        """Return the lane of a vehicle at a tick, counted to the right from some lane of the road; NaN if unknown."""
+
+    @abstractmethod
+    def direction_of_places(self, tick: int) -> float:
+        """Return the heading relative to which places around the ego are described."""
+
+    @abstractmethod
+    def drawn(self, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Convert world coordinates to those of a picture of the run."""
+
+    @property
+    @abstractmethod
+    def drawn_headings(self) -> FloatArray:
+        """The headings in a picture of the run, shape [ticks + 1, vehicles]."""
+
+
+class StraightRoadOfRun(RoadOfRun):
+    """The road of a run without a recorded track: straight lanes side by side.
+
+    Its track begins at the origin of the world's coordinates.
+    """
+
+    is_straight = True
+
+    @property
+    def track(self) -> FloatArray:
+        """The places of all vehicles along the lanes and across them, as ``Trace.track`` would have them."""
+        cos, sin = self._cos_sin
+        along = self.x * cos + self.y * sin
+        return np.stack((along.T, self._across.T, self.angles, self._beside.T, np.ones(along.T.shape)), axis=-1)
+
+    @property
+    def heading(self) -> float | None:
+        """The heading that all lanes have; None in the unlikely case that they have several."""
+        heading = self._lanes[0].heading
+        return None if any(lane.heading != heading for lane in self._lanes) else heading
+
+    @property
+    def angles(self) -> FloatArray:
+        """The headings relative to the first lane."""
+        return self._states[..., HEADING] - self._lanes[0].heading
+
+    @cached_property
+    def is_on_way(self) -> npt.NDArray[np.bool_]:
+        """True everywhere, because NPCs have no other way."""
+        return np.ones((self._states.shape[1] - 1, len(self._states)), dtype=np.bool_)
+
+    @cached_property
+    def offsets(self) -> tuple[FloatArray, FloatArray]:
+        """The distances along and across the ego's lane."""
+        (cos, sin), x, y = self.direction, self.x[1:] - self.x[:1], self.y[1:] - self.y[:1]
+        return x * cos + y * sin, y * cos - x * sin
+
+    def offset(self, npc: int, tick: int) -> tuple[float, float]:
+        """Return the distances along and across the ego's lane."""
+        ego, other = self._states[tick, 0].tolist(), self._states[tick, npc + 1].tolist()
+        heading = self._lanes[int(ego[LANE])].heading
+        x, y, cos, sin = other[X] - ego[X], other[Y] - ego[Y], math.cos(heading), math.sin(heading)
+        return x * cos + y * sin, y * cos - x * sin
+
+    def distance(self, npc: int, tick: int) -> float:
+        """Return the difference in x."""
+        return float(self._states[tick, npc + 1, X] - self._states[tick, 0, X])
+
+    def turned(self, cos: FloatArray, sin: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Return the angles to the ego's lane."""
+        road_cos, road_sin = self.direction
+        return cos * road_cos + sin * road_sin, sin * road_cos - cos * road_sin, road_cos, road_sin
+
+    def displacement(self, vehicle: int, first: int, last: int) -> float:
+        """Return the distance across the lane in which the vehicle is at the last tick, or the first lane."""
+        states = self._states[first : last + 1, vehicle]
+        heading = self._lanes[max(int(states[-1, LANE]), 0)].heading
+        across = states[:, Y] * math.cos(heading) - states[:, X] * math.sin(heading)
+        return float(abs(across - across[-1]).max())
+
+    def to_edge(self) -> FloatArray:
+        """Return the distance to the nearer edge of the lanes together."""
+        cos, sin = math.cos(self._lanes[0].heading), math.sin(self._lanes[0].heading)
+        across = self._states[:, 0, Y] * cos - self._states[:, 0, X] * sin
+        edges = [(each.y * cos - each.x * sin, each.width / 2) for each in self._lanes]
+        left, right = min(centre - width for centre, width in edges), max(centre + width for centre, width in edges)
+        return np.minimum(across - left, right - across)
+
+    def numbers(self, vehicle: int) -> FloatArray:
+        """Return the lane at each tick, -1 off the road."""
+        return self._states[:, vehicle, LANE]
+
+    def counted(self, tick: int, vehicle: int) -> float:
+        """Return the lane, counted from the leftmost."""
+        lane = float(self._states[tick, vehicle, LANE])
+        return lane if lane >= 0 else math.nan
+
+    def direction_of_places(self, tick: int) -> float:
+        """Return the heading of the first lane, as a verdict has it."""
+        return self._lanes[0].heading
+
+    def drawn(self, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Convert world coordinates to distances along the first lane, and across that lane."""
+        lane, (cos, sin) = self._lanes[0], self._cos_sin
+        dx, dy = x - lane.x, y - lane.y
+        return dx * cos + dy * sin, dy * cos - dx * sin
+
+    @property
+    def drawn_headings(self) -> FloatArray:
+        """The headings relative to the first lane."""
+        return self.angles
+
+    @property
+    def _cos_sin(self) -> tuple[float, float]:
+        return float(np.cos(self._lanes[0].heading)), float(np.sin(self._lanes[0].heading))
+
+    @cached_property
+    def _across(self) -> FloatArray:
+        cos, sin = self._cos_sin
+        return np.asarray(self.y * cos - self.x * sin)
+
+    @property
+    def _beside(self) -> FloatArray:
+        """The offset of each vehicle from the centre of its lane, or of the nearest."""
+        (cos, sin), lanes = self._cos_sin, self.column(LANE).astype(np.intp)
+        centres = np.array([lane.y * cos - lane.x * sin for lane in self._lanes])
+        offset, off = self._across - centres[lanes], lanes < 0
+        if off.any():  # off the road: as if there were one more lane on either side
+            width = self._lanes[0].width
+            beside = np.concatenate((centres, [centres.min() - width, centres.max() + width]))
+            apart = self._across[off, None] - beside
+            offset[off] = apart[np.arange(len(apart)), np.abs(apart).argmin(axis=1)]
+        return np.asarray(offset)
+
+
+class BentRoadOfRun(RoadOfRun):
+    """The road of a run with a recorded track: the ego's way, from which places along and across it are measured."""
+
+    is_straight = False
+
+    def __init__(self, states: FloatArray, lanes: Sequence[Lane], track: FloatArray) -> None:
+        super().__init__(states, lanes)
+        self._track = track
+
+    @property
+    def track(self) -> FloatArray:
+        """The recorded track."""
+        return self._track
+
+    @property
+    def heading(self) -> None:
+        """None, because a way may bend."""
+
+    @property
+    def angles(self) -> FloatArray:
+        """The headings relative to the ego's way at the place of each vehicle."""
+        return self._track[..., ANGLE]
+
+    @cached_property
+    def is_on_way(self) -> npt.NDArray[np.bool_]:
+        """True while the track has a place for an NPC."""
+        # A user's world may record NaN for a vehicle, too. Its distances must then stay NaN, so it counts as on the
+        # way.
+        return ~np.isnan(self._track[:, 1:, ALONG].T) | np.isnan(self.x[1:])
+
+    @cached_property
+    def offsets(self) -> tuple[FloatArray, FloatArray]:
+        """The distances along and across the ego's way, each measured at the place of the vehicle."""
+        columns = self._track.transpose(2, 1, 0)
+        ego, npc = columns[:, :1], columns[:, 1:]
+        return driven_between(ego, npc), npc[ACROSS] - ego[ACROSS]
+
+    def offset(self, npc: int, tick: int) -> tuple[float, float]:
+        """Return the distances along and across the ego's way."""
+        ego, other = self._track[tick, 0].tolist(), self._track[tick, npc + 1].tolist()
+        return driven_between(ego, other), other[ACROSS] - ego[ACROSS]
+
+    def distance(self, npc: int, tick: int) -> float:
+        """Return the difference in places along the ego's way, in metres as the ego drives there."""
+        ego, other = self._track[tick, 0], self._track[tick, npc + 1]
+        return float((other[ALONG] - ego[ALONG]) * ego[STRETCH])
+
+    def turned(self, cos: FloatArray, sin: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Return the angles to the ego's way at the place of each vehicle."""
+        angle = self._track[:, :, ANGLE].T
+        own_cos, own_sin = np.cos(angle), np.sin(angle)
+        return own_cos, own_sin, cos * own_cos + sin * own_sin, sin * own_cos - cos * own_sin
+
+    def displacement(self, vehicle: int, first: int, last: int) -> float:
+        """Return the distance across the ego's way."""
+        across = self._track[first : last + 1, vehicle, ACROSS]
+        return float(abs(across - across[-1]).max())
+
+    def to_edge(self) -> FloatArray:
+        """Return half the width of the ego's lane on the road, which has no edge of its own."""
+        lane = self._states[:, 0, LANE].astype(np.intp)
+        half = np.array([each.width for each in self._lanes])[np.maximum(lane, 0)] / 2
+        return np.where(lane < 0, np.minimum(half - np.abs(self._track[:, 0, OFFSET]), -1e-6), half)
+
+    def numbers(self, vehicle: int) -> FloatArray:
+        """Return -1 everywhere, because lanes begin and end along the way."""
+        return np.full(len(self._states), -1.0)
+
+    def counted(self, tick: int, vehicle: int) -> float:
+        """Return the lane, counted from the ego's way."""
+        across, offset = self._track[tick, vehicle, [ACROSS, OFFSET]]
+        return float(np.round((across - offset) / self._lanes[0].width))
+
+    def direction_of_places(self, tick: int) -> float:
+        """Return the ego's own heading."""
+        return float(self._states[tick, 0, HEADING])
+
+    def drawn(self, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return world coordinates unchanged."""
+        return x, y
+
+    @property
+    def drawn_headings(self) -> FloatArray:
+        """The headings in the world's coordinates, without jumps of 2 pi."""
+        return np.unwrap(self._states[:, :, HEADING], axis=0)
+
+
+def driven_between(ego: Any, npc: Any) -> Any:
+    """Return the metres driven from the ego to an NPC, from rows of :attr:`Trace.track`.
+
+    This is the difference of the two places on the ego's way, times the mean of the metres that both drive per metre of
+    that way. In a circle it is the length of the arc halfway between the arcs of the two vehicles.
+    """
+    return (npc[ALONG] - ego[ALONG]) * (ego[STRETCH] + npc[STRETCH]) / 2
+
+
+def road_of_run(states: FloatArray, lanes: Sequence[Lane], track: FloatArray | None) -> RoadOfRun:
+    """Return the road of a run, from its states, its lanes and its track if it has recorded one."""
+    return StraightRoadOfRun(states, lanes) if track is None else BentRoadOfRun(states, lanes, track)
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Trace(Shown):
     """One run, tick by tick. Vehicle 0 is the ego, vehicle ``i + 1`` the NPC ``i`` of the scenario.
@@ -160,7 +492,7 @@ class Trace(Shown):
         track: None on straight roads; otherwise float64, read-only, shape [ticks + 1, vehicles, 5] with columns: along
             the ego's way [m], across it to the right [m], angle to it [rad], offset from the centre of the vehicle's
             lane [m], metres that the vehicle drives per metre of the way (more on the outside of a bend). NaN for an
-            NPC that crosses, while it is not on the ego's way.
+            NPC that crosses, while it is not on the ego's way. :meth:`track_of` has it on straight roads, too.
         zones: for each NPC the zone in which its way meets the ego's, None for an NPC that does not cross. Empty if no
             NPC crosses.
         on_way: position of each NPC that crosses, along its own way [m], or None if no NPC crosses; float64, read-only,
@@ -261,15 +593,14 @@ class Trace(Shown):
         """The NPCs' states, shape [ticks + 1, NPCs, 7]."""
         return self.states[:, 1:]
 
-    def track_of(self, vehicle: int) -> FloatArray:
-        """Return the track of a vehicle, shape [ticks + 1, 5].
+    @property
+    def road(self) -> RoadOfRun:
+        """The road, and where the vehicles are on it."""
+        return road_of_run(self.states, self.lanes, self.track)
 
-        Raises:
-            ValueError: if the road is straight, because no track is recorded then.
-        """
-        if self.track is None:
-            raise ValueError("track: expected a run on a road that is not straight, received one on a straight road")
-        return self.track[:, vehicle]
+    def track_of(self, vehicle: int) -> FloatArray:
+        """Return the track of a vehicle, shape [ticks + 1, 5]; on a straight road it is computed from ``states``."""
+        return self.road.track[:, vehicle]
 
     def way_of(self, npc: int) -> FloatArray:
         """Return the positions of an NPC along its own way, if the NPC crosses the ego's way [m], shape [ticks + 1].
@@ -284,7 +615,12 @@ class Trace(Shown):
     @property
     def angles(self) -> FloatArray:
         """The headings relative to the road [rad], shape [ticks + 1, vehicles]: to the ego's way if the road bends."""
-        return self.states[..., HEADING] - self.lanes[0].heading if self.track is None else self.track[..., ANGLE]
+        return self.road.angles
+
+    def rows_until(self, tick: int) -> dict[str, Any]:
+        """Return those arrays of the trace that have a row per tick, up to a tick, by the names of their fields."""
+        arrays = {name: getattr(self, name) for name in ("states", "track", "on_way")}
+        return {name: None if array is None else array[: tick + 1] for name, array in arrays.items()}
 
     @property
     def chains(self) -> tuple[Chromosome, ...]:

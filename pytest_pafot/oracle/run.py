@@ -45,9 +45,6 @@ from pytest_pafot.model.scenario import (
 )
 from pytest_pafot.model.trace import (
     ACCELERATION,
-    ACROSS,
-    LANE,
-    OFFSET,
     SPEED,
     AdsError,
     Collision,
@@ -689,11 +686,7 @@ def _lane_at(trace: Trace, vehicle: int, gene: int) -> float:
     tick = gene * round(trace.scenario.gene_seconds * trace.physics_hz)
     if tick > trace.ticks:
         return math.nan
-    if trace.track is not None:
-        across, offset = trace.track[tick, vehicle, [ACROSS, OFFSET]]
-        return float(np.round((across - offset) / trace.lanes[0].width))
-    lane = float(trace.states[tick, vehicle, LANE])
-    return lane if lane >= 0 else math.nan
+    return trace.road.counted(tick, vehicle)
 
 
 def _crossing_lines(trace: Trace) -> list[str]:

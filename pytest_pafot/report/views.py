@@ -27,7 +27,7 @@ from pytest_pafot.model.scenario import (
     PositionInstruction,
     Scenario,
 )
-from pytest_pafot.model.trace import ACCELERATION, ALONG, HEADING, LANE, SPEED, FloatArray, Lane, Trace, X, Y
+from pytest_pafot.model.trace import ACCELERATION, ALONG, LANE, SPEED, FloatArray, Lane, Trace, X, Y
 from pytest_pafot.oracle.checks import Check
 from pytest_pafot.oracle.run import Run, arrival, crossing_text, lane_text
 from pytest_pafot.report.page_data import (
@@ -75,11 +75,11 @@ def road_view(trace: Trace, clearance: float) -> RoadView:
         ahead=ahead,
         behind=behind,
     )
-    if trace.track is None:
+    if trace.road.is_straight:
         starts = np.array([(lane.x, lane.y) for lane in trace.lanes])
-        across = along_and_across(trace, starts[:, 0], starts[:, 1])[1]
+        across = trace.road.drawn(starts[:, 0], starts[:, 1])[1]
         return replace(road, lanes=tuple(round(float(value), 2) for value in across))
-    reach = float(trace.track[:, 0, ALONG].max()) + BEYOND
+    reach = float(trace.track_of(0)[:, ALONG].max()) + BEYOND
     shapes = []
     for lane in trace.lanes:
         points, length = _measured(lane)
@@ -87,14 +87,6 @@ def road_view(trace: Trace, clearance: float) -> RoadView:
         line = tuple((round(float(x), 2), round(float(y), 2)) for x, y in shown)
         shapes.append(LaneView(points=line, width=float(lane.width)))
     return replace(road, shapes=tuple(shapes))
-
-
-def along_and_across(trace: Trace, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Convert world coordinates [m] to distances along the first lane, and across that lane to the right [m]."""
-    lane = trace.lanes[0]
-    dx, dy = x - lane.x, y - lane.y
-    cos, sin = np.cos(lane.heading), np.sin(lane.heading)
-    return dx * cos + dy * sin, dy * cos - dx * sin
 
 
 def places(traffic: Traffic) -> tuple[Place, Place]:
@@ -355,7 +347,7 @@ def _with_run(view: FindingView, trace: Trace, clearance: float, check: Check | 
         ),
         check=None if check is None else check_view(check, trace, ticks),
         plans=_plans(run),
-        grid=() if trace.track is None or all(trace.zones or [None]) else grid_poses(trace, ticks, road),
+        grid=() if not road.shapes or all(trace.zones or [None]) else grid_poses(trace, ticks, road),
     )
 
 
@@ -372,8 +364,7 @@ def _plans(run: Run) -> tuple[PlanView, ...]:
             places = run.plans[tick][run.plans[tick][:, 0] > 0.0, 1:]
             shown = np.linspace(0, len(places), min(len(places), PLAN_POINTS) + 1).round().astype(int)
             line = np.vstack((trace.ego[tick, [X, Y]], places))[shown]
-        if trace.track is None:
-            line = np.stack(along_and_across(trace, *line.T), axis=-1)
+        line = np.stack(trace.road.drawn(*line.T), axis=-1)
         views.append(PlanView(time=round(tick / trace.physics_hz, 3), line=_points(line)))
     return tuple(views)
 
@@ -390,11 +381,8 @@ def frame_ticks(trace: Trace) -> list[int]:
 def _vehicles(trace: Trace, ticks: Sequence[int]) -> tuple[VehicleView, ...]:
     encounters, changes = Encounters(trace), jerk(trace)
     gaps, ttcs, passed, advantages = gap(trace), ttc(trace), passages(trace), time_advantage(trace)
-    along, across, heading = (trace.states[:, :, column] for column in (X, Y, HEADING))
-    if trace.track is None:
-        (along, across), heading = along_and_across(trace, along, across), heading - trace.lanes[0].heading
-    else:  # A bent road is drawn in world coordinates.
-        heading = np.unwrap(heading, axis=0)
+    along, across = trace.road.drawn(trace.states[:, :, X], trace.states[:, :, Y])
+    heading = trace.road.drawn_headings
     views = []
     for vehicle in range(trace.states.shape[1]):
         # Take the largest jerk since the previous frame: a peak lasts only one tick and would be missed.

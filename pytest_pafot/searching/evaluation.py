@@ -214,7 +214,7 @@ def interaction_of(trace: Trace) -> tuple[bool, bool]:
     columns = (X, Y, HEADING, SPEED, LANE)
     x, y, heading, speed, lane = (np.ascontiguousarray(trace.states[..., each].T) for each in columns)
     # How far each NPC's centre is ahead of the ego's [m]: along the ego's heading, or on bent roads along its way.
-    if trace.track is None:
+    if trace.road.is_straight:
         ahead = (x[1:] - x[0]) * np.cos(heading[0]) + (y[1:] - y[0]) * np.sin(heading[0])
     else:
         ahead = Encounters(trace).ahead

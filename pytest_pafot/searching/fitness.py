@@ -232,7 +232,6 @@ def before_impact(trace: Trace) -> Trace:
         trace,
         outcome=Outcome.OFF_ROAD if off_road else Outcome.SAFE,
         collision=None,
-        states=trace.states[: last + 1],
         actions=trace.actions[: bisect_left(trace.decision_ticks, last)],
         plans=trace.plans[: bisect_left(trace.decision_ticks, last)],
         decided=trace.decided[: bisect_left(trace.decided, last)],
@@ -245,8 +244,7 @@ def before_impact(trace: Trace) -> Trace:
             for genes in trace.arrivals
         ),
         off_road_tick=trace.off_road_tick if off_road else None,
-        track=None if trace.track is None else trace.track[: last + 1],
-        on_way=None if trace.on_way is None else trace.on_way[: last + 1],
+        **trace.rows_until(last),
     )
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import pickle
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -106,5 +107,36 @@ def test_track_of_vehicle_is_recorded_on_curved_roads():
     states, sizes = np.zeros((2, 2, 7)), np.full((2, 2), 5.0)
     bent = made(states, sizes, track=np.arange(2 * 2 * 5.0).reshape(2, 2, 5))
     assert bent.track_of(1).tolist() == [[5.0, 6.0, 7.0, 8.0, 9.0], [15.0, 16.0, 17.0, 18.0, 19.0]]
-    with pytest.raises(ValueError, match="received one on a straight road"):
-        made(states, sizes).track_of(0)
+
+
+def test_straight_road_has_a_track_too():
+    one = vehicle(3.0, lane=1, y=4.5, heading=0.1, speed=10.0, ticks=2)
+    trace = trace_of(one, vehicle(30.0, ticks=2))
+    assert trace.track is None
+    assert trace.track_of(0)[0].tolist() == [3.0, 4.5, 0.1, 0.5, 1.0]
+    assert trace.track_of(1)[0].tolist() == [30.0, 0.0, 0.0, 0.0, 1.0]
+
+
+def test_both_kinds_of_road_agree_on_a_straight_one():
+    straight = trace_of(
+        vehicle(0.0, speed=10.0, ticks=30), vehicle(30.0, lane=1, y=3.0, ticks=30), lanes=straight_lanes(2)
+    )
+    recorded = replace(straight, track=straight.road.track)
+    one, other = straight.road, recorded.road
+    assert (one.is_straight, other.is_straight) == (True, False)
+    for name in ("track", "angles", "is_on_way", "offsets"):
+        np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
+    cos, sin = np.cos(one.column(HEADING)), np.sin(one.column(HEADING))
+    for its, others in zip(one.turned(cos, sin), other.turned(cos, sin), strict=True):
+        np.testing.assert_array_equal(np.broadcast_to(its, others.shape), others)
+    for tick in (0, 30):
+        assert one.offset(0, tick) == other.offset(0, tick)
+        assert one.distance(0, tick) == other.distance(0, tick)
+        assert one.counted(tick, 1) == other.counted(tick, 1) == 1.0
+    assert one.displacement(1, 0, 30) == other.displacement(1, 0, 30)
+
+
+def test_rows_until_a_tick_end_with_it():
+    trace = trace_of(vehicle(0.0, speed=10.0, ticks=30), vehicle(30.0, ticks=30))
+    rows = trace.rows_until(7)
+    assert (len(rows["states"]), rows["track"], rows["on_way"]) == (8, None, None)

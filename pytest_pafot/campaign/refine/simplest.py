@@ -29,7 +29,7 @@ from pytest_pafot.findings.shrink import Ahead, Attempt, Likely, OutOfBudget, Sh
 from pytest_pafot.findings.sighting import Sighting
 from pytest_pafot.findings.signature import Failure
 from pytest_pafot.model.scenario import Scenario, ScenarioError
-from pytest_pafot.model.trace import LANE, SPEED, Trace
+from pytest_pafot.model.trace import SPEED, Trace
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.support.errors import OutOfTime
 from pytest_pafot.world import codec
@@ -288,7 +288,10 @@ def starts_of(run: Run, top_speed: float) -> tuple[Start, ...]:
     The speed [m/s] is at most ``top_speed``, which is the highest start speed of an ego.
     """
     trace = run.trace
-    rows = trace.ego[: trace.ticks : round(run.scenario.gene_seconds * trace.physics_hz)]
-    if trace.track is not None or (rows[:, LANE] < 0).any():
+    begins = slice(None, trace.ticks, round(run.scenario.gene_seconds * trace.physics_hz))
+    speeds, lanes = trace.ego[begins, SPEED], trace.road.numbers(0)[begins]
+    if (lanes < 0).any():
         return ()  # on a road that is not straight, a later start would be on a different part of the road
-    return tuple((int(row[LANE]), float(min(max(round(row[SPEED], 1), 0.0), top_speed))) for row in rows)
+    return tuple(
+        (int(lane), float(min(max(round(speed, 1), 0.0), top_speed))) for lane, speed in zip(lanes, speeds, strict=True)
+    )

@@ -309,7 +309,7 @@ def _decided(world: Any, done: _Done) -> Promises:
     else:
         promise = "the ADS decides ads_hz times a second, for the first time at the start"
         yield len(ticks) <= made <= len(ticks) + 1, promise, received
-    if poses and trace.track is None:
+    if poses and trace.road.is_straight:
         rows = trace.ego[ticks][:made, [X, Y, SPEED]]
         away = np.median(np.abs(rows - np.array(poses)[: len(rows)]), axis=0)
         promise = "an ADS that receives a pafot.Observation, or an object with its fields, sees the ego as in states"

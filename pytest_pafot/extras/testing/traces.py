@@ -44,7 +44,7 @@ SMOOTH = 0.5
 
 def is_straight(trace: Trace) -> bool:
     """Return whether the lanes of a trace are straight."""
-    return trace.track is None and not any(lane.points for lane in trace.lanes)
+    return trace.road.is_straight and not any(lane.points for lane in trace.lanes)
 
 
 def form(world: Any, scenario: Scenario, trace: Trace) -> Promises:
@@ -63,7 +63,7 @@ def form(world: Any, scenario: Scenario, trace: Trace) -> Promises:
     ways = [None if told is None else told.zone for told in scenario.crossings]
     crossing = np.array([isinstance(chain[0], CrossingInstruction) for chain in scenario.npcs])
     on_way = np.full((len(states), len(scenario.npcs)), np.nan) if trace.on_way is None else trace.on_way
-    track = np.zeros((1, len(crossing), 1)) if trace.track is None else trace.track[:, 1:]
+    track = np.zeros((1, len(crossing), 1)) if trace.road.is_straight else trace.road.track[:, 1:]
     longest = min(float(world.longest_run), scenario.seconds)
     for promise, is_kept in {
         "trace.scenario is the requested scenario": trace.scenario == scenario,
@@ -79,7 +79,7 @@ def form(world: Any, scenario: Scenario, trace: Trace) -> Promises:
         "states[..., STEERING] is in rad": (np.abs(states[..., STEERING]) <= math.pi / 2).all(),
         "zones are those of the instructions": [None if zone is None else zone.way for zone in trace.zones] == ways,
         "on_way has the places of crossing NPCs, and NaN for others": (np.isfinite(on_way) == crossing).all(),
-        "track is recorded if an NPC crosses": trace.track is not None or not crossing.any(),
+        "track is recorded if an NPC crosses": not trace.road.is_straight or not crossing.any(),
         "track has NaN only for crossing NPCs": not np.isnan(track[:, ~crossing]).any(),
     }.items():
         yield is_kept, promise, f"something else in {trace!r}"
@@ -350,7 +350,7 @@ def _collision(trace: Trace, hit: Collision, gaps: Sequence[float], velocities: 
     sides |= {} if is_in_line else {"right": right > -APART, "left": right < APART}
     received = f"{hit.side!r}, with the NPC {ahead:.1f} m ahead and {right:.1f} m to the right of the ego before"
     yield sides.get(hit.side, False), "collision.side is the side of the ego that was hit", received
-    if not is_straight(trace) and (hit.cell is None or trace.track is None):
+    if not is_straight(trace) and (hit.cell is None or trace.road.is_straight):
         return
     yield isinstance(hit.cell, Cell), "collision.cell is a cell, a pafot.Cell", f"{hit.cell!r}"
     positions = Encounters(trace)
@@ -367,7 +367,7 @@ def end(world: Any, trace: Trace) -> Promises:
     is_whole = trace.outcome is not Outcome.SAFE or trace.duration >= longest - 2.5 * trace.dt
     promise = f"states of a run with the outcome safe last {longest:g} s, with physics_hz rows a second"
     received = f"{trace.ticks} ticks at {trace.physics_hz} Hz, {trace.duration:g} s"
-    yield is_whole or trace.track is not None, promise, received
+    yield is_whole or not trace.road.is_straight, promise, received
     first = int(off[0]) if len(off) else None
     received = f"off_road_tick {trace.off_road_tick}, outcome {trace.outcome}, and the first such row of states {first}"
     promise = "off_road_tick is the first tick with the ego in lane -1, or None"
