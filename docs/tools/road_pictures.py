@@ -125,7 +125,7 @@ def beside(points: Points, shift: float) -> Points:
 def junction(env_id: str, config: dict[str, str]) -> Image.Image:
     """Draw the ways through a junction, thick in their zones. The ego's way is black."""
     world = World(env_id, config or None)
-    crossings, known, road = world.crossings, world.rules.junction, world.road
+    crossings, known, road = world.crossings, world.road.junction, world.road
     if crossings is None or known is None:
         raise SystemExit(f"{env_id}: expected ways that meet the ego's, received none")
     own = np.stack([road.line.x, road.line.y], axis=-1)[road.point(crossings.ego_start) :]

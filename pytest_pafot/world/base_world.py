@@ -26,7 +26,7 @@ from pytest_pafot.world.driving.ads import AdsFactory
 from pytest_pafot.world.kernel.action import Drive
 from pytest_pafot.world.kernel.observation import Observation
 from pytest_pafot.world.limits import HANG_LIMIT
-from pytest_pafot.world.roads.network import Meeting
+from pytest_pafot.world.roads.road import Meeting
 from pytest_pafot.world.roads.straight import StraightRoad
 
 if TYPE_CHECKING:

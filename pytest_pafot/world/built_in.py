@@ -24,8 +24,7 @@ from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.kernel.observation import Observation
 from pytest_pafot.world.limits import TOP_SPEED, NpcLimits
 from pytest_pafot.world.reference_drivers import REFERENCES, TAKING_OVER, ReferenceDriver
-from pytest_pafot.world.roads.junction import Junction
-from pytest_pafot.world.roads.network import NetworkRoad
+from pytest_pafot.world.roads.road import Road
 from pytest_pafot.world.roads.straight import StraightRoad
 from pytest_pafot.world.run_config import Rules
 from pytest_pafot.world.validation import number_within
@@ -97,9 +96,9 @@ class BuiltInWorld(BaseWorld):
     def rules(self) -> Rules:
         """The settings that all runs have in common."""
         rules, lasts = self._rules, self.lasts
-        if lasts is not None and isinstance(rules.road, StraightRoad):
-            lasts = min(lasts, (rules.road.lanes[0].length - rules.ego_start) / TOP_SPEED)
-        return rules if lasts is None else replace(rules, lasts=lasts)
+        if lasts is None:
+            return rules
+        return replace(rules, lasts=min(lasts, (rules.road.length - rules.ego_start) / TOP_SPEED))
 
     @property
     @abstractmethod
@@ -113,7 +112,7 @@ class BuiltInWorld(BaseWorld):
 
     @property
     @abstractmethod
-    def road(self) -> StraightRoad | NetworkRoad:
+    def road(self) -> Road:
         """The road."""
 
     @property
@@ -298,12 +297,11 @@ class BuiltInWorld(BaseWorld):
 
     def _rules_on(
         self,
-        road: StraightRoad | NetworkRoad,
+        road: Road,
         *,
         physics_hz: int,
         ads_hz: int,
         duration: float,
-        junction: Junction | None = None,
         obstacles: tuple[tuple[float, float, float, float, float], ...] = (),
     ) -> Rules:
         return Rules(
@@ -315,7 +313,6 @@ class BuiltInWorld(BaseWorld):
             headway=self.headway,
             limits=self.limits,
             hang_limit=self.hang_limit,
-            junction=junction,
             obstacles=obstacles,
         )
 

@@ -21,8 +21,7 @@ from pytest_pafot.world.engines.run import SteppedRun
 from pytest_pafot.world.guard.failure import closing
 from pytest_pafot.world.guard.hang_guard import HangGuard
 from pytest_pafot.world.limits import CLEARANCE, HANG_LIMIT, HEADWAY, TOP_SPEED, NpcLimits
-from pytest_pafot.world.roads.network import Meeting, NetworkRoad
-from pytest_pafot.world.roads.straight import StraightRoad
+from pytest_pafot.world.roads.road import Meeting, Road
 from pytest_pafot.world.run_config import Rules
 from pytest_pafot.world.validation import (
     ADS_HZ,
@@ -115,11 +114,9 @@ class World(BuiltInWorld):
         """
         road, rules = self.road, self.rules
         self.limits.top_speed(road.speed_limit)
-        if not isinstance(road, StraightRoad):
-            return
-        room = road.lanes[0].length - 2 * rules.ego_start
+        room = road.length - 2 * rules.ego_start
         if rules.duration * TOP_SPEED > room:  # a vehicle could reach the end of the road
-            expected = f"at most {room / TOP_SPEED:g} s on a road of {road.lanes[0].length:g} m"
+            expected = f"at most {room / TOP_SPEED:g} s on a road of {road.length:g} m"
             raise WorldError(field="duration", expected=expected, received=f"{rules.duration:g}")
 
     def check_fits(self, scenario: Scenario) -> None:
@@ -133,7 +130,7 @@ class World(BuiltInWorld):
         super().check_fits(scenario)
 
     @property
-    def road(self) -> StraightRoad | NetworkRoad:
+    def road(self) -> Road:
         """The environment's road; if it is not straight, the ego's way through it."""
         return self.rules.road
 
@@ -145,8 +142,7 @@ class World(BuiltInWorld):
     @property
     def start(self) -> tuple[int, float] | None:
         """The lane and speed [m/s] with which the ego must start; None on a straight road, which allows any."""
-        road = self.road
-        return None if isinstance(road, StraightRoad) else (road.ego_lane, road.ego_speed)
+        return self.road.prescribed
 
     @property
     def road_start(self) -> RoadStart | None:
@@ -159,10 +155,10 @@ class World(BuiltInWorld):
 
         In a user-defined environment that overrides ``step``, any vehicle may drive on any road.
         """
-        environment, road = self.environment, self.road
+        environment = self.environment
         is_stock = type(environment.unwrapped).__module__.startswith("highway_env.")
         is_known = is_stock or not environment.steps_itself(drives_itself=False)
-        return road.unused if is_known and not isinstance(road, StraightRoad) else frozenset()
+        return self.road.unused if is_known else frozenset()
 
     @property
     def speed_limit(self) -> float:
@@ -210,7 +206,7 @@ class World(BuiltInWorld):
                 "ads: expected a factory without a parameter `env` in a pafot.World with planner_hz=, whose planner "
                 "sees a pafot.Observation; leave planner_hz= out for planners that simulate inside the environment"
             )
-        if not isinstance(self.road, StraightRoad) and not policy.simulates:
+        if not self.road.is_straight and not policy.simulates:
             # In some environments policies need the environment's own steps, and vehicle classes do not.
             ads = policy.make()
             policy = Policy(ads.given if ads.drives_itself else wraps(ads_factory, updated=())(lambda: ads.given))
@@ -295,10 +291,9 @@ class World(BuiltInWorld):
         Raises:
             WorldError: if the environment cannot be used.
         """
-        is_straight = isinstance(self.road, StraightRoad)
         data = {"kind": "gym", **asdict(replace(self, wrappers=None))}
         data["config"] = self.environment.whole_config
-        data["duration"] = self._wanted if is_straight else min(self._wanted, self._longest)
+        data["duration"] = self._wanted if self.road.is_straight else min(self._wanted, self._longest)
         del data["wrappers"], data["lasts"]
         if self.planner_hz is None:
             del data["planner_hz"]
@@ -332,22 +327,18 @@ class World(BuiltInWorld):
         check_divides(("config.simulation_frequency", physics_hz), (name, ads_hz))
         duration = self._wanted
         check_ticks(duration, physics_hz)
-        road: StraightRoad | NetworkRoad | None = self.environment.straight_road
-        junction = None
+        road: Road | None = self.environment.straight_road
         if road is None:
-            from pytest_pafot.world.roads.junction import junction_of  # noqa: PLC0415  (only for bent roads)
+            from pytest_pafot.world.roads.junction import with_junction  # noqa: PLC0415  (only for bent roads)
             from pytest_pafot.world.roads.survey import survey  # noqa: PLC0415  (only for bent roads)
 
             duration = min(duration, self._longest)
-            road = survey(env, self.env_id, self.limits, ahead=duration * TOP_SPEED)
-            junction = junction_of(env, road, self.limits)
-            if junction is not None:
-                road = replace(road, start=junction.crossings.ego_start)
-            if road.ego_speed > 0:  # the run ends when an ego at its first speed would reach the end of the road
-                duration = min(duration, (road.end - road.start) / road.ego_speed)
+            road = way = with_junction(env, survey(env, self.env_id, self.limits, duration * TOP_SPEED), self.limits)
+            if way.ego_speed > 0:  # the run ends when an ego at its first speed would reach the end of the road
+                duration = min(duration, (way.end - way.start) / way.ego_speed)
         rates = {"physics_hz": physics_hz, "ads_hz": ads_hz}
         obstacles = self.environment.obstacles
-        return self._rules_on(road, **rates, duration=duration, junction=junction, obstacles=obstacles)
+        return self._rules_on(road, **rates, duration=duration, obstacles=obstacles)
 
     @property
     def _wanted(self) -> float:

@@ -21,8 +21,8 @@ from pytest_pafot.world.engines.run import SteppedRun
 from pytest_pafot.world.guard.failure import closing
 from pytest_pafot.world.guard.hang_guard import HangGuard
 from pytest_pafot.world.limits import CLEARANCE, HANG_LIMIT, HEADWAY, TOP_SPEED, NpcLimits
-from pytest_pafot.world.roads.straight import StraightRoad
-from pytest_pafot.world.run_config import Rules, ego_start
+from pytest_pafot.world.roads.straight import StraightRoad, ego_start
+from pytest_pafot.world.run_config import Rules
 from pytest_pafot.world.validation import ADS_HZ, PHYSICS_HZ, check_divides, check_ticks, number_within, whole_within
 
 LANE_WIDTH = 4.0
@@ -114,7 +114,7 @@ class Highway(BuiltInWorld):
                     f"decisions: expected none for {ads.given!r}, a vehicle class, which drives itself and returns no "
                     f"actions, received {len(decisions)}; leave them out"
                 )
-            return vehicle_run(self.rules, scenario, lambda: self.network, ads.given).finish()
+            return vehicle_run(self.rules, scenario, self.road, lambda: self.network, ads.given).finish()
         with closing(ads.given, self.hang_limit):
             return self._planned(self.rules, scenario, ads.given, decisions)
 

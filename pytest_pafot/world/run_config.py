@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NoReturn
+from typing import NoReturn
 
 from pytest_pafot.model.crossings import Crossings
 from pytest_pafot.model.grid import Cell
@@ -19,11 +20,9 @@ from pytest_pafot.model.scenario import (
 )
 from pytest_pafot.world.kernel.bodies import NPC_LENGTH, NPC_WIDTH, Box, overlap
 from pytest_pafot.world.kernel.director import Director
-from pytest_pafot.world.kernel.road_directors import JunctionDirector, NetworkDirector
-from pytest_pafot.world.limits import BEND_SHARE, TOP_SPEED, NpcLimits
-from pytest_pafot.world.roads.junction import CrossingWay, Junction
-from pytest_pafot.world.roads.network import NetworkRoad
-from pytest_pafot.world.roads.straight import StraightRoad
+from pytest_pafot.world.kernel.road_directors import JunctionDirector
+from pytest_pafot.world.limits import NpcLimits
+from pytest_pafot.world.roads.road import Pose, Road
 
 LEAST_START_GAP = 0.5
 """The least gap between a vehicle and the start of a manoeuvre in its lane [m]."""
@@ -34,7 +33,7 @@ class Rules:
     """The settings that all runs of a world share.
 
     Attributes:
-        road: the straight road, or the ego's way through a network.
+        road: the road.
         physics_hz, ads_hz: ticks and decisions per second.
         duration: the longest duration of a run [s].
         lasts: the duration of each run [s], whatever its scenario and ``duration`` say; None if they decide.
@@ -42,11 +41,10 @@ class Rules:
         headway: the headway with which NPCs start ahead of the ego or behind it [s].
         limits: the limits of every NPC.
         hang_limit: wall-clock time after which a decision of the ADS is interrupted [s].
-        junction: the ways on which other traffic meets the ego's way; None if there are none.
         obstacles: the fixed objects on the road: x [m], y [m], heading [rad], length and width [m].
     """
 
-    road: StraightRoad | NetworkRoad
+    road: Road
     physics_hz: int
     ads_hz: int
     duration: float
@@ -54,37 +52,22 @@ class Rules:
     headway: float
     limits: NpcLimits
     hang_limit: float
-    junction: Junction | None = None
     lasts: float | None = None
     obstacles: tuple[tuple[float, float, float, float, float], ...] = ()
 
     @property
     def crossings(self) -> Crossings | None:
         """The zones and ways for Crossing-Instructions; None if no other way meets the ego's way."""
-        return None if self.junction is None else self.junction.crossings
-
-    def ways(self, scenario: Scenario) -> list[CrossingWay | None]:
-        """Return the way of each crossing NPC, None for each other NPC; empty if no NPC crosses."""
-        known = {} if self.junction is None else self.junction.ways
-        return [None if each is None else known[each.zone] for each in scenario.crossings]
+        return self.road.crossings
 
     @property
     def ego_start(self) -> float:
         """The ego's place along the road at the start [m]."""
-        if isinstance(self.road, NetworkRoad):
-            return self.road.start
-        return ego_start(self.headway, self.clearance)
+        return self.road.ego_start(self.headway, self.clearance)
 
-    def ego_position(self, scenario: Scenario) -> tuple[float, float, float]:
+    def ego_position(self, scenario: Scenario) -> Pose:
         """Return world x [m], y [m] and heading [rad] of the ego at tick 0."""
         return self.road.position(self.ego_start, scenario.ego_lane)
-
-    @property
-    def straight(self) -> StraightRoad:
-        """The road if it is straight; otherwise this raises a ``TypeError``."""
-        if not isinstance(self.road, StraightRoad):
-            raise TypeError(f"road: expected a straight road, received {type(self.road).__name__}")
-        return self.road
 
     def start_distance(self, scenario: Scenario, ego_length: float = NPC_LENGTH) -> float:
         """Return the distance between the centres of the ego and of NPCs that start ahead or behind [m]."""
@@ -92,25 +75,20 @@ class Rules:
 
     def start_cells(self, scenario: Scenario, ego_length: float = NPC_LENGTH) -> frozenset[Cell]:
         """Return the cells in which an NPC may start."""
-        if isinstance(self.road, NetworkRoad):
-            return self.road.cells(self.road.start, scenario.ego_lane, self.start_distance(scenario, ego_length))
-        return self.road.cells(scenario.ego_lane)
+        return self.road.start_cells(scenario.ego_lane, self.start_distance(scenario, ego_length))
 
     def director(self, scenario: Scenario, ego_length: float) -> Director | JunctionDirector:
         """Make the director of the NPCs for one run around an ego of the given length [m]."""
-        common: dict[str, Any] = {"clearance": self.clearance, "physics_hz": self.physics_hz}
-        common |= {"ego_length": ego_length, "length": NPC_LENGTH, "width": NPC_WIDTH}
-        if isinstance(self.road, StraightRoad):
-            return Director(scenario, self.road, self.limits, **common)
-        grid, cells = None, self.start_cells(scenario, ego_length)
-        if not scenario.crossings or self.junction is None:
-            return NetworkDirector(scenario, self.road, self.limits, start_cells=cells, **common)
-        if None in scenario.crossings:
-            pairs = zip(scenario.npcs, scenario.crossings, strict=True)
-            others = replace(scenario, npcs=tuple(npc for npc, crossing in pairs if crossing is None))
-            grid = NetworkDirector(others, self.road, self.limits, start_cells=cells, **common)
-        del common["clearance"], common["ego_length"]
-        return JunctionDirector(scenario, self.road, self.junction, self.limits, grid=grid, **common)
+        return self.road.director(
+            scenario,
+            self.limits,
+            self.start_cells(scenario, ego_length),
+            clearance=self.clearance,
+            ego_length=ego_length,
+            length=NPC_LENGTH,
+            width=NPC_WIDTH,
+            physics_hz=self.physics_hz,
+        )
 
     def check_fits(self, scenario: Scenario) -> None:
         """Refuse a scenario that does not fit this world.
@@ -141,20 +119,13 @@ class Rules:
             raise ScenarioError(field="gene_seconds", expected=expected, received=received, fix=fix)
 
     def _check_lane(self, lane: int) -> None:
-        road = self.road
-        if isinstance(road, StraightRoad):
-            does_exist = lane < road.lane_count
-            expected, fix = f"a lane from 0 to {road.lane_count - 1}", f"the road has {road.lane_count} lanes"
-        else:
-            does_exist = lane in road.start_lanes
-            expected = f"a lane that exists where the ego starts, {' or '.join(map(str, road.start_lanes))}"
-            fix = "lanes are counted from 0 at the left, over all lanes along the ego's way"
-        if not does_exist:
+        if lane not in self.road.start_lanes:
+            expected, fix = self.road.said_of_start_lanes
             raise ScenarioError(field="ego_lane", expected=expected, received=str(lane), fix=fix)
 
     def _at_start(self, lane: int, speed: float) -> tuple[float, ...] | None:
-        """Return a fixed object at the ego's start or, on a straight road, within its headway; None if it is free."""
-        gap = max(self.headway * speed, self.clearance) if isinstance(self.road, StraightRoad) else 0.0
+        """Return a fixed object at the ego's start or, if the ego may start anywhere, within its headway; else None."""
+        gap = max(self.headway * speed, self.clearance) if self.road.prescribed is None else 0.0
         x, y, heading = self.road.position(self.ego_start, lane)
         x, y = x + gap / 2 * math.cos(heading), y + gap / 2 * math.sin(heading)
         place = Box(x, y, heading, NPC_LENGTH + gap, NPC_WIDTH)
@@ -166,9 +137,9 @@ class Rules:
         x, y, _ = road.position(self.ego_start, scenario.ego_lane)
         where, free = f"the ego's start at ({x:.0f}, {y:.0f}) m", list[int]()
         expected = f"no fixed object at {where}"
-        if isinstance(road, StraightRoad):
+        if road.prescribed is None:
             expected = f"no fixed object from {where} to {self.headway:g} s ahead of it at {speed:g} m/s"
-            others = [lane for lane in range(road.lane_count) if lane != scenario.ego_lane]
+            others = [lane for lane in road.start_lanes if lane != scenario.ego_lane]
             free = [lane for lane in others if self._at_start(lane, speed) is None]
         received = f"lane {scenario.ego_lane}, with one at ({near[0]:.1f}, {near[1]:.1f}) m"
         fix = f"write ego_lane={free[0]}" if free else "put the environment's objects elsewhere"
@@ -207,7 +178,7 @@ class Rules:
                 if step.speed is not None and step.speed > self.road.speed_limit + 1e-9:
                     self._refuse_speed(f"npcs[{npc}][0].steps[{number}]", step.speed)
             lane, along = scenario.ego_lane + manoeuvre.beside, self.along_at(manoeuvre, scenario)
-            if not self._has_lane(lane, along):
+            if not self.road.has_lane(lane, along):
                 expected = f"a lane that exists {along - self.ego_start:.0f} m from the ego's start"
                 place, fix = f"npcs[{npc}][0].beside", "lanes are counted from 0 at the left"
                 raise ScenarioError(field=place, expected=expected, received=f"lane {lane}", fix=fix)
@@ -230,19 +201,9 @@ class Rules:
         """Return the place along the road at which an NPC with a manoeuvre starts [m]."""
         if manoeuvre.ahead == 0:
             return self.ego_start
-        stretch = 1.0
-        if isinstance(self.road, NetworkRoad):
-            bends = self.road.bends
-            stretch = bends.stretch(self.ego_start, bends.across_at(scenario.ego_lane, self.ego_start))
+        stretch = self.road.stretch(scenario.ego_lane, self.ego_start)
         room = math.copysign((ego_length + NPC_LENGTH) / 2, manoeuvre.ahead)
         return self.ego_start + (manoeuvre.ahead + room) / stretch
-
-    def _has_lane(self, lane: int, along: float) -> bool:
-        """Return whether a lane exists at a place along the road [m]."""
-        road = self.road
-        if isinstance(road, StraightRoad):
-            return 0 <= lane < road.lane_count and NPC_LENGTH < along < road.lanes[0].length - NPC_LENGTH
-        return bool(road.bends.exists(lane, along))
 
     def _check_speeds(self, scenario: Scenario) -> None:
         limit = self.road.speed_limit
@@ -264,11 +225,6 @@ class Rules:
         """Return the number of physics ticks of a run that no collision or failure ends early."""
         seconds = min(self.duration, scenario.seconds) if self.lasts is None else self.lasts
         return int(seconds * self.physics_hz + 1e-9)  # rounding must not lose a tick
-
-
-def ego_start(headway: float, clearance: float) -> float:
-    """Return the ego's place along a straight road at the start [m], with room behind it for NPCs at any speed."""
-    return max(200.0, 50.0 + headway * TOP_SPEED + clearance)
 
 
 def _not_crossing(scenario: Scenario) -> list[tuple[int, Gene]]:
@@ -295,22 +251,16 @@ def start_places(
     return [(rules.ego_start, scenario.ego_lane), *beside]
 
 
-def start_speeds(rules: Rules, scenario: Scenario, cells: tuple[Cell, ...], ego_length: float) -> list[float]:
-    """Return the start speed of each NPC [m/s]: the ego's or its manoeuvre's, or less in and just after a bend.
+def start_speeds(rules: Rules, scenario: Scenario, places: Sequence[tuple[float, int]]) -> list[float]:
+    """Return the speed of each NPC that starts at one of the places, which are along the road [m] and in a lane [m/s].
 
-    Just after a bend, an NPC's heading still differs from its course, so the NPC turns, and at a higher speed faster.
+    It is the ego's speed or that of its manoeuvre, or less where the road requires it.
     """
-    road = rules.road
     firsts = _not_crossing(scenario)
     wanted = [first.speed if isinstance(first, Manoeuvre) else scenario.ego_speed for _, first in firsts]
-    if isinstance(road, StraightRoad):
-        return wanted
-    _, *places = start_places(rules, scenario, cells, ego_length)
-    most = BEND_SHARE * rules.limits.lateral_acceleration * NPC_LENGTH / 2
-    turning = [math.sqrt(most / max(math.sin(abs(road.lane_at(lane, along)[2])), 1e-9)) for along, lane in places]
     return [
-        min(speed, road.speed_at(lane, along), fastest)
-        for speed, (along, lane), fastest in zip(wanted, places, turning, strict=True)
+        rules.road.start_speed(speed, lane, along, rules.limits)
+        for speed, (along, lane) in zip(wanted, places, strict=True)
     ]
 
 
@@ -325,11 +275,8 @@ def starts_of(
     in_lanes = start_places(rules, scenario, cells, ego_length)
     places = [along for along, _ in in_lanes]
     _, *poses = (rules.road.position(along, lane) for along, lane in in_lanes)
-    speeds = start_speeds(rules, scenario, cells, ego_length)
+    speeds = start_speeds(rules, scenario, in_lanes[1:])
     starts = [(*pose, speed) for pose, speed in zip(poses, speeds, strict=True)]
-    if isinstance(director, JunctionDirector):
-        own, *others = places
-        grid = iter(zip(others, starts, strict=True))
-        both = [start if isinstance(start := npc, tuple) else next(grid) for npc in director.starts()]
-        return [own, *(place for place, _ in both)], [start for _, start in both]
-    return places, starts
+    own, *others = places
+    placed = director.started(list(zip(others, starts, strict=True)))
+    return [own, *(place for place, _ in placed)], [start for _, start in placed]

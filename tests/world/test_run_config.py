@@ -16,7 +16,8 @@ from pytest_pafot.model.grid import Cell, cell_at
 from pytest_pafot.model.scenario import PositionInstruction, Scenario
 from pytest_pafot.model.trace import HEADING, LANE, SPEED, X, Y
 from pytest_pafot.world import Highway, World
-from pytest_pafot.world.run_config import BEND_SHARE, start_places, start_speeds
+from pytest_pafot.world.limits import BEND_SHARE
+from pytest_pafot.world.run_config import start_places, start_speeds
 from tests.helpers.tables import table
 from tests.helpers.world_cases import LENGTH, WIDTH, chains, constant_speed, random_scenario
 
@@ -102,7 +103,7 @@ def test_npc_starts_no_faster_than_bend_allows():
     rules, scenario, slowed = world.rules, hold(*Cell, ego_lane=0, ego_speed=20.0), 0
     cells = tuple(Cell)
     places = start_places(rules, scenario, cells, LENGTH)[1:]
-    for speed, (along, lane) in zip(start_speeds(rules, scenario, cells, LENGTH), places, strict=True):
+    for speed, (along, lane) in zip(start_speeds(rules, scenario, places), places, strict=True):
         sideways = speed**2 * np.sin(abs(rules.road.lane_at(lane, along)[2])) / (LENGTH / 2)
         most = BEND_SHARE * rules.limits.lateral_acceleration
         assert sideways <= most + 1e-9

@@ -14,10 +14,9 @@ from pytest_pafot.world.driving.vehicles import Car, EgosRegulatedRoad
 from pytest_pafot.world.guard.failure import UNFIT, error_of
 from pytest_pafot.world.guard.hang_guard import HangGuard
 from pytest_pafot.world.kernel.bodies import Body
-from pytest_pafot.world.kernel.crossing import CrossingNpc
 from pytest_pafot.world.kernel.loop import EgoDriver
 from pytest_pafot.world.kernel.places import Places
-from pytest_pafot.world.roads.network import NetworkRoad
+from pytest_pafot.world.roads.road import Pose, Road
 
 
 class GuardedDriver(EgoDriver):
@@ -70,7 +69,7 @@ class ObjectDriver(GuardedDriver):
         self._regulated = road if isinstance(road, EgosRegulatedRoad) else None
         self._tick = 0
 
-    def show(self, places: Places, road: Any) -> None:
+    def show(self, places: Places, road: Road) -> None:
         """Put the ego on its road, and the NPCs as it sees them; ``road`` is the road in the grid's coordinates."""
         cars = [Car(self.road, body) for body in places.vehicles[1:]]
         foresee(cars, places, road)
@@ -120,26 +119,19 @@ def follow(body: Body, vehicle: Any) -> None:
     body.acceleration, body.steering = float(vehicle.action["acceleration"]), float(vehicle.action["steering"])
 
 
-def foresee(npcs: Sequence[Any], places: Places, road: Any) -> None:
+def foresee(npcs: Sequence[Any], places: Places, road: Road) -> None:
     """Let highway-env's regulated roads predict NPCs along their ways or lanes; no other road predicts them."""
-    if isinstance(road, NetworkRoad):
-        for npc, body in zip(npcs, places.bodies[1:], strict=True):
-            npc.predict_trajectory_constant_speed = foresight(road, body)
+    for npc, body in zip(npcs, places.bodies[1:], strict=True):
+        pose_at = road.foresight(body)
+        if pose_at is not None:
+            npc.predict_trajectory_constant_speed = prediction(body, pose_at)
 
 
-def foresight(road: NetworkRoad, body: Body) -> Callable[[Any], tuple[list[Any], list[float]]]:
-    """Return a prediction for highway-env's regulated road: an NPC continues along its way or lane at its speed.
-
-    highway-env predicts its own vehicles along their routes. An NPC has no such route, so highway-env would assume that
-    it keeps its steering angle.
-    """
+def prediction(body: Body, pose_at: Callable[[float], Pose]) -> Callable[[Any], tuple[list[Any], list[float]]]:
+    """Return a prediction for highway-env's regulated road: an NPC continues along its way or lane at its speed."""
 
     def predicted(times: Any) -> tuple[list[Any], list[float]]:
-        places = [body.x + body.speed * float(time) for time in times]
-        if isinstance(body, CrossingNpc):
-            poses = [body.track.pose(along) for along in places]
-        else:
-            poses = [road.position(along, body.lane) for along in places]
+        poses = [pose_at(body.x + body.speed * float(time)) for time in times]
         return [np.array(pose[:2]) for pose in poses], [pose[2] for pose in poses]
 
     return predicted

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 
@@ -12,15 +12,11 @@ from pytest_pafot.model.sight import Sight
 from pytest_pafot.world.driving.ads import give_route
 from pytest_pafot.world.driving.idm_model import idm_model
 from pytest_pafot.world.driving.perception import ads_and_sight
-from pytest_pafot.world.driving.seeing import ImperfectRoadSensor, ImperfectSensor
 from pytest_pafot.world.engines.run import SteppedRun, VehiclesOfRun
 from pytest_pafot.world.guard.hang_guard import HangGuard
 from pytest_pafot.world.kernel.bodies import NPC_LENGTH, NPC_WIDTH, Body
 from pytest_pafot.world.kernel.idm import GoalVehicle
 from pytest_pafot.world.kernel.loop import GivenDriver, ModelDriver, PlannerDriver
-from pytest_pafot.world.kernel.observation import Observer, Sensor
-from pytest_pafot.world.kernel.places import RoadPlaces
-from pytest_pafot.world.kernel.road_sensor import RoadSensor
 from pytest_pafot.world.roads.straight import StraightRoad
 from pytest_pafot.world.run_config import Rules
 
@@ -40,7 +36,7 @@ def planner_run(
 
     Args:
         rules, scenario: the world's rules, and a scenario that fits them.
-        network: returns the road as a road network of highway-env, which only a bent road needs.
+        network: returns the road as a road network of highway-env, which not every road needs.
         ads: the planner; None if the decisions are passed in.
         guard: the guard of its decisions.
         sight: the sight of a planner whose decisions are passed in; None for perfect sight.
@@ -49,10 +45,9 @@ def planner_run(
     """
     if ads is not None:
         ads, sight = ads_and_sight(ads)
-    ego, road = body or Body(NPC_LENGTH, NPC_WIDTH), rules.road
+    ego = body or Body(NPC_LENGTH, NPC_WIDTH)
     ego.place(*rules.ego_position(scenario), scenario.ego_speed)
-    is_straight = isinstance(road, StraightRoad)
-    vehicles = VehiclesOfRun(rules, scenario, ego, None if is_straight else network())
+    vehicles = VehiclesOfRun(rules, scenario, ego, network)
     return SteppedRun(vehicles, planner_driver(vehicles, ads, guard, sight, decisions), guard)
 
 
@@ -65,26 +60,8 @@ def planner_driver(
 ) -> GivenDriver:
     """Return the driver of an ego for a planner in SI units; the arguments are those of :func:`planner_run`."""
     rules, scenario, road = vehicles.rules, vehicles.scenario, vehicles.rules.road
-    every, sensor = rules.physics_hz // rules.ads_hz, Sensor()
-    if isinstance(road, StraightRoad):
-        x, y, _ = road.position(0.0, 0)
-        sensor = Observer(vehicles.rows, vehicles.sizes, road.grid, road.speed_limit, rules.physics_hz, every, x, y)
-        if sight is not None:
-            sensor = ImperfectSensor(sensor, sight, scenario.seed, road.grid, rules.physics_hz)
-    else:
-        on_road = (
-            cast("RoadPlaces", vehicles.places),
-            vehicles.rows,
-            road.bends,
-            [None if way is None else way.way.zone for way in rules.ways(scenario)],
-            (road.lane_count, road.lane_width, road.speed_limit, road.end),
-            rules.physics_hz,
-            every,
-        )
-        if sight is None:
-            sensor = RoadSensor(*on_road, None)
-        else:
-            sensor = ImperfectRoadSensor(*on_road, sight=sight, seed=scenario.seed)
+    every = rules.physics_hz // rules.ads_hz
+    sensor = road.sensor(vehicles.places, vehicles.rows, scenario, (rules.physics_hz, every), sight)
     common: dict[str, Any] = {"lanes": road.lane_count, "lane_width": road.lane_width}
     common |= {"every": every, "dt": 1 / rules.physics_hz}
     ego, place = vehicles.vehicles[0], vehicles.places.bodies[0]
@@ -93,21 +70,22 @@ def planner_driver(
     return PlannerDriver(ads, guard, decisions, ego, place, sensor, **common)
 
 
-def vehicle_run(rules: Rules, scenario: Scenario, network: Callable[[], Any], vehicle_class: Any) -> SteppedRun:
-    """Begin a run of a highway-env vehicle class, which drives itself, on a road where nobody has to yield."""
-    guard, road, start = HangGuard(rules.hang_limit), rules.road, rules.ego_position(scenario)
-    model = idm_model(vehicle_class) if isinstance(road, StraightRoad) and road.starts_at_origin else None
-    if model is not None and isinstance(road, StraightRoad):
+def vehicle_run(
+    rules: Rules, scenario: Scenario, road: StraightRoad, network: Callable[[], Any], vehicle_class: Any
+) -> SteppedRun:
+    """Begin a run of a highway-env vehicle class, which drives itself, on a straight road that starts at the origin."""
+    guard, start, model = HangGuard(rules.hang_limit), rules.ego_position(scenario), idm_model(vehicle_class)
+    if model is not None:
         ego = GoalVehicle(model.constants, road.grid, road.speed_limit)
         ego.start(*start, scenario.ego_speed, model.changes_lanes)
-        vehicles = VehiclesOfRun(rules, scenario, ego)
+        vehicles = VehiclesOfRun(rules, scenario, ego, network)
         return SteppedRun(vehicles, ModelDriver(ego, vehicles.vehicles[1:]), guard)
     from pytest_pafot.world.driving.object_driver import ObjectDriver  # noqa: PLC0415  (a second of imports)
     from pytest_pafot.world.stock import Road  # noqa: PLC0415
 
     on = Road(network(), np_random=np.random.default_rng(scenario.seed))
     driver = ObjectDriver(vehicle_of(vehicle_class, on, start, scenario.ego_speed, None), on, guard)
-    vehicles = VehiclesOfRun(rules, scenario, driver.ego, on.network)
+    vehicles = VehiclesOfRun(rules, scenario, driver.ego, network)
     driver.show(vehicles.places, road)
     return SteppedRun(vehicles, driver, guard)
 

@@ -182,7 +182,7 @@ def _reset_result(env: Any, seed: int, options: Mapping[str, Any] | None) -> tup
 
 def replay_highway(rules: Rules, scenario: Scenario, policy: Policy) -> Trace:
     """Repeat a run of a :class:`pytest_pafot.Highway` in highway-v0, with its lanes and speed limit."""
-    lane, lanes = rules.straight.lanes[0], rules.straight.lane_count
+    lane, lanes = rules.road.lanes[0], rules.road.lane_count
     config = {
         "lanes_count": lanes,
         "vehicles_count": 0,
@@ -231,7 +231,7 @@ def replay_environment(
         )
         every, eyes = rules.physics_hz // rules.ads_hz, policy_sight(env, ads.sight, scenario)
         driver = StockPolicy(ads.decides, seen, ego, every, guard, view, eyes)
-        return _Loop(VehiclesOfRun(rules, scenario, ego, env.road.network), env, driver, guard, objects).run()
+        return _Loop(VehiclesOfRun(rules, scenario, ego, lambda: env.road.network), env, driver, guard, objects).run()
 
 
 def _reset(outer: Any, scenario: Scenario, config: Mapping[str, Any] | None = None) -> tuple[Any, list[Any]]:
@@ -271,7 +271,7 @@ def _si_run(rules: Rules, scenario: Scenario, env: Any, ads: Ads, route: tuple[A
     ego_class = ads.given if ads.drives_itself else StockVehicle
     put_ego(env, vehicle_of(ego_class, env.road, start, scenario.ego_speed, route))
     ego = body_of(env.vehicle)
-    vehicles = VehiclesOfRun(rules, scenario, ego, env.road.network)
+    vehicles = VehiclesOfRun(rules, scenario, ego, lambda: env.road.network)
     driver: EgoDriver
     if ads.drives_itself:
         driver = _VehicleClass(env.vehicle, ego, guard)

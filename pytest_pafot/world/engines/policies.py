@@ -65,7 +65,7 @@ def rollout(environment: GymEnvironment, rules: Rules, scenario: Scenario, polic
             if idm_model(ads.given) is None or lanes is None:
                 return _begun(rules, scenario, ObjectDriver(ego, env.road, guard), guard).finish()
             model = CompiledRoad(env.road, lanes).vehicle(ego)
-            vehicles = VehiclesOfRun(rules, scenario, model, env.road.network)
+            vehicles = VehiclesOfRun(rules, scenario, model, lambda: env.road.network)
             others = [*vehicles.vehicles[1:], *obstacles_on(env.road)]
             model_driver = ModelDriver(model, others, egos_rules(ego, model, vehicles.places, rules, lanes))
             return SteppedRun(vehicles, model_driver, guard).finish()
@@ -112,7 +112,7 @@ def _policy_driver(
 
 
 def _begun(rules: Rules, scenario: Scenario, driver: ObjectDriver, guard: HangGuard) -> SteppedRun:
-    vehicles = VehiclesOfRun(rules, scenario, driver.ego, driver.road.network)
+    vehicles = VehiclesOfRun(rules, scenario, driver.ego, lambda: driver.road.network)
     driver.show(vehicles.places, rules.road)
     return SteppedRun(vehicles, driver, guard)
 

@@ -2,22 +2,32 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
 from pytest_pafot.criticality.relative import RelativePositions
-from pytest_pafot.model.crossings import Zone
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.scenario import Scenario
-from pytest_pafot.model.trace import HEADING, SPEED, STEERING, AdsError, Collision, FloatArray, Outcome, Plan, Trace
+from pytest_pafot.model.trace import (
+    HEADING,
+    SPEED,
+    STEERING,
+    AdsError,
+    Collision,
+    FloatArray,
+    Outcome,
+    Plan,
+    RoadOfRun,
+    Trace,
+    road_of_run,
+)
 from pytest_pafot.world.guard.failure import UNFIT, error_of
 from pytest_pafot.world.guard.hang_guard import HangGuard
 from pytest_pafot.world.kernel.bodies import Body, Box, depth, overlap, side_hit
 from pytest_pafot.world.kernel.loop import EgoDriver, GivenDriver, Loop
 from pytest_pafot.world.kernel.observation import COLUMNS
-from pytest_pafot.world.kernel.places import Places, RoadPlaces
-from pytest_pafot.world.roads.straight import StraightRoad
 from pytest_pafot.world.run_config import Rules, starts_of
 
 
@@ -28,7 +38,7 @@ class VehiclesOfRun:
         rules: the rules that all runs share; the scenario fits them.
         scenario: the scenario.
         ego: the ego, at its start in world coordinates.
-        network: the road as a road network of highway-env; a straight road may do without.
+        network: returns the road as a road network of highway-env, which not every road needs.
 
     Attributes:
         director: the director of the NPCs.
@@ -39,35 +49,19 @@ class VehiclesOfRun:
         sizes: length and width of each vehicle [m].
     """
 
-    def __init__(self, rules: Rules, scenario: Scenario, ego: Body, network: Any = None) -> None:
+    def __init__(self, rules: Rules, scenario: Scenario, ego: Body, network: Callable[[], Any]) -> None:
         self.rules = rules
         self.scenario = scenario
         self.director = director = rules.director(scenario, ego.length)
         alongs, starts = starts_of(rules, scenario, director, ego.length)
         road, ticks = rules.road, rules.ticks(scenario)
-        is_apart = not (isinstance(road, StraightRoad) and road.starts_at_origin)
+        is_apart = not road.starts_at_origin
         npcs: list[Body] = [Body(npc.length, npc.width) for npc in director.npcs] if is_apart else list(director.npcs)
         for npc, start in zip(npcs, starts, strict=True):
             npc.place(*start)
         self.vehicles = [ego, *npcs]
         bodies = [Body(ego.length, ego.width), *director.npcs] if is_apart else self.vehicles
-        self.places: Places
-        if isinstance(road, StraightRoad):
-            x, y, _ = road.position(0.0, 0)
-            self.places = Places(self.vehicles, bodies, road.grid, x, y)
-        else:
-            own_ways = {} if rules.junction is None else rules.junction.own_ways
-            ways = [None if each is None else own_ways[each.zone] for each in scenario.crossings]
-            self.places = RoadPlaces(
-                self.vehicles,
-                bodies,
-                road.bends,
-                starts=alongs,
-                ways=[None, *(ways or [None] * len(npcs))],
-                end=road.end,
-                beside=lambda x, y, lane, along: road.beside(network, x, y, lane, along),
-                ticks=ticks,
-            )
+        self.places = road.places(self.vehicles, bodies, scenario, starts=alongs, ticks=ticks, network=network)
         self.places.obstacles = [Box(*each) for each in rules.obstacles]
         for each, box in zip(rules.obstacles, self.places.obstacles, strict=True):
             if overlap(ego, box):  # an ego that is longer than the rules know
@@ -86,11 +80,11 @@ class VehiclesOfRun:
         states = (rows if rows.size == len(self.rows) else rows.copy()).reshape(shape)
         states.flags.writeable = False
         track = on_way = None
-        if isinstance(places, RoadPlaces):
-            ticks = len(self.rows) // (count * COLUMNS)
+        ticks = len(self.rows) // (count * COLUMNS)
+        if len(places.track):
             track = np.array(places.track).reshape(ticks, count, -1)[: shape[0]]
-            if len(places.on_way):
-                on_way = np.array(places.on_way).reshape(ticks, -1)[: shape[0]]
+        if len(places.on_way):
+            on_way = np.array(places.on_way).reshape(ticks, -1)[: shape[0]]
         off_road = states[:, 0, -1] < 0
         off_road_tick = int(off_road.argmax()) if off_road.any() else None
         outcome = Outcome.SAFE if off_road_tick is None else Outcome.OFF_ROAD
@@ -111,34 +105,27 @@ class VehiclesOfRun:
             physics_hz=self.rules.physics_hz,
             ads_hz=self.rules.ads_hz,
             actions=tuple(driver.actions),
-            plans=self._plans(driver, track) if driver.plans else (),
+            plans=self._plans(driver, road_of_run(states, self.rules.road.lanes, track)) if driver.plans else (),
             arrivals=self.director.arrivals,
             off_road_tick=off_road_tick,
             max_decision_seconds=driver.slowest,
             track=track,
-            zones=self._zones,
+            zones=self.rules.road.zones(self.scenario),
             on_way=on_way,
             driven=self.director.driven,
             begun=self.director.begun,
             obstacles=self.rules.obstacles,
         )
 
-    def _plans(self, driver: EgoDriver, track: FloatArray | None) -> tuple[Plan | None, ...]:
+    def _plans(self, driver: EgoDriver, on_road: RoadOfRun) -> tuple[Plan | None, ...]:
         """Return the plan of each action in the world's coordinates; a planner has made it in those it observes."""
         road, plans = self.rules.road, dict(driver.plans)
-        if isinstance(driver, GivenDriver) and not (isinstance(road, StraightRoad) and road.starts_at_origin):
+        if isinstance(driver, GivenDriver) and not road.starts_at_origin:
+            ego = on_road.track[:: driver.every, 0]
             for number, plan in plans.items():
-                row: Any = None if track is None else track[number * driver.every, 0]
-                plans[number] = tuple((t, *road.seen_at(x, y, row)) for t, x, y in plan)
+                plans[number] = tuple((t, *road.seen_at(x, y, ego[number])) for t, x, y in plan)
         made = tuple(plans.get(number) for number in range(len(driver.actions)))
         return made if any(made) else ()
-
-    @property
-    def _zones(self) -> tuple[Zone | None, ...]:
-        if self.rules.crossings is None:
-            return ()
-        ways = self.rules.crossings.ways
-        return tuple(None if each is None else ways[each.zone].zone for each in self.scenario.crossings)
 
     def _collision(self, states: FloatArray, track: FloatArray | None) -> Collision:
         now = self._boxes(states[-1])
@@ -168,15 +155,15 @@ class VehiclesOfRun:
             time=tick / self.rules.physics_hz,
             npc=npc,
             side=side_hit(before[0], before[npc + 1]),
-            cell=self._cell(npc, positions, track),
+            cell=self._cell(npc, positions),
             ego_speed=float(ego[SPEED]),
             npc_speed=float(other[SPEED]),
             closing_speed=float(np.hypot(*(velocity[:, 0] - velocity[:, 1]))),
         )
 
-    def _cell(self, npc: int, positions: RelativePositions, track: FloatArray | None) -> Cell | None:
+    def _cell(self, npc: int, positions: RelativePositions) -> Cell | None:
         """Return the cell of an NPC that the ego has touched; None if the NPC was not on the ego's way."""
-        if track is not None and np.isnan(track[-1, npc + 1, 0]):
+        if not positions.is_on_way[npc, -1]:
             return None
         cell = positions.last_cell(npc, self.loop.tick)
         crossings = self.scenario.crossings[: npc + 1]

@@ -25,7 +25,7 @@ from pytest_pafot.world.guard.hang_guard import AdsHang, HangGuard, unending
 from pytest_pafot.world.gym_world import World
 from pytest_pafot.world.highway import Highway
 from pytest_pafot.world.limits import HANG_LIMIT
-from pytest_pafot.world.roads.network import Meeting
+from pytest_pafot.world.roads.road import Meeting
 from pytest_pafot.world.roads.straight import StraightRoad
 
 WORLD_SHARE, LEAST_FOR_WORLD = 10.0, 60.0

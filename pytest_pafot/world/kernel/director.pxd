@@ -30,7 +30,6 @@ cdef class BaseDirector:
 
 cdef class Director(BaseDirector):
     cdef public bint skips
-    cdef bint _is_bent
     cdef readonly object _scenario, _road
     cdef readonly list _on_grid, _in_lanes, _asked
     cdef object _limits
@@ -113,8 +112,6 @@ cdef class Director(BaseDirector):
     @cython.locals(front=Npc, rear=Npc, reach=double, in_lane=bint, claims=bint)
     cdef bint _clear_of(self, Npc mine, Npc theirs, int lane) except -1
 
-    @cython.final
-    @cython.locals(distance=double)
     cdef double _gap(self, Npc front, Npc rear) except? -1
 
     @cython.locals(theirs=Npc, lane=int, goal=int, distance=double, gap=double, safe=double,

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from array import array
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from pytest_pafot.model.driving_style import AMPLE
 from pytest_pafot.model.grid import Cell, longitudinal_target, repair_gene, toss
@@ -34,10 +34,6 @@ from pytest_pafot.world.kernel.driver import (
 )
 from pytest_pafot.world.limits import NpcLimits
 
-if TYPE_CHECKING:
-    from pytest_pafot.world.roads.network import NetworkRoad
-    from pytest_pafot.world.roads.straight import StraightRoad
-
 ARRIVED_LATERAL = 0.5
 """The distance to a cell's centre, across the lane, at which an NPC has arrived [m]; along it, half an NPC's length."""
 CREEP_SPEED = 3.0
@@ -45,6 +41,9 @@ CREEP_SPEED = 3.0
 BESIDE = 0.6
 """The least room between NPCs side by side; with less, each is in the other's way [m]."""
 NO_LANE = -1
+
+Start = tuple[float, tuple[float, float, float, float]]
+"""A vehicle's start: the place along its way [m], and its x [m], y [m], heading [rad] and speed [m/s] there."""
 
 # The following numbers are for attentive traffic. The verdicts require no more of an NPC when the ego moves in ahead of
 # it, or brakes there for nothing.
@@ -148,6 +147,10 @@ class BaseDirector:
     def __init__(self, npcs: list[Any]) -> None:
         self.npcs = npcs
 
+    def started(self, starts: list[Start]) -> list[Start]:
+        """Return the starts of all NPCs, given those of the NPCs that start around the ego."""
+        return starts
+
     def command(self, ego: Body) -> None:
         """Set acceleration and steering of each NPC for the coming tick."""
 
@@ -171,7 +174,7 @@ class Director(BaseDirector):
     def __init__(
         self,
         scenario: Scenario,
-        road: StraightRoad | NetworkRoad,
+        road: Any,
         limits: NpcLimits,
         *,
         clearance: float,
@@ -191,14 +194,13 @@ class Director(BaseDirector):
         self._top_speed = top_speed
         self._hz = physics_hz
         self.skips = False
-        self._is_bent = False
         self._road: Any = road
         self._clearance = clearance
         self._row = (ego_length + length) / 2.0
         self._length = length
         self._width = width
         self._lane_width = road.lane_width
-        self._last_lane = road.lane_count - 1
+        self._last_lane: int = road.lane_count - 1
         self._genes = scenario.genes
         self._gene_ticks = round(scenario.gene_seconds * physics_hz)
         self._far = length + stopping_room(top_speed)
@@ -580,11 +582,8 @@ class Director(BaseDirector):
         return clear_to_enter(self._gap(front, rear), rear.speed - front.speed)
 
     def _gap(self, front: Npc, rear: Npc) -> float:
-        """Return the gap between two NPCs in one lane [m]; in a bend, that on the side on which it is shorter."""
-        distance = front.x - rear.x
-        if self._is_bent:
-            distance *= min(self._stretch(front), self._stretch(rear))
-        return distance - self._length
+        """Return the gap between two NPCs in one lane [m]."""
+        return front.x - rear.x - self._length
 
     def _following(self, mine: Npc, speed: float) -> float:
         """Limit a desired speed to what leaves room behind the NPCs ahead [m/s]."""

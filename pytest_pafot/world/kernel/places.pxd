@@ -14,6 +14,7 @@ cdef class Places:
     cdef public object left
     cdef readonly Lanes lanes
     cdef Lanes _lanes
+    cdef readonly double[::1] track, on_way
     cdef double _x, _y
 
     @cython.locals(number=Py_ssize_t, vehicle=Body, body=Body)
@@ -30,7 +31,6 @@ cdef class OwnWay:
     cdef double[::1] along_ego
 
 cdef class RoadPlaces(Places):
-    cdef readonly double[::1] track, on_way
     cdef Bends _bends
     cdef list _ways
     cdef double _end

@@ -18,6 +18,7 @@ from pytest_pafot.world.kernel.observation import COLUMNS
 HALF_TURN = math.pi
 """Pi [rad]; unlike ``math.pi``, it is a C number in compiled code."""
 NOWHERE = float("nan")
+NOTHING = array("d")
 TRACK_COLUMNS = 5
 """The number of values of a vehicle in a row of ``Trace.track``."""
 
@@ -36,6 +37,7 @@ class Places:
         lanes: the road's lanes if world and road coordinates are the same, so that bodies need not be placed; else
             None.
         obstacles: the fixed objects on the road, in world coordinates.
+        track, on_way: rows of ``Trace.track`` and of ``Trace.on_way``; empty if the trace has none.
     """
 
     def __init__(
@@ -49,6 +51,7 @@ class Places:
         self._x = x
         self._y = y
         self.lanes = lanes if vehicles[0] is bodies[0] else None
+        self.track = self.on_way = NOTHING
 
     def control(self) -> None:
         """Give the NPCs in world coordinates the controls that the director has set."""
@@ -106,10 +109,6 @@ class RoadPlaces(Places):
         beside: returns, for an ego that is on no lane of its way, the index of its lane in ``Trace.lanes`` and how the
             run has left its road, by x and y [m], the nearest lane, and the place along the way [m].
         ticks: the largest number of ticks of the run.
-
-    Attributes:
-        track: rows of ``Trace.track``.
-        on_way: rows of ``Trace.on_way``; empty without crossing NPCs.
     """
 
     def __init__(

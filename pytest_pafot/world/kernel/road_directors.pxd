@@ -22,6 +22,9 @@ cdef class NetworkDirector(Director):
 
     cpdef double _stretch(self, Body body) except? -1
 
+    @cython.locals(distance=double)
+    cdef double _gap(self, Npc front, Npc rear) except? -1
+
     @cython.locals(goal=int, wanted=double)
     cpdef void _control(self, Npc npc, Body ego) except *
 

@@ -12,7 +12,7 @@ from pytest_pafot.model.scenario import ACTS, CrossingInstruction, Scenario, on_
 from pytest_pafot.world.kernel.bends import Bends
 from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.kernel.crossing import Crosser, CrossingNpc, LeaderAhead, SharedPlace
-from pytest_pafot.world.kernel.director import BaseDirector, Director, Npc
+from pytest_pafot.world.kernel.director import BaseDirector, Director, Npc, Start
 from pytest_pafot.world.kernel.driver import NpcDriver, clear_to_enter, following_speed, gap_speed
 from pytest_pafot.world.limits import BEND_SHARE, NpcLimits
 
@@ -26,9 +26,6 @@ CHANGING_SHARE = 0.3
 """The share of its lateral acceleration that an NPC may use to follow a bend while it speeds up in a lane change."""
 BETWEEN_LANES = 0.5
 """The distance from the centre of its target lane beyond which an NPC still changes lanes [m]."""
-
-Start = tuple[float, tuple[float, float, float, float]]
-"""A vehicle's start: the place along its way [m], and its x [m], y [m], heading [rad] and speed [m/s] there."""
 
 
 class NetworkDirector(Director):
@@ -49,7 +46,7 @@ class NetworkDirector(Director):
     ) -> None:
         narrower = replace(limits, heading=HEADING_SHARE * limits.heading)
         super().__init__(scenario, road, narrower, **common)
-        self.skips = self._is_bent = True
+        self.skips = True
         self.others: JunctionDirector | None = None
         self._bends: Bends = road.bends
         self._width_of_lanes: float = road.lane_width
@@ -93,6 +90,12 @@ class NetworkDirector(Director):
     def _stretch(self, body: Body) -> float:
         """Return how many metres a vehicle drives in its lane per metre of the way."""
         return self._bends.stretch(body.x, self._bends.across_at(body.lane, body.x))
+
+    def _gap(self, front: Npc, rear: Npc) -> float:
+        """Return the gap between two NPCs in one lane [m]; in a bend, that on the side on which it is shorter."""
+        distance = front.x - rear.x
+        distance *= min(self._stretch(front), self._stretch(rear))
+        return distance - self._length
 
     def _control(self, npc: Npc, ego: Body) -> None:
         if npc.pilot is not None:
@@ -314,9 +317,10 @@ class JunctionDirector(BaseDirector):
         """Return the cells of the first gene of NPCs on the grid, in which they start."""
         return () if self._grid is None else self._grid.first_cells()
 
-    def starts(self) -> list[Start | None]:
-        """Return the start of each crossing NPC, None for each NPC on the grid."""
-        return [self._start(npc) if isinstance(npc, CrossingNpc) else None for npc in self.npcs]
+    def started(self, starts: list[Start]) -> list[Start]:
+        """Return the starts of all NPCs, given those of the NPCs on the grid."""
+        on_grid = iter(starts)
+        return [self._start(npc) if isinstance(npc, CrossingNpc) else next(on_grid) for npc in self.npcs]
 
     def _start(self, npc: CrossingNpc) -> Start:
         track, along = npc.track, npc.begins

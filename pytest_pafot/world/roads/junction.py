@@ -9,8 +9,8 @@ from __future__ import annotations
 import math
 from array import array
 from collections import deque
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from itertools import combinations
 from typing import Any, NamedTuple
@@ -19,12 +19,17 @@ import numpy as np
 import numpy.typing as npt
 
 from pytest_pafot.model.crossings import EGOS, NOT_ON_WAY, Crossings, Holder, Kind, Origin, Stretch, Way, Zone
+from pytest_pafot.model.grid import Cell
+from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import FloatArray
-from pytest_pafot.world.kernel.bodies import NPC_LENGTH, NPC_WIDTH
-from pytest_pafot.world.kernel.crossing import Track
+from pytest_pafot.world.kernel.bodies import NPC_LENGTH, NPC_WIDTH, Body
+from pytest_pafot.world.kernel.crossing import CrossingNpc, Track
+from pytest_pafot.world.kernel.director import Director
 from pytest_pafot.world.kernel.places import OwnWay
+from pytest_pafot.world.kernel.road_directors import JunctionDirector, NetworkDirector
 from pytest_pafot.world.limits import NpcLimits
 from pytest_pafot.world.roads.network import SPEED_LAG, Column, NetworkRoad
+from pytest_pafot.world.roads.road import Pose
 from pytest_pafot.world.roads.route import STEP, LaneIndex, Line, Piece, is_drivable, line_of, wrapped
 from pytest_pafot.world.roads.route import way as way_of
 from pytest_pafot.world.roads.survey import TIGHTEST, curvature_of, lone_column
@@ -139,7 +144,63 @@ class Junction:
         return self.shared.get((mine, theirs))
 
 
-def junction_of(env: Any, road: NetworkRoad, limits: NpcLimits) -> Junction | None:
+@dataclass(frozen=True, kw_only=True, eq=False)
+class JunctionRoad(NetworkRoad):
+    """The ego's way through a network, and the ways on which other traffic meets it.
+
+    Attributes:
+        junction: these ways; the other attributes are those of :class:`NetworkRoad`.
+    """
+
+    junction: Junction
+
+    @property
+    def crossings(self) -> Crossings:
+        """The zones and ways from which a search samples."""
+        return self.junction.crossings
+
+    def zones(self, scenario: Scenario) -> tuple[Zone | None, ...]:
+        """Return the zone of each NPC that crosses, None for each other NPC; empty if no NPC crosses."""
+        ways = self.crossings.ways
+        return tuple(None if each is None else ways[each.zone].zone for each in scenario.crossings)
+
+    def own_ways(self, scenario: Scenario) -> list[OwnWay | None]:
+        """Return the own way of each NPC that crosses, None for each other NPC."""
+        ways = [None if each is None else self.junction.own_ways[each.zone] for each in scenario.crossings]
+        return ways or super().own_ways(scenario)
+
+    def director(
+        self, scenario: Scenario, limits: NpcLimits, cells: frozenset[Cell], **common: Any
+    ) -> Director | JunctionDirector:
+        """Make the director of the NPCs: of those that cross, and of those around the ego if there are any."""
+        if not scenario.crossings:
+            return super().director(scenario, limits, cells, **common)
+        grid = None
+        if None in scenario.crossings:
+            pairs = zip(scenario.npcs, scenario.crossings, strict=True)
+            others = replace(scenario, npcs=tuple(npc for npc, crossing in pairs if crossing is None))
+            grid = NetworkDirector(others, self, limits, start_cells=cells, **common)
+        del common["clearance"], common["ego_length"]
+        return JunctionDirector(scenario, self, self.junction, limits, grid=grid, **common)
+
+    def foresight(self, body: Body) -> Callable[[float], Pose] | None:
+        """Return where an NPC goes along its own way or its lane."""
+        return body.track.pose if isinstance(body, CrossingNpc) else super().foresight(body)
+
+
+def with_junction(env: Any, road: NetworkRoad, limits: NpcLimits) -> NetworkRoad:
+    """Return the ego's way with the ways that meet it in an environment; the same road if there are none.
+
+    The ego may start further back, so that it has time before the first of them.
+    """
+    junction = _junction_of(env, road, limits)
+    if junction is None:
+        return road
+    values = {each.name: getattr(road, each.name) for each in fields(road)}
+    return JunctionRoad(**{**values, "start": junction.crossings.ego_start}, junction=junction)
+
+
+def _junction_of(env: Any, road: NetworkRoad, limits: NpcLimits) -> Junction | None:
     """Return the ways on which other traffic meets the ego's way in an environment; None if there are none."""
     own = _course(road.line, road.columns[road.ego_lane])
     ways = _ways(env.road.network, road, own, limits)

@@ -11,21 +11,29 @@ wherever the lane really is.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 import numpy.typing as npt
 
 from pytest_pafot.model.grid import Cell
+from pytest_pafot.model.scenario import Scenario
+from pytest_pafot.model.sight import Sight
 from pytest_pafot.model.trace import ALONG, STRETCH, FloatArray, Lane, Outcome
+from pytest_pafot.world.driving.seeing import ImperfectRoadSensor
 from pytest_pafot.world.kernel.bends import Bends
+from pytest_pafot.world.kernel.bodies import NPC_LENGTH, Body
+from pytest_pafot.world.kernel.director import Director
+from pytest_pafot.world.kernel.observation import Sensor
+from pytest_pafot.world.kernel.places import OwnWay, Places, RoadPlaces
+from pytest_pafot.world.kernel.road_directors import JunctionDirector, NetworkDirector
+from pytest_pafot.world.kernel.road_sensor import RoadSensor
 from pytest_pafot.world.limits import BEND_SHARE, NpcLimits
+from pytest_pafot.world.roads.road import Meeting, Pose, Road
 from pytest_pafot.world.roads.route import STEP, LaneIndex, Line
-
-Meeting = Literal["crosses", "joins", "oncoming"]
-"""The kind of meeting between the ego's way and a different road; a road that only leaves the way has none."""
 
 SLOWING = 2.0
 """The deceleration of an NPC before a bend or a lane's end [m/s^2]; at most a third of its braking limit is used."""
@@ -126,7 +134,7 @@ class Column:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class NetworkRoad:
+class NetworkRoad(Road):
     """The lanes along the ego's way through a network.
 
     Attributes:
@@ -194,8 +202,8 @@ class NetworkRoad:
         """Return the cells around an ego whose centres are on lanes; ``rows`` is the distance between rows [m]."""
         return frozenset(cell for cell in Cell if self.exists(ego_lane + cell.column, along + cell.row * rows))
 
-    def position(self, longitudinal: float, lane: int) -> tuple[float, float, float]:
-        """Return world x [m], y [m] and heading [rad] of a vehicle on the centre of a lane."""
+    def position(self, longitudinal: float, lane: int) -> Pose:
+        """Return the pose of a vehicle on the centre of a lane."""
         x, y, heading = self.reference(longitudinal)
         across, direction, lean = self.lane_at(lane, longitudinal)
         return x - math.sin(heading) * across, y + math.cos(heading) * across, direction + lean
@@ -217,10 +225,6 @@ class NetworkRoad:
             along = own + 2.0 * (x - own) / (stretch + bends.stretch(along, across))
         x0, y0, heading = self.reference(along)
         return x0 - math.sin(heading) * across, y0 + math.cos(heading) * across
-
-    def centre(self, lane: int) -> float:
-        """Return the nominal position of a lane's centre across the road [m]."""
-        return lane * self.lane_width
 
     def lane_at(self, lane: int, along: float) -> tuple[float, float, float]:
         """Return a lane's distance to the right of the line [m], direction [rad] and lean [rad]; see Column."""
@@ -250,6 +254,95 @@ class NetworkRoad:
         if on:
             return len(self.lanes) - len(self.others) + self.others.index(on[0]), Outcome.LEFT_ROUTE
         return -1, Outcome.OFF_ROAD
+
+    def has_lane(self, lane: int, along: float) -> bool:
+        """Return whether a lane exists at a place along the road [m]."""
+        return bool(self.exists(lane, along))
+
+    def stretch(self, lane: int, along: float) -> float:
+        """Return how many metres a vehicle drives in a lane per metre of the way."""
+        return self.bends.stretch(along, self.bends.across_at(lane, along))
+
+    @property
+    def prescribed(self) -> tuple[int, float]:
+        """The lane and the speed of the ego that the environment's reset has made."""
+        return self.ego_lane, self.ego_speed
+
+    def ego_start(self, headway: float, clearance: float) -> float:
+        """Return the ego's place along the road at the start [m], whatever headway and clearance NPCs have."""
+        return self.start
+
+    @property
+    def said_of_start_lanes(self) -> tuple[str, str]:
+        """What an error says of the ego's lane."""
+        lanes = " or ".join(map(str, self.start_lanes))
+        fix = "lanes are counted from 0 at the left, over all lanes along the ego's way"
+        return f"a lane that exists where the ego starts, {lanes}", fix
+
+    def start_cells(self, lane: int, distance: float) -> frozenset[Cell]:
+        """Return the cells around the ego's start whose centres are on lanes."""
+        return self.cells(self.start, lane, distance)
+
+    def start_speed(self, wanted: float, lane: int, along: float, limits: NpcLimits) -> float:
+        """Return ``wanted``, or less in and just after a bend.
+
+        Just after a bend, an NPC's heading still differs from its course, so the NPC turns, and at a higher speed
+        faster.
+        """
+        most = BEND_SHARE * limits.lateral_acceleration * NPC_LENGTH / 2
+        fastest = math.sqrt(most / max(math.sin(abs(self.lane_at(lane, along)[2])), 1e-9))
+        return min(wanted, self.speed_at(lane, along), fastest)
+
+    def director(
+        self, scenario: Scenario, limits: NpcLimits, cells: frozenset[Cell], **common: Any
+    ) -> Director | JunctionDirector:
+        """Make the director of the NPCs."""
+        return NetworkDirector(scenario, self, limits, start_cells=cells, **common)
+
+    def places(
+        self,
+        vehicles: list[Body],
+        bodies: list[Body],
+        scenario: Scenario,
+        *,
+        starts: Sequence[float],
+        ticks: int,
+        network: Callable[[], Any],
+    ) -> Places:
+        """Make the places of the vehicles of a run, which are tracked from tick to tick."""
+        return RoadPlaces(
+            vehicles,
+            bodies,
+            self.bends,
+            starts=starts,
+            ways=[None, *self.own_ways(scenario)],
+            end=self.end,
+            beside=lambda x, y, lane, along: self.beside(network(), x, y, lane, along),
+            ticks=ticks,
+        )
+
+    def own_ways(self, scenario: Scenario) -> list[OwnWay | None]:
+        """Return the own way of each NPC that crosses, None for each other NPC."""
+        return [None] * len(scenario.npcs)
+
+    def sensor(
+        self, places: Places, record: Any, scenario: Scenario, rates: tuple[int, int], sight: Sight | None
+    ) -> Sensor:
+        """Make the maker of a planner's observations, in which the road is straight."""
+        common = self.lane_count, self.lane_width, self.speed_limit, self.end
+        zones = list(self.zones(scenario))
+        on_road = cast("RoadPlaces", places), record, self.bends, zones, common, *rates
+        if sight is None:
+            return RoadSensor(*on_road, None)
+        return ImperfectRoadSensor(*on_road, sight=sight, seed=scenario.seed)
+
+    def foresight(self, body: Body) -> Callable[[float], Pose] | None:
+        """Return where an NPC goes along its lane.
+
+        highway-env predicts its own vehicles along their routes. An NPC has no such route, so highway-env would assume
+        that it keeps its steering angle.
+        """
+        return lambda along: self.position(along, body.lane)
 
     def reference(self, along: float) -> tuple[float, float, float]:
         """Return world x [m], y [m] and heading [rad] of the line, which goes straight on beyond its ends."""

@@ -1,20 +1,32 @@
-"""The straight road in the grid's coordinates: positions along the road and across its lanes.
-
-A road maps world coordinates to (longitudinal, lateral, heading relative to the road). Every other road is a
-:class:`~pytest_pafot.world.roads.network.NetworkRoad`; who needs more of a road than both have asks for its class.
-"""
+"""The straight road in the grid's coordinates: positions along the road and across its lanes."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 from pytest_pafot.model.grid import Cell
-from pytest_pafot.model.trace import Lane
+from pytest_pafot.model.scenario import Scenario
+from pytest_pafot.model.sight import Sight
+from pytest_pafot.model.trace import FloatArray, Lane
+from pytest_pafot.world.driving.seeing import ImperfectSensor
+from pytest_pafot.world.kernel.bodies import NPC_LENGTH, Body
+from pytest_pafot.world.kernel.director import Director
 from pytest_pafot.world.kernel.lanes import Lanes
+from pytest_pafot.world.kernel.observation import Observer, Sensor
+from pytest_pafot.world.kernel.places import Places
+from pytest_pafot.world.limits import TOP_SPEED, NpcLimits
+from pytest_pafot.world.roads.road import Pose, Road
+
+
+def ego_start(headway: float, clearance: float) -> float:
+    """Return the ego's place along a straight road at the start [m], with room behind it for NPCs at any speed."""
+    return max(200.0, 50.0 + headway * TOP_SPEED + clearance)
 
 
 @dataclass(frozen=True)
-class StraightRoad:
+class StraightRoad(Road):
     """Parallel straight lanes of equal width along the x axis, lane 0 at the left (smallest y).
 
     Attributes:
@@ -23,6 +35,8 @@ class StraightRoad:
         speed_limit: the speed limit of the fastest lane [m/s].
         grid: the lanes in road coordinates.
     """
+
+    is_straight = True
 
     lanes: tuple[Lane, ...]
     lane_width: float = field(init=False)
@@ -58,6 +72,11 @@ class StraightRoad:
         return len(self.lanes)
 
     @property
+    def length(self) -> float:
+        """The length of the lanes [m]."""
+        return self.lanes[0].length
+
+    @property
     def starts_at_origin(self) -> bool:
         """True if world coordinates and road coordinates are the same."""
         return self._origin == (0.0, 0.0)
@@ -67,19 +86,62 @@ class StraightRoad:
         x0, y0 = self._origin
         return x - x0, y - y0, heading
 
-    def position(self, longitudinal: float, lane: int) -> tuple[float, float, float]:
-        """Return world x [m], y [m] and heading [rad] of a point on the centre of a lane."""
+    def position(self, longitudinal: float, lane: int) -> Pose:
+        """Return the pose of a point on the centre of a lane."""
         x0, y0 = self._origin
         return x0 + longitudinal, y0 + self.centre(lane), 0.0
 
-    def seen_at(self, x: float, y: float, ego: object) -> tuple[float, float]:
+    def seen_at(self, x: float, y: float, ego: FloatArray) -> tuple[float, float]:
         """Return world x and y of a place in the coordinates that a planner observes [m]."""
         return x + self._origin[0], y + self._origin[1]
-
-    def centre(self, lane: int) -> float:
-        """Return the position of a lane's centre across the road [m]."""
-        return lane * self.lane_width
 
     def cells(self, ego_lane: int) -> frozenset[Cell]:
         """Return the cells whose lane exists around an ego in the given lane."""
         return self._cells[ego_lane]
+
+    def has_lane(self, lane: int, along: float) -> bool:
+        """Return whether a lane exists, with room for an NPC at both ends of the road."""
+        return 0 <= lane < self.lane_count and NPC_LENGTH < along < self.length - NPC_LENGTH
+
+    def ego_start(self, headway: float, clearance: float) -> float:
+        """Return the ego's place along the road at the start [m]."""
+        return ego_start(headway, clearance)
+
+    @property
+    def start_lanes(self) -> range:
+        """All lanes."""
+        return range(self.lane_count)
+
+    @property
+    def said_of_start_lanes(self) -> tuple[str, str]:
+        """What an error says of the ego's lane."""
+        return f"a lane from 0 to {self.lane_count - 1}", f"the road has {self.lane_count} lanes"
+
+    def start_cells(self, lane: int, distance: float) -> frozenset[Cell]:
+        """Return the cells whose lane exists around an ego in the given lane."""
+        return self._cells[lane]
+
+    def director(self, scenario: Scenario, limits: NpcLimits, cells: frozenset[Cell], **common: Any) -> Director:
+        """Make the director of the NPCs."""
+        return Director(scenario, self, limits, **common)
+
+    def places(
+        self,
+        vehicles: list[Body],
+        bodies: list[Body],
+        scenario: Scenario,
+        *,
+        starts: Sequence[float],
+        ticks: int,
+        network: Callable[[], Any],
+    ) -> Places:
+        """Make the places of the vehicles of a run, which follow from their coordinates alone."""
+        return Places(vehicles, bodies, self.grid, *self._origin)
+
+    def sensor(
+        self, places: Places, record: Any, scenario: Scenario, rates: tuple[int, int], sight: Sight | None
+    ) -> Sensor:
+        """Make the maker of a planner's observations."""
+        sizes = [(each.length, each.width) for each in places.vehicles]
+        observer = Observer(record, sizes, self.grid, self.speed_limit, *rates, *self._origin)
+        return observer if sight is None else ImperfectSensor(observer, sight, scenario.seed, self.grid, rates[0])

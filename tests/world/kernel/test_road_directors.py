@@ -297,7 +297,7 @@ def violations(trace, world):
         "forward motion": (np.diff(trace.on_way[:, crossing], axis=0), -1e-9, np.inf),
     }
     for number, npc in enumerate(crossing):
-        line = world.rules.junction.ways[trace.zones[npc].way].line
+        line = world.road.junction.ways[trace.zones[npc].way].line
         apart = np.hypot(s[:, number, X, None] - line.x, s[:, number, Y, None] - line.y).min(axis=1)
         bounds[f"beside its way, NPC {npc}"] = apart, -np.inf, np.hypot(0.1, 0.26)
     return beyond(bounds)

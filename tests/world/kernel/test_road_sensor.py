@@ -22,7 +22,7 @@ from pytest_pafot.world.kernel.road_sensor import RoadSensor
 from pytest_pafot.world.roads.route import STEP
 
 WORLD = World("intersection-v0", config={"destination": "o2"}, planner_hz=5)
-JUNCTION = WORLD.rules.junction
+JUNCTION = WORLD.road.junction
 FROM_THE_RIGHT, TURNS_IN = JUNCTION.ways["o3>o1"], JUNCTION.ways["o3>o2"]
 HALF = 111.0
 """The distance from the middle of the intersection to the outer ends of the roads [m]."""

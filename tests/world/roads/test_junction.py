@@ -93,7 +93,7 @@ def test_ego_starts_six_seconds_before_first_zone(env_id):
 def test_way_speeds_respect_its_limit_and_bends(destination):
     world = intersection(destination)
     for way in world.crossings.ways.values():
-        line = world.rules.junction.ways[way.zone.way].line
+        line = world.road.junction.ways[way.zone.way].line
         turned = np.abs(np.diff(np.unwrap(line.heading))) / STEP
         assert (np.minimum(way.speeds[1:], way.speeds[:-1]) ** 2 * turned).max() < world.limits.lateral_acceleration
         assert way.speeds.max() <= world.limits.overspeed * 10.0
@@ -105,7 +105,7 @@ def test_way_speeds_respect_its_limit_and_bends(destination):
 
 def poses_of_way(world, name):
     """Return places along a way and a vehicle's poses there, by highway-env's lanes for a way of points."""
-    way = world.rules.junction.ways[name]
+    way = world.road.junction.ways[name]
     places = np.arange(0.1, way.way.length - 1, 0.47)
     return places, posed(way.line, np.array(way.column.lean), places)
 
@@ -176,7 +176,7 @@ def test_zones_are_stretches_where_boxes_along_ways_touch(world):
 def test_middle_of_a_way_is_in_its_zone_and_in_the_egos_lane(destination):
     world = intersection(destination)
     _, ego = poses_of_ego(world)
-    for way in world.rules.junction.ways.values():
+    for way in world.road.junction.ways.values():
         enters, leaves = way.way.zone.npc
         assert enters < way.middle < leaves
         (x, y, _), *_ = posed(way.line, np.array(way.column.lean), [way.middle])

@@ -1,0 +1,184 @@
+"""What a run needs of its road: places in the grid's coordinates, along the ego's way and across its lanes.
+
+Each kind of road derives from :class:`Road`, in a file of its own. Whoever needs something of a road asks the road, and
+does not look at its class.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from typing import Any, Literal
+
+from pytest_pafot.model.crossings import Crossings, Zone
+from pytest_pafot.model.grid import Cell
+from pytest_pafot.model.scenario import Scenario
+from pytest_pafot.model.sight import Sight
+from pytest_pafot.model.trace import FloatArray, Lane
+from pytest_pafot.world.kernel.bodies import Body
+from pytest_pafot.world.kernel.director import Director
+from pytest_pafot.world.kernel.observation import Sensor
+from pytest_pafot.world.kernel.places import Places
+from pytest_pafot.world.kernel.road_directors import JunctionDirector
+from pytest_pafot.world.limits import NpcLimits
+
+Meeting = Literal["crosses", "joins", "oncoming"]
+"""The kind of meeting between the ego's way and a different road; a road that only leaves the way has none."""
+
+Pose = tuple[float, float, float]
+"""World x [m], y [m] and heading [rad]."""
+
+
+class Road(ABC):
+    """A road in the grid's coordinates.
+
+    The first methods are about places, the next ones about the starts of a run, and the last ones make what a run
+    consists of. The defaults are those of a road on which the ego may start in any lane, and on which nobody crosses.
+
+    Attributes:
+        lanes: all lanes in the form of a trace; first those along the ego's way, from the left.
+        lane_width: the width of the ego's lane at the start [m].
+        speed_limit: the speed limit of the fastest lane [m/s].
+        length: the length of the road if runs must end before it does [m]; infinite if they end where it ends.
+        is_straight: True if an ego that leaves the road drives on beside it; otherwise the run ends there.
+        prescribed: the lane and the speed [m/s] with which the ego must start; None if it may start with any.
+        unused: the kinds of meetings of the ego's way with roads on which NPCs never drive.
+        crossings: the ways on which other traffic meets the ego's way; None if there are none.
+    """
+
+    lanes: tuple[Lane, ...]
+    lane_width: float
+    speed_limit: float
+    is_straight = False
+
+    @property
+    def length(self) -> float:
+        """The length of the road if runs must end before it does [m]; infinite if they end where it ends."""
+        return math.inf
+
+    @property
+    def prescribed(self) -> tuple[int, float] | None:
+        """The lane and the speed [m/s] with which the ego must start; None if it may start with any."""
+        return None
+
+    @property
+    def unused(self) -> frozenset[Meeting]:
+        """The kinds of meetings of the ego's way with roads on which NPCs never drive."""
+        return frozenset()
+
+    @property
+    def crossings(self) -> Crossings | None:
+        """The ways on which other traffic meets the ego's way; None if there are none."""
+        return None
+
+    def zones(self, scenario: Scenario) -> tuple[Zone | None, ...]:
+        """Return the zone of each NPC that crosses, None for each other NPC; empty if no NPC crosses."""
+        return ()
+
+    # Places.
+
+    @property
+    @abstractmethod
+    def lane_count(self) -> int:
+        """The number of lanes along the ego's way; some may exist only in places."""
+
+    @property
+    def starts_at_origin(self) -> bool:
+        """True if world coordinates and road coordinates are the same."""
+        return False
+
+    def centre(self, lane: int) -> float:
+        """Return the nominal position of a lane's centre across the road [m]."""
+        return lane * self.lane_width
+
+    @abstractmethod
+    def position(self, longitudinal: float, lane: int) -> Pose:
+        """Return the pose of a vehicle on the centre of a lane, at a place along the road [m]."""
+
+    @abstractmethod
+    def seen_at(self, x: float, y: float, ego: FloatArray) -> tuple[float, float]:
+        """Return world x and y of a place in the coordinates that a planner observes [m].
+
+        ``ego`` is the ego's row of ``Trace.track`` at the time.
+        """
+
+    @abstractmethod
+    def has_lane(self, lane: int, along: float) -> bool:
+        """Return whether an NPC can start in a lane at a place along the road [m]."""
+
+    def stretch(self, lane: int, along: float) -> float:
+        """Return how many metres a vehicle drives in a lane per metre of the road."""
+        return 1.0
+
+    # Starts.
+
+    @abstractmethod
+    def ego_start(self, headway: float, clearance: float) -> float:
+        """Return the ego's place along the road at the start [m], for NPCs with this headway [s] and clearance [m]."""
+
+    @property
+    @abstractmethod
+    def start_lanes(self) -> Sequence[int]:
+        """The lanes in which the ego may start."""
+
+    @property
+    @abstractmethod
+    def said_of_start_lanes(self) -> tuple[str, str]:
+        """What an error expects of the ego's lane, and how it says which lanes there are."""
+
+    @abstractmethod
+    def start_cells(self, lane: int, distance: float) -> frozenset[Cell]:
+        """Return the cells around the ego's start in a lane that NPCs can start in, with ``distance`` to a row [m]."""
+
+    def start_speed(self, wanted: float, lane: int, along: float, limits: NpcLimits) -> float:
+        """Return the speed with which an NPC starts that is asked to start with ``wanted`` [m/s]."""
+        return wanted
+
+    # The parts of a run.
+
+    @abstractmethod
+    def director(
+        self, scenario: Scenario, limits: NpcLimits, cells: frozenset[Cell], **common: Any
+    ) -> Director | JunctionDirector:
+        """Make the director of the NPCs, which may start in ``cells``; for ``common``, see :class:`Director`."""
+
+    @abstractmethod
+    def places(
+        self,
+        vehicles: list[Body],
+        bodies: list[Body],
+        scenario: Scenario,
+        *,
+        starts: Sequence[float],
+        ticks: int,
+        network: Callable[[], Any],
+    ) -> Places:
+        """Make the places of the vehicles of a run.
+
+        Args:
+            vehicles: the vehicles in world coordinates, the ego first.
+            bodies: the same vehicles in road coordinates.
+            scenario: the scenario.
+            starts: each vehicle's place along its way at the start [m].
+            ticks: the largest number of ticks of the run.
+            network: returns the road as a road network of highway-env.
+        """
+
+    @abstractmethod
+    def sensor(
+        self, places: Places, record: Any, scenario: Scenario, rates: tuple[int, int], sight: Sight | None
+    ) -> Sensor:
+        """Make the maker of a planner's observations.
+
+        Args:
+            places: what :meth:`places` has made.
+            record: rows of seven numbers for each vehicle at each tick.
+            scenario: the scenario.
+            rates: ticks per second, and ticks between decisions.
+            sight: the sight of the planner; None for perfect sight.
+        """
+
+    def foresight(self, body: Body) -> Callable[[float], Pose] | None:
+        """Return where an NPC goes by a place along its way; None if nobody on this road predicts it."""
+        return None
