@@ -103,7 +103,7 @@ def _fitted(scenario: Scenario, space: SearchSpace, world: BaseWorld) -> Scenari
 def _can_be_drawn(gene: Gene, space: SearchSpace) -> bool:
     """Return whether a space has instructions of this kind. A world need not check that they fit."""
     if isinstance(gene, CrossingInstruction):
-        return space.crossings is not None and gene.zone in [zone.way for zone in space.crossings.zones]
+        return gene.zone in space.zones
     if isinstance(gene, Manoeuvre):
         return space.instructions == "manoeuvres"
     return space.instructions in ("both", "lanes" if isinstance(gene, LaneInstruction) else "cells")

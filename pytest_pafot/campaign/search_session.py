@@ -627,8 +627,7 @@ class SearchSession:
             self._out_of_reach,
             self.harness.policy.loading_hint if state.runs else "",
         )
-        random, crossings = state.random, None if state.space is None else state.space.crossings
-        ways = [] if crossings is None else [zone.way for zone in crossings.zones]
+        random, ways = state.random, [] if state.space is None else list(state.space.zones)
         # An error says nothing about the ego, and a rate of random scenarios that end at the first failure is too high.
         is_cut_short = reason == "error" or (reason == "enough findings" and not random.is_whole)
         return SearchSummary(
@@ -752,7 +751,7 @@ class SearchSession:
     def _unused(self) -> str:
         """A note that the search says nothing about traffic on other ways, because no NPC drives there; or empty."""
         world, unused = self.harness.world, self.harness.world.unused_roads
-        crosses = self.state.space is not None and self.state.space.crossings is not None
+        crosses = self.state.space is not None and self.state.space.zones
         if not unused or not self.state.runs or crosses:
             return ""
         verbs = {"crosses": "crosses", "joins": "joins", "oncoming": "comes towards"}

@@ -175,11 +175,16 @@ class SearchSpace:
         if self.most_npcs:
             npcs = f"{min(self.least_npcs, *self.most_npcs)} to {max(self.most_npcs)} NPCs"
         traffic = f" in {self.traffic.described}" if self.traffic.described else ""
-        count = 0 if self.crossings is None else len(self.crossings.ways)
+        count = len(self.zones)
         ways = f", most of them on {count} ways that meet the ego's" if count else ""
         kinds = {"cells": "", "lanes": " with Lane-Instructions", "both": " with Position- or Lane-Instructions"}
         kinds["manoeuvres"] = " with manoeuvres"
         return f"{npcs}{kinds[self.instructions]}{traffic}{ways}; the ego starts at {speed} m/s in {lane}"
+
+    @property
+    def zones(self) -> tuple[str, ...]:
+        """The names of the zones in which NPCs cross, in the order in which the ego reaches them."""
+        return () if self.crossings is None else tuple(zone.way for zone in self.crossings.zones)
 
     @property
     def crossing_traffic(self) -> CrossingTraffic | None:

@@ -7,7 +7,6 @@ from array import array
 from pytest_pafot import LaneInstruction, Scenario
 from pytest_pafot.world.guard.hang_guard import HangGuard
 from pytest_pafot.world.kernel.bodies import Body
-from pytest_pafot.world.kernel.director import Director
 from pytest_pafot.world.kernel.loop import Loop, PlannerDriver
 from pytest_pafot.world.kernel.observation import COLUMNS, Observer
 from pytest_pafot.world.kernel.places import Places
@@ -33,10 +32,10 @@ def crowd(count: int) -> tuple[Loop, PlannerDriver, int]:
     They follow each other, are recorded and are tested for contact as in every run.
     """
     road = StraightRoad.uniform(4, 10_000.0, 4.0, 26.8)
-    director = Director(
+    director = road.director(
         Crowd(npcs=((LaneInstruction("keep", 22.0),),) * count),
-        road,
         NpcLimits(),
+        frozenset(),
         clearance=3.0,
         ego_length=5.0,
         length=5.0,

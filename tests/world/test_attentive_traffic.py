@@ -16,7 +16,6 @@ from pytest_pafot.model.scenario import LaneInstruction, PositionInstruction, Sc
 from pytest_pafot.model.trace import ACCELERATION, LANE, SPEED, Outcome, X, Y
 from pytest_pafot.world import Highway, NpcLimits
 from pytest_pafot.world.kernel.bodies import Body
-from pytest_pafot.world.kernel.director import Director
 from tests.helpers.world_cases import EGOS, LENGTH, WIDTH, constant_speed, random_scenario
 
 HZ = 20
@@ -37,7 +36,8 @@ class Scene:
         chains = [[LaneInstruction(lane, float(speed))] for lane, speed in genes]
         scenario = Scenario(npcs=chains, gene_seconds=60.0, traffic=Traffic(traffic))
         sizes = {"ego_length": LENGTH, "length": LENGTH, "width": WIDTH}
-        self.director = Director(scenario, world.rules.road, NpcLimits(), clearance=3.0, physics_hz=HZ, **sizes)
+        limits, cells = NpcLimits(), frozenset()
+        self.director = world.road.director(scenario, limits, cells, clearance=3.0, physics_hz=HZ, **sizes)
         self.ego = Body(LENGTH, WIDTH)
         self.put(self.ego, 500.0, 1, ego_speed)
         for npc, (lane, gap, speed, _) in zip(self.director.npcs, npcs, strict=True):

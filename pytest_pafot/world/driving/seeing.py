@@ -18,8 +18,6 @@ from pytest_pafot.model.sight import GHOST_LENGTH, GHOST_WIDTH, OwnErrors, Sight
 from pytest_pafot.support.errors import WorldError
 from pytest_pafot.world.kernel.lanes import Lanes
 from pytest_pafot.world.kernel.observation import Observation, Sensor, VehicleState
-from pytest_pafot.world.kernel.places import RoadPlaces
-from pytest_pafot.world.kernel.road_sensor import RoadSensor
 
 OF_THE_ROAD = ("KinematicObservation", "OccupancyGridObservation", "TimeToCollisionObservation", "LidarObservation")
 """The observation classes of highway-env that are computed only from a road's vehicles, which copies can replace."""
@@ -109,28 +107,6 @@ class ImperfectSensor(Sensor):
             lateral.append(then.lateral_velocities[glimpse.other + 1] + glimpse.speed * math.sin(was.heading))
         seen, count = with_others(now, others, ids, lateral), len(then.others)
         return misjudged(seen, self._sight, self._own, self._seed, tick, self._hz, count, self.has_lane)
-
-
-class ImperfectRoadSensor(RoadSensor):
-    """The maker of imperfect observations on a bent road.
-
-    The driver of a :class:`pytest_pafot.Drive` reads the ego's place from a sensor, too, and that place stays exact.
-
-    Args:
-        places, road: the first arguments of :class:`RoadSensor`, up to its ``every``.
-        sight, seed: as for :class:`ImperfectSensor`.
-    """
-
-    def __init__(self, places: RoadPlaces, *road: Any, sight: Sight, seed: int) -> None:
-        super().__init__(*(places, *road, (sight, seed)))
-        *_, physics_hz, _ = road
-        self._misjudging = sight, sight.own_errors(seed), seed
-        self._hz, self._npcs = physics_hz, len(places.vehicles) - 1
-
-    def observation(self, tick: int) -> Observation:
-        """Make an imperfect observation at the current tick."""
-        seen = super().observation(tick)
-        return misjudged(seen, *self._misjudging, tick, self._hz, self._npcs, self.has_lane)
 
 
 def misjudged(

@@ -30,7 +30,8 @@ cdef class BaseDirector:
 
 cdef class Director(BaseDirector):
     cdef public bint skips
-    cdef readonly object _scenario, _road
+    cdef readonly object _scenario
+    cdef object _cells
     cdef readonly list _on_grid, _in_lanes, _asked
     cdef object _limits
     cdef double _top_speed, _release

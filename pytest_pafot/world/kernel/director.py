@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from array import array
+from collections.abc import Sequence
 from typing import Any
 
 from pytest_pafot.model.driving_style import AMPLE
@@ -32,6 +33,7 @@ from pytest_pafot.world.kernel.driver import (
     speed_asking_for,
     stopping_room,
 )
+from pytest_pafot.world.kernel.lanes import Lanes
 from pytest_pafot.world.limits import NpcLimits
 
 ARRIVED_LATERAL = 0.5
@@ -160,8 +162,10 @@ class Director(BaseDirector):
 
     Args:
         scenario: the scenario with the NPCs' chains.
-        road: the road.
+        lanes: the road's lanes.
         limits: the limits of every NPC.
+        speed_limit: the speed limit [m/s].
+        cells: for each lane the cells that exist around an ego in it.
         clearance: gap between the ego and the cells ahead and behind [m].
         ego_length: the ego's length [m].
         length, width: the size of each NPC [m].
@@ -174,16 +178,18 @@ class Director(BaseDirector):
     def __init__(
         self,
         scenario: Scenario,
-        road: Any,
+        lanes: Lanes,
         limits: NpcLimits,
         *,
+        speed_limit: float,
+        cells: Sequence[frozenset[Cell]],
         clearance: float,
         ego_length: float,
         length: float,
         width: float,
         physics_hz: int,
     ) -> None:
-        top_speed = limits.overspeed * road.speed_limit
+        top_speed = limits.overspeed * speed_limit
         super().__init__([Npc(index, chain, length, width) for index, chain in enumerate(scenario.npcs)])
         self._scenario = scenario
         self._on_grid = [npc for npc in self.npcs if isinstance(npc.chain[0], PositionInstruction)]
@@ -194,13 +200,13 @@ class Director(BaseDirector):
         self._top_speed = top_speed
         self._hz = physics_hz
         self.skips = False
-        self._road: Any = road
+        self._cells = cells
         self._clearance = clearance
         self._row = (ego_length + length) / 2.0
         self._length = length
         self._width = width
-        self._lane_width = road.lane_width
-        self._last_lane: int = road.lane_count - 1
+        self._lane_width = lanes.width
+        self._last_lane = lanes.count - 1
         self._genes = scenario.genes
         self._gene_ticks = round(scenario.gene_seconds * physics_hz)
         self._far = length + stopping_room(top_speed)
@@ -208,7 +214,7 @@ class Director(BaseDirector):
         self._driver = NpcDriver(limits, top_speed, length, 1 / physics_hz, traffic.lateral_speed)
         self._attentive = traffic.is_attentive
         self._least_share = traffic.least_speed_share
-        self._speed_limit = road.speed_limit
+        self._speed_limit = speed_limit
         self._least_gap = traffic.least_gap
         self._time_gap = traffic.time_gap
         self._ample = AMPLE
@@ -345,13 +351,11 @@ class Director(BaseDirector):
 
     def _first_existing(self) -> frozenset[Cell]:
         """Return the cells in which an NPC may start."""
-        cells: frozenset[Cell] = self._road.cells(self._scenario.ego_lane)
-        return cells
+        return self._cells[self._scenario.ego_lane]
 
     def _existing(self, ego: Body) -> frozenset[Cell]:
         """Return the cells that exist around the ego now."""
-        cells: frozenset[Cell] = self._road.cells(ego.lane)
-        return cells
+        return self._cells[ego.lane]
 
     def _repaired(
         self, before: list[Cell] | None, wanted: list[Cell], existing: frozenset[Cell], npcs: list[Npc], gene: int

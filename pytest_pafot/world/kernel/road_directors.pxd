@@ -11,7 +11,7 @@ cdef double LOOK_AHEAD, HEADING_SHARE, CHANGING_SHARE, BETWEEN_LANES
 cdef class NetworkDirector(Director):
     cdef public JunctionDirector others
     cdef Bends _bends
-    cdef object _start_cells
+    cdef object _start_cells, _road
     cdef double _width_of_lanes, _jerk, _lateral, _dt
 
     cpdef object _first_existing(self)

@@ -14,6 +14,7 @@ from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.kernel.crossing import Crosser, CrossingNpc, LeaderAhead, SharedPlace
 from pytest_pafot.world.kernel.director import BaseDirector, Director, Npc, Start
 from pytest_pafot.world.kernel.driver import NpcDriver, clear_to_enter, following_speed, gap_speed
+from pytest_pafot.world.kernel.lanes import Lanes
 from pytest_pafot.world.limits import BEND_SHARE, NpcLimits
 
 LOOK_AHEAD = 3.0
@@ -45,8 +46,10 @@ class NetworkDirector(Director):
         self, scenario: Scenario, road: Any, limits: NpcLimits, *, start_cells: frozenset[Cell], **common: Any
     ) -> None:
         narrower = replace(limits, heading=HEADING_SHARE * limits.heading)
-        super().__init__(scenario, road, narrower, **common)
+        lanes = Lanes(road.lane_count, road.lane_width, road.end)
+        super().__init__(scenario, lanes, narrower, speed_limit=road.speed_limit, cells=(), **common)
         self.skips = True
+        self._road: Any = road
         self.others: JunctionDirector | None = None
         self._bends: Bends = road.bends
         self._width_of_lanes: float = road.lane_width

@@ -23,11 +23,11 @@ from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.sight import Sight
 from pytest_pafot.model.trace import ALONG, STRETCH, FloatArray, Lane, Outcome
-from pytest_pafot.world.driving.seeing import ImperfectRoadSensor
+from pytest_pafot.world.driving.seeing import misjudged
 from pytest_pafot.world.kernel.bends import Bends
 from pytest_pafot.world.kernel.bodies import NPC_LENGTH, Body
 from pytest_pafot.world.kernel.director import Director
-from pytest_pafot.world.kernel.observation import Sensor
+from pytest_pafot.world.kernel.observation import Observation, Sensor
 from pytest_pafot.world.kernel.places import OwnWay, Places, RoadPlaces
 from pytest_pafot.world.kernel.road_directors import JunctionDirector, NetworkDirector
 from pytest_pafot.world.kernel.road_sensor import RoadSensor
@@ -131,6 +131,28 @@ class Column:
     speed: list[float]
     sharpest: list[float]
     part: list[int]
+
+
+class ImperfectRoadSensor(RoadSensor):
+    """The maker of imperfect observations on a bent road.
+
+    The driver of a :class:`pytest_pafot.Drive` reads the ego's place from a sensor, too, and that place stays exact.
+
+    Args:
+        places, road: the first arguments of :class:`RoadSensor`, up to its ``every``.
+        sight, seed: the imperfections, and the scenario's seed, from which all errors follow.
+    """
+
+    def __init__(self, places: RoadPlaces, *road: Any, sight: Sight, seed: int) -> None:
+        super().__init__(*(places, *road, (sight, seed)))
+        *_, physics_hz, _ = road
+        self._misjudging = sight, sight.own_errors(seed), seed
+        self._hz, self._npcs = physics_hz, len(places.vehicles) - 1
+
+    def observation(self, tick: int) -> Observation:
+        """Make an imperfect observation at the current tick."""
+        seen = super().observation(tick)
+        return misjudged(seen, *self._misjudging, tick, self._hz, self._npcs, self.has_lane)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -123,7 +123,7 @@ class StraightRoad(Road):
 
     def director(self, scenario: Scenario, limits: NpcLimits, cells: frozenset[Cell], **common: Any) -> Director:
         """Make the director of the NPCs."""
-        return Director(scenario, self, limits, **common)
+        return Director(scenario, self.grid, limits, speed_limit=self.speed_limit, cells=self._cells, **common)
 
     def places(
         self,
