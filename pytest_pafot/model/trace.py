@@ -288,8 +288,8 @@ class StraightRoadOfRun(RoadOfRun):
         return x * cos + y * sin, y * cos - x * sin
 
     def distance(self, npc: int, tick: int) -> float:
-        """Return the difference in x."""
-        return float(self._states[tick, npc + 1, X] - self._states[tick, 0, X])
+        """Return the distance along the ego's lane."""
+        return self.offset(npc, tick)[0]
 
     def turned(self, cos: FloatArray, sin: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """Return the angles to the ego's lane."""
