@@ -33,18 +33,14 @@ Pose = tuple[float, float, float]
 class Road(ABC):
     """A road in the grid's coordinates.
 
-    The first methods are about places, the next ones about the starts of a run, and the last ones make what a run
-    consists of. The defaults are those of a road on which the ego may start in any lane, and on which nobody crosses.
+    The first methods are about places, the next ones about the starts of a run, and the last ones make the parts of a
+    run. The defaults are those of a road on which the ego may start in any lane, and on which nobody crosses.
 
     Attributes:
         lanes: all lanes in the form of a trace; first those along the ego's way, from the left.
         lane_width: the width of the ego's lane at the start [m].
         speed_limit: the speed limit of the fastest lane [m/s].
-        length: the length of the road if runs must end before it does [m]; infinite if they end where it ends.
         is_straight: True if an ego that leaves the road drives on beside it; otherwise the run ends there.
-        prescribed: the lane and the speed [m/s] with which the ego must start; None if it may start with any.
-        unused: the kinds of meetings of the ego's way with roads on which NPCs never drive.
-        crossings: the ways on which other traffic meets the ego's way; None if there are none.
     """
 
     lanes: tuple[Lane, ...]
