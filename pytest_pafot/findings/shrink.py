@@ -528,7 +528,8 @@ STRUCTURE: tuple[Pass, ...] = (_on_grid, _fewer_npcs, _shorter, _merged, _stayin
 
 def passes() -> tuple[Pass, ...]:
     """Return all passes, which are repeated until none finds a simpler scenario. The first ones shorten runs most."""
-    of_kinds = (partial(_plainer, kind=kind) for kind in reversed(KINDS))
+    plain = [kind for kind in reversed(KINDS) if kind.plainer is not Instruction.plainer]
+    of_kinds = (partial(_plainer, kind=kind) for kind in plain)
     return (*STRUCTURE, *of_kinds, _rounder, _slower, _plain_seed)
 
 
