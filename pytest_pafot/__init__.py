@@ -27,14 +27,14 @@ if TYPE_CHECKING:
     from pytest_pafot.model.crossings import Zone as Zone
     from pytest_pafot.model.driving_style import Traffic as Traffic
     from pytest_pafot.model.grid import Cell as Cell
+    from pytest_pafot.model.instructions import CrossingInstruction as CrossingInstruction
+    from pytest_pafot.model.instructions import LaneInstruction as LaneInstruction
+    from pytest_pafot.model.instructions import Manoeuvre as Manoeuvre
+    from pytest_pafot.model.instructions import PositionInstruction as PositionInstruction
+    from pytest_pafot.model.instructions import ScenarioError as ScenarioError
+    from pytest_pafot.model.instructions import Step as Step
     from pytest_pafot.model.scenario import Chromosome as Chromosome
-    from pytest_pafot.model.scenario import CrossingInstruction as CrossingInstruction
-    from pytest_pafot.model.scenario import LaneInstruction as LaneInstruction
-    from pytest_pafot.model.scenario import Manoeuvre as Manoeuvre
-    from pytest_pafot.model.scenario import PositionInstruction as PositionInstruction
     from pytest_pafot.model.scenario import Scenario as Scenario
-    from pytest_pafot.model.scenario import ScenarioError as ScenarioError
-    from pytest_pafot.model.scenario import Step as Step
     from pytest_pafot.model.trace import Collision as Collision
     from pytest_pafot.model.trace import Outcome as Outcome
     from pytest_pafot.model.trace import Trace as Trace
@@ -63,26 +63,26 @@ _HOMES = {
     "CheckFailed": "oracle.checks",
     "Chromosome": "model.scenario",
     "Collision": "model.trace",
-    "CrossingInstruction": "model.scenario",
+    "CrossingInstruction": "model.instructions",
     "CrossingVehicle": "model.crossings",
     "Drive": "world",
     "Exploration": "campaign.explore",
     "Highway": "world",
-    "LaneInstruction": "model.scenario",
-    "Manoeuvre": "model.scenario",
+    "LaneInstruction": "model.instructions",
+    "Manoeuvre": "model.instructions",
     "Measure": "criticality.signals",
     "NpcLimits": "world",
     "Observation": "world",
     "Outcome": "model.trace",
     "Perception": "world",
     "Planned": "world",
-    "PositionInstruction": "model.scenario",
+    "PositionInstruction": "model.instructions",
     "Run": "oracle.run",
     "SavedScenario": "campaign.saved_scenario",
     "Scenario": "model.scenario",
-    "ScenarioError": "model.scenario",
+    "ScenarioError": "model.instructions",
     "Signal": "criticality.signals",
-    "Step": "model.scenario",
+    "Step": "model.instructions",
     "Trace": "model.trace",
     "Traffic": "model.driving_style",
     "Weights": "searching.fitness",

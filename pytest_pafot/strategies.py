@@ -18,24 +18,20 @@ from typing import Any
 
 from pytest_pafot.model.driving_style import Traffic
 from pytest_pafot.model.grid import Cell
-from pytest_pafot.model.scenario import (
-    EGO_SPEED,
-    GENE_SECONDS,
+from pytest_pafot.model.instructions import (
     LARGEST_SLOT,
     MOST_STEPS,
-    PAPER_SPEED_LIMIT,
     SHIFTS,
     SLOT_STEPS_PER_SECOND,
     SPEED_STEPS_PER_MPS,
     Act,
-    Chromosome,
     CrossingInstruction,
     LaneInstruction,
     Manoeuvre,
     PositionInstruction,
-    Scenario,
     Step,
 )
+from pytest_pafot.model.scenario import EGO_SPEED, GENE_SECONDS, PAPER_SPEED_LIMIT, Chromosome, Scenario
 
 
 def _register() -> None:

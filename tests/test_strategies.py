@@ -15,7 +15,8 @@ from pytest_pafot import Highway, World, strategies
 from pytest_pafot.door import NAMES
 from pytest_pafot.model.driving_style import Traffic
 from pytest_pafot.model.grid import Cell, is_adjacent
-from pytest_pafot.model.scenario import CrossingInstruction, LaneInstruction, PositionInstruction, Scenario
+from pytest_pafot.model.instructions import CrossingInstruction, LaneInstruction, PositionInstruction
+from pytest_pafot.model.scenario import Scenario
 from tests.helpers.tables import table
 
 KINDS = {PositionInstruction, LaneInstruction, CrossingInstruction}

@@ -43,14 +43,8 @@ from pytest_pafot.findings.shrink import Shrunk, SpeedInterval
 from pytest_pafot.model.crossings import Zone
 from pytest_pafot.model.driving_style import PARTS, STYLES, Traffic
 from pytest_pafot.model.grid import Cell
-from pytest_pafot.model.scenario import (
-    CrossingInstruction,
-    LaneInstruction,
-    Manoeuvre,
-    PositionInstruction,
-    Scenario,
-    Step,
-)
+from pytest_pafot.model.instructions import CrossingInstruction, LaneInstruction, Manoeuvre, PositionInstruction, Step
+from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Collision, Outcome
 from pytest_pafot.oracle.checks import check
 from pytest_pafot.oracle.run import Run

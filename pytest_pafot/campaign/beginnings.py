@@ -12,15 +12,12 @@ from pathlib import Path
 from pytest_pafot.campaign.request import Request
 from pytest_pafot.corpus import reader
 from pytest_pafot.corpus.layout import SUFFIX, files_below
-from pytest_pafot.model.scenario import (
+from pytest_pafot.model.instructions import (
     SPEED_STEPS_PER_MPS,
-    CrossingInstruction,
-    Gene,
-    LaneInstruction,
-    Manoeuvre,
-    Scenario,
+    Instruction,
     ScenarioError,
 )
+from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.searching.space import SearchSpace
 from pytest_pafot.support.errors import CorpusError, RequestError
 from pytest_pafot.world.base_world import BaseWorld
@@ -86,7 +83,7 @@ def _in_turn(folder: Path, own: Path | None) -> list[Path]:
 
 def _fitted(scenario: Scenario, space: SearchSpace, world: BaseWorld) -> Scenario | None:
     """Return a scenario with the start of the space that is nearest to its own; None if it fits with no start."""
-    if not all(_can_be_drawn(gene, space) for chain in scenario.npcs for gene in chain):
+    if not all(gene.is_drawn_in(space) for chain in scenario.npcs for gene in chain):
         return None
     lanes = space.ego_lanes or (space.ego_lane,)
     slowest, fastest = space.ego_speeds or (space.ego_speed, space.ego_speed)
@@ -100,16 +97,7 @@ def _fitted(scenario: Scenario, space: SearchSpace, world: BaseWorld) -> Scenari
     return None
 
 
-def _can_be_drawn(gene: Gene, space: SearchSpace) -> bool:
-    """Return whether a space has instructions of this kind. A world need not check that they fit."""
-    if isinstance(gene, CrossingInstruction):
-        return gene.zone in space.zones
-    if isinstance(gene, Manoeuvre):
-        return space.instructions == "manoeuvres"
-    return space.instructions in ("both", "lanes" if isinstance(gene, LaneInstruction) else "cells")
-
-
-def _within(chain: Iterable[Gene], space: SearchSpace) -> Iterable[Gene]:
+def _within(chain: Iterable[Instruction], space: SearchSpace) -> Iterable[Instruction]:
     """Yield instructions with speeds that a space has."""
     low, high = space.low_step / SPEED_STEPS_PER_MPS, space.top_step / SPEED_STEPS_PER_MPS
-    return (replace(gene, speed=min(max(gene.speed, low), high)) for gene in chain)
+    return (gene.with_speed(min(max(gene.speed, low), high)) for gene in chain)

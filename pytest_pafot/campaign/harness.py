@@ -22,7 +22,8 @@ from pytest_pafot.execution.runner import Runner, runner_for
 from pytest_pafot.execution.scenario_pool import ExecutionError, Job, trace_of
 from pytest_pafot.findings.neighbours import Limits
 from pytest_pafot.findings.signature import PROCESS_CRASH, Failure
-from pytest_pafot.model.scenario import Scenario, ScenarioError
+from pytest_pafot.model.instructions import ScenarioError
+from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Outcome, Trace
 from pytest_pafot.oracle.run import Facts, ReferenceOutcome, Run
 from pytest_pafot.support.errors import DriverError, RequestError, RevisionError

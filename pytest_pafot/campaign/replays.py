@@ -43,7 +43,8 @@ from pytest_pafot.findings.neighbours import FEWEST, around
 from pytest_pafot.findings.signature import SLOW_DECISION, Failure, Signature
 from pytest_pafot.findings.situation import missed
 from pytest_pafot.model.driving_style import Traffic
-from pytest_pafot.model.scenario import Scenario, ScenarioError
+from pytest_pafot.model.instructions import ScenarioError
+from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.sight import Sight
 from pytest_pafot.model.trace import Outcome, Trace
 from pytest_pafot.oracle.run import Run

@@ -13,9 +13,10 @@ import numpy as np
 
 from pytest_pafot.campaign.options import BY_NAME, Settings
 from pytest_pafot.model.driving_style import PAPERS, Traffic
-from pytest_pafot.model.scenario import EGO_LANE, EGO_SPEED, Manoeuvre, Scenario, ScenarioError
+from pytest_pafot.model.instructions import Manoeuvre, ScenarioError
+from pytest_pafot.model.instructions.manoeuvre import MOST_ROOM, SPACING, places
+from pytest_pafot.model.scenario import EGO_LANE, EGO_SPEED, Scenario
 from pytest_pafot.model.trace import Trace
-from pytest_pafot.searching import asked_traffic
 from pytest_pafot.searching.algorithms.catalogue import AlgorithmClass, resolve_algorithm
 from pytest_pafot.searching.ask_tell import Algorithm
 from pytest_pafot.searching.fitness import Weights
@@ -303,16 +304,16 @@ def _with_room(space: SearchSpace, world: BaseWorld, is_number_given: bool) -> S
     """Return the space with the room for starts of manoeuvres along a world's road, and with no more NPCs than fit."""
     room = []
     for side in (-1, 1):
-        gap = asked_traffic.MOST_ROOM
+        gap = MOST_ROOM
         while gap > 0:
             start = Manoeuvre(beside=0, ahead=side * gap, speed=0.0)
             with suppress(ScenarioError):
                 world.check_fits(Scenario(npcs=((start,),), ego_lane=space.ego_lane, ego_speed=0.0))
                 break
-            gap -= asked_traffic.SPACING  # each start takes that much, so a finer answer would be the same
+            gap -= SPACING  # each start takes that much, so a finer answer would be the same
         room.append(gap)
     ends = room[0], room[1]
-    most = max(1, asked_traffic.places(ends, -1) + asked_traffic.places(ends, 1))
+    most = max(1, places(ends, -1) + places(ends, 1))
     npcs = space.npcs if is_number_given else min(space.npcs, most)
     return replace(space, room=ends, npcs=npcs, most_npcs=tuple(min(each, most) for each in space.most_npcs))
 

@@ -10,7 +10,8 @@ from typing import Any
 from pytest_pafot.corpus import reader
 from pytest_pafot.corpus.saved import named_file
 from pytest_pafot.findings.finding import Expect, Finding, is_same_event
-from pytest_pafot.model.scenario import Scenario, ScenarioError
+from pytest_pafot.model.instructions import ScenarioError
+from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.support.errors import CorpusError, command
 from pytest_pafot.support.shown import Shown

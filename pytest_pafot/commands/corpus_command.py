@@ -42,7 +42,7 @@ from pytest_pafot.corpus.writer import write as write_finding
 from pytest_pafot.findings.finding import Finding
 from pytest_pafot.findings.shrink import sort_key
 from pytest_pafot.findings.signature import SLOW_DECISION
-from pytest_pafot.model.scenario import ScenarioError
+from pytest_pafot.model.instructions import ScenarioError
 from pytest_pafot.support.errors import CorpusError, RequestError, WorldError, command, day_argument, flag
 from pytest_pafot.support.files import way_out, write_whole
 from pytest_pafot.support.text import ascii_text, plural, quiet_json, visible

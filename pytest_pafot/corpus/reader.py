@@ -37,17 +37,12 @@ from pytest_pafot.findings.signature import ZONES
 from pytest_pafot.findings.situation import ZoneSituation
 from pytest_pafot.model.driving_style import PAPERS, STYLES, Traffic
 from pytest_pafot.model.grid import Cell
-from pytest_pafot.model.scenario import (
-    REPAIR,
-    Chromosome,
-    CrossingInstruction,
-    Gene,
-    LaneInstruction,
-    Manoeuvre,
-    PositionInstruction,
-    Scenario,
+from pytest_pafot.model.instructions import (
+    KINDS,
+    Instruction,
     Step,
 )
+from pytest_pafot.model.scenario import REPAIR, Chromosome, Scenario
 from pytest_pafot.model.sight import Sight
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.support.errors import CorpusError, FieldError
@@ -111,19 +106,8 @@ SIGNED = frozenset(
 )
 """The fields of dataclasses whose numbers may be negative."""
 
-MARKS: Mapping[str, type] = MappingProxyType(
-    {
-        "beside": Manoeuvre,
-        "ahead": Manoeuvre,
-        "steps": Manoeuvre,
-        "cell": PositionInstruction,
-        "lane": LaneInstruction,
-        "zone": CrossingInstruction,
-        "npc_enters": ZoneSituation,
-    }
-)
-"""The keys that tell the dataclasses of a union apart; the first of them decides. Without any, it is the union's first
-dataclass."""
+MARKS: Mapping[str, type] = MappingProxyType({"npc_enters": ZoneSituation})
+"""The keys that tell the dataclasses of a union apart. Without any, it is the union's first dataclass."""
 
 Read = Callable[[Field], Any]
 """A function that reads a value; it raises a CorpusError for a value that does not fit."""
@@ -330,14 +314,23 @@ def _value(field: Field, kind: Any, own: Mapping[str, Read]) -> Any:
         return field.number(-MAX_NUMBER if is_signed else 0.0)
     if kind in _SIMPLE:
         return _SIMPLE[kind](field)
+    if kind is Instruction:
+        kind = _kind_of(field)
     value = _record(field, kind, **own)
-    if isinstance(value, Gene | Step):
+    if isinstance(value, Instruction | Step):
         for name in field.value:
             now = getattr(value, name)
             if type(now) is float and now != field.value[name]:  # the gene has rounded the number
                 unit = {"slot": "seconds", "speed": "m/s"}.get(name, "a number")
                 raise field.at(name).error(f"{unit} in steps of 0.1", f"write {now}")
     return value
+
+
+def _kind_of(field: Field) -> type[Instruction]:
+    """Return the kind of instruction that a mapping holds: of those with one of its keys, the one with most marks."""
+    keys = field.any_mapping()
+    marked = [kind for kind in KINDS if not kind.marks.isdisjoint(keys)]
+    return max(marked, key=lambda kind: len(kind.marks), default=KINDS[0])
 
 
 def _scenario(field: Field) -> Scenario:

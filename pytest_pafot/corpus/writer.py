@@ -20,12 +20,9 @@ from pytest_pafot.corpus.reader import DEFAULT_GENE_SECONDS, load
 from pytest_pafot.corpus.yaml_document import MAX_BYTES, VERSION
 from pytest_pafot.findings.finding import Expect, Finding
 from pytest_pafot.model.driving_style import PAPERS
-from pytest_pafot.model.scenario import Manoeuvre, PositionInstruction, Scenario, told
+from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.support.errors import CorpusError, flag
 from pytest_pafot.support.files import way_out, write_if_free, write_whole
-
-UNTOLD: Collection[tuple[str, object]] = (("act", "pass"), ("steps", ()))
-"""The fields of genes that files leave out, because they have these values."""
 
 
 class CorpusWriteError(RuntimeError):
@@ -159,11 +156,8 @@ def scenario_lines(key: str, scenario: Scenario) -> Iterator[str]:
     yield "  npcs:"
     for chain in scenario.npcs:
         for gene, each in enumerate(chain):
-            parts = {name: part for name, part in asdict(each).items() if (name, part) not in UNTOLD}
-            if isinstance(each, Manoeuvre) and each.steps:
-                parts["steps"] = [told(step) for step in each.steps]
-            entry = ("    - - " if gene == 0 else "      - ") + _flow(parts)
-            yield f"{entry:{COMMENT_COLUMN}}# {each.cell.label}" if isinstance(each, PositionInstruction) else entry
+            entry = ("    - - " if gene == 0 else "      - ") + _flow(each.in_file())
+            yield f"{entry:{COMMENT_COLUMN}}# {each.remark}" if each.remark else entry
 
 
 def _expect_lines(expect: Expect) -> Iterator[str]:

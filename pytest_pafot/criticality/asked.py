@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pytest_pafot.criticality.zones import passages, times_expected
-from pytest_pafot.model.scenario import CrossingInstruction, Manoeuvre, Step
+from pytest_pafot.model.instructions import Instruction, Step
 from pytest_pafot.model.trace import ACCELERATION, SPEED, FloatArray, Trace, Y
 
 GAP, HEADWAY, SPEED_OFF, EGO_SPEED_OFF, SLOT = 1.0, 0.1, 1.0, 1.0, 0.3
@@ -93,12 +93,10 @@ def asked(trace: Trace) -> tuple[Asked, ...]:
     survives. A lane change and a change of speed are judged if they were done before another began.
     """
     found: list[Asked] = []
-    manoeuvres = [npc for npc, chain in enumerate(trace.scenario.npcs) if isinstance(chain[0], Manoeuvre)]
-    has_time = not (_is_broken_off(trace) and any(trace.steps_begun(npc) for npc in manoeuvres))
+    has_time = not (_is_broken_off(trace) and any(map(trace.steps_begun, range(len(trace.scenario.npcs)))))
     by_distance = [
         (begin, npc, number)
         for npc, chain in enumerate(trace.scenario.npcs)
-        if isinstance(chain[0], Manoeuvre)
         for number, (step, begin) in enumerate(zip(chain[0].steps, trace.steps_begun(npc), strict=False))
         if step.is_by_distance
     ]
@@ -107,10 +105,9 @@ def asked(trace: Trace) -> tuple[Asked, ...]:
         ego = float(trace.ego[begin, SPEED])
         found.append(Asked(npc, number, "ego speed", trace.scenario.ego_speed, ego, EGO_SPEED_OFF, "m/s"))
     for npc, chain in enumerate(trace.scenario.npcs):
-        if isinstance(chain[0], Manoeuvre):
-            found += _of_npc(trace, npc, chain[0], has_time=has_time)
-        elif isinstance(chain[0], CrossingInstruction) and chain[0].act == "pass":
-            found += _of_crossing(trace, npc, chain[0].slot)
+        found += _of_npc(trace, npc, chain[0], has_time=has_time)
+        if chain[0].slot_asked is not None:
+            found += _of_crossing(trace, npc, chain[0].slot_asked)
     return tuple(found)
 
 
@@ -146,7 +143,8 @@ def _of_crossing(trace: Trace, npc: int, slot: float) -> Iterator[Asked]:
         yield Asked(npc, 0, "slot", slot, was, SLOT, "s")
 
 
-def _of_npc(trace: Trace, npc: int, manoeuvre: Manoeuvre, *, has_time: bool) -> list[Asked]:
+def _of_npc(trace: Trace, npc: int, manoeuvre: Instruction, *, has_time: bool) -> list[Asked]:
+    """Return what the steps of an instruction asked for."""
     begun = trace.steps_begun(npc)
     done = trace.arrivals[npc][0] if npc < len(trace.arrivals) and trace.arrivals[npc] else None
     is_broken_off = _is_broken_off(trace)

@@ -15,35 +15,13 @@ from itertools import islice, zip_longest
 from typing import Literal
 
 from pytest_pafot.findings.shrink import Ahead
-from pytest_pafot.model.scenario import (
-    ALONE,
-    FARTHEST,
-    LARGEST_SLOT,
-    LATEST,
-    LONGEST_GENE,
-    LONGEST_HEADWAY,
-    SHIFTS,
-    Chromosome,
-    CrossingInstruction,
-    Gene,
-    LaneInstruction,
-    Manoeuvre,
-    Scenario,
-    Step,
-)
+from pytest_pafot.model.instructions import SPEED, Nudge
+from pytest_pafot.model.scenario import LONGEST_GENE, Chromosome, Scenario
 
-SPEED = 1.5
-"""The largest step of a single speed [m/s]."""
 ALL_SPEEDS, DURATION = 0.1, 0.1
 """The largest steps of all speeds together, and of the duration of a gene, as shares of the values."""
 WHOLE_TICKS = 0.2
 """Other durations of a gene are multiples of this [s], because a world needs whole ticks, of 1/15 s by default."""
-SLOT = 0.5
-"""The largest step of a slot [s]."""
-DISTANCE = 0.1
-"""The largest step of a distance that begins a step of a manoeuvre, as a share of the distance."""
-LEAST_SPEED = 0.1
-"""The lowest speed of an NPC that crosses [m/s]."""
 STAYING = ("seed", "ego_lane", "ego_speed", "gene_seconds", "traffic")
 """The fields of a scenario beside its chains. They stay, unless a neighbour differs in one of them."""
 WIDE = 3.0
@@ -154,7 +132,7 @@ def neighbours(scenario: Scenario, share: float, limits: Limits) -> Iterator[Sce
     draw = random.Random(f"{scenario.canonical()} {share}").random  # noqa: S311  (the same in each version of Python)
     found, missed = {scenario}, 0
     while missed < MISSES:
-        neighbour = _Neighbour(scenario, share, limits.top_speed, draw).drawn()
+        neighbour = _Neighbour.of(scenario, share, limits, draw).drawn()
         missed += 1
         if neighbour not in found:
             found.add(neighbour)
@@ -182,56 +160,59 @@ def around(scenario: Scenario, pace: float, limits: Limits) -> Iterator[Scenario
             yield each
 
 
-def _within(value: float, most: float) -> float:
-    return round(min(max(value, -most), most), 1)
-
-
 def _scaling(scenario: Scenario, limits: Limits) -> _Neighbour:
-    return _Neighbour(scenario, 1.0, limits.top_speed, lambda: 0.0)
+    return _Neighbour.of(scenario, 1.0, limits, lambda: 0.0)
 
 
 def _longer(scenario: Scenario, longest_run: float) -> Scenario:
     """Return a scenario whose longest chains last one gene longer, unless the scenario would be too long then."""
-    timed = [len(chain) for chain in scenario.npcs if not isinstance(chain[0], ALONE)]
+    timed = [len(chain) for chain in scenario.npcs if not chain[0].is_alone]
     if not timed or (max(timed) + 1) * scenario.gene_seconds > longest_run + 1e-9:
         return scenario
-    is_longest = [len(chain) == max(timed) and not isinstance(chain[0], ALONE) for chain in scenario.npcs]
+    is_longest = [len(chain) == max(timed) and not chain[0].is_alone for chain in scenario.npcs]
     chains = [(*chain, chain[-1]) if is_it else chain for chain, is_it in zip(scenario.npcs, is_longest, strict=True)]
     return replace(scenario, npcs=tuple(chains))
 
 
 @dataclass(frozen=True, slots=True)
 class _Neighbour:
-    """One neighbour to be drawn; ``draw`` returns a random number from 0 to 1."""
+    """One neighbour to be drawn."""
 
     scenario: Scenario
-    share: float
-    top_speed: float
-    draw: Callable[[], float]
+    nudge: Nudge
+
+    @classmethod
+    def of(cls, scenario: Scenario, share: float, limits: Limits, draw: Callable[[], float]) -> _Neighbour:
+        """Return the neighbour of a scenario; ``draw`` returns a random number from 0 to 1."""
+        least = scenario.traffic.least_speed(limits.top_speed)
+        return cls(scenario, Nudge(share, limits.top_speed, least, draw))
 
     def drawn(self) -> Scenario:
-        kind, scenario = int(4 * self.draw()), self.scenario
+        nudge, scenario = self.nudge, self.scenario
+        kind = int(4 * nudge.draw())
         if kind == 0:
-            return self._with([tuple(map(self._moved, chain)) for chain in scenario.npcs])
+            return self._with([tuple(gene.moved(nudge) for gene in chain) for chain in scenario.npcs])
         if kind == 1:
-            return self.faster(1 + self._step(ALL_SPEEDS))
+            return self.faster(1 + nudge.step(ALL_SPEEDS))
         if kind == 2:
-            npc = int(len(scenario.npcs) * self.draw())
+            npc = int(len(scenario.npcs) * nudge.draw())
             chain = scenario.npcs[npc]
-            gene = int(len(chain) * self.draw())
-            new: Chromosome = (*chain[:gene], self._changed(chain[gene]), *chain[gene + 1 :])
+            gene = int(len(chain) * nudge.draw())
+            new: Chromosome = (*chain[:gene], chain[gene].changed(nudge), *chain[gene + 1 :])
             return self._with([*scenario.npcs[:npc], new, *scenario.npcs[npc + 1 :]])
-        largest = scenario.gene_seconds * DURATION * self.share
-        seconds = round(WHOLE_TICKS * round((scenario.gene_seconds + largest * (2 * self.draw() - 1)) / WHOLE_TICKS), 1)
+        largest = scenario.gene_seconds * DURATION * nudge.share
+        seconds = scenario.gene_seconds + largest * (2 * nudge.draw() - 1)
+        seconds = round(WHOLE_TICKS * round(seconds / WHOLE_TICKS), 1)
         if abs(seconds - scenario.gene_seconds) > largest or not 0 < seconds <= LONGEST_GENE or not self.has_duration:
             seconds = scenario.gene_seconds
-        ego_speed = self._speed(scenario.ego_speed + self._step(SPEED), 0.0)
+        ego_speed = nudge.speed(scenario.ego_speed + nudge.step(SPEED), 0.0)
         return self._with(scenario.npcs, ego_speed=ego_speed, gene_seconds=seconds)
 
     def faster(self, factor: float) -> Scenario:
         """Return the scenario with all speeds multiplied by a factor."""
-        chains = [tuple(self._at(gene, factor * gene.speed, factor) for gene in chain) for chain in self.scenario.npcs]
-        return self._with(chains, ego_speed=self._speed(factor * self.scenario.ego_speed, 0.0))
+        nudge, scenario = self.nudge, self.scenario
+        chains = [tuple(gene.paced(factor * gene.speed, factor, nudge) for gene in chain) for chain in scenario.npcs]
+        return self._with(chains, ego_speed=nudge.speed(factor * scenario.ego_speed, 0.0))
 
     def lasting(self, seconds: float) -> Scenario:
         """Return the scenario with genes of about this duration [s], which fits the ticks of a world."""
@@ -246,56 +227,3 @@ class _Neighbour:
     def _with(self, chains: Sequence[Chromosome], **fields: float) -> Scenario:
         kept = {name: getattr(self.scenario, name) for name in STAYING}
         return Scenario.repaired(chains, **(kept | fields))
-
-    def _step(self, largest: float) -> float:
-        return largest * self.share * (2 * self.draw() - 1)
-
-    def _speed(self, speed: float, least: float) -> float:
-        return round(min(max(speed, least), self.top_speed), 1)
-
-    def _at(self, gene: Gene, speed: float, factor: float | None = None) -> Gene:
-        """Return a gene with another speed, which the traffic allows unless it did not allow the gene's own.
-
-        The speeds of a manoeuvre's steps change by the same factor, or without one by the same difference, but a step
-        to a standstill stays one.
-        """
-        if isinstance(gene, CrossingInstruction):
-            return replace(gene, speed=self._speed(speed, LEAST_SPEED))
-        if isinstance(gene, Manoeuvre):
-            steps = []
-            for step in gene.steps:
-                if step.speed:
-                    wanted = step.speed + speed - gene.speed if factor is None else factor * step.speed
-                    step = replace(step, speed=self._speed(wanted, 0.0))  # noqa: PLW2901
-                steps.append(step)
-            return replace(gene, speed=self._speed(speed, 0.0), steps=tuple(steps))
-        least = min(self.scenario.traffic.least_speed(self.top_speed), gene.speed)
-        return replace(gene, speed=self._speed(speed, least))
-
-    def _moved(self, gene: Gene) -> Gene:
-        """Return a gene with a speed that is a little different, and a slot if it has one."""
-        moved = self._at(gene, gene.speed + self._step(SPEED))
-        if isinstance(moved, CrossingInstruction):
-            slot = round(moved.slot + self._step(SLOT), 1)
-            return replace(moved, slot=min(max(slot, -LARGEST_SLOT), LARGEST_SLOT))
-        if isinstance(moved, Manoeuvre):
-            return replace(moved, steps=tuple(map(self._nudged, moved.steps)))
-        return moved
-
-    def _nudged(self, step: Step) -> Step:
-        """Return a step that begins at a slightly different distance or time."""
-        longer = 1 + self._step(DISTANCE)
-        if step.gap is not None:
-            return replace(step, gap=_within(step.gap * longer, FARTHEST))
-        if step.headway is not None:
-            return replace(step, headway=_within(step.headway * longer, LONGEST_HEADWAY))
-        return replace(step, after=_within(step.after * longer, LATEST))
-
-    def _changed(self, gene: Gene) -> Gene:
-        """Return a gene with a cell or a lane beside its own; at a zone, only moved."""
-        if isinstance(gene, ALONE):
-            return self._moved(gene)
-        if isinstance(gene, LaneInstruction):
-            others = [lane for lane in SHIFTS if lane != gene.lane]
-            return replace(gene, lane=others[int(2 * self.draw())])
-        return replace(gene, cell=gene.cell.neighbours[int(2 * self.draw())])

@@ -20,29 +20,23 @@ from itertools import combinations, islice, pairwise, permutations, product, zip
 from typing import Any, NamedTuple, TypeVar
 
 from pytest_pafot.model.driving_style import PAPERS, Traffic
-from pytest_pafot.model.grid import Cell, cell_at
+from pytest_pafot.model.instructions import (
+    KINDS,
+    LANE_STARTS,
+    MAX_SPEED,
+    SPEED_STEPS_PER_MPS,
+    Instruction,
+    PositionInstruction,
+    ScenarioError,
+    roughness,
+)
 from pytest_pafot.model.scenario import (
-    ALONE,
-    DEFAULT_STEP,
     EGO_LANE,
     EGO_SPEED,
     GENE_SECONDS,
-    LANE_STARTS,
-    MAX_SPEED,
-    SHIFTS,
-    SLOT_STEPS_PER_SECOND,
-    SPEED_STEPS_PER_MPS,
     Chromosome,
-    CrossingInstruction,
-    Gene,
-    LaneInstruction,
-    Manoeuvre,
-    PositionInstruction,
     Scenario,
-    ScenarioError,
-    Step,
     continues,
-    gene_of,
     retimed,
 )
 from pytest_pafot.support.text import plural
@@ -100,18 +94,8 @@ Sized = tuple[tuple[int, int], tuple[Chromosome, ...]]
 FIVE, ONE, TENTH = 5 * SPEED_STEPS_PER_MPS, SPEED_STEPS_PER_MPS, 1
 """Steps of speed from coarse to fine, in tenths of m/s like all speeds inside this module."""
 
-SECOND, HALF = SLOT_STEPS_PER_SECOND, SLOT_STEPS_PER_SECOND // 2
-"""Steps of a slot, in tenths of a second."""
-
-
-PLAIN_OF_STEPS = ("lane", "lateral_speed", "offset", "speed", "acceleration")
-"""What of a step is simplest at its default."""
-
 SMALL_SPEEDS = (0.0, 10.0, 20.0, 25.0)
 """Speeds of the instructions in small scenarios [m/s]; if one of them fails, the passes try other speeds in it."""
-
-SMALL_SLOTS = (0.0, 0.5, -0.5, 1.0, -1.0, 2.0)
-"""Slots of NPCs that cross in small scenarios [s]."""
 
 MOST_SMALL = 300
 """The largest number of small scenarios of which one pass asks whether they are likely to fail: each answer takes about
@@ -194,36 +178,23 @@ def sort_key(scenario: Scenario) -> tuple[int, ...]:
 
     Every part is a non-negative integer, so every chain of simplifications ends.
     """
-    speeds = [_tenths(chain[start]) for chain in scenario.npcs for start, _ in _parts(chain)]
-    asked = [chain[0] for chain in scenario.npcs if isinstance(chain[0], Manoeuvre)]
-    steps = [step for manoeuvre in asked for step in manoeuvre.steps]
-    distances = [each.ahead for each in asked] + [step.gap or step.headway or step.after for step in steps]
-    distances += [step.speed or 0.0 for step in steps]
-    slots = [round(abs(each.slot) * SLOT_STEPS_PER_SECOND) for each in scenario.crossings if each is not None]
-    alone = sum(_tenths(each) for each in (*scenario.crossings, *asked) if each is not None)
+    told = [chain[start] for chain in scenario.npcs for start, _ in _parts(chain)]
     start = round(scenario.ego_speed * SPEED_STEPS_PER_MPS)
     return (
         len(scenario.npcs),
-        len(speeds) + len(steps),
+        sum(each.size for each in told),
         sum(map(_moves, scenario.npcs)),
-        sum(isinstance(chain[0], LaneInstruction) for chain in scenario.npcs),
+        sum(chain[0].in_free_cell for chain in scenario.npcs),
         scenario.genes,
         sum(map(len, scenario.npcs)),
         (scenario.ego_lane != EGO_LANE)
-        + (scenario.ego_speed != EGO_SPEED and 1 + _roughness(start))
+        + (scenario.ego_speed != EGO_SPEED and 1 + roughness(start))
         + (scenario.gene_seconds != GENE_SECONDS),
-        sum(map(_roughness, speeds))
-        + sum((slot % SECOND > 0) + (slot % HALF > 0) for slot in slots)
-        + sum(_roughness(round(abs(distance) * SPEED_STEPS_PER_MPS)) for distance in distances)
-        + sum(getattr(step, name) != getattr(DEFAULT_STEP, name) for step in steps for name in PLAIN_OF_STEPS),
-        sum(speeds) - alone + sum(slots),
+        sum(roughness(_tenths(each)) + each.roughness for each in told),
+        sum(each.weight for each in told),
         int(scenario.traffic != PAPERS),
         scenario.seed,
     )
-
-
-def _roughness(tenths: int) -> int:
-    return (tenths % FIVE > 0) + (tenths % ONE > 0)
 
 
 def instructions(scenario: Scenario) -> int:
@@ -275,7 +246,7 @@ def shrink(
     is_minimal = False
     plainer: Pass = partial(_plainer_start, plain=plain)
     longer: Pass = partial(_plainer_duration, seconds=plain_seconds)
-    deletions: tuple[Pass, ...] = (plainer, longer, *PASSES, partial(_later, starts=gate.starts))
+    deletions: tuple[Pass, ...] = (plainer, longer, *passes(), partial(_later, starts=gate.starts))
     with suppress(OutOfBudget):
         yield from gate.exhausts(_ending)  # first, because a run that does not fail lasts as long as its scenario
         yield from gate.exhausts(_alone)
@@ -407,13 +378,12 @@ def _on_grid(scenario: Scenario) -> Candidates:
     free = iter([cell for cell in LANE_STARTS if all(chain[0].target != cell for chain in scenario.npcs)])
     chains = list(scenario.npcs)
     for npc, chain in enumerate(chains):
-        cell, cells = None, list[PositionInstruction]()
-        for gene in chain:
-            if isinstance(gene, LaneInstruction):
-                cell = cell or next(free)
-                cell = cell_at(cell.row, cell.column + gene.column, 1.0, 1.0) or cell  # a grid of 1 m by 1 m
-                cells.append(PositionInstruction(cell, gene.speed))
-        chains[npc] = tuple(cells) or chain
+        if chain[0].in_free_cell and chain[0].on_ring(LANE_STARTS[0]) is not None:
+            cell, cells = next(free), list[Instruction]()
+            for gene in chain:
+                cells.append(gene.on_ring(cell))
+                cell = cells[-1].cell
+            chains[npc] = tuple(cells)
     yield scenario.rechained(chains)
     for npc, chain in enumerate(chains):
         yield _with_chain(scenario, npc, chain)
@@ -444,7 +414,7 @@ def _shorter(scenario: Scenario) -> Candidates:
     """Remove the end of the scenario, then any other stretch of time, long stretches first."""
     yield from _ending(scenario)
     for start, end in _slices(scenario.genes, scenario.genes - 1):
-        cut = (chain if _is_alone(chain) else chain[:start] + chain[end:] for chain in scenario.npcs)
+        cut = (chain if chain[0].is_alone else chain[:start] + chain[end:] for chain in scenario.npcs)
         yield _valid(scenario, tuple(cut))
 
 
@@ -472,7 +442,7 @@ def _plainer_duration(scenario: Scenario, seconds: float | None) -> Candidates:
 
     If no instruction has a duration, it has no effect, so try the usual one.
     """
-    if all(map(_is_alone, scenario.npcs)):
+    if all(chain[0].is_alone for chain in scenario.npcs):
         yield replace(scenario, gene_seconds=GENE_SECONDS)
         return
     if seconds is None or seconds == scenario.gene_seconds:
@@ -502,34 +472,20 @@ def _staying(scenario: Scenario) -> Candidates:
     """Let an NPC stay in its previous cell or lane from one gene to the end of the chain or of that gene's block."""
     for npc, chain in enumerate(scenario.npcs):
         for gene, end in _parts(chain):
-            before = chain[max(gene - 1, 0)]
-            if isinstance(before, LaneInstruction):
-                stays: Chromosome = tuple(LaneInstruction("keep", each.speed) for each in chain[gene:])
-            elif gene > 0 and isinstance(before, PositionInstruction):
-                stays = tuple(PositionInstruction(before.cell, each.speed) for each in chain[gene:])
-            else:
+            before = chain[gene - 1] if gene else None
+            stays = tuple(stay for each in chain[gene:] if (stay := each.staying(before)) is not None)
+            if not stays:
                 continue
             yield _with_chain(scenario, npc, chain[:gene] + stays)
             yield _with_chain(scenario, npc, chain[:gene] + stays[: end - gene] + chain[end:])
 
 
 def _passing(scenario: Scenario) -> Candidates:
-    """Let an NPC that holds at its line or stops in its zone drive through the zone."""
-    for npc, each in enumerate(scenario.crossings):
-        if each is not None and each.act != "pass":
-            yield _with_chain(scenario, npc, (replace(each, act="pass"),))
-
-
-def _plainer_slots(scenario: Scenario) -> Candidates:
-    """Try a slot of 0, the whole and half seconds next to it, and slots nearer to 0 by a second, a half or a tenth."""
-    for npc, each in enumerate(scenario.crossings):
-        if each is None:
-            continue
-        slot = round(each.slot * SLOT_STEPS_PER_SECOND)
-        rounded = [below for unit in (SECOND, HALF) for below in (slot // unit * unit, -(-slot // unit) * unit)]
-        nearer = [slot - math.copysign(step, slot) for step in (SECOND, HALF, 1) if step <= abs(slot)]
-        for tenths in dict.fromkeys((0, *rounded, *nearer)):
-            yield _with_chain(scenario, npc, (replace(each, slot=tenths / SLOT_STEPS_PER_SECOND),))
+    """Let an NPC do less: drive through its zone instead of holding at its line or stopping in the zone."""
+    for npc, chain in enumerate(scenario.npcs):
+        for gene, each in enumerate(chain):
+            for simpler in each.passing():
+                yield _with_chain(scenario, npc, (*chain[:gene], simpler, *chain[gene + 1 :]))
 
 
 def _rounder(scenario: Scenario) -> Candidates:
@@ -544,32 +500,16 @@ def _rounder(scenario: Scenario) -> Candidates:
 def _slower(scenario: Scenario) -> Candidates:
     """Reduce each speed to 0, or by 5, 1 or 0.1 m/s; the pass is repeated as long as it simplifies."""
     for npc, start, end, speed in _all_blocks(scenario):
-        for lower in (speed, FIVE, ONE, TENTH) if not _is_alone(scenario.npcs[npc]) else ():
+        for lower in (speed, FIVE, ONE, TENTH) if not scenario.npcs[npc][0].is_alone else ():
             yield _with_speed(scenario, npc, start, end, speed - lower)
 
 
-def _plainer_manoeuvres(scenario: Scenario) -> Candidates:
-    """Leave out each step of a manoeuvre, give it the defaults, and round its distance or time and its speed."""
-    for npc, (manoeuvre, *_) in enumerate(scenario.npcs):
-        if not isinstance(manoeuvre, Manoeuvre):
-            continue
-        steps = manoeuvre.steps
-        for number, step in enumerate(steps):
-            simpler: list[tuple[Step, ...]] = [()]
-            changes: list[dict[str, Any]] = [{name: getattr(DEFAULT_STEP, name)} for name in PLAIN_OF_STEPS]
-            for unit, name in product((5, 1), ("after", "gap", "headway", "speed")):
-                value = getattr(step, name)
-                if value:
-                    changes.append({name: float(round(value / unit) * unit)})
-            simpler += [(replace(step, **change),) for change in changes]
-            for each in simpler:
-                chain = (replace(manoeuvre, steps=(*steps[:number], *each, *steps[number + 1 :])),)
-                yield _with_chain(scenario, npc, chain)
-        for unit in (5, 1):
-            with suppress(ScenarioError):  # in the ego's lane, no manoeuvre starts level with it
-                yield _with_chain(
-                    scenario, npc, (replace(manoeuvre, ahead=float(round(manoeuvre.ahead / unit) * unit)),)
-                )
+def _plainer(scenario: Scenario, kind: type[Instruction]) -> Candidates:
+    """Try the simpler numbers of each instruction of a kind."""
+    for npc, chain in enumerate(scenario.npcs):
+        for gene, each in enumerate(chain if type(chain[0]) is kind else ()):
+            for simpler in each.plainer():
+                yield _with_chain(scenario, npc, (*chain[:gene], simpler, *chain[gene + 1 :]))
 
 
 def _plain_seed(scenario: Scenario) -> Candidates:
@@ -584,8 +524,13 @@ def _papers_traffic(scenario: Scenario) -> Candidates:
 
 
 STRUCTURE: tuple[Pass, ...] = (_on_grid, _fewer_npcs, _shorter, _merged, _staying, _shorter_chains, _passing)
-PASSES: tuple[Pass, ...] = (*STRUCTURE, _plainer_manoeuvres, _plainer_slots, _rounder, _slower, _plain_seed)
-"""All passes; the first ones shorten runs most. The passes are repeated until none finds a simpler scenario."""
+
+
+def passes() -> tuple[Pass, ...]:
+    """Return all passes, which are repeated until none finds a simpler scenario. The first ones shorten runs most."""
+    plain = [kind for kind in reversed(KINDS) if kind.plainer is not Instruction.plainer]
+    of_kinds = (partial(_plainer, kind=kind) for kind in plain)
+    return (*STRUCTURE, *of_kinds, _rounder, _slower, _plain_seed)
 
 
 def _small(scenario: Scenario, found: Scenario, plain: Start, *, is_limited: bool) -> Candidates:
@@ -594,17 +539,24 @@ def _small(scenario: Scenario, found: Scenario, plain: Start, *, is_limited: boo
     There are thousands of them, of which very few fail. With ``is_limited``, only some of those are tried that have
     fewer NPCs or instructions than the scenario: the passes find those of the same size, too.
 
-    They are on the grid; if the scenario has NPCs in lanes, every second one has NPCs in lanes instead. If the scenario
-    has NPCs that cross, try one NPC that crosses in a zone of the scenario.
+    They are on the grid, in turn with those of other kinds of instructions that the scenario has. If it has NPCs that
+    cross, try only one NPC that crosses in a zone of the scenario.
     """
     size = len(scenario.npcs), instructions(scenario)
     length = scenario.genes if size <= (1, 2) else found.genes  # longer chains fail more often
-    in_lanes = any(isinstance(chain[0], LaneInstruction) for chain in found.npcs)
     starts = dict.fromkeys((plain, (scenario.ego_lane, scenario.ego_speed)))
     begins = [replace(scenario, seed=0, ego_lane=lane, ego_speed=speed) for lane, speed in starts]
-    by_kind = [_small_ones(targets, length) for targets in ((SHIFTS, tuple(Cell)) if in_lanes else (tuple(Cell),))]
-    in_turn = (each for several in zip_longest(*by_kind) for each in several if each)
-    small = _small_crossings(found) if found.crossings else in_turn
+    by_kind: dict[type[Instruction], list[Instruction]] = {}
+    for each in sorted((chain[0] for chain in found.npcs), key=lambda each: each.on_grid):
+        by_kind.setdefault(type(each), []).append(each)
+    genes = {kind: tuple(kind.small(each, SMALL_SPEEDS)) for kind, each in by_kind.items()}
+    genes[PositionInstruction] = tuple(PositionInstruction.small((), SMALL_SPEEDS))
+    of_kinds = [
+        [((1, 1), ((gene,),)) for gene in each] if kind.is_alone else _small_ones(each, length)
+        for kind, each in genes.items()
+        if kind.crosses or not found.crossings
+    ]
+    small = (each for several in zip_longest(*of_kinds) for each in several if each)
     if not is_limited:
         yield from (_valid(begin, npcs) for (its_size, npcs), begin in product(small, begins) if its_size <= size)
         return
@@ -612,21 +564,13 @@ def _small(scenario: Scenario, found: Scenario, plain: Start, *, is_limited: boo
     yield from islice(fewer, MOST_SMALL)
 
 
-def _small_crossings(found: Scenario) -> Sequence[Sized]:
-    told = [each for each in found.crossings if each is not None]
-    speeds = dict.fromkeys((each.zone, round(each.speed / unit) * unit) for unit in (5.0, 1.0) for each in told)
-    ones = [CrossingInstruction(zone, slot, speed) for slot in SMALL_SLOTS for zone, speed in speeds if speed > 0]
-    return [((1, 1), ((each,),)) for each in ones]
-
-
 @lru_cache(maxsize=16)
-def _small_ones(targets: Sequence[Any], length: int) -> Sequence[Sized]:
+def _small_ones(genes: Sequence[Instruction], length: int) -> Sequence[Sized]:
     """Return the numbers of NPCs and instructions, and the chains, of every small scenario.
 
     The order is mixed, so that any beginning of the list has scenarios of each kind. If the most promising ones are
     listed first, a limited number of runs finds less.
     """
-    genes = [gene_of(target, speed) for target in targets for speed in SMALL_SPEEDS]
     ones = [_lasting(gene, times) for gene in genes for times in dict.fromkeys((1, length))]
     twos = [(first, *_lasting(second, length - 1)) for first, second in permutations(genes, 2) if length > 1]
     small: list[Sized] = [*(((1, 1), (chain,)) for chain in ones), *(((1, 2), (chain,)) for chain in twos)]
@@ -697,17 +641,16 @@ def _parts(chain: Chromosome) -> list[tuple[int, int]]:
     return list(pairwise([*starts, len(chain)]))
 
 
-def _lasting(instruction: Gene, genes: int) -> Chromosome:
+def _lasting(instruction: Instruction, genes: int) -> Chromosome:
     """Return an instruction that lasts several genes; an NPC changes lanes only in the first of them."""
-    later = replace(instruction, lane="keep") if isinstance(instruction, LaneInstruction) else instruction
-    return (instruction, *(later,) * (genes - 1))
+    return (instruction, *(instruction.afterwards,) * (genes - 1))
 
 
 def _with_speed(scenario: Scenario, npc: int, start: int, end: int, tenths: int) -> Scenario | None:
     chain = scenario.npcs[npc]
-    if tenths < 0 or (tenths == 0 and isinstance(chain[0], CrossingInstruction)):
+    if _mps(tenths) < chain[0].least_speed:
         return None
-    changed = tuple(replace(gene, speed=_mps(tenths)) for gene in chain[start:end])
+    changed = tuple(gene.with_speed(_mps(tenths)) for gene in chain[start:end])
     return _with_chain(scenario, npc, chain[:start] + changed + chain[end:])
 
 
@@ -723,23 +666,12 @@ def _valid(scenario: Scenario, npcs: tuple[Chromosome, ...]) -> Scenario | None:
         return None
 
 
-def _is_alone(chain: Chromosome) -> bool:
-    """Return whether an NPC has a single gene without a duration."""
-    return isinstance(chain[0], ALONE)
-
-
 def _moves(chain: Chromosome) -> int:
-    """Count changes of cell, changes of lane by Lane-Instructions, and 1 for an NPC that crosses but does not pass."""
-    if isinstance(chain[0], CrossingInstruction):
-        return int(chain[0].act != "pass")
-    if isinstance(chain[0], Manoeuvre):
-        return sum(step.lane != "keep" for step in chain[0].steps)
-    cells = [instruction.cell for instruction in chain if isinstance(instruction, PositionInstruction)]
-    shifts = sum(isinstance(each, LaneInstruction) and each.lane != "keep" for each in chain)
-    return shifts + sum(a != b for a, b in pairwise(cells))
+    """Count changes of cell, changes of lane, and 1 for an NPC that crosses but does not pass."""
+    return sum(each.moves(before) for before, each in zip((None, *chain), chain, strict=False))
 
 
-def _tenths(instruction: Gene) -> int:
+def _tenths(instruction: Instruction) -> int:
     return round(instruction.speed * SPEED_STEPS_PER_MPS)
 
 

@@ -18,7 +18,8 @@ from typing import Literal, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from pytest_pafot.model.scenario import SLOTS, CrossingInstruction, Scenario
+from pytest_pafot.model.instructions import SLOTS, CrossingInstruction
+from pytest_pafot.model.scenario import Scenario
 
 FloatArray = npt.NDArray[np.float64]
 Stretch = tuple[float, float]

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import difflib
 import math
-import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import pairwise, takewhile
 from typing import TYPE_CHECKING, Any, Literal, Protocol
 
@@ -34,15 +33,8 @@ from pytest_pafot.criticality.signals import (
 )
 from pytest_pafot.model.crossings import Zone
 from pytest_pafot.model.grid import Cell
-from pytest_pafot.model.scenario import (
-    ALONE,
-    Chromosome,
-    CrossingInstruction,
-    LaneInstruction,
-    Manoeuvre,
-    Scenario,
-    continues,
-)
+from pytest_pafot.model.instructions import CrossingInstruction
+from pytest_pafot.model.scenario import Chromosome, Scenario, continues
 from pytest_pafot.model.trace import (
     ACCELERATION,
     SPEED,
@@ -639,28 +631,12 @@ def _no_world(name: str, argument: str) -> NoReferenceDriversError:
 
 def crossing_text(instruction: CrossingInstruction, zone: Zone | None) -> str:
     """Return a crossing NPC's instruction in words, such as ``from the left, 0.5 s after the ego leaves``."""
-    whence = "" if zone is None else zone.whence
-    return ", ".join(filter(None, (whence, instruction.when, instruction.deed)))
+    return instruction.words_from("" if zone is None else zone.whence)
 
 
-def lane_text(trace: Trace, npc: int, gene: int) -> str:
-    """Return a Lane-Instruction as driven in words, such as ``from the left into the ego's lane``.
-
-    The lanes are those in which the ego and the NPC are when the gene begins. If one of them is unknown, the words do
-    not mention the ego.
-    """
-    instruction = trace.executed.npcs[npc][gene]
-    before = _lane_at(trace, npc + 1, gene) - _lane_at(trace, 0, gene)
-    if not isinstance(instruction, LaneInstruction) or math.isnan(before):
-        return instruction.goal
-    after = before + instruction.column
-    if before == 0 != after:
-        return f"out of the ego's lane to the {instruction.lane}"
-    if after == 0 != before:
-        return f"from the {'left' if before < 0 else 'right'} into the ego's lane"
-    number = {0: "", 1: "", 2: "2nd ", 3: "3rd "}.get(far := round(abs(after)), f"{far}th ")
-    place = f"the {number}lane {'left' if after < 0 else 'right'} of the ego" if after else "the ego's lane"
-    return f"{'keep' if before == after else 'into'} {place}"
+def lanes_apart(trace: Trace, npc: int, gene: int) -> float:
+    """Return how many lanes an NPC is to the right of the ego when a gene begins; NaN if it is unknown."""
+    return _lane_at(trace, npc + 1, gene) - _lane_at(trace, 0, gene)
 
 
 def arrival(trace: Trace, npc: int, gene: int) -> int | None:
@@ -672,10 +648,8 @@ def arrival(trace: Trace, npc: int, gene: int) -> int | None:
     chain, arrivals = trace.executed.npcs[npc], trace.arrivals[npc] if npc < len(trace.arrivals) else ()
 
     def keeps_new_lane(later: int) -> bool:
-        one, other = chain[gene], chain[later]
-        if not (isinstance(one, LaneInstruction) and isinstance(other, LaneInstruction) and other.lane == "keep"):
-            return False
-        return _lane_at(trace, npc + 1, later) - _lane_at(trace, npc + 1, gene) == one.column
+        lanes = chain[gene].lasting(chain[later])
+        return lanes is not None and _lane_at(trace, npc + 1, later) - _lane_at(trace, npc + 1, gene) == lanes
 
     genes = (gene, *takewhile(keeps_new_lane, range(gene + 1, len(arrivals))))
     return next((arrivals[each] for each in genes if each < len(arrivals) and arrivals[each] is not None), None)
@@ -705,11 +679,11 @@ def _manoeuvre_lines(trace: Trace, measured: Sequence[Asked]) -> list[str]:
     """Return the start of each manoeuvre, its steps with the times at which they began, and what was not as asked."""
     lines, missed = [], [each for each in measured if not each.is_met]
     for npc, chain in enumerate(trace.executed.npcs):
-        if not isinstance(manoeuvre := chain[0], Manoeuvre):
+        if not chain[0].place:
             continue
-        lines.append(f"  NPC {npc}: {manoeuvre.place}, {manoeuvre.speed:.1f} m/s")
+        lines.append(f"  NPC {npc}: {chain[0].place}, {chain[0].speed:.1f} m/s")
         begun = trace.steps_begun(npc)
-        for number, step in enumerate(manoeuvre.steps):
+        for number, step in enumerate(chain[0].steps):
             when = f"{begun[number] / trace.physics_hz:6.1f} s" if number < len(begun) else "   never"
             lines.append(f"  {when}  {step.words}")
         lines += [f"    not as asked: {each.words}" for each in missed if each.npc == npc]
@@ -739,7 +713,7 @@ def _gene_table(trace: Trace, room: int) -> list[str]:
     ones. Times are in seconds.
     """
     scenario, seconds = trace.executed, trace.executed.gene_seconds
-    npcs = [npc for npc, chain in enumerate(scenario.npcs) if not isinstance(chain[0], ALONE)]
+    npcs = [npc for npc, chain in enumerate(scenario.npcs) if not chain[0].is_alone]
     if not npcs:
         return []
     started = min(scenario.genes, int(trace.duration / seconds - 1e-9) + 1)
@@ -780,8 +754,4 @@ def _gene(trace: Trace, npc: int, genes: range, reached: str, names_side: bool) 
     arrivals = (arrival(trace, npc, each) for each in genes if each < len(chain))
     tick = next((each for each in arrivals if each is not None), None)
     end = "not reached" if tick is None else f"{reached}{tick / trace.physics_hz:.1f} s"
-    if not isinstance(instruction, LaneInstruction):
-        return f"{instruction.goal} {instruction.speed:.1f} m/s {end}"
-    words = lane_text(trace, npc, gene)
-    words = words if names_side else re.sub("^from the [a-z]+ | to the [a-z]+$", "", words)
-    return f"{words} {instruction.speed:.1f} m/s{'' if instruction.lane == 'keep' else f' {end}'}"
+    return instruction.row(partial(lanes_apart, trace, npc, gene), end, names_side=names_side)

@@ -112,7 +112,8 @@ def pafot_simulate(pafot_world: WorldLike) -> Simulate:
     from pytest_pafot.execution.runner import driving  # noqa: PLC0415
     from pytest_pafot.findings.finding import ads_failure  # noqa: PLC0415
     from pytest_pafot.model.grid import Cell  # noqa: PLC0415
-    from pytest_pafot.model.scenario import PositionInstruction, Scenario  # noqa: PLC0415
+    from pytest_pafot.model.instructions import PositionInstruction  # noqa: PLC0415
+    from pytest_pafot.model.scenario import Scenario  # noqa: PLC0415
     from pytest_pafot.model.trace import Outcome  # noqa: PLC0415
     from pytest_pafot.world import Highway  # noqa: PLC0415
 

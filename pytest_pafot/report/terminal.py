@@ -17,7 +17,6 @@ from pytest_pafot.findings.finding import Expect, Finding
 from pytest_pafot.findings.severity import Severity, worsening
 from pytest_pafot.findings.shrink import size_of
 from pytest_pafot.findings.sighting import NEW, Sighting
-from pytest_pafot.model.scenario import CrossingInstruction, LaneInstruction, Manoeuvre, PositionInstruction
 from pytest_pafot.oracle.run import ReferenceOutcome
 from pytest_pafot.support.errors import flag
 from pytest_pafot.support.proportions import interval_text
@@ -214,16 +213,11 @@ def speed_sentences(finding: Finding) -> list[str]:
     sentences = []
     for interval in () if finding.shrunk is None else finding.shrunk.speeds:
         gene = finding.scenario.npcs[interval.npc][interval.gene]
-        place = f"in cell {int(gene.cell)} ({gene.cell.label})" if isinstance(gene, PositionInstruction) else gene.goal
-        place = "in its lane" if isinstance(gene, LaneInstruction) and gene.lane == "keep" else place
-        seconds = interval.gene * finding.scenario.gene_seconds
-        when = "on " if isinstance(gene, CrossingInstruction) else f"from {round(seconds, 1):g} s "
-        if isinstance(gene, Manoeuvre):
-            when, place = "starts ", gene.place
+        beginning = gene.beginning(interval.gene * finding.scenario.gene_seconds)
         speeds = f"any speed from {interval.low:.1f} to {interval.high:.1f} m/s"
         if interval.low == interval.high:
             speeds = f"only a speed of {interval.low:.1f} m/s"
-        sentences.append(f"NPC {interval.npc} {when}{place}: {speeds} still fails")
+        sentences.append(f"NPC {interval.npc} {beginning}: {speeds} still fails")
     return sentences
 
 

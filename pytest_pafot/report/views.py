@@ -6,6 +6,7 @@ import math
 import shlex
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 from itertools import pairwise
 from textwrap import dedent
 
@@ -20,16 +21,11 @@ from pytest_pafot.findings.finding import Expect, Finding
 from pytest_pafot.findings.sighting import Sighting
 from pytest_pafot.model.driving_style import AMPLE, Traffic
 from pytest_pafot.model.grid import Cell
-from pytest_pafot.model.scenario import (
-    CrossingInstruction,
-    LaneInstruction,
-    Manoeuvre,
-    PositionInstruction,
-    Scenario,
-)
+from pytest_pafot.model.instructions import Instruction
+from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import ACCELERATION, ALONG, LANE, SPEED, FloatArray, Lane, Trace, X, Y
 from pytest_pafot.oracle.checks import Check
-from pytest_pafot.oracle.run import Run, arrival, crossing_text, lane_text
+from pytest_pafot.oracle.run import Run, arrival, lanes_apart
 from pytest_pafot.report.page_data import (
     CheckView,
     EventView,
@@ -460,35 +456,31 @@ def _instructions(trace: Trace | None, scenario: Scenario) -> tuple[InstructionV
     for npc, chain in enumerate(wanted.npcs):
         begun = arrivals[npc] if npc < len(arrivals) else ()
         for gene, (requested, followed) in enumerate(zip(chain, driven[npc], strict=False)):
-            if isinstance(requested, Manoeuvre):
+            if requested.place:
                 views += _steps(trace, npc, requested, [each for each in missed if each.npc == npc])
                 continue
             tick = None if trace is None else arrival(trace, npc, gene)
+            end = (gene + 1) * wanted.gene_seconds
+            if followed.is_alone and trace is not None:  # it lasts for the whole run
+                end = max(end, trace.duration)
+            apart = partial(float, math.nan) if trace is None else partial(lanes_apart, trace, npc, gene)
+            zone = zones[npc]
             view = InstructionView(
                 npc=npc,
                 gene=gene,
                 start=round(gene * wanted.gene_seconds, 3),
-                end=round((gene + 1) * wanted.gene_seconds, 3),
-                requested=int(requested.cell) if isinstance(requested, PositionInstruction) else 0,
-                cell=int(followed.cell) if isinstance(followed, PositionInstruction) else 0,
+                end=round(end, 3),
+                requested=0,
+                cell=0,
                 speed=followed.speed,
                 started=gene < len(begun),
                 arrived=None if tick is None else round(tick / hz, 3),
             )
-            if isinstance(requested, LaneInstruction) and isinstance(followed, LaneInstruction):
-                words = followed.goal if trace is None else lane_text(trace, npc, gene)
-                words += "" if followed == requested else f" (requested {requested.goal})"
-                view = replace(view, lane=followed.lane, words=words)
-            if isinstance(followed, CrossingInstruction):
-                slot = f"{followed.slot:+g} s" if followed.slot else "together"
-                words = crossing_text(followed, zones[npc])
-                end = view.end if trace is None else max(view.end, trace.duration)  # it lasts for the whole run
-                view = replace(view, zone=followed.zone, slot=slot, words=words, end=round(end, 3))
-            views.append(view)
+            views.append(replace(view, **followed.shown(requested, apart, "" if zone is None else zone.whence)))
     return tuple(views)
 
 
-def _steps(trace: Trace | None, npc: int, manoeuvre: Manoeuvre, missed: Sequence[Asked]) -> Iterator[InstructionView]:
+def _steps(trace: Trace | None, npc: int, manoeuvre: Instruction, missed: Sequence[Asked]) -> Iterator[InstructionView]:
     """Yield the start of a manoeuvre and its steps, each as an instruction for a lane."""
     begun = () if trace is None else trace.steps_begun(npc)
     hz, last = (1, 0.0) if trace is None else (trace.physics_hz, trace.duration)

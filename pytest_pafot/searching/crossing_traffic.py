@@ -8,18 +8,19 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import cast
 
 from numpy.random import Generator
 
 from pytest_pafot.model.crossings import STEP, Crossings
-from pytest_pafot.model.scenario import (
+from pytest_pafot.model.instructions import (
     LARGEST_SLOT,
     SLOT_STEPS_PER_SECOND,
     SPEED_STEPS_PER_MPS,
     Act,
-    Chromosome,
     CrossingInstruction,
 )
+from pytest_pafot.model.scenario import Chromosome
 
 ACTS: tuple[Act, ...] = ("pass", "hold", "stop")
 """Acts that are sampled by default. ``late`` is left out, because after it one can often dispute who had to wait."""
@@ -110,10 +111,11 @@ class CrossingTraffic:
         told: list[CrossingInstruction] = []
         for chain in npcs:
             first = chain[0]
-            if not isinstance(first, CrossingInstruction) and len(kept) - len(told) < self.most_on_grid:
+            if not first.crosses and len(kept) - len(told) < self.most_on_grid:
                 kept.append(chain)
                 continue
-            found = self._room_for(first if isinstance(first, CrossingInstruction) else self.drawn(rng), told, rng)
+            wanted = cast("CrossingInstruction", first) if first.crosses else self.drawn(rng)
+            found = self._room_for(wanted, told, rng)
             if found is not None:
                 told.append(found)
                 kept.append((found,))
@@ -163,20 +165,6 @@ def drawn_slot(rng: Generator) -> float:
     near = int(rng.integers(1, SLOT_STEPS_PER_SECOND)) / SLOT_STEPS_PER_SECOND
     slots = {"well before": -far, "just before": -near, "together": 0.0, "just after": near, "well after": far}
     return _tenths(slots[name])
-
-
-def mixed(a: CrossingInstruction, b: CrossingInstruction, rng: Generator) -> tuple[CrossingInstruction, ...]:
-    """Return two children of two instructions for one zone; slot, speed and act are each swapped or not at random."""
-    slot, speed, act = (bool(each) for each in rng.integers(2, size=3))
-    return tuple(
-        replace(
-            own,
-            slot=other.slot if slot else own.slot,
-            speed=other.speed if speed else own.speed,
-            act=other.act if act else own.act,
-        )
-        for own, other in ((a, b), (b, a))
-    )
 
 
 def _tenths(slot: float) -> float:

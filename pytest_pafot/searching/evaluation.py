@@ -15,14 +15,7 @@ from pytest_pafot.criticality import Encounters, passages, time_advantage
 from pytest_pafot.criticality.boxes import overlaps, relate
 from pytest_pafot.model.crossings import Crossings
 from pytest_pafot.model.grid import Cell
-from pytest_pafot.model.scenario import (
-    Chromosome,
-    CrossingInstruction,
-    Manoeuvre,
-    Scenario,
-    retimed,
-    with_targets,
-)
+from pytest_pafot.model.scenario import Chromosome, Scenario, retimed, with_targets
 from pytest_pafot.model.trace import HEADING, LANE, SPEED, Collision, Outcome, Trace, X, Y
 from pytest_pafot.searching.space import repaired
 
@@ -178,10 +171,9 @@ class Evaluation:
 
         Zones are counted in the order in which the ego reaches them.
         """
-        instruction = None if self.crossing is None else self.scenario.npcs[self.crossing][0]
-        if crossings is None or not isinstance(instruction, CrossingInstruction):
-            return None
-        return crossings.meeting_place(instruction)
+        told = self.scenario.crossings
+        instruction = told[self.crossing] if told and self.crossing is not None else None
+        return None if crossings is None or instruction is None else crossings.meeting_place(instruction)
 
     def chains_in(self, seconds: float) -> list[Chromosome]:
         """Return :attr:`chains` in genes that last some seconds, with nearly the same targets in time."""
@@ -266,7 +258,7 @@ def demand_of(trace: Trace) -> Demand:
 
 # Results of earlier runs of a campaign, so that none of the last ten thousand runs is simulated twice.
 
-Chains = tuple[tuple[float | CrossingInstruction | Manoeuvre, ...], ...]  # one number per gene, or the whole gene
+Chains = tuple[tuple[Hashable, ...], ...]  # one number per gene, or the whole gene
 _Key = tuple[object, ...]
 _Place = tuple[_Key, int | None]  # a key, and the seed if it matters
 

@@ -6,11 +6,9 @@ import math
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, fields
-from functools import lru_cache
 from itertools import chain, compress
 
-from pytest_pafot.model.grid import Cell
-from pytest_pafot.model.scenario import SHIFTS, SLOTS, Chromosome, CrossingInstruction, Manoeuvre
+from pytest_pafot.model.instructions import KINDS, SLOTS, SPEED_BIN, Key
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.searching.evaluation import BARELY_MOVING, Evaluation
 from pytest_pafot.searching.events import Evaluated, Event
@@ -18,21 +16,6 @@ from pytest_pafot.support.text import plural
 
 # Counts of the instructions that a search requested, that were driven, and that were reached: cells, steps on the ring,
 # lanes, target speeds, and zones with slots.
-
-SPEED_BIN = 5.0  # width of a bin of target speeds [m/s]
-
-Key = tuple[str, int] | tuple[str, int, int] | tuple[str, str] | tuple[str, str, str]
-"""A thing that is counted: ``("cell", 2)``; ``("step", 1, 2)`` from cell 1 to cell 2; ``("lane", "left")``;
-``("bin", 4)``, the bin of target speeds from 20 m/s; or ``("zone", "o1>o3", "just after")`` for an NPC that crosses."""
-
-CELLS: tuple[Key, ...] = tuple(("cell", int(cell)) for cell in Cell)  # the eight, cell 1 first
-
-STEPS: tuple[Key, ...] = tuple(
-    ("step", int(cell), int(target)) for cell in Cell for target in (cell, *reversed(cell.neighbours))
-)
-"""The twenty-four steps that a chain can have: from each cell, staying, one step clockwise and one anticlockwise."""
-
-LANES: tuple[Key, ...] = tuple(("lane", shift) for shift in SHIFTS)
 
 
 def speed_bins(speed_limit: float) -> tuple[Key, ...]:
@@ -55,9 +38,9 @@ class Coverage:
         requested, driven, reached = [list[tuple[Key, ...]]() for _ in range(3)]
         for evaluation in evaluations:
             depth = evaluation.depth if evaluation.genes_started else 0
-            asked = chains = [_keys(chain) for chain in evaluation.scenario.npcs]
+            asked = chains = [chain[0].counted(chain) for chain in evaluation.scenario.npcs]
             if evaluation.executed is not evaluation.scenario or evaluation.driven:
-                chains = [_keys(chain) for chain in evaluation.chains]
+                chains = [chain[0].counted(chain) for chain in evaluation.chains]
             requested += chain.from_iterable(asked)
             driven += chain.from_iterable([keys[:depth] for keys in chains])
             reached += chain.from_iterable([compress(*each) for each in zip(chains, evaluation.arrived, strict=False)])
@@ -80,12 +63,12 @@ class Coverage:
         """Return a line for a summary: how many of all cells, steps, speed bins and slots were reached and requested.
 
         ``speed_limit`` [m/s] determines which bins exist; ``zones`` are the names of the ways in the world that cross.
-        Lanes are mentioned only if NPCs were in lanes, and cells are not if all of them were.
+        The groups of each kind of instruction are mentioned if it was requested; cells are if no other groups are.
         """
         meetings: tuple[Key, ...] = tuple(("zone", zone, slot) for zone in zones for slot in SLOTS)
-        kinds = {str(key[0]) for key in self.requested}
-        groups = [] if "lane" in kinds and "cell" not in kinds else [("cells", CELLS), ("ring steps", STEPS)]
-        groups += [("lane choices", LANES)] if "lane" in kinds else []
+        asked = {key[0] for key in self.requested}
+        kinds = [kind for kind in KINDS if any(keys[0][0] in asked for _, keys in kind.groups)] or KINDS[:1]
+        groups = [group for kind in kinds for group in kind.groups]
         groups += [("speed bins", speed_bins(speed_limit))]
         groups += [("slots at zones", meetings)] if meetings else []
         requested, reached = (
@@ -100,27 +83,6 @@ def _summed(counts: Counter[Key], more: Counter[Key]) -> Counter[Key]:
     counts = counts.copy()  # several times as fast as a sum of two Counters if only one of them is large
     counts.update(more)
     return counts
-
-
-def _keys(genes: Chromosome) -> list[tuple[Key, ...]]:
-    """Return the keys of each gene of a chain; a step belongs to the gene that it leads to."""
-    first = genes[0]
-    if isinstance(first, CrossingInstruction):
-        return [(("bin", int(first.speed // SPEED_BIN)), ("zone", first.zone, first.interval))]
-    if isinstance(first, Manoeuvre):
-        return [(("bin", int(first.speed // SPEED_BIN)),)]
-    targets = [gene.target for gene in genes]
-    return list(map(_keys_of, [gene.speed for gene in genes], targets, [None, *targets]))
-
-
-@lru_cache(maxsize=1 << 14)
-def _keys_of(speed: float, target: int | str, before: int | str | None) -> tuple[Key, ...]:
-    """Return the keys of a gene with a target speed [m/s] and a cell or lane, after another gene's cell or lane."""
-    own: Key = ("bin", int(speed // SPEED_BIN))
-    if isinstance(target, str):
-        return (own, ("lane", target))
-    step = () if before is None else (("step", before, target),)
-    return (own, ("cell", target), *step)
 
 
 MAX_INVALID_SHARE = 0.25

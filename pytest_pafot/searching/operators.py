@@ -9,30 +9,18 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from typing import cast
 
 from numpy.random import Generator
 
 from pytest_pafot.model.grid import is_adjacent
-from pytest_pafot.model.scenario import (
-    ALONE,
-    Chromosome,
-    CrossingInstruction,
-    LaneInstruction,
-    Manoeuvre,
-    PositionInstruction,
-    Scenario,
-    retimed,
-)
-from pytest_pafot.searching import asked_traffic
-from pytest_pafot.searching.crossing_traffic import CrossingTraffic, mixed
+from pytest_pafot.model.instructions import Instruction
+from pytest_pafot.model.scenario import Chromosome, Scenario, retimed
+from pytest_pafot.searching.crossing_traffic import CrossingTraffic
 from pytest_pafot.searching.evaluation import Evaluation
 from pytest_pafot.searching.patterns import followed_by_pattern
 from pytest_pafot.searching.space import (
     SearchSpace,
     fresh_seed,
-    random_instruction,
-    random_manoeuvres,
     repaired,
     sample,
 )
@@ -67,13 +55,11 @@ def _swapped(a: Scenario, b: Scenario, rng: Generator) -> tuple[tuple[int, Chrom
     """Return the index of a random NPC of each scenario, with the chain that a crossover gives to this NPC."""
     in_a, in_b = int(rng.integers(len(a.npcs))), int(rng.integers(len(b.npcs)))
     one, other = a.npcs[in_a][0], b.npcs[in_b][0]
-    if isinstance(one, CrossingInstruction) and isinstance(other, CrossingInstruction) and one.zone == other.zone:
-        first, second = mixed(one, other, rng)
+    if (children := one.mixed(other, rng)) is not None:
+        first, second = children
         return (in_a, (first,)), (in_b, (second,))
-    if isinstance(one, Manoeuvre) or isinstance(other, Manoeuvre):  # starts stay, so that no two NPCs touch there
-        if not (isinstance(one, Manoeuvre) and isinstance(other, Manoeuvre)):
-            return (in_a, a.npcs[in_a]), (in_b, b.npcs[in_b])
-        return (in_a, (replace(one, steps=other.steps),)), (in_b, (replace(other, steps=one.steps),))
+    if one.keeps_start or other.keeps_start:  # so that no two NPCs touch there
+        return (in_a, a.npcs[in_a]), (in_b, b.npcs[in_b])
     return (in_a, _taken(b, in_b, a)), (in_b, _taken(a, in_a, b))
 
 
@@ -112,28 +98,27 @@ def _mutated(scenario: Scenario, space: SearchSpace, rng: Generator) -> Scenario
         return _started_anew(scenario, space, rng)
     if draw < starts + sizes:
         return _of_another_size(scenario, space, rng)
-    numbers = [npc for npc, chain in enumerate(scenario.npcs) if not isinstance(chain[0], ALONE)]
-    asked = [npc for npc, chain in enumerate(scenario.npcs) if isinstance(chain[0], Manoeuvre)]
+    numbers = [npc for npc, chain in enumerate(scenario.npcs) if not chain[0].is_alone]
+    asked = [npc for npc, chain in enumerate(scenario.npcs) if chain[0].is_alone and not chain[0].crosses]
     crossing = space.crossing_traffic
     if crossing is not None and rng.random() * len(scenario.npcs) >= len(numbers) + len(asked):
         return _crossing_otherwise(scenario, crossing, rng)
     if asked:
         npc = asked[int(rng.integers(len(asked)))]
-        here = space.fixed(scenario.ego_lane, scenario.ego_speed, 1, scenario.genes, scenario.gene_seconds)
-        new_one = asked_traffic.varied(cast("Manoeuvre", scenario.npcs[npc][0]), here, rng)
+        here = space.choices._replace(ego_lane=scenario.ego_lane, ego_speed=scenario.ego_speed)
+        new_one = scenario.npcs[npc][0].varied(here, rng)
         return _child(scenario, with_chain(scenario.npcs, npc, (new_one,)), rng)
     if draw < starts + sizes + PATTERNS and space.patterns and scenario.positions:
         return _with_pattern(scenario, space, rng)
     places = [(npc, gene) for npc in numbers for gene in range(len(scenario.npcs[npc]))]
     npc, gene = places[int(rng.integers(len(places)))]
-    chain = scenario.npcs[npc]
+    chain, choices = scenario.npcs[npc], space.choices
     new = chain[gene]
     while new == chain[gene]:
-        if isinstance(new, LaneInstruction):
-            new = random_manoeuvres(replace(space, genes=1), 1, rng)[0][0]
-        else:
+        new = chain[gene].varied(choices, rng)
+        if new.on_grid:
             on_grid = _on_grid(scenario).index(npc)
-            new = _fitted(scenario.positions, on_grid, gene, random_instruction(space, rng), bool(rng.integers(2)))
+            new = _fitted(scenario.positions, on_grid, gene, new, bool(rng.integers(2)))
     return _child(scenario, with_chain(scenario.npcs, npc, (*chain[:gene], new, *chain[gene + 1 :])), rng)
 
 
@@ -158,8 +143,9 @@ def _started_anew(scenario: Scenario, space: SearchSpace, rng: Generator) -> Sce
         return replace(scenario, ego_speed=space.drawn_speed(rng))
     among = roomy or lanes
     lane = among[int(rng.integers(len(among)))]
-    kept = asked_traffic.in_lane(npcs[: space.most_on(lane)], scenario.ego_lane, lane)
-    return replace(scenario, ego_lane=lane, npcs=kept)
+    kept = npcs[: space.most_on(lane)]
+    there = tuple(tuple(gene.for_lane(scenario.ego_lane, lane) for gene in chain) for chain in kept)
+    return replace(scenario, ego_lane=lane, npcs=there)
 
 
 def _of_another_size(scenario: Scenario, space: SearchSpace, rng: Generator) -> Scenario:
@@ -177,9 +163,7 @@ def _of_another_size(scenario: Scenario, space: SearchSpace, rng: Generator) -> 
     if len(npcs) >= most:
         return scenario
     alone = space.fixed(scenario.ego_lane, scenario.ego_speed, 1, scenario.genes, scenario.gene_seconds)
-    added = sample(alone, rng).npcs
-    if isinstance(added[0][0], Manoeuvre):  # it starts beside the others, not as if it were alone
-        added = ((asked_traffic.drawn(alone, npcs, rng),),)
+    added = ((chain[0].beside_others(alone.choices, npcs, rng), *chain[1:]) for chain in sample(alone, rng).npcs)
     return _child(scenario, (*npcs, *added), rng)
 
 
@@ -195,16 +179,16 @@ def _with_pattern(scenario: Scenario, space: SearchSpace, rng: Generator) -> Sce
 
 
 def _on_grid(scenario: Scenario) -> list[int]:
-    return [npc for npc, chain in enumerate(scenario.npcs) if isinstance(chain[0], PositionInstruction)]
+    return [npc for npc, chain in enumerate(scenario.npcs) if chain[0].on_grid]
 
 
 def _fitted(
-    chains: Sequence[tuple[PositionInstruction, ...]],
+    chains: Sequence[Chromosome],
     npc: int,
     gene: int,
-    new: PositionInstruction,
+    new: Instruction,
     clockwise_first: bool,
-) -> PositionInstruction:
+) -> Instruction:
     """Return ``new`` with a cell that is adjacent to the cells before and after it, and that no other NPC holds.
 
     The cell of ``new`` stays if it fits. Otherwise it is one of the two neighbours of the previous cell (of the next
@@ -218,7 +202,7 @@ def _fitted(
     neighbours = (clockwise, anticlockwise) if clockwise_first else (anticlockwise, clockwise)
     candidates = (new.cell, *neighbours, chain[gene].cell)
     cell = next(c for c in candidates if c not in held and all(is_adjacent(c, other) for other in around))
-    return replace(new, cell=cell)
+    return new.aimed(cell)
 
 
 def tournament(population: Sequence[Evaluation], rng: Generator) -> Evaluation:

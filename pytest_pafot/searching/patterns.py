@@ -16,7 +16,7 @@ from typing import NamedTuple
 from numpy.random import Generator
 
 from pytest_pafot.model.grid import Cell
-from pytest_pafot.model.scenario import SPEED_STEPS_PER_MPS, PositionInstruction, known_gene
+from pytest_pafot.model.instructions import SPEED_STEPS_PER_MPS, PositionInstruction, known_position
 
 Bound = tuple[float, float]
 """A limit of a target speed: a share of the ego's first speed, plus an offset [m/s]; from 0 to the speed limit."""
@@ -123,8 +123,7 @@ def _drawn(step: Step, ego_speed: float, bounds: tuple[int, int], rng: Generator
         min(max((share * ego_speed + more) * SPEED_STEPS_PER_MPS, least), most) for share, more in (step.low, step.high)
     )
     speed = int(rng.integers(int(low), int(high) + 1)) / SPEED_STEPS_PER_MPS
-    gene: PositionInstruction = known_gene(step.cell, speed)
-    return gene
+    return known_position(step.cell, speed)
 
 
 def _between(first: Cell, last: Cell, rng: Generator) -> list[Cell]:

@@ -23,7 +23,8 @@ from typing import Any, Literal, TypeVar, Union, cast, get_args, get_origin, get
 
 from pytest_pafot.findings.finding import IN_MEMORY
 from pytest_pafot.findings.signature import Signature
-from pytest_pafot.model.scenario import Scenario, ScenarioError
+from pytest_pafot.model.instructions import ScenarioError
+from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.support.errors import FieldError
 
 T = TypeVar("T")

@@ -14,25 +14,28 @@ from numpy.random import Generator
 from pytest_pafot.model.crossings import Crossings
 from pytest_pafot.model.driving_style import PAPERS, Traffic
 from pytest_pafot.model.grid import are_valid, repair_chains
-from pytest_pafot.model.scenario import (
+from pytest_pafot.model.instructions import (
     ACTS,
+    SPEED_STEPS_PER_MPS,
+    Act,
+    Choices,
+    Instruction,
+    PositionInstruction,
+    known_position,
+    random_lanes,
+    random_manoeuvre,
+)
+from pytest_pafot.model.scenario import (
     EGO_LANE,
     EGO_SPEED,
     GENE_SECONDS,
     LONGEST_GENE,
     PAPER_SPEED_LIMIT,
-    SHIFTS,
-    SPEED_STEPS_PER_MPS,
-    Act,
     Chromosome,
-    Gene,
-    LaneInstruction,
-    PositionInstruction,
     Scenario,
-    known_gene,
     positions_of,
 )
-from pytest_pafot.searching import asked_traffic, crossing_traffic
+from pytest_pafot.searching import crossing_traffic
 from pytest_pafot.searching.crossing_traffic import CrossingTraffic
 from pytest_pafot.searching.patterns import chain_of_patterns
 from pytest_pafot.support.errors import POSITIVE, checked_number, checked_whole
@@ -166,6 +169,11 @@ class SearchSpace:
         return min(round(self.traffic.least_speed(self.speed_limit) * SPEED_STEPS_PER_MPS), self.top_step)
 
     @property
+    def choices(self) -> Choices:
+        """What an instruction may have in this space."""
+        return Choices(self.low_step, self.top_step, self.ego_lane, self.ego_speed, self.lanes, self.room)
+
+    @property
     def described(self) -> str:
         """A text such as ``4 NPCs in hostile traffic; the ego starts at 12 to 26.8 m/s in lanes 0 to 3``."""
         speeds, lanes = self.ego_speeds or (self.ego_speed,), self.ego_lanes or (self.ego_lane,)
@@ -290,13 +298,13 @@ def sample(space: SearchSpace, rng: Generator) -> Scenario:
     if space.instructions == "manoeuvres":
         asked: list[Chromosome] = []
         for _ in range(space.npcs):
-            asked.append((asked_traffic.drawn(space, asked, rng),))
+            asked.append((random_manoeuvre(space.choices, asked, rng),))
         return repaired(asked, fresh_seed(rng), space)
     share = LANE_SHARES[space.instructions]
     in_lanes = int(rng.binomial(space.npcs, share)) if share else 0
-    chains: list[Sequence[Gene]] = [
+    chains: list[Sequence[Instruction]] = [
         *_on_grid(space, space.npcs - in_lanes, rng),
-        *random_manoeuvres(space, in_lanes, rng),
+        *random_lanes(space.choices, in_lanes, space.genes, rng),
     ]
     return repaired(chains, fresh_seed(rng), space)
 
@@ -323,17 +331,17 @@ def _sample_crossing(space: SearchSpace, crossing: CrossingTraffic, rng: Generat
 def chains_of(cells: Sequence[Sequence[int]], speeds: Sequence[Sequence[int]]) -> list[list[PositionInstruction]]:
     """Return a chain for each NPC from its cells, and from its speeds in steps of 0.1 m/s."""
     return [
-        [known_gene(cell, speed / SPEED_STEPS_PER_MPS) for cell, speed in zip(*chain, strict=True)]
+        [known_position(cell, speed / SPEED_STEPS_PER_MPS) for cell, speed in zip(*chain, strict=True)]
         for chain in zip(cells, speeds, strict=True)
     ]
 
 
 def sample_manoeuvres(space: SearchSpace, rng: Generator) -> Scenario:
     """Sample a scenario in which all NPCs have Lane-Instructions; it needs no repair, so its seed is 0."""
-    return repaired(random_manoeuvres(space, space.npcs, rng), 0, space)
+    return repaired(random_lanes(space.choices, space.npcs, space.genes, rng), 0, space)
 
 
-def repaired(chains: Sequence[Sequence[Gene]], seed: int, start: Scenario | SearchSpace) -> Scenario:
+def repaired(chains: Sequence[Sequence[Instruction]], seed: int, start: Scenario | SearchSpace) -> Scenario:
     """Make a valid scenario from chains that were sampled or varied (section 2.1 of the paper).
 
     The result equals that of :meth:`Scenario.repaired`. This function is much faster, as a search calls it for every
@@ -347,11 +355,11 @@ def repaired(chains: Sequence[Sequence[Gene]], seed: int, start: Scenario | Sear
         fitting = iter(
             [
                 # A gene that keeps its cell is reused, which is faster than making and checking a new one.
-                tuple(g if g.cell == cell else known_gene(cell, g.speed) for g, cell in zip(*each, strict=True))
+                tuple(g if g.cell == cell else g.aimed(cell) for g, cell in zip(*each, strict=True))
                 for each in zip(positions, repair_chains(cells, seed), strict=True)
             ]
         )
-        npcs = tuple(next(fitting) if isinstance(chain[0], PositionInstruction) else chain for chain in npcs)
+        npcs = tuple(next(fitting) if chain[0].on_grid else chain for chain in npcs)
     make = Scenario.trusted if isinstance(start, Scenario) else Scenario  # a space is a user's input, so check it
     return make(
         npcs=npcs,
@@ -361,24 +369,6 @@ def repaired(chains: Sequence[Sequence[Gene]], seed: int, start: Scenario | Sear
         gene_seconds=start.gene_seconds,
         traffic=start.traffic,
     )
-
-
-def random_instruction(space: SearchSpace, rng: Generator) -> PositionInstruction:
-    """Sample a Position-Instruction, uniform over the eight cells and the speeds up to the limit."""
-    cell = int(rng.integers(1, 9))
-    speed = int(rng.integers(space.low_step, space.top_step + 1)) / SPEED_STEPS_PER_MPS
-    gene: PositionInstruction = known_gene(cell, speed)
-    return gene
-
-
-def random_manoeuvres(space: SearchSpace, npcs: int, rng: Generator) -> list[list[LaneInstruction]]:
-    """Sample chains of Lane-Instructions, uniform over keep, left and right, and the speeds up to the limit."""
-    shifts = rng.integers(len(SHIFTS), size=(npcs, space.genes)).tolist()
-    speeds = rng.integers(space.low_step, space.top_step + 1, size=(npcs, space.genes)).tolist()
-    return [
-        [known_gene(SHIFTS[shift], speed / SPEED_STEPS_PER_MPS) for shift, speed in zip(*chain, strict=True)]
-        for chain in zip(shifts, speeds, strict=True)
-    ]
 
 
 def fresh_seed(rng: Generator) -> int:

@@ -18,7 +18,8 @@ from pytest_pafot.attribution.responses import FOLLOWING
 from pytest_pafot.attribution.takeovers import STEADY_BRAKING
 from pytest_pafot.model.crossings import Crossings
 from pytest_pafot.model.grid import Cell
-from pytest_pafot.model.scenario import PositionInstruction, Scenario, ScenarioError
+from pytest_pafot.model.instructions import PositionInstruction, ScenarioError
+from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Trace
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.support.errors import driven_by, plain_number

@@ -9,15 +9,15 @@ from typing import NoReturn
 
 from pytest_pafot.model.crossings import Crossings
 from pytest_pafot.model.grid import Cell
-from pytest_pafot.model.scenario import (
+from pytest_pafot.model.instructions import (
     LARGEST_SLOT,
     SLOT_STEPS_PER_SECOND,
     CrossingInstruction,
-    Gene,
+    Instruction,
     Manoeuvre,
-    Scenario,
     ScenarioError,
 )
+from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.world.kernel.bodies import NPC_LENGTH, NPC_WIDTH, Box, overlap
 from pytest_pafot.world.kernel.director import Director
 from pytest_pafot.world.kernel.road_directors import JunctionDirector
@@ -227,7 +227,7 @@ class Rules:
         return int(seconds * self.physics_hz + 1e-9)  # rounding must not lose a tick
 
 
-def _not_crossing(scenario: Scenario) -> list[tuple[int, Gene]]:
+def _not_crossing(scenario: Scenario) -> list[tuple[int, Instruction]]:
     """Return the NPCs that start around the ego and not on a way that crosses, each with its first gene."""
     firsts = [(npc, chain[0]) for npc, chain in enumerate(scenario.npcs)]
     return [(npc, first) for npc, first in firsts if not isinstance(first, CrossingInstruction)]

@@ -7,7 +7,8 @@ import pytest
 
 from pytest_pafot.attribution.takeovers import Avoidance, avoidance
 from pytest_pafot.model.grid import Cell
-from pytest_pafot.model.scenario import PositionInstruction, Scenario
+from pytest_pafot.model.instructions import PositionInstruction
+from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import LANE, SPEED, Outcome, X
 from pytest_pafot.world import Highway
 from tests.helpers.tables import table

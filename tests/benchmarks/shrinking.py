@@ -37,16 +37,8 @@ from pytest_pafot.findings.finding import of_failure
 from pytest_pafot.findings.shrink import Shrunk, Start, size_of, sort_key
 from pytest_pafot.findings.signature import Signature
 from pytest_pafot.model.grid import Cell
-from pytest_pafot.model.scenario import (
-    EGO_LANE,
-    EGO_SPEED,
-    GENE_SECONDS,
-    SHIFTS,
-    Chromosome,
-    LaneInstruction,
-    PositionInstruction,
-    ScenarioError,
-)
+from pytest_pafot.model.instructions import SHIFTS, LaneInstruction, PositionInstruction, ScenarioError
+from pytest_pafot.model.scenario import EGO_LANE, EGO_SPEED, GENE_SECONDS, Chromosome
 from tests.benchmarks.command import as_they_end, options, print_head, seeds_of
 from tests.benchmarks.positive_controls import NOT_RUN_COLLISION, factory_of, searched
 from tests.helpers.shrinking import shrink

@@ -12,7 +12,8 @@ from pytest_pafot.execution.crash_records import CrashRecord, leftovers
 from pytest_pafot.findings.finding import Expect
 from pytest_pafot.findings.signature import ZONES
 from pytest_pafot.findings.situation import ZoneSituation
-from pytest_pafot.model.scenario import CrossingInstruction, PositionInstruction, Scenario
+from pytest_pafot.model.instructions import CrossingInstruction, PositionInstruction
+from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.support.errors import CorpusError
 from tests.findings.builders import crossing_instructions, plain_finding, scenarios

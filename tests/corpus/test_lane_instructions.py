@@ -11,7 +11,8 @@ from pytest_pafot.corpus.writer import text_of
 from pytest_pafot.execution.crash_records import CrashRecord, leftovers
 from pytest_pafot.findings.shrink import size_of, sort_key
 from pytest_pafot.model.grid import Cell
-from pytest_pafot.model.scenario import SHIFTS, LaneInstruction, PositionInstruction, Scenario
+from pytest_pafot.model.instructions import SHIFTS, LaneInstruction, PositionInstruction
+from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.support.errors import CorpusError
 from tests.findings.builders import plain_finding
 from tests.helpers.shrinking import shrink

@@ -9,7 +9,8 @@ from hypothesis import given
 
 from pytest_pafot.corpus.reader import parsed
 from pytest_pafot.corpus.writer import text_of
-from pytest_pafot.model.scenario import LaneInstruction, Manoeuvre, Scenario, Step
+from pytest_pafot.model.instructions import LaneInstruction, Manoeuvre, Step
+from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.strategies import manoeuvres
 from pytest_pafot.support.errors import CorpusError
 from tests.findings.builders import plain_finding

@@ -13,7 +13,8 @@ from pytest_pafot.corpus.writer import text_of
 from pytest_pafot.findings.failure_rate import FailureRate
 from pytest_pafot.findings.finding import Perceived
 from pytest_pafot.findings.shrink import Shrunk, SpeedInterval
-from pytest_pafot.model.scenario import Scenario, ScenarioError
+from pytest_pafot.model.instructions import ScenarioError
+from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.sight import Sight
 from pytest_pafot.support.errors import CorpusError
 from pytest_pafot.world import WorldError

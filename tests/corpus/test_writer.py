@@ -10,7 +10,8 @@ import pytest
 from pytest_pafot.corpus.reader import load
 from pytest_pafot.corpus.writer import CorpusWriteError, free_path, rewrite, text_of, write
 from pytest_pafot.findings.finding import Bounded
-from pytest_pafot.model.scenario import PositionInstruction, Scenario
+from pytest_pafot.model.instructions import PositionInstruction
+from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.support.errors import CorpusError
 from tests.findings.builders import plain_finding
 

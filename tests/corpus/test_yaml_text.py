@@ -15,7 +15,8 @@ from pytest_pafot.findings.neighbours import Breadth
 from pytest_pafot.findings.situation import Situation
 from pytest_pafot.model.driving_style import Traffic
 from pytest_pafot.model.grid import Cell
-from pytest_pafot.model.scenario import PositionInstruction, Scenario
+from pytest_pafot.model.instructions import PositionInstruction
+from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.support.errors import CorpusError
 from tests.findings.builders import NASTY_TEXTS, findings, plain_finding

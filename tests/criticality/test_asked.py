@@ -13,7 +13,8 @@ import pytest
 from pytest_pafot import Highway
 from pytest_pafot.criticality.asked import asked
 from pytest_pafot.model.driving_style import Traffic
-from pytest_pafot.model.scenario import Manoeuvre, PositionInstruction, Scenario, Step
+from pytest_pafot.model.instructions import Manoeuvre, PositionInstruction, Step
+from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import ALONG, SPEED, STRETCH, Outcome, X, Y
 from pytest_pafot.oracle.run import Run
 from tests.helpers.tables import table

@@ -10,7 +10,8 @@ from hypothesis import given
 
 from pytest_pafot.execution import crash_records
 from pytest_pafot.execution.crash_records import CrashRecord, CrashRecordError, left_by, leftovers
-from pytest_pafot.model.scenario import PositionInstruction, Scenario
+from pytest_pafot.model.instructions import PositionInstruction
+from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.support import files
 from tests.findings.builders import scenarios
 

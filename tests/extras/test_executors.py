@@ -17,7 +17,8 @@ from pytest_pafot.execution.runner import Isolated
 from pytest_pafot.execution.scenario_pool import CapturedOutput, ExecutionError, Job
 from pytest_pafot.extras import executors
 from pytest_pafot.extras.executors import ExecutorPool, packed, versions_here
-from pytest_pafot.model.scenario import PositionInstruction, Scenario
+from pytest_pafot.model.instructions import PositionInstruction
+from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.world import Highway
 from pytest_pafot.world.driving.policy import Policy

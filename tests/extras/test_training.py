@@ -13,7 +13,8 @@ from highway_env.envs.highway_env import HighwayEnvFast
 import pytest_pafot as pafot
 from example_ads import ppo
 from pytest_pafot.corpus.writer import write
-from pytest_pafot.model.scenario import PositionInstruction, Scenario, ScenarioError
+from pytest_pafot.model.instructions import PositionInstruction, ScenarioError
+from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.support.errors import BadAction, CorpusError
 from pytest_pafot.world import WorldError
 from tests.findings.builders import plain_finding

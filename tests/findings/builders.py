@@ -18,15 +18,8 @@ from pytest_pafot.findings.signature import ZONES
 from pytest_pafot.findings.situation import Situation, ZoneSituation
 from pytest_pafot.model.driving_style import BOUNDS, PAPERS, STYLES, Traffic
 from pytest_pafot.model.grid import Cell
-from pytest_pafot.model.scenario import (
-    ACTS,
-    MAX_SEED,
-    SHIFTS,
-    CrossingInstruction,
-    LaneInstruction,
-    PositionInstruction,
-    Scenario,
-)
+from pytest_pafot.model.instructions import ACTS, SHIFTS, CrossingInstruction, LaneInstruction, PositionInstruction
+from pytest_pafot.model.scenario import MAX_SEED, Scenario
 from pytest_pafot.model.sight import NOISES, OWN, Sight
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.oracle.run import ReferenceOutcome

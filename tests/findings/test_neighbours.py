@@ -11,26 +11,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import pytest_pafot as pafot
-from pytest_pafot.findings.neighbours import (
-    ALL_SPEEDS,
-    DISTANCE,
-    SLOT,
-    SPEED,
-    WIDE,
-    Breadth,
-    Limits,
-    breadth_of,
-    neighbours,
-)
+from pytest_pafot.findings.neighbours import ALL_SPEEDS, WIDE, Breadth, Limits, breadth_of, neighbours
 from pytest_pafot.findings.neighbours import around as around_at
-from pytest_pafot.model.scenario import (
-    CrossingInstruction,
-    LaneInstruction,
-    Manoeuvre,
-    PositionInstruction,
-    Scenario,
-    Step,
-)
+from pytest_pafot.model.instructions import CrossingInstruction, LaneInstruction, Manoeuvre, PositionInstruction, Step
+from pytest_pafot.model.instructions.crossing import SLOT
+from pytest_pafot.model.instructions.instruction import SPEED
+from pytest_pafot.model.instructions.manoeuvre import DISTANCE
+from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.strategies import manoeuvres, scenarios
 from tests.helpers.tables import table
 

@@ -13,7 +13,8 @@ from pytest_pafot.findings.finding import Expect
 from pytest_pafot.findings.neighbours import Breadth
 from pytest_pafot.findings.severity import Severity, severity_of, worsening
 from pytest_pafot.findings.signature import CHECK_FAILED, SLOW_DECISION, Failure
-from pytest_pafot.model.scenario import PositionInstruction, Scenario
+from pytest_pafot.model.instructions import PositionInstruction
+from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Outcome, Y
 from pytest_pafot.oracle.checks import Check, CheckFailed, check
 from pytest_pafot.oracle.run import Run

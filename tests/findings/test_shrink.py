@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 from pytest_pafot.findings.shrink import SpeedInterval, instructions, size_of, sort_key
 from pytest_pafot.model.driving_style import PAPERS, Traffic
 from pytest_pafot.model.grid import Cell
-from pytest_pafot.model.scenario import SHIFTS, Scenario, gene_of
+from pytest_pafot.model.instructions import SHIFTS, instruction_of
+from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.strategies import scenarios
 from tests.helpers.shrinking import shrink
 from tests.helpers.tables import table
@@ -18,7 +19,7 @@ from tests.helpers.tables import table
 def scenario(*chains, **fields):
     """Return a scenario from texts such as "4@22 3@24.5" or "left@22 keep@5": cell or lane, and speed of each gene."""
     pairs = [[gene.split("@") for gene in text.split()] for text in chains]
-    npcs = [[gene_of(int(to) if to.isdigit() else to, float(speed)) for to, speed in chain] for chain in pairs]
+    npcs = [[instruction_of([int(to) if to.isdigit() else to, float(speed)]) for to, speed in chain] for chain in pairs]
     return Scenario(npcs=tuple(map(tuple, npcs)), **fields)
 
 

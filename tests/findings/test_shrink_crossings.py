@@ -8,7 +8,8 @@ from hypothesis import strategies as st
 
 from pytest_pafot.findings.shrink import instructions, size_of, sort_key
 from pytest_pafot.model.grid import Cell
-from pytest_pafot.model.scenario import CrossingInstruction, PositionInstruction, Scenario, ScenarioError
+from pytest_pafot.model.instructions import CrossingInstruction, PositionInstruction, ScenarioError
+from pytest_pafot.model.scenario import Scenario
 from tests.helpers.crossings import junction
 from tests.helpers.shrinking import shrink
 from tests.helpers.tables import table

@@ -8,7 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pytest_pafot.findings.shrink import instructions, sort_key
-from pytest_pafot.model.scenario import Manoeuvre, PositionInstruction, Scenario, Step
+from pytest_pafot.model.instructions import Manoeuvre, PositionInstruction, Step
+from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.strategies import manoeuvres
 from tests.helpers.shrinking import shrink
 from tests.helpers.tables import table

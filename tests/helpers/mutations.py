@@ -11,7 +11,8 @@ from typing import Any
 import yaml
 
 from pytest_pafot.findings.finding import Finding
-from pytest_pafot.model.scenario import CrossingInstruction, Manoeuvre, Scenario, Step
+from pytest_pafot.model.instructions import CrossingInstruction, Manoeuvre, Step
+from pytest_pafot.model.scenario import Scenario
 
 LOOKALIKES = {"a": "\u0430", "e": "\u0435", "o": "\u043e", "p": "\u0440", "c": "\u0441", "i": "\u0456", "1": "\uff11",
               "0": "\uff10", "-": "\u2212", ".": "\u2024", ":": "\uff1a", " ": "\u00a0", "{": "\uff5b"}  # fmt: skip

@@ -13,7 +13,7 @@ import numpy as np
 
 from example_ads import constant_speed, defects, idm_mobil
 from pytest_pafot import Highway, Scenario, Trace
-from pytest_pafot.model.scenario import Act
+from pytest_pafot.model.instructions import Act
 from pytest_pafot.searching.space import Instructions, SearchSpace, sample, space_on
 from pytest_pafot.world.reference_drivers import REFERENCES
 from tests.helpers.junctions import random_meeting

@@ -9,7 +9,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from highway_env.vehicle.behavior import IDMVehicle
 
-from pytest_pafot.model.scenario import SHIFTS, LaneInstruction, PositionInstruction, Scenario
+from pytest_pafot.model.instructions import SHIFTS, LaneInstruction, PositionInstruction
+from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.world import Highway
 from tests.helpers.world_cases import EGOS, random_scenario
 

@@ -15,17 +15,15 @@ from hypothesis import strategies as st
 
 from pytest_pafot.model.crossings import APART, LENGTH, STEP
 from pytest_pafot.model.grid import Cell
-from pytest_pafot.model.scenario import (
+from pytest_pafot.model.instructions import (
     SLOTS,
     CrossingInstruction,
     LaneInstruction,
     PositionInstruction,
-    Scenario,
     ScenarioError,
-    gene_of,
-    on_grid,
-    retimed,
+    instruction_of,
 )
+from pytest_pafot.model.scenario import Scenario, on_grid, retimed
 from tests.helpers.crossings import junction
 from tests.helpers.tables import table
 
@@ -178,8 +176,8 @@ class TestScenarios:
         assert Scenario(npcs=[[one()], [crosses()]], gene_seconds=4.0).seconds == math.inf
 
     def test_gene_kind_is_recognised_by_its_values(self):
-        assert gene_of("o1>o3", 8.6, 0.5, "hold") == crosses(act="hold")
-        assert gene_of("left", 8.6) == LaneInstruction("left", 8.6)
+        assert instruction_of(["o1>o3", 8.6, 0.5, "hold"]) == crosses(act="hold")
+        assert instruction_of(["left", 8.6]) == LaneInstruction("left", 8.6)
 
 
 def driven(way, instruction, start, seconds):

@@ -11,16 +11,15 @@ import pytest
 from hypothesis import given
 
 from pytest_pafot import strategies
-from pytest_pafot.model.scenario import (
+from pytest_pafot.model.instructions import (
     MOST_STEPS,
     LaneInstruction,
     Manoeuvre,
     PositionInstruction,
-    Scenario,
     ScenarioError,
     Step,
-    retimed,
 )
+from pytest_pafot.model.scenario import Scenario, retimed
 from tests.helpers.tables import table
 
 CUT_IN = Manoeuvre(

@@ -16,15 +16,8 @@ from hypothesis import strategies as st
 
 from pytest_pafot.model.driving_style import Traffic
 from pytest_pafot.model.grid import Cell
-from pytest_pafot.model.scenario import (
-    MAX_SEED,
-    CrossingInstruction,
-    LaneInstruction,
-    PositionInstruction,
-    Scenario,
-    ScenarioError,
-    retimed,
-)
+from pytest_pafot.model.instructions import CrossingInstruction, LaneInstruction, PositionInstruction, ScenarioError
+from pytest_pafot.model.scenario import MAX_SEED, Scenario, retimed
 from tests.findings.builders import traffics
 from tests.helpers.tables import table
 

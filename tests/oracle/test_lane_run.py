@@ -8,8 +8,12 @@ import pytest
 import pytest_pafot as pafot
 from pytest_pafot import LaneInstruction, PositionInstruction, Run, Scenario
 from pytest_pafot.model.trace import ACROSS
-from pytest_pafot.oracle.run import LINE_LENGTH, arrival, lane_text
+from pytest_pafot.oracle.run import LINE_LENGTH, arrival, lanes_apart
 from tests.helpers.traces import trace_of, vehicle
+
+
+def lane_text(trace, npc, gene):
+    return trace.executed.npcs[npc][gene].words(lambda: lanes_apart(trace, npc, gene))
 
 
 def in_lanes(text):

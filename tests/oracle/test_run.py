@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 from pytest_pafot import criticality
 from pytest_pafot.findings.shrink import instructions
 from pytest_pafot.model.grid import Cell
-from pytest_pafot.model.scenario import PositionInstruction, Scenario
+from pytest_pafot.model.instructions import PositionInstruction
+from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import ACCELERATION, SPEED, AdsError, Outcome
 from pytest_pafot.oracle.run import NoReferenceDriversError, Run
 from tests.helpers.hostile import CHARACTERS

@@ -14,7 +14,8 @@ from pytest_pafot.campaign import workers
 from pytest_pafot.campaign.harness import Harness
 from pytest_pafot.execution.crash_records import CrashRecord
 from pytest_pafot.model.grid import Cell
-from pytest_pafot.model.scenario import PositionInstruction, Scenario
+from pytest_pafot.model.instructions import PositionInstruction
+from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.world import Highway
 from tests.helpers.sessions import CORE, imported, in_a_copy, in_process, quick_sessions
 

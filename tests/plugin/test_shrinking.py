@@ -15,7 +15,8 @@ from pytest_pafot.campaign.refine.simplest import ROLLOUTS, ROLLOUTS_IN_KERNEL, 
 from pytest_pafot.corpus.reader import load
 from pytest_pafot.findings.failure_rate import FailureRate
 from pytest_pafot.findings.shrink import OutOfBudget, sort_key
-from pytest_pafot.model.scenario import PositionInstruction, Scenario
+from pytest_pafot.model.instructions import PositionInstruction
+from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.world import Highway
 from pytest_pafot.world.driving.policy import Policy

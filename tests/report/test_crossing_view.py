@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 import pytest_pafot as pafot
-from pytest_pafot.model.scenario import CrossingInstruction, Scenario
+from pytest_pafot.model.instructions import CrossingInstruction
+from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.report import animation, notebook
 from pytest_pafot.report.page import render_frame, render_page

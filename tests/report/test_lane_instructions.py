@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from pytest_pafot.findings.shrink import Shrunk, SpeedInterval
-from pytest_pafot.model.scenario import LaneInstruction, PositionInstruction, Scenario
+from pytest_pafot.model.instructions import LaneInstruction, PositionInstruction
+from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.report.page import render_page
 from pytest_pafot.report.page_data import Report
 from pytest_pafot.report.terminal import speed_sentences

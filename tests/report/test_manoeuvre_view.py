@@ -1,7 +1,8 @@
 """Manoeuvres are displayed by their start and their steps, with what was not as asked."""
 
 from pytest_pafot import Highway
-from pytest_pafot.model.scenario import Manoeuvre, PositionInstruction, Scenario, Step
+from pytest_pafot.model.instructions import Manoeuvre, PositionInstruction, Step
+from pytest_pafot.model.scenario import Scenario
 from tests.helpers.world_cases import constant_speed
 from tests.report.builders import view_of
 

@@ -10,7 +10,8 @@ from pytest_pafot.findings.finding import Expect
 from pytest_pafot.findings.severity import Severity
 from pytest_pafot.findings.shrink import Shrunk
 from pytest_pafot.model.grid import Cell
-from pytest_pafot.model.scenario import PositionInstruction, Scenario
+from pytest_pafot.model.instructions import PositionInstruction
+from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.report import terminal
 from pytest_pafot.report.terminal import SessionSummary

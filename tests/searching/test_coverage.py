@@ -1,9 +1,11 @@
 """The instructions that a search requested, that were driven, and that were reached."""
 
 from pytest_pafot.model.grid import Cell, is_adjacent
-from pytest_pafot.model.scenario import LaneInstruction, PositionInstruction, Scenario
+from pytest_pafot.model.instructions import LaneInstruction, PositionInstruction
+from pytest_pafot.model.instructions.cell import CELLS, STEPS
+from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.searching import Health, RandomSearch
-from pytest_pafot.searching.health import CELLS, STEPS, Coverage, speed_bins
+from pytest_pafot.searching.health import Coverage, speed_bins
 from tests.helpers.campaigns import run_campaign
 
 CHAINS = (

@@ -11,12 +11,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pytest_pafot.model.grid import Cell
-from pytest_pafot.model.scenario import CrossingInstruction, PositionInstruction, Scenario
+from pytest_pafot.model.instructions import CrossingInstruction, PositionInstruction
+from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Collision, Outcome
 from pytest_pafot.searching import Health, SearchSpace, resolve_algorithm
 from pytest_pafot.searching.algorithms.catalogue import OF_CORE
 from pytest_pafot.searching.algorithms.distinct import niche
-from pytest_pafot.searching.crossing_traffic import ACTS, CrossingTraffic, drawn_slot, mixed
+from pytest_pafot.searching.crossing_traffic import ACTS, CrossingTraffic, drawn_slot
 from pytest_pafot.searching.evaluation import EvaluationCache
 from pytest_pafot.searching.events import Evaluated
 from pytest_pafot.searching.operators import crossover, first_crossed, mutate, varied
@@ -156,7 +157,7 @@ def test_ways_without_possible_start_raise_clear_error():
 
 def test_npcs_in_one_zone_swap_their_parts():
     a, b = crosses(slot=-2.0, speed=5.0, act="hold"), crosses(slot=3.0)
-    children = {mixed(a, b, np.random.default_rng(seed)) for seed in range(100)}
+    children = {a.mixed(b, np.random.default_rng(seed)) for seed in range(100)}
     assert len(children) == 8
     for first, second in children:
         assert {first.slot, second.slot} == {-2.0, 3.0}

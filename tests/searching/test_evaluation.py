@@ -8,7 +8,8 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pytest_pafot.model.scenario import PositionInstruction, Scenario
+from pytest_pafot.model.instructions import PositionInstruction
+from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import HEADING, LANE, SPEED, Collision, Lane, Outcome, Trace, X, Y
 from pytest_pafot.searching.evaluation import Evaluation, barely_moved, demand_of, interaction_of
 from tests.helpers.tables import table

@@ -6,7 +6,8 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pytest_pafot.model.scenario import SHIFTS, LaneInstruction, Manoeuvre, PositionInstruction, Scenario
+from pytest_pafot.model.instructions import SHIFTS, LaneInstruction, Manoeuvre, PositionInstruction
+from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.searching.evaluation import EvaluationCache
 from pytest_pafot.searching.operators import mutate
 from pytest_pafot.searching.space import SearchSpace, sample

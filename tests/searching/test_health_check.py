@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pytest_pafot.model.scenario import CrossingInstruction, LaneInstruction, PositionInstruction, Scenario
+from pytest_pafot.model.instructions import CrossingInstruction, LaneInstruction, PositionInstruction
+from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.searching import Health, RandomSearch
 from pytest_pafot.searching.evaluation import ended_at_object

@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pytest_pafot.model.scenario import PositionInstruction, Scenario
+from pytest_pafot.model.instructions import PositionInstruction
+from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.searching.algorithms.pafot import PafotSearch, PafotState
 from pytest_pafot.searching.evaluation import EvaluationCache

@@ -19,11 +19,12 @@ from pytest_pafot.findings.neighbours import Breadth
 from pytest_pafot.findings.sighting import Sighting
 from pytest_pafot.findings.signature import Signature
 from pytest_pafot.model.grid import Cell
+from pytest_pafot.model.instructions.cell import CELLS, STEPS
 from pytest_pafot.model.trace import Collision, Outcome, Side
 from pytest_pafot.plugin.messages import packed, unpacked
 from pytest_pafot.searching.algorithms.distinct import DistinctState
 from pytest_pafot.searching.evaluation import Evaluation
-from pytest_pafot.searching.health import CELLS, STEPS, Coverage, Health, speed_bins
+from pytest_pafot.searching.health import Coverage, Health, speed_bins
 from pytest_pafot.searching.plain import from_plain, plain
 from pytest_pafot.strategies import scenarios
 from pytest_pafot.support.errors import FieldError

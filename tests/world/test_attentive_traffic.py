@@ -12,7 +12,8 @@ from hypothesis import assume, example, given
 from hypothesis import strategies as st
 
 from pytest_pafot.model.driving_style import PARTS, Traffic
-from pytest_pafot.model.scenario import LaneInstruction, PositionInstruction, Scenario
+from pytest_pafot.model.instructions import LaneInstruction, PositionInstruction
+from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import ACCELERATION, LANE, SPEED, Outcome, X, Y
 from pytest_pafot.world import Highway, NpcLimits
 from pytest_pafot.world.kernel.bodies import Body

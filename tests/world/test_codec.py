@@ -11,7 +11,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pytest_pafot.model.scenario import PositionInstruction, Scenario
+from pytest_pafot.model.instructions import PositionInstruction
+from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.world import Highway, NpcLimits, World, WorldError, from_dict
 from pytest_pafot.world.codec import cuts, elsewhere, of_file
 from tests.helpers.tables import table

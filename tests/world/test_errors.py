@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 from highway_env.envs.common import abstract, observation
 
-from pytest_pafot.model.scenario import PositionInstruction, Scenario, ScenarioError
+from pytest_pafot.model.instructions import PositionInstruction, ScenarioError
+from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.world import Highway, NpcLimits, World, WorldError
 from tests.helpers.stages import mostly_oracle
 from tests.helpers.tables import table

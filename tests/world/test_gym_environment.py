@@ -41,7 +41,8 @@ from pytest_pafot.findings.decisions import counted
 from pytest_pafot.findings.finding import Expect, disagreement, is_same_event
 from pytest_pafot.findings.signature import Failure
 from pytest_pafot.model.grid import Cell
-from pytest_pafot.model.scenario import PositionInstruction, Scenario, ScenarioError
+from pytest_pafot.model.instructions import PositionInstruction, ScenarioError
+from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import ACCELERATION, HEADING, SPEED, STEERING, Collision, Outcome
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.searching.evaluation import ended_at_object

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from highway_env.vehicle.behavior import IDMVehicle
 
-from pytest_pafot.model.scenario import LaneInstruction, Scenario
+from pytest_pafot.model.instructions import LaneInstruction
+from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import LANE, SPEED, Outcome, X, Y
 from pytest_pafot.world import Highway
 from tests.helpers.world_cases import EGOS, constant_speed, violations

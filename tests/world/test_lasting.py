@@ -10,7 +10,8 @@ from gymnasium.wrappers import FlattenObservation
 from highway_env.vehicle.behavior import IDMVehicle, LinearVehicle
 
 from example_ads.junctions import CarefulDriver
-from pytest_pafot.model.scenario import CrossingInstruction, PositionInstruction, Scenario
+from pytest_pafot.model.instructions import CrossingInstruction, PositionInstruction
+from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import LANE, SPEED, Outcome, X
 from pytest_pafot.support.errors import WorldError
 from pytest_pafot.world import Highway, World, from_dict

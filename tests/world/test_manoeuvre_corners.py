@@ -7,14 +7,8 @@ import pytest
 
 from pytest_pafot import Highway, World
 from pytest_pafot.findings.neighbours import Limits, neighbours
-from pytest_pafot.model.scenario import (
-    LaneInstruction,
-    Manoeuvre,
-    PositionInstruction,
-    Scenario,
-    ScenarioError,
-    Step,
-)
+from pytest_pafot.model.instructions import LaneInstruction, Manoeuvre, PositionInstruction, ScenarioError, Step
+from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import LANE, Outcome, Y
 from pytest_pafot.oracle.run import Run
 

@@ -13,16 +13,16 @@ from highway_env.vehicle.kinematics import Vehicle
 
 from pytest_pafot import Highway, World
 from pytest_pafot.model.driving_style import Traffic
-from pytest_pafot.model.scenario import (
+from pytest_pafot.model.instructions import (
     SHIFTS,
     CrossingInstruction,
     LaneInstruction,
     Manoeuvre,
     PositionInstruction,
-    Scenario,
     ScenarioError,
     Step,
 )
+from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import ACCELERATION, ACROSS, ALONG, LANE, SPEED, STRETCH, Outcome, X, Y
 from pytest_pafot.world.guard.own_worlds import base_world
 from tests.helpers import road_cases

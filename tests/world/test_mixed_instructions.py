@@ -12,7 +12,8 @@ from pytest_pafot import Highway, strategies
 from pytest_pafot.execution.runner import DecisionCache
 from pytest_pafot.findings.finding import disagreement
 from pytest_pafot.model.driving_style import Traffic
-from pytest_pafot.model.scenario import CrossingInstruction, LaneInstruction, PositionInstruction, Scenario
+from pytest_pafot.model.instructions import CrossingInstruction, LaneInstruction, PositionInstruction
+from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import LANE, Outcome, Y
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.searching import Evaluation

@@ -7,7 +7,8 @@ import random
 import pytest
 from highway_env.vehicle.behavior import IDMVehicle
 
-from pytest_pafot.model.scenario import PositionInstruction, Scenario
+from pytest_pafot.model.instructions import PositionInstruction
+from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import HEADING, SPEED, Outcome, X, Y
 from pytest_pafot.world import Highway, NpcLimits, World
 from pytest_pafot.world.kernel.bodies import Body

@@ -6,7 +6,8 @@ from itertools import takewhile
 import pytest
 
 from pytest_pafot.model.crossings import CrossingVehicle, Zone
-from pytest_pafot.model.scenario import PositionInstruction, Scenario
+from pytest_pafot.model.instructions import PositionInstruction
+from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import ACCELERATION, SPEED, Outcome, X, Y
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.world import Highway, Observation, VehicleState, World, WorldError

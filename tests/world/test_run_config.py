@@ -13,7 +13,8 @@ from highway_env.vehicle.kinematics import Vehicle
 
 from pytest_pafot import criticality
 from pytest_pafot.model.grid import Cell, cell_at
-from pytest_pafot.model.scenario import PositionInstruction, Scenario
+from pytest_pafot.model.instructions import PositionInstruction
+from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import HEADING, LANE, SPEED, X, Y
 from pytest_pafot.world import Highway, World
 from pytest_pafot.world.limits import BEND_SHARE

@@ -11,7 +11,8 @@ from highway_env.vehicle.controller import ControlledVehicle
 
 from pytest_pafot.attribution.responsibility import Passing, rss_rule
 from pytest_pafot.attribution.takeovers import avoidance
-from pytest_pafot.model.scenario import CrossingInstruction, PositionInstruction, Scenario
+from pytest_pafot.model.instructions import CrossingInstruction, PositionInstruction
+from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import ACCELERATION, LANE, SPEED
 from pytest_pafot.support.errors import DriverError
 from pytest_pafot.world import Highway, World, WorldError

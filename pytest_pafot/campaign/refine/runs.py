@@ -17,7 +17,8 @@ from pytest_pafot.findings.finding import of_failure
 from pytest_pafot.findings.shrink import Ahead
 from pytest_pafot.findings.sighting import Sighting
 from pytest_pafot.findings.signature import Signature
-from pytest_pafot.model.scenario import Scenario, ScenarioError
+from pytest_pafot.model.instructions import ScenarioError
+from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.support.errors import OutOfTime
 

@@ -14,7 +14,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.random import Generator
 
-from pytest_pafot import Chromosome, CrossingInstruction, PositionInstruction, Scenario
+from pytest_pafot import Chromosome, Scenario
 from pytest_pafot.extending import (
     Evaluation,
     FloatArray,
@@ -24,6 +24,7 @@ from pytest_pafot.extending import (
     sample,
     varied,
 )
+from pytest_pafot.model.instructions import Key
 
 WORST = 1e9  # the objectives of an ineligible run; finite, because crowding is a difference
 
@@ -127,17 +128,17 @@ def cells_of(evaluations: Sequence[Evaluation]) -> FloatArray:
     chains = [each.chains_in(shortest) for each in evaluations]
     genes = max(len(chain) for npcs in chains for chain in npcs)
     cells = np.zeros((len(chains), max(map(len, chains)), genes))
-    places: dict[tuple[str, str] | str, int] = {}
+    places: dict[tuple[Key, ...], int] = {}
     for index, npcs in enumerate(chains):
         for npc, chain in enumerate(npcs):
             cells[index, npc, : len(chain)] = [*_numbers(chain, places)]
     return cells.reshape(len(chains), -1)
 
 
-def _numbers(chain: Chromosome, places: dict[tuple[str, str] | str, int]) -> Iterator[int]:
+def _numbers(chain: Chromosome, places: dict[tuple[Key, ...], int]) -> Iterator[int]:
     for gene in chain:
-        if isinstance(gene, PositionInstruction):
+        if gene.on_grid:
             yield gene.cell
         else:
-            place = (gene.zone, gene.interval) if isinstance(gene, CrossingInstruction) else str(gene.target)
+            place = tuple(key for key in gene.counted([gene])[0] if key[0] != "bin")
             yield 9 + places.setdefault(place, len(places))

@@ -558,7 +558,7 @@ def chosen(names: tuple[str, ...]) -> tuple[Entry, ...]:
 
 def fits(scenario: Scenario, world: Any) -> str:
     """Return why a scenario cannot be driven in a world; empty if it can."""
-    if not base_world(world).has_manoeuvres and any(isinstance(chain[0], Manoeuvre) for chain in scenario.npcs):
+    if not base_world(world).has_manoeuvres and any(chain[0].place for chain in scenario.npcs):
         return f"expected a world whose NPCs can have manoeuvres, received {world!r:.80}"
     try:
         base_world(world).check_fits(scenario)

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from pytest_pafot import CrossingInstruction, Manoeuvre, Scenario
+from pytest_pafot import Scenario
 from pytest_pafot.support.errors import RequestError, plain_number
 from pytest_pafot.support.text import meant
 
@@ -95,13 +95,12 @@ def names_in(scenario: Scenario) -> list[str]:
     names = ["ego.speed", *(["gene_seconds"] if math.isfinite(scenario.seconds) else [])]
     for npc, chain in enumerate(scenario.npcs):
         for number, gene in enumerate(chain):
-            place = f"npcs.{npc}" if isinstance(gene, CrossingInstruction | Manoeuvre) else f"npcs.{npc}.{number}"
+            place = f"npcs.{npc}" if gene.is_alone else f"npcs.{npc}.{number}"
             names += [f"{place}.{name}" for name in ("speed", "slot", "ahead") if hasattr(gene, name)]
-            if isinstance(gene, Manoeuvre):
-                for index, step in enumerate(gene.steps):
-                    numbers = ("gap", "headway", "after", "lateral_speed", "offset", "speed", "acceleration")
-                    told = [name for name in numbers if isinstance(getattr(step, name), float)]
-                    names += [f"{place}.steps.{index}.{name}" for name in told]
+            for index, step in enumerate(gene.steps):
+                numbers = ("gap", "headway", "after", "lateral_speed", "offset", "speed", "acceleration")
+                told = [name for name in numbers if isinstance(getattr(step, name), float)]
+                names += [f"{place}.steps.{index}.{name}" for name in told]
     return names
 
 
@@ -125,7 +124,7 @@ def with_number(scenario: Scenario, name: str, value: float) -> Scenario:
         return replace(scenario, ego_speed=value) if name == "ego.speed" else replace(scenario, gene_seconds=value)
     _, npc, *path = name.split(".")
     chain = scenario.npcs[int(npc)]
-    if isinstance(chain[0], CrossingInstruction | Manoeuvre):
+    if chain[0].is_alone:
         path = ["0", *path]
     npcs = [*scenario.npcs]
     npcs[int(npc)] = _replaced(chain, path, value)

@@ -365,7 +365,7 @@ def _otherwise(scenario: Scenario, speed_limit: float) -> Scenario:
     """
 
     def other(first: Any, gene: Any) -> Any:
-        return replace(first if isinstance(first, PositionInstruction) else gene, speed=speed_limit - gene.speed)
+        return (first if first.on_grid else gene).with_speed(speed_limit - gene.speed)
 
     since = 1 if scenario.genes > 1 else 0
     npcs = [(*one[:since], *(other(one[0], gene) for gene in one[since:])) for one in scenario.npcs]

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from pytest_pafot import Cell, Collision, CrossingInstruction, NpcLimits, Outcome, PositionInstruction, Scenario, Trace
+from pytest_pafot import Cell, Collision, NpcLimits, Outcome, Scenario, Trace
 from pytest_pafot.extending import ACCELERATION, HEADING, LANE, SPEED, STEERING, Encounters, FloatArray, Lane, X, Y
 from pytest_pafot.support.errors import plain_whole
 
@@ -61,7 +61,7 @@ def form(world: Any, scenario: Scenario, trace: Trace) -> Promises:
         received = f"{speed:.2f} m/s for {scenario.ego_speed:g} m/s"
         yield abs(speed - scenario.ego_speed) <= allowed, f"{_name(vehicle)} {promise}", received
     ways = [None if told is None else told.zone for told in scenario.crossings]
-    crossing = np.array([isinstance(chain[0], CrossingInstruction) for chain in scenario.npcs])
+    crossing = np.array([chain[0].crosses for chain in scenario.npcs])
     on_way = np.full((len(states), len(scenario.npcs)), np.nan) if trace.on_way is None else trace.on_way
     track = np.zeros((1, len(crossing), 1)) if trace.road.is_straight else trace.road.track[:, 1:]
     longest = min(float(world.longest_run), scenario.seconds)
@@ -241,7 +241,7 @@ def places_at_start(trace: Trace) -> Promises:
     promise = "the ego starts in scenario.ego_lane, states[0, 0, LANE]"
     yield lane == scenario.ego_lane, promise, f"{lane} in {scenario}"
     for npc, (gene, *_) in enumerate(trace.executed.npcs):
-        if not isinstance(gene, PositionInstruction):
+        if not gene.on_grid:
             continue
         cell, wanted = gene.cell, scenario.ego_lane + gene.cell.column
         reach = 1.5 * float(trace.sizes[[0, npc + 1], 0].sum())

@@ -13,15 +13,8 @@ from typing import Any
 
 from pytest_pafot.model.driving_style import AMPLE
 from pytest_pafot.model.grid import Cell, longitudinal_target, repair_gene, toss
-from pytest_pafot.model.scenario import (
-    LANE_STARTS,
-    Chromosome,
-    LaneInstruction,
-    Manoeuvre,
-    PositionInstruction,
-    Scenario,
-    with_targets,
-)
+from pytest_pafot.model.instructions import LANE_STARTS, Instruction, LaneInstruction, Manoeuvre, PositionInstruction
+from pytest_pafot.model.scenario import Chromosome, Scenario, with_targets
 from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.kernel.driver import (
     NpcDriver,
@@ -70,6 +63,17 @@ RELEASE_SHARE, RELEASE_GAIN = 1.6, 5.0
 per difference [1/s]."""
 DONE_LATERAL, DONE_SPEED = 0.2, 0.2
 """The distance to its place across the road [m], and to its speed [m/s], at which an NPC has done a step."""
+
+
+ON_GRID, IN_LANES, BY_STEPS = 0, 1, 2
+DRIVES: dict[type[Instruction], int] = {
+    PositionInstruction: ON_GRID,
+    LaneInstruction: IN_LANES,
+    Manoeuvre: BY_STEPS,
+}
+"""How an NPC with each kind of instruction drives. On the grid, an instruction has ``cell`` and ``speed``. In lanes, it
+has ``lane``, ``column`` and ``speed``. By steps, it has ``steps``, and a start: ``beside``, ``ahead`` and ``speed``.
+NPCs that cross have a director of their own."""
 
 
 class Npc(Body):
@@ -130,7 +134,7 @@ class Npc(Body):
         self.has_missed = False
 
 
-def start_cell(manoeuvre: Manoeuvre) -> Cell:
+def start_cell(manoeuvre: Any) -> Cell:
     """Return the cell in whose direction an NPC with a manoeuvre starts."""
     row = (manoeuvre.ahead > 0) - (manoeuvre.ahead < 0)
     column = (manoeuvre.beside > 0) - (manoeuvre.beside < 0)
@@ -192,9 +196,10 @@ class Director(BaseDirector):
         top_speed = limits.overspeed * speed_limit
         super().__init__([Npc(index, chain, length, width) for index, chain in enumerate(scenario.npcs)])
         self._scenario = scenario
-        self._on_grid = [npc for npc in self.npcs if isinstance(npc.chain[0], PositionInstruction)]
-        self._in_lanes = [npc for npc in self.npcs if isinstance(npc.chain[0], LaneInstruction)]
-        self._asked = [npc for npc in self.npcs if isinstance(npc.chain[0], Manoeuvre)]
+        drives = [DRIVES[type(npc.chain[0])] for npc in self.npcs]
+        self._on_grid = [npc for npc, drive in zip(self.npcs, drives, strict=True) if drive == ON_GRID]
+        self._in_lanes = [npc for npc, drive in zip(self.npcs, drives, strict=True) if drive == IN_LANES]
+        self._asked = [npc for npc, drive in zip(self.npcs, drives, strict=True) if drive == BY_STEPS]
         self._limits = limits
         self._release = RELEASE_SHARE * limits.jerk
         self._top_speed = top_speed

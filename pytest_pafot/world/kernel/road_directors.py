@@ -8,7 +8,8 @@ from typing import Any
 
 from pytest_pafot.model.crossings import EGOS
 from pytest_pafot.model.grid import Cell
-from pytest_pafot.model.scenario import ACTS, CrossingInstruction, Scenario, on_grid
+from pytest_pafot.model.instructions import ACTS, CrossingInstruction
+from pytest_pafot.model.scenario import Scenario, on_grid
 from pytest_pafot.world.kernel.bends import Bends
 from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.kernel.crossing import Crosser, CrossingNpc, LeaderAhead, SharedPlace

@@ -18,7 +18,8 @@ from pytest_pafot.extras.algorithms.av_fuzzer import (
     roulette,
     swapped,
 )
-from pytest_pafot.model.scenario import SHIFTS, LaneInstruction, Scenario
+from pytest_pafot.model.instructions import SHIFTS, LaneInstruction
+from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.searching import SearchSpace, sample_manoeuvres
 from pytest_pafot.searching.events import (

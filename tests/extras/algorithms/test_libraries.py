@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from pytest_pafot.model.grid import Cell, is_adjacent
-from pytest_pafot.model.scenario import LaneInstruction, PositionInstruction, Scenario
+from pytest_pafot.model.instructions import LaneInstruction, PositionInstruction
+from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Collision, Outcome
 from pytest_pafot.searching import ALGORITHMS, Evaluation, SearchSpace, resolve_algorithm
 from pytest_pafot.searching.events import Evaluated, GenerationFinished, NewBest

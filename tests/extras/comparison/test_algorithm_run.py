@@ -14,7 +14,8 @@ from pytest_pafot.campaign.explore import _of_collision
 from pytest_pafot.campaign.verdict import judge
 from pytest_pafot.extras.comparison.algorithm_run import COLUMNS, run_rows, text_of
 from pytest_pafot.extras.comparison.plan import Plan, never_collides
-from pytest_pafot.model.scenario import LaneInstruction, PositionInstruction, Scenario
+from pytest_pafot.model.instructions import LaneInstruction, PositionInstruction
+from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.searching import ALGORITHMS
 from pytest_pafot.support.errors import RequestError
 from tests.helpers.reference_runs import Drivers, closing, rammed, running_into

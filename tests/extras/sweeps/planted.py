@@ -2,7 +2,8 @@
 
 import pytest_pafot as pafot
 from pytest_pafot.extras.sweeps.maps import MARKS
-from pytest_pafot.model.scenario import LaneInstruction, Scenario, ScenarioError
+from pytest_pafot.model.instructions import LaneInstruction, ScenarioError
+from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Outcome
 from tests.helpers.traces import trace_of, vehicle
 

@@ -7,7 +7,7 @@ import pytest
 
 import pytest_pafot as pafot
 from pytest_pafot.extras.sweeps.entries import ENTRIES, NAMES, NoPlaceError, chosen, entry_of, fits
-from pytest_pafot.model.scenario import ScenarioError
+from pytest_pafot.model.instructions import ScenarioError
 from pytest_pafot.model.trace import SPEED
 from pytest_pafot.support.errors import RequestError
 from tests.extras.sweeps.planted import keeps_speed

@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 
 import pytest_pafot as pafot
 from pytest_pafot.extras.sweeps.numbers import LEVELS, Axis, names_in, over_of, unit_of, values_of, with_number
-from pytest_pafot.model.scenario import CrossingInstruction, Manoeuvre, Scenario, ScenarioError, Step
+from pytest_pafot.model.instructions import CrossingInstruction, Manoeuvre, ScenarioError, Step
+from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.support.errors import RequestError
 from tests.helpers.tables import table
 

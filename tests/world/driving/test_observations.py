@@ -15,7 +15,8 @@ from highway_env.vehicle.objects import Landmark, Obstacle
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pytest_pafot.model.scenario import PositionInstruction, Scenario
+from pytest_pafot.model.instructions import PositionInstruction
+from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.world import World
 from pytest_pafot.world.driving.observations import FastObservation, observer
 from pytest_pafot.world.driving.vehicles import Car, SearchedLanes

@@ -12,7 +12,8 @@ from highway_env.envs.highway_env import HighwayEnv
 from highway_env.vehicle.behavior import IDMVehicle
 
 import pytest_pafot as pafot
-from pytest_pafot.model.scenario import PositionInstruction, Scenario
+from pytest_pafot.model.instructions import PositionInstruction
+from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.sight import Sight, hidden
 from pytest_pafot.model.trace import HEADING, SPEED, X, Y
 from pytest_pafot.support.errors import AdsFactoryError, FieldError, WorldError

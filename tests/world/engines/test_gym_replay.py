@@ -9,7 +9,8 @@ from highway_env.vehicle.behavior import IDMVehicle
 from highway_env.vehicle.kinematics import Vehicle
 
 from pytest_pafot.findings.finding import disagreement
-from pytest_pafot.model.scenario import PositionInstruction, Scenario
+from pytest_pafot.model.instructions import PositionInstruction
+from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import SPEED, Outcome
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.world import Highway, World

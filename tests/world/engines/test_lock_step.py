@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from pytest_pafot import Highway, Outcome, World
-from pytest_pafot.model.scenario import PositionInstruction, Scenario, ScenarioError
+from pytest_pafot.model.instructions import PositionInstruction, ScenarioError
+from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.searching import SearchSpace, sample
 from pytest_pafot.world import AdsFactoryError
 from pytest_pafot.world.driving.policy import Policy

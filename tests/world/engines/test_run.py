@@ -4,7 +4,8 @@ import random
 
 import pytest
 
-from pytest_pafot.model.scenario import PositionInstruction, Scenario
+from pytest_pafot.model.instructions import PositionInstruction
+from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import HEADING, X, Y
 from pytest_pafot.world import Highway
 from pytest_pafot.world.engines.run import VehiclesOfRun

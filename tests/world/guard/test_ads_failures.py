@@ -18,7 +18,8 @@ import numpy as np
 import pytest
 from highway_env.vehicle.behavior import IDMVehicle
 
-from pytest_pafot.model.scenario import PositionInstruction, Scenario
+from pytest_pafot.model.instructions import PositionInstruction
+from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.support.interrupts import Ended, interrupted_by_signals
 from pytest_pafot.world import Highway

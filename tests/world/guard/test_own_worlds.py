@@ -9,7 +9,8 @@ from pathlib import Path
 import pytest
 
 import pytest_pafot as pafot
-from pytest_pafot.model.scenario import PositionInstruction, Scenario
+from pytest_pafot.model.instructions import PositionInstruction
+from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import AdsError, Outcome, Trace
 from pytest_pafot.support.errors import OutOfTime
 from pytest_pafot.world import Highway

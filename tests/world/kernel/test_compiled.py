@@ -14,7 +14,7 @@ from highway_env.vehicle.kinematics import Vehicle
 
 from pytest_pafot import Highway, PositionInstruction, Scenario
 from pytest_pafot.model.driving_style import STYLES, Traffic
-from pytest_pafot.model.scenario import CrossingInstruction, Manoeuvre, Step
+from pytest_pafot.model.instructions import CrossingInstruction, Manoeuvre, Step
 from pytest_pafot.searching import sample
 from pytest_pafot.world import kernel
 from pytest_pafot.world.kernel import bodies

@@ -13,7 +13,8 @@ from highway_env.road.road import RoadNetwork
 from highway_env.vehicle.behavior import IDMVehicle
 from highway_env.vehicle.controller import MDPVehicle
 
-from pytest_pafot.model.scenario import CrossingInstruction, Scenario
+from pytest_pafot.model.instructions import CrossingInstruction
+from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import SPEED, X
 from pytest_pafot.searching import sample
 from pytest_pafot.world import World

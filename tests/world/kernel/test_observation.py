@@ -7,7 +7,8 @@ import pickle
 import numpy as np
 import pytest
 
-from pytest_pafot.model.scenario import PositionInstruction, Scenario
+from pytest_pafot.model.instructions import PositionInstruction
+from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.world import Highway, Observation, VehicleState
 from tests.helpers.c_library import c_library
 from tests.helpers.tables import table

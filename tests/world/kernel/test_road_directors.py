@@ -10,7 +10,8 @@ from highway_env.vehicle.behavior import IDMVehicle
 from highway_env.vehicle.controller import ControlledVehicle
 
 from pytest_pafot import World
-from pytest_pafot.model.scenario import CrossingInstruction, PositionInstruction, Scenario, ScenarioError
+from pytest_pafot.model.instructions import CrossingInstruction, PositionInstruction, ScenarioError
+from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import ACCELERATION, ALONG, HEADING, LANE, SPEED, STEERING, Outcome, X, Y
 from tests.helpers.road_cases import world_of, wrapped
 from tests.helpers.stages import oracle

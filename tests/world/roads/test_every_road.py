@@ -19,7 +19,8 @@ from highway_env.vehicle.controller import ControlledVehicle
 from pytest_pafot import criticality
 from pytest_pafot.findings.finding import disagreement
 from pytest_pafot.model.driving_style import STYLES, Traffic
-from pytest_pafot.model.scenario import LaneInstruction, PositionInstruction, Scenario, ScenarioError
+from pytest_pafot.model.instructions import LaneInstruction, PositionInstruction, ScenarioError
+from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import ACCELERATION, ACROSS, ALONG, HEADING, LANE, OFFSET, SPEED, Outcome, X, Y
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.searching import sample

@@ -1,0 +1,146 @@
+"""Position-Instructions, which place an NPC around the ego.
+
+Source: Crespo-Rodriguez, Neelofar, Aleti, "PAFOT", AST 2024, sections 2 and 3.2.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any
+
+from pytest_pafot.model.grid import Cell
+from pytest_pafot.model.instructions.instruction import (
+    SPEED_BIN,
+    Choices,
+    Key,
+    Nudge,
+    ScenarioError,
+    Space,
+    TimedInstruction,
+    checked_speed,
+)
+from pytest_pafot.support.errors import plain_whole
+
+if TYPE_CHECKING:
+    from numpy.random import Generator
+
+CELLS: tuple[Key, ...] = tuple(("cell", int(cell)) for cell in Cell)
+"""The keys of the eight cells in coverage, cell 1 first."""
+
+STEPS: tuple[Key, ...] = tuple(
+    ("step", int(cell), int(target)) for cell in Cell for target in (cell, *reversed(cell.neighbours))
+)
+"""The twenty-four steps that a chain can have: from each cell, staying, one step clockwise and one anticlockwise."""
+
+
+@dataclass(frozen=True, slots=True, repr=False)
+class PositionInstruction(TimedInstruction):
+    """A gene that makes an NPC drive into a cell of the grid and then keep a speed.
+
+    Attributes:
+        cell: target cell, 1 to 8.
+        speed: target speed [m/s], >= 0, in steps of 0.1.
+    """
+
+    cell: Cell
+    speed: float
+
+    marks = frozenset({"cell"})
+    on_grid = True
+    groups = (("cells", CELLS), ("ring steps", STEPS))
+
+    def __post_init__(self) -> None:
+        if type(self.cell) is not Cell:
+            number = plain_whole(self.cell)
+            if number is None or not 1 <= number <= 8:
+                expected = "a whole number from 1 (front-left) clockwise to 8 (left)"
+                raise ScenarioError(field="cell", expected=expected, received=repr(self.cell))
+            object.__setattr__(self, "cell", Cell(number))
+        object.__setattr__(self, "speed", checked_speed(self.speed))
+        self._prepare(int(self.cell), int(self.cell))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle as a cached constructor call, because runs travel between processes with dozens of equal genes."""
+        return known_position, (self.target, self.speed)
+
+    @property
+    def goal(self) -> str:
+        """The target in words: ``2 front``."""
+        return f"{int(self.cell)} {self.cell.label}"
+
+    @classmethod
+    def reads(cls, first: Any, others: Sequence[Any]) -> bool:
+        """Return True, because every form that no other kind has is read as a cell and a speed."""
+        return True
+
+    @classmethod
+    def read(cls, plain: Sequence[Any]) -> PositionInstruction:
+        """Return the instruction with a cell and a speed."""
+        return known_position(*plain)
+
+    @property
+    def remark(self) -> str:
+        """The name of the cell."""
+        return self.cell.label
+
+    def aimed(self, target: Any) -> PositionInstruction:
+        """Return the instruction for another cell."""
+        return known_position(target, self.speed)
+
+    def is_drawn_in(self, space: Space) -> bool:
+        """Return whether a search in a space has NPCs on the grid."""
+        return space.instructions in ("both", "cells")
+
+    def varied(self, choices: Choices, rng: Generator) -> PositionInstruction:
+        """Return an instruction that is uniform over the eight cells and the speeds; others may hold the cell."""
+        return random_position(choices, rng)
+
+    def counted(self, chain: Sequence[Any]) -> list[tuple[Key, ...]]:
+        """Return the keys of speeds and cells, and of the step that leads to each cell."""
+        cells = [gene.target for gene in chain]
+        return list(map(_keys, [gene.speed for gene in chain], cells, [None, *cells]))
+
+    def moves(self, before: Any) -> int:
+        """Return 1 for a move to a different cell."""
+        return int(before is not None and before.cell != self.cell)
+
+    def staying(self, before: Any) -> PositionInstruction | None:
+        """Return the instruction for the cell before."""
+        return None if before is None else PositionInstruction(before.cell, self.speed)
+
+    @classmethod
+    def small(cls, found: Sequence[Any], speeds: Sequence[float]) -> Sequence[PositionInstruction]:
+        """Return all cells at all speeds."""
+        return [PositionInstruction(cell, speed) for cell in Cell for speed in speeds]
+
+    def changed(self, nudge: Nudge) -> PositionInstruction:
+        """Return the instruction for a neighbour of its cell."""
+        return replace(self, cell=self.cell.neighbours[int(2 * nudge.draw())])
+
+    def beginning(self, seconds: float) -> str:
+        """Return when the NPC drives into the cell."""
+        return f"from {round(seconds, 1):g} s in cell {int(self.cell)} ({self.cell.label})"
+
+    def shown(self, requested: Any, apart: Callable[[], float], whence: str) -> Mapping[str, Any]:
+        """Return the requested cell and the one that was driven."""
+        return {"requested": int(requested.cell), "cell": int(self.cell)}
+
+
+@lru_cache(maxsize=1 << 14, typed=True)
+def known_position(cell: Any, speed: Any) -> PositionInstruction:
+    """Return the instruction from a cache, because a search needs few of them many times."""
+    return PositionInstruction(cell, speed)
+
+
+def random_position(choices: Choices, rng: Generator) -> PositionInstruction:
+    """Sample a Position-Instruction, uniform over the eight cells and the speeds up to the limit."""
+    cell = int(rng.integers(1, 9))
+    return known_position(cell, choices.any_speed(rng))
+
+
+@lru_cache(maxsize=1 << 14)
+def _keys(speed: float, cell: int, before: int | None) -> tuple[Key, ...]:
+    step = () if before is None else (("step", before, cell),)
+    return (("bin", int(speed // SPEED_BIN)), ("cell", cell), *step)

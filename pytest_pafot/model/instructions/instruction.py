@@ -1,0 +1,410 @@
+"""What every kind of instruction says of itself, and the checks of their numbers.
+
+A kind is a frozen dataclass derived from :class:`Instruction`, in a file of its own. It has a field ``speed``, and
+overrides what differs from the defaults here. :data:`~pytest_pafot.model.instructions.KINDS` lists it, and
+``world/kernel/director.py:DRIVES`` names how it drives.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
+from dataclasses import MISSING, Field, dataclass, fields, replace
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Protocol, Self, cast
+
+from pytest_pafot.model.grid import Cell
+from pytest_pafot.support.errors import FieldError, plain_whole
+from pytest_pafot.support.shown import Pasteable
+
+if TYPE_CHECKING:
+    from numpy.random import Generator
+
+SPEED_STEPS_PER_MPS = 10
+"""Target speeds are multiples of 0.1 m/s, so that a scenario reads the same in a file and in memory."""
+
+MAX_SPEED = 1000.0
+"""The largest speed that a scenario can give to a vehicle [m/s]; each world has a much lower limit."""
+
+CODES_PER_TARGET = 10_000
+"""The distance between the codes of two targets, which is more than any speed."""
+
+SPEED_BIN = 5.0
+"""The width of a bin of target speeds in coverage [m/s]."""
+
+SPEED = 1.5
+"""The largest step of a single speed from a scenario to its neighbour [m/s]."""
+
+Key = tuple[str, int] | tuple[str, int, int] | tuple[str, str] | tuple[str, str, str]
+"""A thing that coverage counts: ``("cell", 2)``; ``("step", 1, 2)`` from cell 1 to cell 2; ``("lane", "left")``;
+``("bin", 4)``, the bin of target speeds from 20 m/s; or ``("zone", "o1>o3", "just after")`` for an NPC that crosses."""
+
+
+class ScenarioError(FieldError):
+    """Error for a scenario that breaks a rule; the message says where, what was expected and what to do."""
+
+
+class Choices(NamedTuple):
+    """What a search may choose for an instruction.
+
+    Attributes:
+        low, top: the lowest and the highest target speed, in steps of 0.1 m/s.
+        ego_lane, ego_speed: the ego's first lane, and the first speed of all vehicles [m/s].
+        lanes: the number of lanes of a straight road; 0 if it is unknown.
+        room: the largest gap between the ego and the start of an NPC, behind and ahead [m].
+    """
+
+    low: int
+    top: int
+    ego_lane: int
+    ego_speed: float
+    lanes: int
+    room: tuple[float, float]
+
+    def any_speed(self, rng: Generator) -> float:
+        """Sample a target speed, uniform over the steps of 0.1 m/s [m/s]."""
+        return int(rng.integers(self.low, self.top + 1)) / SPEED_STEPS_PER_MPS
+
+
+class Space(Protocol):
+    """What an instruction reads of the space of a search."""
+
+    @property
+    def instructions(self) -> str:
+        """The kinds of instructions of NPCs that do not cross."""
+
+    @property
+    def crossings(self) -> Any:
+        """The ways that meet the ego's; None if there is none."""
+
+
+@dataclass(frozen=True, slots=True)
+class Nudge:
+    """How far a neighbour differs from its scenario.
+
+    Attributes:
+        share: the size of all steps as a share of the largest ones.
+        top_speed, least_speed: bounds of the speeds of NPCs [m/s].
+        draw: returns a random number from 0 to 1.
+    """
+
+    share: float
+    top_speed: float
+    least_speed: float
+    draw: Callable[[], float]
+
+    def step(self, largest: float) -> float:
+        """Draw a step to either side."""
+        return largest * self.share * (2 * self.draw() - 1)
+
+    def speed(self, speed: float, least: float) -> float:
+        """Return a speed within ``least`` and the top speed, in steps of 0.1 m/s."""
+        return round(min(max(speed, least), self.top_speed), 1)
+
+
+class Instruction(Pasteable, ABC):
+    """A gene: what an NPC is told, for the duration of a gene or for the whole run.
+
+    The defaults are those of a kind that has nothing but its fields, and is the only gene of its NPC.
+    """
+
+    __slots__ = ()
+
+    name: ClassVar[str]
+    """The kind in canonical texts."""
+    marks: ClassVar[frozenset[str]]
+    """The keys by which a file's mapping shows that it holds this kind."""
+    is_alone: ClassVar[bool] = True
+    """True if the instruction is the only one of its NPC, and has no duration."""
+    on_grid: ClassVar[bool] = False
+    """True if it has a ``cell``, for which the rules of the ring hold, and in which the NPC starts."""
+    in_free_cell: ClassVar[bool] = False
+    """True if the NPC starts in a cell that no other NPC takes, so that its start depends on the other NPCs."""
+    crosses: ClassVar[bool] = False
+    """True if it has a ``zone`` in which the NPC's way meets the ego's."""
+    keeps_start: ClassVar[bool] = False
+    """True if an NPC of a different scenario may not take its place, because the two starts need not fit together."""
+    least_speed: ClassVar[float] = 0.0
+    """The lowest target speed [m/s]."""
+    groups: ClassVar[Sequence[tuple[str, Sequence[Key]]]] = ()
+    """What coverage counts of this kind beside speeds: names of groups, each with all keys that there are."""
+
+    speed: float
+    cell: Cell
+    """The target cell, only if the kind is :attr:`on_grid`."""
+
+    # Text and files.
+
+    @property
+    def target(self) -> int | str:
+        """The cell, the lane, the zone or else the name, as canonical texts and tables contain it."""
+        return self.name
+
+    @property
+    def code(self) -> Hashable:
+        """What only equal instructions have, and is fast to hash and to compare."""
+        return self
+
+    @property
+    def text(self) -> str:
+        """The instruction in canonical texts."""
+        return encoded(self.plain())
+
+    @property
+    @abstractmethod
+    def goal(self) -> str:
+        """The instruction in words, without its speed: ``one lane left``."""
+
+    @property
+    def short(self) -> str:
+        """The instruction in the text of a scenario: ``left@20``."""
+        return f"{self.target}@{self.speed:g}"
+
+    def plain(self) -> list[Any]:
+        """Return the instruction as a list of texts and numbers, which :meth:`read` reads."""
+        return [self.name, self.speed, *(getattr(self, name) for name in _others(type(self)))]
+
+    @classmethod
+    def reads(cls, first: Any, others: Sequence[Any]) -> bool:
+        """Return whether a list of plain values, the ``first`` and the others, has the form of this kind."""
+        return bool(first == cls.name)
+
+    @classmethod
+    def read(cls, plain: Sequence[Any]) -> Self:
+        """Return the instruction with a plain form."""
+        _, speed, *others = plain
+        return cls(speed=speed, **dict(zip(_others(cls), others, strict=True)))  # type: ignore[call-arg]
+
+    def in_file(self) -> dict[str, Any]:
+        """Return the fields that a file contains: all but those that have their defaults."""
+        given = [(each, getattr(self, each.name)) for each in _fields(type(self))]
+        return {each.name: value for each, value in given if each.default is MISSING or value != each.default}
+
+    @property
+    def remark(self) -> str:
+        """A comment in a file; empty for none."""
+        return ""
+
+    # Chains.
+
+    def with_speed(self, speed: float) -> Self:
+        """Return the instruction with another speed [m/s]."""
+        return cast("Self", replace(cast("Any", self), speed=speed))
+
+    def aimed(self, target: Any) -> Instruction:
+        """Return the instruction with another target, if the kind has several."""
+        return self
+
+    @property
+    def afterwards(self) -> Instruction:
+        """The instruction that goes on with what this one has begun, and asks for nothing new."""
+        return self
+
+    # Search.
+
+    def is_drawn_in(self, space: Space) -> bool:
+        """Return whether a search in a space may have this instruction. A world need not check that it fits."""
+        return True
+
+    def varied(self, choices: Choices, rng: Generator) -> Instruction:
+        """Return an instruction of the same kind that a mutation puts in the place of this one."""
+        return self.with_speed(choices.any_speed(rng))
+
+    def mixed(self, other: Instruction, rng: Generator) -> tuple[Instruction, Instruction] | None:
+        """Return the children of a crossover with an instruction; None if the NPCs are swapped as a whole."""
+        return None
+
+    def beside_others(self, choices: Choices, others: Sequence[Sequence[Instruction]], rng: Generator) -> Instruction:
+        """Return an instruction, as sampled for an NPC alone, that leaves room for the starts of other NPCs."""
+        return self
+
+    def for_lane(self, before: int, now: int) -> Instruction:
+        """Return the instruction whose NPC starts in the same lane if the ego's first lane is another one."""
+        return self
+
+    # Coverage.
+
+    def counted(self, chain: Sequence[Any]) -> list[tuple[Key, ...]]:
+        """Return the keys of each instruction of a chain that begins with this one."""
+        return [(("bin", int(each.speed // SPEED_BIN)),) for each in chain]
+
+    # Shrinking.
+
+    @property
+    def size(self) -> int:
+        """The number of instructions that a person reads in it."""
+        return 1
+
+    def moves(self, before: Any) -> int:
+        """Return the number of moves after the instruction ``before`` in the chain; staying is simpler."""
+        return 0
+
+    @property
+    def roughness(self) -> int:
+        """A number that is larger if fewer of its numbers, other than the speed, are round or usual."""
+        return 0
+
+    @property
+    def weight(self) -> int:
+        """The number that is to become small when all else is equal: the speed in tenths."""
+        return round(self.speed * SPEED_STEPS_PER_MPS)
+
+    def staying(self, before: Any) -> Instruction | None:
+        """Return the instruction whose NPC stays as ``before`` it, at its own speed; None if it has no such form."""
+        return None
+
+    def on_ring(self, cell: Cell) -> Any:
+        """Return the Position-Instruction that makes the same move from a cell; None if there is none."""
+        return None
+
+    def passing(self) -> Iterator[Instruction]:
+        """Yield instructions that do less, which may shorten the run."""
+        yield from ()
+
+    def plainer(self) -> Iterator[Instruction]:
+        """Yield instructions with simpler numbers."""
+        yield from ()
+
+    @classmethod
+    def small(cls, found: Sequence[Any], speeds: Sequence[float]) -> Sequence[Instruction]:
+        """Return the instructions of small scenarios for a finding with instructions ``found`` of this kind."""
+        return ()
+
+    # Neighbours.
+
+    def paced(self, speed: float, factor: float | None, nudge: Nudge) -> Instruction:
+        """Return the instruction at another speed, which the traffic allows unless it did not allow the own one.
+
+        If all speeds of the scenario change, it is by the ``factor``.
+        """
+        return self.with_speed(nudge.speed(speed, min(nudge.least_speed, self.speed)))
+
+    def moved(self, nudge: Nudge) -> Instruction:
+        """Return an instruction whose numbers are a little different."""
+        return self.paced(self.speed + nudge.step(SPEED), None, nudge)
+
+    def changed(self, nudge: Nudge) -> Instruction:
+        """Return an instruction with a target next to its own, or else one that is only moved."""
+        return self.moved(nudge)
+
+    # What it asks for, and reports.
+
+    @property
+    def place(self) -> str:
+        """The start in words, if the instruction says where the NPC starts; reports then show it and each step."""
+        return ""
+
+    @property
+    def steps(self) -> Sequence[Any]:
+        """The steps, as those of a manoeuvre."""
+        return ()
+
+    @property
+    def slot_asked(self) -> float | None:
+        """The slot that the NPC is to keep until it has passed [s]; None if it is to keep none."""
+        return None
+
+    def words(self, apart: Callable[[], float]) -> str:
+        """Return the instruction as driven in words.
+
+        ``apart`` returns how many lanes to the right of the ego the NPC is when it begins; NaN if it is unknown.
+        """
+        return self.goal
+
+    def row(self, apart: Callable[[], float], end: str, *, names_side: bool) -> str:
+        """Return the words for a table; ``end`` says when the target was reached."""
+        return f"{self.words(apart)} {self.speed:.1f} m/s {end}"
+
+    def lasting(self, later: Any) -> int | None:
+        """Return how many lanes to the right a change goes that a later instruction lets go on; None if none does."""
+        return None
+
+    def beginning(self, seconds: float) -> str:
+        """Return when and where it begins, in words, if it does so ``seconds`` after the beginning of the run."""
+        return f"from {round(seconds, 1):g} s {self.goal}"
+
+    def shown(self, requested: Any, apart: Callable[[], float], whence: str) -> Mapping[str, Any]:
+        """Return the fields of the page's view of this instruction, which was driven instead of ``requested``.
+
+        ``apart`` is that of :meth:`words`; ``whence`` says where an NPC that crosses comes from.
+        """
+        return {"words": self.words(apart)}
+
+
+encoded = json.JSONEncoder(separators=(",", ":")).encode
+
+
+class TimedInstruction(Instruction):
+    """A gene that lasts as long as the others of its chain, and has one target and a speed.
+
+    A search needs some values of dozens of them in each run, so these are computed once for each gene.
+    """
+
+    __slots__ = ("code", "target", "text")
+
+    is_alone = False
+
+    target: int | str
+    code: float
+    text: str
+
+    def _prepare(self, target: int | str, number: int) -> None:
+        object.__setattr__(self, "target", target)
+        object.__setattr__(self, "code", CODES_PER_TARGET * number + self.speed)
+        object.__setattr__(self, "text", encoded(self.plain()))
+
+    def plain(self) -> list[Any]:
+        """Return the target and the speed."""
+        return [self.target, self.speed]
+
+
+def _fields(kind: Any) -> tuple[Field[Any], ...]:
+    return fields(kind)
+
+
+def _others(kind: Any) -> list[str]:
+    return [each.name for each in _fields(kind) if each.name != "speed"]
+
+
+# Checks of numbers.
+
+
+def checked_speed(value: object, least_steps: int = 0) -> float:
+    """Return a speed in steps of 0.1 m/s; ``least_steps`` is the lowest that an error advises."""
+    speed = checked_number("speed", value)
+    if speed > MAX_SPEED:
+        raise ScenarioError(field="speed", expected=f"m/s, at most {MAX_SPEED:g}", received=repr(value))
+    steps = round(max(speed, 0.0) * SPEED_STEPS_PER_MPS)  # a value far below 0 would overflow when multiplied by 10
+    if speed < 0 or abs(speed * SPEED_STEPS_PER_MPS - steps) > 1e-6:
+        expected = "m/s, at least 0 and in steps of 0.1"
+        fix = f"the nearest valid speed is {max(steps, least_steps) / SPEED_STEPS_PER_MPS:g}"
+        raise ScenarioError(field="speed", expected=expected, received=repr(value), fix=fix)
+    return steps / SPEED_STEPS_PER_MPS
+
+
+def tenths_within(name: str, value: object, least: float, most: float) -> float:
+    """Return a number in steps of 0.1 within bounds."""
+    number = checked_number(name, value)
+    rounded = round(max(min(number, most), least) * 10) / 10 + 0.0
+    if not least <= number <= most or abs(number - rounded) > 1e-7:
+        expected = f"a number from {least:g} to {most:g} in steps of 0.1"
+        raise ScenarioError(field=name, expected=expected, received=repr(value), fix=f"the nearest is {rounded:g}")
+    return rounded
+
+
+def checked_number(name: str, value: object) -> float:
+    """Return a finite number."""
+    whole = plain_whole(value)
+    try:
+        number = float(value if isinstance(value, float) else math.nan if whole is None else whole)
+    except OverflowError:
+        number = math.inf
+    if not math.isfinite(number):
+        raise ScenarioError(field=name, expected="a finite number", received=repr(value))
+    return number + 0.0  # -0.0 becomes 0.0, so that equal scenarios have equal texts
+
+
+def roughness(tenths: int, coarse: int = 5 * SPEED_STEPS_PER_MPS, fine: int = SPEED_STEPS_PER_MPS) -> int:
+    """Return how far a number in tenths is from being round: 0 for multiples of ``coarse``, 1 of ``fine``, else 2."""
+    return (tenths % coarse > 0) + (tenths % fine > 0)
