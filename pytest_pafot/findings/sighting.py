@@ -80,7 +80,7 @@ class Sighting:
         is_first: True if it is reported for the first time.
         origin: one line on how a new finding was found.
         exception: what the test function raised in the run of a new finding, or what stands for the death of its
-            process.
+            process; None for a replay, and beyond that process.
         run: the run of the scenario in the file; None if its process died or hung.
         file: the file; None if a new finding has none.
         content: the content of a file that could not be written, or empty.
@@ -114,7 +114,7 @@ class Sighting:
     command: str = ""
     is_first: bool = True
     origin: str = field(default="", compare=False, repr=False, metadata=IN_MEMORY)
-    exception: BaseException = field(default=AssertionError(), compare=False, repr=False, metadata=IN_MEMORY)
+    exception: BaseException | None = field(default=None, compare=False, repr=False, metadata=IN_MEMORY)
     run: Run | None = field(default=None, compare=False, repr=False, metadata=IN_MEMORY)
     file: Path | None = field(default=None, compare=False, repr=False, metadata=IN_MEMORY)
     content: str = field(default="", compare=False, repr=False, metadata=IN_MEMORY)
@@ -124,6 +124,17 @@ class Sighting:
     def id(self) -> str:
         """The name of its file without the suffix."""
         return self.finding.id
+
+    @property
+    def raised(self) -> BaseException:
+        """The exception of a new finding.
+
+        Raises:
+            ValueError: for a replay, or in another process than that of the search.
+        """
+        if self.exception is None:
+            raise ValueError(f"sighting: expected a new finding in the process of its search, received {self.id!r}")
+        return self.exception
 
     @property
     def responsible(self) -> str:

@@ -60,20 +60,16 @@ def send_sighting(
     if is_on_page(item.config, settings):
         data["target"] = settings.report
         if sighting.headline:
-            from pytest_pafot.report.views import finding_view, with_neighbours  # noqa: PLC0415
+            from pytest_pafot.report.views import finding_view  # noqa: PLC0415
 
-            trace, headline = None if run is None else run.trace, "; ".join(filter(None, [sighting.headline, note]))
-            view = finding_view(trace, sighting.finding, node_id=sighting.node_id, headline=headline, check=check)
             shown = sighting.node_id if sighting.path else item.nodeid
             accepted = f", accepted: {sighting.finding.accepted}" if sighting.finding.accepted else ""
             view = replace(
-                view,
+                finding_view(sighting, note=note, check=check),
                 label=label_of(sighting) if sighting.label == NEW else f"{sighting.label}{accepted}",
                 traced=traced(item).described if traced(item).requirements else "",
-                severity=sighting.severity,
-                path=sighting.path,
                 command=rerun(["pytest", shown], os.environ, *options, saved=saved),
             )
-            data["view"] = messages.packed(with_neighbours(view, sighting))
+            data["view"] = messages.packed(view)
     messages.send(item, "finding", data)
     return sighting

@@ -399,7 +399,7 @@ class SearchMessages:
             return
         self.sent[sighting.id] = sighting  # even if an interrupt ends what follows
         width = config.stash[SHARED].width
-        explanation = "" if sighting.run is None else explained(sighting.run, sighting.exception, config)
+        explanation = "" if sighting.run is None else explained(sighting.run, sighting.raised, config)
         details = (
             [f"against    {sighting.finding.expect.against}, which passes"] if sighting.finding.expect.against else []
         )
@@ -418,7 +418,7 @@ class SearchMessages:
         avoided = sighting.finding.expect.avoided_by
         section = terminal.find_section(
             sighting,
-            explanation="" if explanation.partition("\n")[0] in message_of(sighting.exception) else explanation,
+            explanation="" if explanation.partition("\n")[0] in message_of(sighting.raised) else explanation,
             content=sighting.content,
             first=[] if avoided is None or sighting.is_first else [avoided.sentence],
             details=details,
@@ -464,7 +464,7 @@ def _report(item: pytest.Item, sighting: Sighting, section: str) -> dict[str, An
 
 
 def _call(sighting: Sighting) -> pytest.CallInfo[None]:
-    error = shown(sighting.exception)
+    error = shown(sighting.raised)
     context = error.__context__
 
     def fail() -> None:

@@ -32,8 +32,8 @@ from pytest_pafot.report.animation import AnimationError, animate
 from pytest_pafot.report.page_data import (
     CheckView,
     Errors,
-    FindingView,
     Report,
+    RunView,
 )
 from pytest_pafot.support.errors import flag
 from pytest_pafot.support.files import write_whole
@@ -93,7 +93,7 @@ WHO = {
 }
 
 
-def finding_keys(findings: Iterable[FindingView]) -> tuple[str, ...]:
+def finding_keys(findings: Iterable[RunView]) -> tuple[str, ...]:
     """Return a unique key for each finding, for links and files: its id, with a number if several findings share it."""
     keys: dict[str, None] = {}
     for finding in findings:
@@ -104,7 +104,7 @@ def finding_keys(findings: Iterable[FindingView]) -> tuple[str, ...]:
     return tuple(keys)
 
 
-def finding_list(findings: Sequence[FindingView]) -> str:
+def finding_list(findings: Sequence[RunView]) -> str:
     """Return an HTML list of links to all findings, with counts; an empty text if there are none."""
     if not findings:
         return ""
@@ -136,7 +136,7 @@ def finding_list(findings: Sequence[FindingView]) -> str:
     return listed
 
 
-def further_section(findings: Sequence[FindingView], whole: int) -> str:
+def further_section(findings: Sequence[RunView], whole: int) -> str:
     """Return an HTML table of the findings that the page does not show whole; an empty text if there are none.
 
     ``whole`` is the number of findings that it shows whole.
@@ -177,7 +177,7 @@ def requirement_section(requirements: Sequence[tuple[Traced, int]]) -> str:
     )
 
 
-def _filter(findings: Sequence[FindingView]) -> str:
+def _filter(findings: Sequence[RunView]) -> str:
     """Return the input fields that filter the list of findings. They work only with the page's script."""
     options = ""
     for kind, count in sorted(Counter(map(_kind, findings)).items()):
@@ -190,7 +190,7 @@ def _filter(findings: Sequence[FindingView]) -> str:
     )
 
 
-def finding_article(finding: FindingView, index: int) -> str:
+def finding_article(finding: RunView, index: int) -> str:
     """Return the HTML article on one finding, with an empty place for its picture."""
     claim = f'<p class="assertion"><code>{text(finding.assertion)}</code></p>' if finding.assertion else ""
     who, *tags = _tags(finding)
@@ -213,7 +213,7 @@ def finding_article(finding: FindingView, index: int) -> str:
     return "".join(parts)
 
 
-def _keep_section(finding: FindingView) -> str:
+def _keep_section(finding: RunView) -> str:
     """Return the HTML of a finding's command, if any, and of the text of its file."""
     command = f"<h3>Run it again</h3>{copyable(finding.command)}" if finding.command else ""
     return (
@@ -240,21 +240,21 @@ def _check_figures(check: CheckView) -> str:
     return f'<dl class="figures">{shown}</dl>'
 
 
-def _who(finding: FindingView) -> str:
+def _who(finding: RunView) -> str:
     return finding.responsibility if finding.check is None else "check"
 
 
-def _kind(finding: FindingView) -> str:
+def _kind(finding: RunView) -> str:
     return finding.event.kind if finding.check is None else WHO["check"]
 
 
-def _tags(finding: FindingView) -> list[str]:
+def _tags(finding: RunView) -> list[str]:
     """Return short texts that distinguish a finding from others, such as who is responsible for the collision."""
     tags = [WHO.get(_who(finding), finding.responsibility)]
     if finding.check is not None and finding.responsibility != "none":
         tags.append(f"{WHO.get(finding.responsibility, finding.responsibility)} for the collision")
     tags += [plural(finding.runs, "run")] if finding.runs else []
-    tags += [] if finding.generation is None else [f"first in generation {finding.generation}"]
+    tags += [] if finding.sighting is None else [f"first in generation {finding.sighting.finding.found.generation}"]
     return [*tags, finding.label] if finding.label else tags
 
 
@@ -387,7 +387,7 @@ def data_json(report: Report) -> str:
     It has only what they read. Nothing in the JSON can end the element or begin a comment, and everything beyond ASCII,
     such as U+2028, is escaped.
     """
-    findings = [asdict(finding) for finding in report.findings]
+    findings = [asdict(replace(finding, sighting=None)) for finding in report.findings]
     data = {"findings": [{name: finding[name] for name in DRAWN} for finding in findings]}
     return json_in_script(json.dumps(data, ensure_ascii=True, allow_nan=False, separators=(",", ":")))
 
@@ -427,20 +427,20 @@ class Draft:
     """
 
     target: str
-    findings: dict[str, FindingView] = field(default_factory=dict)
+    findings: dict[str, RunView] = field(default_factory=dict)
     _whole: dict[str, bytes] = field(default_factory=dict)
 
-    def take(self, finding: FindingView) -> None:
+    def take(self, finding: RunView) -> None:
         """Add the view of a failing finding."""
         self.findings[finding.node_id] = _as_row(finding)
-        self._whole[finding.node_id] = zlib.compress(pickle.dumps(finding), level=1)
+        self._whole[finding.node_id] = zlib.compress(pickle.dumps(replace(finding, sighting=None)), level=1)
 
     def report(
         self,
         *,
         project: str,
         command: str,
-        findings: Iterable[FindingView],
+        findings: Iterable[RunView],
         errors: Errors,
         is_interrupted: bool,
         searches: Sequence[SearchSummary] = (),
@@ -467,13 +467,13 @@ class Draft:
             is_interrupted=is_interrupted,
         )
 
-    def _completed(self, finding: FindingView) -> FindingView:
+    def _completed(self, finding: RunView) -> RunView:
         """Return a finding with everything that was compressed of it."""
         packed = self._whole.get(finding.node_id)
         if packed is None:
             return finding
-        whole: FindingView = pickle.loads(zlib.decompress(packed))  # noqa: S301  (of this process)
-        return replace(whole, runs=finding.runs, label=finding.label)
+        whole: RunView = pickle.loads(zlib.decompress(packed))  # noqa: S301  (of this process)
+        return replace(whole, runs=finding.runs, label=finding.label, sighting=finding.sighting)
 
 
 def _facts(
@@ -535,7 +535,7 @@ def report_files(report: Report) -> Iterator[tuple[str, bytes]]:
             yield re.sub(r"[^A-Za-z0-9._-]", "_", key) + ".png", animate(finding)
 
 
-def _as_row(finding: FindingView) -> FindingView:
+def _as_row(finding: RunView) -> RunView:
     """Return a finding without what only a whole finding shows: its run, and the text of its file."""
     check = None if finding.check is None else replace(finding.check, values=(), broken=())
     road = replace(finding.road, lanes=(), shapes=())
@@ -543,9 +543,12 @@ def _as_row(finding: FindingView) -> FindingView:
     return replace(finding, explanation="", yaml="", check=check, road=road, **nothing)
 
 
-def _rank(finding: FindingView) -> tuple[Any, ...]:
+def _rank(finding: RunView) -> tuple[Any, ...]:
     """Return the key that sorts findings: new before known, then by responsibility, severity and number of runs."""
-    worst = Severity.worst_first(finding.responsibility, finding.severity, finding.breadth)
+    severity, breadth = None, None
+    if finding.sighting is not None:
+        severity, breadth = finding.sighting.severity, finding.sighting.breadth
+    worst = Severity.worst_first(finding.responsibility, severity, breadth)
     return not finding.label.startswith(NEW), *worst, -finding.runs, finding.node_id
 
 
