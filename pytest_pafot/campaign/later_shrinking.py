@@ -49,13 +49,13 @@ def shrink_saved(
         until: the time at which it must end [s], or infinity.
     """
     __tracebackhide__ = True
-    state, workers, store, before = parts.state, parts.workers, parts.store, saved.finding
-    harness = workers.harness
+    state, bench, store, before = parts.state, parts.bench, parts.store, saved.finding
+    harness = bench.harness
     if before is None:
         raise ValueError(f"saved: expected a file that can be read, received {saved!r:.100}")
     # The file has to fail as it says, or everything that is simpler would be compared with something else.
-    run = workers.run(before.scenario, afresh=True)
-    verdict = workers.judge(run)
+    run = bench.run(before.scenario, afresh=True)
+    verdict = bench.finish(run)
     failure = verdict.failure if verdict.failed else None
     if failure is None or verdict.exception is None or of_failure(run, failure) != before.signature:
         now = headline(run, verdict) if verdict.failed else ending(run)
@@ -84,7 +84,7 @@ def shrink_saved(
     )
     state.finds[of_failure(run, failure)] = saved.id
     notes = list[str]()
-    for event in refine(state, workers, store, until=until):
+    for event in refine(state, bench, store, until=until):
         if isinstance(event, Phase):
             yield event
         elif isinstance(event, Note) and event.text not in notes:

@@ -18,6 +18,7 @@ from typing import Any, Self
 import numpy as np
 
 from pytest_pafot.campaign.beginnings import begun_with
+from pytest_pafot.campaign.bench import Bench, left_out_text
 from pytest_pafot.campaign.events import (
     ALL_RUN,
     DONE,
@@ -41,7 +42,6 @@ from pytest_pafot.campaign.store import Store
 from pytest_pafot.campaign.tallies import BlockDriver, Reader
 from pytest_pafot.campaign.verdict import no_skip, skips
 from pytest_pafot.campaign.watch import LEAST, TimedWatch, TimeLimit, Watch
-from pytest_pafot.campaign.workers import Workers, left_out_text
 from pytest_pafot.corpus.saved import Saved, saved_in
 from pytest_pafot.execution import scenario_pool
 from pytest_pafot.execution.crash_records import Leftover
@@ -91,7 +91,7 @@ class SearchResult:
     summary: SearchSummary
     findings: tuple[Sighting, ...]
     count: int  # number of distinct new findings, saved or only counted
-    first: BaseException | None  # the exception of the first finding; None without one
+    first_exception: BaseException | None  # the exception of the first finding; None without one
     fault: BaseException | None  # a fault of the set-up, as the exception to raise instead of findings
     skip: BaseException | None  # the last skip, if the function skipped every run
     is_vacuous: bool  # True if nothing was tested, or if a broken reference prevented every failure from counting
@@ -145,7 +145,7 @@ class Prepared:
     """The parts of a search that is ready to run."""
 
     state: State
-    workers: Workers
+    bench: Bench
     store: Store
 
     def search(
@@ -153,7 +153,7 @@ class Prepared:
     ) -> Generator[SearchEvent, None, None]:
         """Search with an algorithm, without limits of time, until ``stop()`` says so between two scenarios."""
         plan = plan_of(algorithm, generations=generations, seed=seed)
-        return search(plan, self.state, self.workers, self.store, Watch(stop))
+        return search(plan, self.state, self.bench, self.store, Watch(stop))
 
     def watch(
         self, node_id: str, limit: TimeLimit, *, progress_seconds: float, stops_at_first: bool = False
@@ -162,10 +162,10 @@ class Prepared:
         return TimedWatch(
             node_id=node_id,
             state=self.state,
-            workers=self.workers,
+            bench=self.bench,
             store=self.store,
             limit=limit,
-            most=1 if stops_at_first else self.workers.harness.request.settings.stop_after,
+            most=1 if stops_at_first else self.bench.harness.request.settings.stop_after,
             progress_seconds=progress_seconds,
         )
 
@@ -234,7 +234,7 @@ def prepared(
         stack.callback(state.close)
         yield Prepared(
             state=state,
-            workers=Workers(
+            bench=Bench(
                 harness=harness,
                 runner=runner,
                 record=record,
@@ -276,9 +276,9 @@ class SearchSession:
         return self.watch.state
 
     @property
-    def workers(self) -> Workers:
-        """The runs of the search."""
-        return self.watch.workers
+    def bench(self) -> Bench:
+        """What runs and judges the scenarios of the search."""
+        return self.watch.bench
 
     @property
     def store(self) -> Store:
@@ -293,7 +293,7 @@ class SearchSession:
     @property
     def harness(self) -> Harness:
         """The harness of the search."""
-        return self.workers.harness
+        return self.bench.harness
 
     @property
     def _ends_with_warnings(self) -> tuple[str, ...]:
@@ -330,10 +330,10 @@ class SearchSession:
             RequestError: if the search cannot be run as requested.
         """
         __tracebackhide__ = True
-        harness, state, workers, store = self.harness, self.state, self.workers, self.store
+        harness, state, bench, store = self.harness, self.state, self.bench, self.store
         yield SearchStarted(node_id=self.watch.node_id, seed=store.seed)
         began = state.clock()
-        workers.until = max(self.limit.until, began + LEAST)
+        bench.refining_end = max(self.limit.end, began + LEAST)
         # A process of an earlier session may have died: its scenarios are tried again before anything else.
         left = harness.left_behind()
         retried = list[Retried]()
@@ -342,7 +342,7 @@ class SearchSession:
         self.process_notes += [note for each in retried for note in each.notes]
         reason, fault, is_closed = "interrupted", None, False
         try:
-            with workers.runner:
+            with bench.runner:
                 reason = yield from self._searched(saved_in(harness.folder), began)
             # All findings are reported and the state is stored before shrinking, which takes long and may be cut.
             self._settle(reason)
@@ -353,10 +353,10 @@ class SearchSession:
                 now = state.clock()
                 self._worse = MadeWorse(
                     state=state,
-                    workers=workers,
+                    bench=bench,
                     store=store,
                     most=harness.request.settings.pairs,
-                    until=now + (self.limit.until - now) / 2,
+                    end=now + (self.limit.end - now) / 2,
                 )
                 yield from self._events(self._worse.compare(state.space))
             yield from self._refine(reason)
@@ -379,9 +379,9 @@ class SearchSession:
                 for each in retried:
                     if each.pending is not None:
                         each.pending.discard()
-                self.process_notes += workers.runner.notes
-                if workers.record.error:
-                    self.process_notes += [str(workers.record.error)]
+                self.process_notes += bench.runner.notes
+                if bench.record.error:
+                    self.process_notes += [str(bench.record.error)]
                 summary = self._summary(reason)
                 if not is_closed:
                     yield summary
@@ -389,7 +389,7 @@ class SearchSession:
             summary=summary,
             findings=tuple(store.findings.values()),
             count=store.count,
-            first=store.first,
+            first_exception=store.first_exception,
             fault=None if fault is None else fault.shown(harness.world, harness.policy),
             skip=state.skip if state.skip is not None and state.verdicts["skipped"] == state.runs else None,
             is_vacuous=state.health.vacuous or bool(state.broken),
@@ -409,12 +409,12 @@ class SearchSession:
         way_on = "" if state.file is None else f"; {flag('resume')} goes on"
         try:
             with GENERATORS.held():
-                yield from self._events(refine(state, self.workers, self.store, until=self.limit.until, way_on=way_on))
+                yield from self._events(refine(state, self.bench, self.store, until=self.limit.end, way_on=way_on))
                 if self._worse is not None:
                     yield from self._events(self._worse.conclude())
                 if reason in self._ends_with_warnings:
-                    with suppress(OutOfTime), runs_end_in(self.limit.until - state.clock()):
-                        state.impure = self.workers.impure()
+                    with suppress(OutOfTime), runs_end_in(self.limit.end - state.clock()):
+                        state.impure = self.bench.impure()
         finally:  # Even after Ctrl-C, findings that were refined must not be refined again.
             state.write(self.store)
 
@@ -450,10 +450,10 @@ class SearchSession:
             isolate=harness.request.settings.isolate,
             has_died_twice=sum(not each.is_watched for each in same) > 1,
             keep=self.store.add_crash,
-            run_here=self.workers.rerun_one_by_one,
+            run_here=self.bench.rerun_one_by_one,
         )
         for each in [each for id_, each in self.store.findings.items() if id_ not in before]:
-            yield from self._events(self.store.report(each))
+            yield from self._events(self.store.publish(each))
         return again
 
     def _searched(self, saved: Sequence[Saved], began: float) -> Generator[SearchEvent, None, str]:
@@ -483,9 +483,9 @@ class SearchSession:
         others = [each for each in saved if not self._is_own(each)]
         self.store.replayed = frozenset(each.path for each in others)
         state.fatal |= {each.finding.scenario for each in others if each.finding is not None and each.is_crash}
-        until = began + (self.limit.until - began) * (1 - FOR_SIMPLIFYING)
+        until = began + (self.limit.end - began) * (1 - FOR_SIMPLIFYING)
         try:
-            with runs_end_in(self.workers.until - clock()):
+            with runs_end_in(self.bench.refining_end - clock()):
                 state.shown = self.replays.shown_by(others)  # Their failures are not new.
                 self._manners = {each.id: Manner.of(each.finding.expect) for each in others if each.finding is not None}
                 yield from self._events(self._find_again(saved, until))
@@ -506,7 +506,7 @@ class SearchSession:
             )
             if resumed is None:
                 state.offer(self.store)
-            yield from self._events(search(plan, state, self.workers, self.store, watch))
+            yield from self._events(search(plan, state, self.bench, self.store, watch))
         except CheckpointError as error:
             raise RequestError(str(error)) if state.file is None else state.file.refused(error) from None
         except FitnessError as error:
@@ -552,13 +552,13 @@ class SearchSession:
         state.resume(earlier, runs=checkpoint.sums.simulated, generations=checkpoint.generation)
         # A session that was killed may have saved failures that its state does not know yet.
         known = {each.id for each in state.earlier}
-        self.store.early = {
+        self.store.pending = {
             each.finding.signature: (each.path, None)
             for each in saved
             if each.finding is not None and each.id not in known and self._is_own(each)
         }
         if checkpoint.sums.evaluated:  # A fault of the set-up would have ended the search in its first session.
-            state.first.is_alike = False
+            state.first_generation.is_alike = False
             yield from self._events(self.store.release())
         return checkpoint
 
@@ -581,7 +581,7 @@ class SearchSession:
         After the time ``until`` [s], findings with a file are left to a later session.
         """
         __tracebackhide__ = True
-        state, workers, store = self.state, self.workers, self.store
+        state, bench, store = self.state, self.bench, self.store
         for find in state.earlier:
             # There is a file of the same name, or a simpler one of the same kind after `corpus join`.
             is_there = any(
@@ -601,14 +601,14 @@ class SearchSession:
                 del state.finds[find.signature]
             scenario, generation, number = find.found
             try:
-                run = workers.run(scenario, afresh=True)
+                run = bench.run(scenario, afresh=True)
             except ProcessLostError as error:
-                yield from lose(error, state, workers, store)
+                yield from lose(error, state, bench, store)
                 continue
-            verdict = workers.judge(run)
+            verdict = bench.finish(run)
             failure = verdict.failure if verdict.failed else None
             if failure is not None and of_failure(run, failure) == find.signature:
-                find_id = yield from save_and_confirm(run, verdict, generation, number, workers, store, self.watch)
+                find_id = yield from save_and_confirm(run, verdict, generation, number, bench, store, self.watch)
                 state.add(find.signature, find_id)
                 state.answers[find_id] = list(find.answers)
 
@@ -658,12 +658,12 @@ class SearchSession:
             unsaved={id_: 1 + state.repeats[id_] for id_ in self.store.unsaved},
             shrink_runs=state.shrink_runs,
             neighbour_runs=state.neighbour_runs,
-            decisions=self.workers.decisions - state.shrink_decisions - state.neighbour_decisions,
-            confirm_decisions=self.workers.confirm_decisions,
+            decisions=self.bench.decisions - state.shrink_decisions - state.neighbour_decisions,
+            confirm_decisions=self.bench.confirm_decisions,
             shrink_decisions=state.shrink_decisions,
             neighbour_decisions=state.neighbour_decisions,
-            reused_decisions=self.workers.runner.reused,
-            known=dict(state.known + state.found_before(self.store)),
+            reused_decisions=self.bench.runner.reused,
+            known=dict(state.covered + state.found_before(self.store)),
             unlike=self._unlike(),
             failures={signature.text: id_ for signature, id_ in state.failures.items()},
             warnings=state.warnings(self.harness) if reason in self._ends_with_warnings else (),

@@ -234,7 +234,7 @@ class BlockDriver:
 
     def __call__(self, task: BlockTask, job: Job, record: CrashRecord, say: Callable[[Timed], object]) -> None:
         """Drive a block and say what comes of it, until it ends or only the session can go on."""
-        known = set(task.known)
+        known = set(task.known_failures)
         read = partial(self.reader.digested, known=known)
         if not task.is_apart:
             self._drive(task, known, lambda scenario: run_recorded(job, record, scenario, read), say)

@@ -281,7 +281,7 @@ def run_search(item: pytest.Function, request: Request) -> None:
     today = date.fromisoformat(shared.today)
     now = time.monotonic()
     limit = time_limit(settings, now=now, began=shared.began, left=searches_left(item))
-    with runs_end_in(max(limit.until - now, LEAST_TO_BUILD)):  # for the policy of a revision, in its own process
+    with runs_end_in(max(limit.end - now, LEAST_TO_BUILD)):  # for the policy of a revision, in its own process
         harness = harness_of(item, request)
         if harness.against is not None or is_revision(settings.against):  # which may not have the policy yet
             _compare(item, harness)
@@ -304,7 +304,7 @@ def run_search(item: pytest.Function, request: Request) -> None:
         while not events.is_over:
             with events:
                 for event in events:
-                    messages_of_search.take(event)
+                    messages_of_search.send(event)
     result = events.result
     # The item fails for a fault of the set-up, for new findings, for failures without an item, and for an empty search.
     summary = result.summary
@@ -312,8 +312,8 @@ def run_search(item: pytest.Function, request: Request) -> None:
         raise shown(result.fault)
     if result.count:
         item.stash[SUMMARY] = terminal.failure_line(summary)
-        if item.config.getoption("usepdb", False) and result.first is not None:
-            first = shown(result.first)
+        if item.config.getoption("usepdb", False) and result.first_exception is not None:
+            first = shown(result.first_exception)
             first.add_note(terminal.failure_message(summary))
             raise first  # so that the debugger starts where the test function failed
         pytest.fail(terminal.failure_message(summary), pytrace=False)
@@ -361,7 +361,7 @@ class SearchMessages:
     sent: dict[str, Sighting] = field(default_factory=dict)  # the findings so far, by id, as they were last sent
     new: list[str] = field(default_factory=list)  # the ids of those that were reported when they were found
 
-    def take(self, event: SearchEvent) -> None:
+    def send(self, event: SearchEvent) -> None:
         """Send a message for each event that the terminal, the page or the table reports."""
         if self.table is not None:
             self.table(event)
@@ -374,7 +374,7 @@ class SearchMessages:
         elif isinstance(event, Progress):
             messages.send(self.item, "progress", asdict(event))
         elif isinstance(event, Sighting):
-            self._send(event)
+            self._send_finding(event)
         elif isinstance(event, SearchSummary):
             set_properties(self.item.user_properties, **of_findings(self.sent.values()))
             for each in self.sent.values():  # only now, because a finding is sent again once it is shrunk
@@ -391,7 +391,7 @@ class SearchMessages:
         sent = self.sent.get(sighting.id, sighting)
         return replace(sighting, sentences=sent.sentences, command=sent.command)
 
-    def _send(self, sighting: Sighting) -> None:
+    def _send_finding(self, sighting: Sighting) -> None:
         config = self.item.config
         if sighting.label == NO_WORSE:  # it was sent as new before, and gets no item
             self.sent.pop(sighting.id, None)

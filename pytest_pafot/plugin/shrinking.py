@@ -63,7 +63,7 @@ def run_shrink(item: pytest.Function, request: Request, saved: Saved) -> None:
     limit = time_limit(request.settings, now=now, began=item.config.stash[SHARED].began, left=1)
     with (
         prepared(harness, space=space) as parts,
-        closing(shrink_saved(parts, saved, path=path, until=limit.until)) as its,
+        closing(shrink_saved(parts, saved, path=path, until=limit.end)) as its,
     ):
         told_at = now
         for event in its:

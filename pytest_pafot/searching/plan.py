@@ -201,9 +201,9 @@ class Plan(Generic[StateT]):
         """Return the next scenario."""
         return self.block.scenario()
 
-    def known(self) -> Evaluation | None:
+    def recalled(self) -> Evaluation | None:
         """Return the evaluation of the next scenario if an earlier run shows it; None if it has to be simulated."""
-        return self.block.known()
+        return self.block.recalled()
 
     def ahead(self) -> Iterator[Scenario] | None:
         """Return the scenarios of the generation that no earlier run shows, at its beginning; None if it has begun.
@@ -376,7 +376,7 @@ class Block(Generic[StateT]):
         drawn.has(self.index)
         return drawn.scenarios[self.index]
 
-    def known(self) -> Evaluation | None:
+    def recalled(self) -> Evaluation | None:
         """Return the evaluation of the next scenario if an earlier run shows it; None if it has to be simulated."""
         return None if self._cache is None else self._cache.recall(self.scenario())
 

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from pytest_pafot.campaign import explore, search, tallies, workers
+from pytest_pafot.campaign import bench, explore, search, tallies
 from pytest_pafot.campaign.store import Store
 from pytest_pafot.campaign.watch import TimedWatch
 from pytest_pafot.execution import runner
@@ -50,14 +50,14 @@ def searched(tmp_path, monkeypatch):
     """Return a function that searches in blocks of 16 runs, and tells all about it and which blocks were given away."""
     for each in (DistinctSearch, RandomSearch):
         monkeypatch.setattr(each, "block_runs", 16)
-    given, task = [], workers.BlockTask
+    given, task = [], bench.BlockTask
     monkeypatch.setattr(
-        workers, "BlockTask", lambda number, *more, **named: given.append(number) or task(number, *more, **named)
+        bench, "BlockTask", lambda number, *more, **named: given.append(number) or task(number, *more, **named)
     )
 
     def search(name, *, drives=False, ads=keep, test=holds, runs=RUNS, saves=True, **settings):
-        monkeypatch.setattr(workers, "DRIVEN_SECONDS", 60.0 if drives else -1.0)
-        monkeypatch.setattr(workers, "FED_SECONDS", 0.0)
+        monkeypatch.setattr(bench, "DRIVEN_SECONDS", 60.0 if drives else -1.0)
+        monkeypatch.setattr(bench, "FED_SECONDS", 0.0)
         settings = SPACE | {"population": 4, "shrink_rollouts": 0, "neighbours": 0} | settings
         given.clear()
         corpus, own = tmp_path / name, {"node_id": "test_it.py::test_it", "runs": runs}
@@ -80,13 +80,13 @@ def searched(tmp_path, monkeypatch):
 def test_processes_drive_blocks_while_the_session_makes_the_runs_of_the_first(searched, monkeypatch):
     monkeypatch.setattr(runner, "DEAR", math.inf)  # so that processes only drive blocks
     alone, _ = searched("alone")
-    began, give = [], workers.Workers.give_blocks
+    began, give = [], bench.Bench.give_blocks
 
     def note(self, plan, *more):
         give(self, plan, *more)
         began.extend([plan.generation] if self._driven else [])
 
-    monkeypatch.setattr(workers.Workers, "give_blocks", note)
+    monkeypatch.setattr(bench.Bench, "give_blocks", note)
     assert searched("driven", drives=True, workers=2) == (alone, [1, 2, 3, 4])
     assert began[0] == 1
 
@@ -122,14 +122,14 @@ def test_a_dead_process_costs_its_run_and_not_its_block(searched, monkeypatch):
     assert any(name.startswith("crash") for name in one_by_one["files"])
     lost, lose = [], search.lose
     monkeypatch.setattr(search, "lose", lambda died, *more: lost.append(died.task) or lose(died, *more))
-    broken_off, said = set(), workers.Workers._said
+    broken_off, said = set(), bench.Bench._said
 
     def hear(self, *given, **named):
         what = said(self, *given, **named)
         broken_off.update([self._suspect.task.number] if self._suspect else [])
         return what
 
-    monkeypatch.setattr(workers.Workers, "_said", hear)
+    monkeypatch.setattr(bench.Bench, "_said", hear)
     driven, blocks = searched("driven", drives=True, **given)
     assert blocks == [1, 2, 3, 4, 5, 6, 7, 8]
     assert driven == one_by_one
@@ -141,9 +141,9 @@ def test_what_a_process_ran_that_was_killed_from_outside_is_run_again_with_a_not
     searched, tmp_path, monkeypatch, is_apart
 ):
     monkeypatch.setattr(runner, "DEAR", math.inf)  # so that processes only drive blocks
-    task = workers.BlockTask
+    task = bench.BlockTask
     if is_apart:
-        monkeypatch.setattr(workers, "BlockTask", lambda *given, is_apart: task(*given, is_apart=True))
+        monkeypatch.setattr(bench, "BlockTask", lambda *given, is_apart: task(*given, is_apart=True))
     alone, _ = searched("alone")
     flag = tmp_path / "flag"
 
@@ -171,8 +171,8 @@ def speed(trace):
 def test_runs_of_later_blocks_that_only_the_session_may_judge_are_judged_when_they_come(searched, monkeypatch):
     monkeypatch.setattr(runner, "DEAR", 0.0)
     alone, _ = searched("alone", fitness=speed)
-    early, evaluated = [], workers.Workers._evaluated_early
-    monkeypatch.setattr(workers.Workers, "_evaluated_early", lambda *given: early.append(given) or evaluated(*given))
+    early, evaluated = [], bench.Bench._evaluated_ahead
+    monkeypatch.setattr(bench.Bench, "_evaluated_ahead", lambda *given: early.append(given) or evaluated(*given))
     assert searched("ahead", workers=3, fitness=speed) == (alone, [])
     assert early
 
@@ -190,18 +190,18 @@ def test_sessions_of_5_16_and_40_runs_are_one_long_one(searched, tmp_path):
 @pytest.fixture
 def saved_early(monkeypatch):
     """Return a list of the files that are saved before their block is counted, while block 1 takes long."""
-    saved, add_early, drive = [], Store.add_early, tallies.BlockDriver.__call__
+    saved, add_pending, drive = [], Store.add_pending, tallies.BlockDriver.__call__
 
     def add(self, *given):
-        before = {*self.early}
-        add_early(self, *given)
-        saved.extend(self.early[each][0] for each in self.early.keys() - before)
+        before = {*self.pending}
+        add_pending(self, *given)
+        saved.extend(self.pending[each][0] for each in self.pending.keys() - before)
 
     def late(self, task, *given):
         time.sleep(1.5 if task.number == 1 else 0)
         drive(self, task, *given)
 
-    monkeypatch.setattr(Store, "add_early", add)
+    monkeypatch.setattr(Store, "add_pending", add)
     monkeypatch.setattr(tallies.BlockDriver, "__call__", late)
     return saved
 
@@ -230,8 +230,8 @@ def test_a_death_in_a_later_block_is_saved_before_its_turn(searched, saved_early
         "__call__",
         lambda self, task, *more: driven.append(task.number) or drive(self, task, *more),
     )
-    task = workers.BlockTask
-    monkeypatch.setattr(workers, "BlockTask", lambda *given, is_apart: task(*given, is_apart=True))
+    task = bench.BlockTask
+    monkeypatch.setattr(bench, "BlockTask", lambda *given, is_apart: task(*given, is_apart=True))
     found, _ = searched("early", ads=dies, drives=True, workers=2)
     crashes = {each.name for each in saved_early if each.name.startswith("crash")}
     assert crashes
@@ -307,15 +307,15 @@ def test_a_test_function_that_judges_otherwise_in_other_processes_does_not_end_t
 
 @pytest.mark.parametrize("change", ["xfail: known\n", "no YAML: ["])
 def test_a_file_that_somebody_changes_before_its_turn_is_not_removed(searched, saved_early, monkeypatch, change):
-    add_early, changed = Store.add_early, {}
+    add_pending, changed = Store.add_pending, {}
 
     def add(self, *given):
-        add_early(self, *given)
+        add_pending(self, *given)
         for path in {*saved_early} - {*changed}:
             changed[path] = path.read_text() + change
             path.write_text(changed[path])
 
-    monkeypatch.setattr(Store, "add_early", add)
+    monkeypatch.setattr(Store, "add_pending", add)
     searched("early", drives=True, workers=2, stop_after=STOP)
     assert changed
     assert {path: path.read_text() for path in changed} == changed
@@ -325,8 +325,8 @@ def end_when_something_is_saved_early(end, search, monkeypatch):
     """Search in a process that gets a signal as soon as a failure is saved early."""
 
     def ended():
-        add_early = Store.add_early
-        monkeypatch.setattr(Store, "add_early", lambda *given: add_early(*given) or os.kill(os.getpid(), end))
+        add_pending = Store.add_pending
+        monkeypatch.setattr(Store, "add_pending", lambda *given: add_pending(*given) or os.kill(os.getpid(), end))
         search()
 
     session = multiprocessing.get_context("fork").Process(target=ended)

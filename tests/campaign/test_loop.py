@@ -71,12 +71,12 @@ class Store:
         self.finds.append(("hang" if lost.is_hang else "crash", generation, number))
         return SimpleNamespace(id=f"id-{len(self.finds)}")
 
-    def report(self, sighting):
+    def publish(self, sighting):
         return ()
 
 
 @dataclass
-class Workers:
+class Bench:
     """Make runs by a function; run ``n`` gets the ``n``-th verdict."""
 
     verdicts: Callable[[int], Verdict]
@@ -97,7 +97,7 @@ class Workers:
         except ProcessLostError as error:
             return error
 
-    def judge(self, run):
+    def finish(self, run):
         return self.verdicts(next(self.numbers))
 
     def evaluation(self, run, verdict, signature):
@@ -126,7 +126,7 @@ def searched(
     state, store = State(fatal=set(fatal)), Store()
     state.shown = dict(shown)
     plan = plan_of(RandomSearch(SPACE, population=population), generations=generations, seed=1)
-    for _ in search(plan, state, Workers(verdicts, run, has_reference=has_reference), store, watch or Watch()):
+    for _ in search(plan, state, Bench(verdicts, run, has_reference=has_reference), store, watch or Watch()):
         pass
     return state, store.finds
 
@@ -186,7 +186,7 @@ def test_failure_covered_by_saved_scenario_counts_as_known():
     signature = of_failure(run, Failure(kind="AssertionError"))
     found, finds = searched(lambda number: failed(), shown={signature: "saved"})
     assert finds == []
-    assert found.known == {"saved": found.runs}
+    assert found.covered == {"saved": found.runs}
 
 
 @table("kind", ["passed", "rejected", "skipped", "npc", "common", "invalid"])
@@ -232,7 +232,7 @@ def test_dying_processes_are_known_from_saved_scenario():
     signature = expectation(lost_run).signature
     found, finds = searched(lambda number: failed(), run=lost, shown={signature: "saved"})
     assert finds == []
-    assert found.known == {"saved": 6}
+    assert found.covered == {"saved": 6}
 
 
 def test_lost_process_teaches_the_search_nothing():

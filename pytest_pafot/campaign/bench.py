@@ -1,4 +1,4 @@
-"""The runs of one search: the processes that make and judge them, their limits, and the records of crashes."""
+"""The bench of one search, on which its scenarios are run and judged: processes, limits, and records of crashes."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ from pytest_pafot.world.guard.hang_guard import runs_end_in
 
 
 @dataclass(frozen=True, slots=True)
-class Early:
+class PendingFailure:
     """A failure in a block that is not counted yet, of some generation from 0: a run with its verdict, or a death."""
 
     of: tuple[Run, Verdict] | LostRun
@@ -55,8 +55,11 @@ PURE_SHARE = 1 / 10
 
 
 @dataclass(slots=True, kw_only=True)
-class Workers:
-    """The runs of one search. Until a run is judged, its scenario is on disk in the crash record of this process."""
+class Bench:
+    """What runs and judges the scenarios of one search.
+
+    Until a run is judged, its scenario is on disk in the crash record of this process.
+    """
 
     harness: Harness
     runner: Runner
@@ -67,16 +70,17 @@ class Workers:
     is_steered_by_checks: bool = True  # as in :class:`~pytest_pafot.campaign.tallies.Reader`
     clock: Callable[[], float] = time.monotonic  # returns the seconds since some fixed moment
     counted_decisions: int = 0  # number of decisions of the ADS in runs that others judged, and beside runs
-    until: float = math.inf  # the time at which the work on findings ends [s]
+    refining_end: float = math.inf  # the time at which the work on findings ends [s]
     confirm_decisions: int = 0  # the number of decisions of the ADS that confirmed findings
     confirm_seconds: float = 0.0  # the time that this took [s]
     pace: float = 0.0  # the longest time to confirm one second of a run so far [s]
     # what the processes say that drive blocks, as far as it is not counted, by the number of the block
     _driven: dict[int, deque[Any]] = field(default_factory=dict)
-    _failed: deque[Early] = field(default_factory=deque)  # failures of later blocks that are new to this process
+    # failures of later blocks that are new to this process
+    _failed: deque[PendingFailure] = field(default_factory=deque)
     _later: dict[int, Block[Any]] = field(default_factory=dict)  # later blocks as far as other processes have run them
     # runs that this process has judged and not counted yet, with their verdicts
-    _early: dict[Scenario, tuple[Run, Verdict]] = field(default_factory=dict)
+    _judged_ahead: dict[Scenario, tuple[Run, Verdict]] = field(default_factory=dict)
     _suspect: ProcessLostError[Any] | None = None  # a death in a block, as long as no scenario is known to be the cause
     _has_died: bool = False  # True if a process has died while it drove a block
     _last: int = 0  # number of the first block that they leave to the session
@@ -84,7 +88,7 @@ class Workers:
     @property
     def decisions(self) -> int:
         """The number of decisions that the ADS has made so far in this session, except to confirm findings."""
-        return self.counted_decisions + self.runner.asked - self.confirm_decisions
+        return self.counted_decisions + self.runner.decisions - self.confirm_decisions
 
     def evaluation(self, run: Run, verdict: Verdict, signature: Signature | None) -> Evaluation:
         """Return what the algorithm sees of a run that this process has judged."""
@@ -148,7 +152,7 @@ class Workers:
         is_worth_it = bool(self._driven) or plan.whole_blocks - first >= 2 * workers
         return is_fast and is_worth_it
 
-    def next(self, plan: Plan[Any], fatal: Set[Scenario]) -> Run | Tally | LostRun | Early | None:
+    def next(self, plan: Plan[Any], fatal: Set[Scenario]) -> Run | Tally | LostRun | PendingFailure | None:
         """Return what became of the next scenario of a plan, or of the next ones.
 
         That is the run, which must be judged next; the tally of runs that another process has made and judged; or how
@@ -186,8 +190,8 @@ class Workers:
         if isinstance(made, Tally):
             return made
         run = self.harness.seen(made)
-        early, _ = self._early.get(scenario, (run, None))
-        return early if early.trace is run.trace else run
+        judged, _ = self._judged_ahead.get(scenario, (run, None))
+        return judged if judged.trace is run.trace else run
 
     def learn(self, plan: Plan[Any]) -> Sequence[AlgorithmEvent]:
         """Let the algorithm learn from a whole generation, if the process that drives its block has not done so."""
@@ -239,19 +243,19 @@ class Workers:
         learnt = sum(isinstance(each, tuple) and isinstance(each[0], Learnt) for each in self._driven[number])
         generation = number * (plan.length or 0) + learnt
         if isinstance(made, Facts):
-            self._judge_early(made, generation)
+            self._judge_ahead(made, generation)
         else:
-            self._failed.append(Early(made, generation))
+            self._failed.append(PendingFailure(made, generation))
 
-    def _judge_early(self, made: Trace | Facts, generation: int) -> None:
+    def _judge_ahead(self, made: Trace | Facts, generation: int) -> None:
         scenario = trace_of(made).scenario
-        if scenario not in self._early:
+        if scenario not in self._judged_ahead:
             self.record.write(scenario)
             run = self.harness.seen(made)
-            verdict = self.judge(run)
-            self._early[scenario] = run, verdict
+            verdict = self.finish(run)
+            self._judged_ahead[scenario] = run, verdict
             if verdict.failed:
-                self._failed.append(Early((run, verdict), generation))
+                self._failed.append(PendingFailure((run, verdict), generation))
 
     def _foresee(self, plan: Plan[Any], fatal: Set[Scenario]) -> None:
         """Let other processes run scenarios of the next blocks, while the last runs of a generation are waited for."""
@@ -277,11 +281,11 @@ class Workers:
                 try:
                     for each in runs:
                         if not isinstance(each, Tally):
-                            self._judge_early(each, block.generation)
+                            self._judge_ahead(each, block.generation)
                     if len(runs) < len(block.drawn):
                         break
                     evaluations = [
-                        each.unpacked[0] if isinstance(each, Tally) else self._evaluated_early(scenario)
+                        each.unpacked[0] if isinstance(each, Tally) else self._evaluated_ahead(scenario)
                         for scenario, each in zip(block.drawn, runs, strict=True)
                     ]
                 except unfit:  # raised again as soon as the search comes to this run
@@ -292,17 +296,17 @@ class Workers:
                 if block.generation // plan.length == number:
                     processes.announce_later(each for each in plan.within(block) if each not in fatal)
 
-    def _evaluated_early(self, scenario: Scenario) -> Evaluation:
+    def _evaluated_ahead(self, scenario: Scenario) -> Evaluation:
         """Return what the algorithm sees of a run that is not requested yet."""
-        (run, verdict), signature = self._early[scenario], None
+        (run, verdict), signature = self._judged_ahead[scenario], None
         if verdict.failed and verdict.failure is not None:
             signature, _ = failed_as(run, verdict.failure)
         evaluation = self.evaluation(run, verdict, signature)
-        self._early[scenario] = replace(run, facts=facts_of(run, evaluation)), verdict  # for its own turn
+        self._judged_ahead[scenario] = replace(run, facts=facts_of(run, evaluation)), verdict  # for its own turn
         return evaluation
 
     def run(self, scenario: Scenario, *, afresh: bool = False, most: int | None = None) -> Run:
-        """Run a scenario. The caller must call :meth:`judge` next, which also clears the crash record.
+        """Run a scenario. The caller must call :meth:`finish` next, which also clears the crash record.
 
         For ``afresh`` and ``most`` see :meth:`pytest_pafot.execution.runner.Runner.made`.
 
@@ -316,11 +320,15 @@ class Workers:
             trace = self.runner.run(scenario, afresh=afresh, most=most)
         return self.harness.seen(trace)
 
-    def judge(self, run: Run, scenario: Scenario | None = None) -> Verdict:
-        """Judge the last run. If it fails, the reference is run in ``scenario``, by default in the run's scenario."""
+    def finish(self, run: Run, scenario: Scenario | None = None) -> Verdict:
+        """Judge the last run, and clear its crash record.
+
+        If it fails, the reference is run in ``scenario``, by default in the run's scenario.
+        """
         __tracebackhide__ = True
-        early, verdict = self._early.pop(run.trace.scenario, (None, None))
-        if early is not None and verdict is not None and early.trace is run.trace:  # Another run may have another one.
+        judged, verdict = self._judged_ahead.pop(run.trace.scenario, (None, None))
+        # Another run of the scenario may have another verdict.
+        if judged is not None and verdict is not None and judged.trace is run.trace:
             self.record.clear()
             return verdict
         with self._recorded():
@@ -368,24 +376,24 @@ class Workers:
             else:
                 self.record.write(scenario)
                 trace = GENERATORS.run(world.rollout_in_gym, scenario, self.harness.drawing(policy).factory)
-        self.runner.asked += len(trace.actions)
+        self.runner.decisions += len(trace.actions)
         self.record.clear()
         return Run(trace, decision_limit=self.harness.request.decision_limit)
 
-    def difference(self, run: Run) -> str:
-        """Return what differs when a run is repeated; empty if nothing does. Measure how long that takes.
+    def confirm(self, run: Run) -> str:
+        """Repeat the run of a finding; return what differs, empty if nothing does. Measure how long that takes.
 
         Raises:
             OutOfTime: if the time of the search is over.
         """
-        began, asked = self.clock(), self.runner.asked
+        began, before = self.clock(), self.runner.decisions
         try:
-            with runs_end_in(self.until - began):
+            with runs_end_in(self.refining_end - began):
                 differs = difference(run, self)
         finally:
             seconds = self.clock() - began
             self.confirm_seconds += seconds
-            self.confirm_decisions += self.runner.asked - asked
+            self.confirm_decisions += self.runner.decisions - before
         self.pace = max(self.pace, seconds / max(run.duration, 1.0))
         return differs
 
@@ -400,21 +408,21 @@ class Workers:
             raise
 
 
-def difference(run: Run, workers: Workers) -> str:
+def difference(run: Run, bench: Bench) -> str:
     """Return what differs when the scenario of a run is run again; empty if the finding is confirmed.
 
     The same world must give a run that is equal to the last bit. In highway-env's own environment, if the world has
     it, the run must end in the same way.
     """
     try:
-        if not is_same_run(run, workers.rerun(run.scenario)):
+        if not is_same_run(run, bench.rerun(run.scenario)):
             return NOT_REPEATED
-        differs = _difference_in_gym(run, workers)
+        differs = _difference_in_gym(run, bench)
     except ProcessLostError as error:
         return f"the process that ran it again {error.how}"
     if not differs:
         return ""
-    harness = workers.harness
+    harness = bench.harness
     likely_cause = "" if harness.policy.drives_itself else left_out_text(harness.world)
     return f"in highway-env's own environment: {differs}" + (f"; {likely_cause}" if likely_cause else "")
 
@@ -432,9 +440,9 @@ def left_out_text(world: BaseWorld) -> str:
     )
 
 
-def _difference_in_gym(run: Run, workers: Workers) -> str:
+def _difference_in_gym(run: Run, bench: Bench) -> str:
     try:
-        other = workers.rerun_in_gym(run.scenario)
+        other = bench.rerun_in_gym(run.scenario)
     except ProcessLostError:
         raise
     except UNFIT as error:  # any exception of the environment or the ADS is the difference
