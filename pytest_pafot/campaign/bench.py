@@ -108,7 +108,7 @@ class Bench:
             asked += len(again.trace.actions)
             is_cut = len(again.trace.actions) == 2 * reused < len(trace.actions)
             same = again.trace.states.tobytes() == trace.states[: len(again.trace.states)].tobytes()
-            if not (same if is_cut else is_same_run(self.harness.seen(trace), again)):
+            if not (same if is_cut else is_same_run(self.harness.run_of(trace), again)):
                 return trace.scenario.id, self.runner.mark
         return None
 
@@ -189,7 +189,7 @@ class Bench:
             return error
         if isinstance(made, Tally):
             return made
-        run = self.harness.seen(made)
+        run = self.harness.run_of(made)
         judged, _ = self._judged_ahead.get(scenario, (run, None))
         return judged if judged.trace is run.trace else run
 
@@ -251,7 +251,7 @@ class Bench:
         scenario = trace_of(made).scenario
         if scenario not in self._judged_ahead:
             self.record.write(scenario)
-            run = self.harness.seen(made)
+            run = self.harness.run_of(made)
             verdict = self.finish(run)
             self._judged_ahead[scenario] = run, verdict
             if verdict.failed:
@@ -318,7 +318,7 @@ class Bench:
         __tracebackhide__ = True
         with self._recorded(), refusals():
             trace = self.runner.run(scenario, afresh=afresh, most=most)
-        return self.harness.seen(trace)
+        return self.harness.run_of(trace)
 
     def finish(self, run: Run, scenario: Scenario | None = None) -> Verdict:
         """Judge the last run, and clear its crash record.

@@ -24,13 +24,13 @@ class Later:
 
     Attributes:
         finding: the finding with a simpler scenario; None if the file stays as it is.
-        told: what was done, or why nothing was, without the name of the file.
+        result: what was done, or why nothing was, without the name of the file.
         is_refused: True if the finding does not show its failure now, or does not repeat, so that nothing was tried.
         notes: remarks on what could not be found out.
     """
 
     finding: Finding | None = None
-    told: str
+    result: str
     is_refused: bool = False
     notes: tuple[str, ...] = ()
 
@@ -59,7 +59,7 @@ def shrink_saved(
     failure = verdict.failure if verdict.failed else None
     if failure is None or verdict.exception is None or of_failure(run, failure) != before.signature:
         now = headline(run, verdict) if verdict.failed else ending(run)
-        yield Later(told=f"it does not fail as the file says: {now}", is_refused=True)
+        yield Later(result=f"it does not fail as the file says: {now}", is_refused=True)
         return
     sight = harness.policy.sight
     start = replace(
@@ -93,7 +93,7 @@ def shrink_saved(
     notes += (f"found saved-{id_}: {each.headline}" for id_, each in store.findings.items() if each is not sighting)
     later = _compared(before, sighting, state.shrink_runs)
     if sighting.is_flaky:
-        later = Later(told=f"it is flaky: {sighting.difference}", is_refused=True)
+        later = Later(result=f"it is flaky: {sighting.difference}", is_refused=True)
     yield replace(later, notes=tuple(notes))
 
 
@@ -101,7 +101,7 @@ def _compared(before: Finding, sighting: Sighting, runs: int) -> Later:
     """Return the simpler version of a finding with the words for it, or that there is none after so many runs."""
     now, more = sighting.finding, f" ({sighting.unshrunk.partition(': ')[2]})" if sighting.unshrunk else ""
     if not sort_key(now.scenario) < sort_key(before.scenario):
-        return Later(told=f"nothing simpler was found in {plural(runs, 'run')}{more}")
+        return Later(result=f"nothing simpler was found in {plural(runs, 'run')}{more}")
     sizes = [size_of(each.scenario, each.longest_run) for each in (before, now)]
     how = f"from {sizes[0]} to {sizes[1]}" if sizes[0] != sizes[1] else "to a simpler scenario of the same size"
     earlier, shrunk = before.shrunk or Shrunk(rollouts=0), now.shrunk or Shrunk(rollouts=0, is_minimal=False)
@@ -111,4 +111,4 @@ def _compared(before: Finding, sighting: Sighting, runs: int) -> Later:
         original=before.original or before.scenario,
         shrunk=replace(shrunk, rollouts=earlier.rollouts + shrunk.rollouts),
     )
-    return Later(finding=whole, told=f"shrunk {how} in {plural(runs, 'run')}{more}")
+    return Later(finding=whole, result=f"shrunk {how} in {plural(runs, 'run')}{more}")

@@ -281,7 +281,7 @@ class Replays:
             if trace is None:
                 with refusals(), _naming(saved.path):
                     trace = rollout_of(world)(scenario, job.policy.factory)
-            run = _finding(saved).expect.known_of(harness.seen(trace, world))
+            run = _finding(saved).expect.known_of(harness.run_of(trace, world))
             return run, harness.judge(run)
 
     def _is_apart(self, saved: Saved, owner: str) -> bool:
@@ -305,7 +305,7 @@ class Replays:
             space, job = build_space(harness.request, harness.world), harness.job(owner=owner)
             with harness.recording(job) as record, refusals(), runner_for(job, record, isolate=isolate) as runner:
                 for number in range(PROBES):
-                    probe = harness.seen(runner.run(sample(space, np.random.default_rng(number)), afresh=True))
+                    probe = harness.run_of(runner.run(sample(space, np.random.default_rng(number)), afresh=True))
                     first.see(probe, harness.judge(probe))
                     if not first.is_alike:
                         return
@@ -540,7 +540,7 @@ class Replays:
             while runs < (then.runs if failing else max(then.runs, then.clean)):
                 runs += 1
                 scenario = finding.scenario if finding.flaky else with_other_seed(finding.scenario, runs)
-                run = finding.expect.known_of(harness.seen(runner.run(scenario, afresh=True), world))
+                run = finding.expect.known_of(harness.run_of(runner.run(scenario, afresh=True), world))
                 verdict = harness.judge(run)
                 failing += verdict.failed
                 if verdict.failed and shown.facts.shows != "still failing":
@@ -616,7 +616,7 @@ class Replays:
             if reference is not None:
                 stack.enter_context(reference)
             for scenario in islice(drawn, self._number(finding)):
-                run = harness.seen(runner.run(scenario, afresh=True), world)
+                run = harness.run_of(runner.run(scenario, afresh=True), world)
                 verdict = harness.judge(run)
                 failure = verdict.failure
                 if verdict.passes:
@@ -624,7 +624,7 @@ class Replays:
                     continue
                 if failure is None or not (has_time(run, failure) and is_same_failure(finding, run, failure)):
                     continue
-                again = harness.seen(runner.run(scenario, afresh=True), world)
+                again = harness.run_of(runner.run(scenario, afresh=True), world)
                 is_firm = is_same_run(run, again) and harness.judge(again).failed
                 if is_firm and (reference is None or harness.judge_reference(reference, scenario, world).passes):
                     yield run, verdict

@@ -40,7 +40,7 @@ def search(
     """
     began, evaluated_before = state.clock(), plan.sums.evaluated
     reason: EndReason | None = None
-    yield from _seen([plan.started], state, watch)
+    yield from _counted([plan.started], state, watch)
     bench.begin(plan, state.random.most)
     while reason is None and not plan.is_over:
         # Until two runs differ, this process must see each failure, since it may be a fault of the set-up.
@@ -53,7 +53,7 @@ def search(
                 break
             recalled = plan.recalled()
             if recalled is not None:
-                yield from _seen([plan.take(recalled, reused=True)], state, watch)
+                yield from _counted([plan.take(recalled, reused=True)], state, watch)
                 continue
             # Drive the next scenario and judge it. Other processes may have done so, for several scenarios at once.
             taken: Sequence[Event] = []
@@ -70,8 +70,8 @@ def search(
                     yield from done.judged or ()
                     bench.counted_decisions += done.decisions
                     state.take_tally(done)
-                    yield from _taken(done, plan)
-                    yield from watch.seen()
+                    yield from _tallied(done, plan)
+                    yield from watch.after_event()
                 case PendingFailure():
                     store.add_pending(done, {*state.shown, *state.finds})
                     continue
@@ -84,23 +84,23 @@ def search(
                     taken = [plan.take(unknown(plan.scenario()))]
             state.decides_for_many = plan.decides_for_many = state.decides_for_many or bench.runner.decides_for_many
             yield from _released(state, store)
-            yield from _seen(taken, state, watch)
+            yield from _counted(taken, state, watch)
         # The algorithm learns from whole generations. Between two of them a resumable search may store its state.
         if reason is None:
-            yield from _seen(bench.learn(plan), state, watch)
+            yield from _counted(bench.learn(plan), state, watch)
             state.offer(store)
-    yield from _seen(plan.finished(reason or "generations", state.clock() - began), state, watch)
+    yield from _counted(plan.finished(reason or "generations", state.clock() - began), state, watch)
 
 
-def _seen(happened: Iterable[Event], state: State, watch: Watch) -> Iterator[SearchEvent]:
+def _counted(happened: Iterable[Event], state: State, watch: Watch) -> Iterator[SearchEvent]:
     """Yield events of the plan, and count what they say."""
     for event in happened:
         yield event
         state.see(event)
-        yield from watch.seen()
+        yield from watch.after_event()
 
 
-def _taken(tally: Tally, plan: Plan[Any]) -> Sequence[Event]:
+def _tallied(tally: Tally, plan: Plan[Any]) -> Sequence[Event]:
     """Return the events of runs that another process has judged: one for each, or one for all."""
     if tally.judged is not None:
         return [*map(plan.take, tally.unpacked)]
@@ -151,7 +151,7 @@ def save_and_confirm(
         return sighting
     # It is saved before it is confirmed, so that nothing is lost if the session dies in the second run.
     if not verdict.is_timed:
-        yield from watch.confirming(sighting.id)
+        yield from watch.before_rerun(sighting.id)
         try:
             if differs := bench.confirm(run):
                 sighting = store.call_flaky(sighting, differs)

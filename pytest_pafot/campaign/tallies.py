@@ -110,7 +110,7 @@ class Reader:
             run = Run(trace)
             fitness = None if self.fitness is None else self.fitness(run)
             return Facts(trace, run.attribution, interaction_of(trace), unit_doubt(trace), fitness)
-        run = self.harness.seen(trace)
+        run = self.harness.run_of(trace)
         verdict, signature, manner = self.harness.judge(run), None, None
         if verdict.failed and verdict.failure is not None:
             signature, manner = failed_as(run, verdict.failure)

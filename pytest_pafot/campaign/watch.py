@@ -65,11 +65,11 @@ class Watch:
         """Return the time after which a run ends between two decisions [s]."""
         return math.inf
 
-    def seen(self) -> Iterator[SearchEvent]:
+    def after_event(self) -> Iterator[SearchEvent]:
         """Yield a report of the progress if one is due after an event of the plan."""
         yield from ()
 
-    def confirming(self, find_id: str) -> Iterator[SearchEvent]:
+    def before_rerun(self, find_id: str) -> Iterator[SearchEvent]:
         """Yield a report of the progress if one is due before a finding is run again."""
         yield from ()
 
@@ -141,14 +141,14 @@ class TimedWatch(Watch):
         seconds = (firm * to_simplify + to_compare or RUNS_TO_CONFIRM) * run_seconds
         return max(self.earliest_end, self.limit.end - seconds)
 
-    def seen(self) -> Iterator[SearchEvent]:
+    def after_event(self) -> Iterator[SearchEvent]:
         """Yield a report of the progress if one is due after an event of the plan."""
         self.last = self.state.clock()
         if self._since is None and self.state.runs > self._runs_before:
             self._since = self.last - self.bench.confirm_seconds, self.state.runs
         return self.progress()
 
-    def confirming(self, find_id: str) -> Iterator[SearchEvent]:
+    def before_rerun(self, find_id: str) -> Iterator[SearchEvent]:
         """Yield a report of the progress if one is due before a finding is run again."""
         return self.progress(f"found {find_id}, running it again")
 

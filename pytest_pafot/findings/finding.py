@@ -238,8 +238,8 @@ class Expect:
             text = "...\n" + text[-MAX_TRACEBACK:].split("\n", 1)[-1]
         bounded, check = None, failure.check
         if check is not None:
-            bounds = {name: _told(bound, 6) for name, bound in check.bounds.items()}
-            bounded = Bounded(value=_told(check.value, 3), unit=check.unit, **bounds)
+            bounds = {name: _rounded(bound, 6) for name, bound in check.bounds.items()}
+            bounded = Bounded(value=_rounded(check.value, 3), unit=check.unit, **bounds)
         return cls(
             failure=failure.kind,
             assertion=failure.assertion if failure.check else normalised(failure.assertion, failure.message),
@@ -251,7 +251,7 @@ class Expect:
             cell=event.cell,
             zone=event.zone,
             side=None if hit is None else hit.side,
-            closing_speed=None if hit is None else _told(hit.closing_speed, 3),
+            closing_speed=None if hit is None else _rounded(hit.closing_speed, 3),
             ego_mean_speed=mean_speed(trace, event.time),
             situation=situation_of(run, failure, event.time),
             responsibility=run.attribution.responsibility,
@@ -489,7 +489,7 @@ def pace(expect: Expect, trace: Trace) -> float:
     return 1.0 if then is None or now is None or then < 1.0 else min(max(now / then, SLOWEST), FASTEST)
 
 
-def _told(value: float | None, digits: int) -> float | None:
+def _rounded(value: float | None, digits: int) -> float | None:
     """Round a number for a file: to ``digits`` decimals, or below 1 to ``digits`` significant digits."""
     if value is None or not abs(value) <= MAX_NUMBER:
         return None

@@ -78,7 +78,7 @@ def with_moment(sighting: Sighting, state: State, bench: Bench, store: Store) ->
     if run is None or not harness.policy.only_observes or not codec.is_built_in(harness.world):
         return sighting
     moment = None if harness.against is None else _first_difference(run.trace, state, bench)
-    ask = partial(_asked, sighting, run.trace, state, bench)
+    ask = partial(_decided_aside, sighting, run.trace, state, bench)
     answers, moment = yield from _on_vehicles(sighting, run, moment, harness.policy.sight, ask)
     return replace(sighting, answers=answers, moment=moment)
 
@@ -93,7 +93,7 @@ def with_conditions(sighting: Sighting, state: State, bench: Bench, store: Store
     times = [round(tick / trace.physics_hz, 3) for tick in trace.decision_ticks]
     number = times.index(moment.time)
     question = Question(number=number, conditions=conditions)
-    aside = yield from _asked(sighting, trace, state, bench, None, question)
+    aside = yield from _decided_aside(sighting, trace, state, bench, None, question)
     if aside is None or any(differ(each, aside.of(at)) for at, each in enumerate(trace.actions[: number + 1])):
         return sighting
     moment = replace(moment, conditions=tuple(aside.conditions))
@@ -165,7 +165,7 @@ def _first_difference(trace: Trace, state: State, bench: Bench) -> Moment | None
     return None
 
 
-def _asked(
+def _decided_aside(
     sighting: Sighting, trace: Trace, state: State, bench: Bench, npc: int | None, question: Question | None
 ) -> Refining[Aside | None]:
     """Drive a finding by its recorded actions, and return what a policy decides beside the run: see :data:`Ask`."""

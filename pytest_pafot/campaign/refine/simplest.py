@@ -269,7 +269,7 @@ def _likely(
             trace = rollout(candidate, repeating(did[-1]), decisions=did)
         except ScenarioError:
             return False
-        return trace.collision is not None and is_same(of_failure(harness.seen(trace), failure), found)
+        return trace.collision is not None and is_same(of_failure(harness.run_of(trace), failure), found)
 
     return likely
 
