@@ -4,20 +4,19 @@ from __future__ import annotations
 
 import math
 import time
-from collections import deque
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence, Set
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from itertools import chain
 from typing import Any
 
 from pytest_pafot.campaign.harness import Harness, is_same_run, refusals
-from pytest_pafot.campaign.tallies import BlockDriver, Recovered, Tally, facts_of
-from pytest_pafot.campaign.verdict import Verdict, evaluated, skips
+from pytest_pafot.campaign.tallies import BlockDriver, Tally, facts_of
+from pytest_pafot.campaign.verdict import Verdict, evaluated
 from pytest_pafot.execution.crash_records import CrashRecord, Leftover
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.execution.runner import Runner, replay_in_gym_apart
-from pytest_pafot.execution.scenario_pool import BlockTask, LostRun, trace_of
+from pytest_pafot.execution.scenario_pool import trace_of
 from pytest_pafot.findings.finding import disagreement, failed_as, message_of
 from pytest_pafot.findings.sighting import NOT_REPEATED
 from pytest_pafot.findings.signature import Signature
@@ -25,30 +24,11 @@ from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Trace
 from pytest_pafot.oracle.run import Facts, Run
 from pytest_pafot.searching.evaluation import Evaluation
-from pytest_pafot.searching.events import AlgorithmEvent
-from pytest_pafot.searching.fitness import FitnessError
-from pytest_pafot.searching.plan import Block, Learnt, Plan
 from pytest_pafot.support.errors import OutOfTime
 from pytest_pafot.world.base_world import BaseWorld
 from pytest_pafot.world.guard.chance import GENERATORS
 from pytest_pafot.world.guard.failure import UNFIT, let_through
 from pytest_pafot.world.guard.hang_guard import runs_end_in
-
-
-@dataclass(frozen=True, slots=True)
-class PendingFailure:
-    """A failure in a block that is not counted yet, of some generation from 0: a run with its verdict, or a death."""
-
-    of: tuple[Run, Verdict] | LostRun
-    generation: int
-
-
-DRIVEN_SECONDS, FED_SECONDS = 0.06, 0.004
-"""The mean time of a run below which processes drive whole blocks [s]: in any case, so that a block takes some seconds,
-and for each process, since the session needs about half of that to hand over one scenario and to take its run."""
-
-AHEAD_ELSEWHERE = 128
-"""The number of scenarios of later blocks that the workers of an executor get, since their own number is unknown."""
 
 PURE_SHARE = 1 / 10
 """The share of the decisions that a pure ADS need not make from which on no further run is made to check that it is."""
@@ -74,16 +54,8 @@ class Bench:
     confirm_decisions: int = 0  # the number of decisions of the ADS that confirmed findings
     confirm_seconds: float = 0.0  # the time that this took [s]
     pace: float = 0.0  # the longest time to confirm one second of a run so far [s]
-    # what the processes say that drive blocks, as far as it is not counted, by the number of the block
-    _driven: dict[int, deque[Any]] = field(default_factory=dict)
-    # failures of later blocks that are new to this process
-    _failed: deque[PendingFailure] = field(default_factory=deque)
-    _later: dict[int, Block[Any]] = field(default_factory=dict)  # later blocks as far as other processes have run them
     # runs that this process has judged and not counted yet, with their verdicts
     _judged_ahead: dict[Scenario, tuple[Run, Verdict]] = field(default_factory=dict)
-    _suspect: ProcessLostError[Any] | None = None  # a death in a block, as long as no scenario is known to be the cause
-    _has_died: bool = False  # True if a process has died while it drove a block
-    _last: int = 0  # number of the first block that they leave to the session
 
     @property
     def decisions(self) -> int:
@@ -112,192 +84,38 @@ class Bench:
                 return trace.scenario.id, self.runner.mark
         return None
 
-    def begin(self, plan: Plan[Any], random_runs: float) -> None:
-        """Prepare for the blocks of a plan; ``random_runs`` is as in :class:`.BlockDriver`."""
-        if self.driver is not None and plan.length is not None:
-            self.driver.plan, self.driver.random_runs = plan, random_runs
-            self.runner.processes.end()  # processes that were started before do not know the plan
+    def make(self, scenario: Scenario) -> Run | Tally:
+        """Return the run of the next scenario of a plan, or its tally if another process has made and judged it.
 
-    def give_blocks(self, plan: Plan[Any], fatal: Set[Scenario], known: Iterable[Collection[Signature]]) -> None:
-        """Let other processes drive the next blocks by themselves, if runs are short.
-
-        Whoever drives a block, it is the same. ``fatal`` are scenarios that nobody must run, ``known`` the failures of
-        which no further run must be sent.
-        """
-        processes, settings = self.runner.processes, self.harness.request.settings
-        if plan.length is None or plan.block.index:
-            return
-        # This process goes on with a block that it has begun, unless others make the runs, which it would have to miss.
-        is_inside = plan.generation % plan.length > 0
-        first, workers = plan.number + is_inside, settings.workers
-        if (is_inside and (processes.in_use or settings.isolate)) or not self._drives_blocks(plan, first):
-            return
-        failures = frozenset[Signature]().union(*known)
-        if not self._driven:  # Each process gets as many blocks, and the scenarios of what is left are shared.
-            self._last = plan.whole_blocks - (plan.whole_blocks - first) % workers
-        for number in range(first, min(first + 2 * workers, self._last)):
-            if number not in self._driven:
-                task = BlockTask(number, failures, frozenset(fatal), is_apart=bool(fatal or self._has_died))
-                if not processes.drive(task):
-                    return
-                self._driven[number] = deque()
-
-    def _drives_blocks(self, plan: Plan[Any], first: int) -> bool:
-        """Return whether other processes drive blocks from the block number ``first`` on."""
-        workers, is_apart = self.harness.request.settings.workers, self.harness.request.settings.isolate
-        if self.driver is None or plan.length is None or self.runner.decides_for_many or not (workers > 1 or is_apart):
-            return False
-        # Long runs are shared better one by one.
-        is_fast = 0 < self.runner.processes.run_seconds < max(DRIVEN_SECONDS, FED_SECONDS * workers)
-        is_worth_it = bool(self._driven) or plan.whole_blocks - first >= 2 * workers
-        return is_fast and is_worth_it
-
-    def next(self, plan: Plan[Any], fatal: Set[Scenario]) -> Run | Tally | LostRun | PendingFailure | None:
-        """Return what became of the next scenario of a plan, or of the next ones.
-
-        That is the run, which must be judged next; the tally of runs that another process has made and judged; or how
-        a process died or hung. It is None for a scenario of ``fatal``, which is not run. Or a scenario of a later block
-        has failed meanwhile, which will be returned again in its turn.
+        A run may have been made, and judged by :meth:`judge_ahead`, before. The caller must call :meth:`finish` next.
 
         Raises:
-            OutOfTime: if the time of the search is over before; the scenario then counts nowhere.
-            RequestError: as for :meth:`run`.
+            ProcessLostError, RequestError, OutOfTime: as for :meth:`run`.
         """
         __tracebackhide__ = True
-        said = self._said(plan, stops=True)
-        if self._failed:
-            return self._failed.popleft()
-        if isinstance(said, (Tally, ProcessLostError)):
-            return said
-        if isinstance(said, Facts):
-            scenario = said.trace.scenario
-        else:
-            ahead = plan.ahead()
-            # While all processes drive blocks, this one makes its runs itself, unless they may end it.
-            is_safe = not (self._has_died or self.harness.request.settings.isolate)
-            if ahead is not None and not (self._driven and is_safe):
-                self.runner.announce((each for each in ahead if each not in fatal), more=plan.length is not None)
-            self._foresee(plan, fatal)
-            scenario = plan.scenario()
-        if scenario in fatal:
-            return None
-        try:
-            with self._recorded(), refusals():
-                made: Any = self.runner.made(scenario)
-        except ProcessLostError as error:
-            self._suspect = None
-            return error
+        with self._recorded(), refusals():
+            made: Any = self.runner.made(scenario)
         if isinstance(made, Tally):
             return made
         run = self.harness.run_of(made)
         judged, _ = self._judged_ahead.get(scenario, (run, None))
         return judged if judged.trace is run.trace else run
 
-    def learn(self, plan: Plan[Any]) -> Sequence[AlgorithmEvent]:
-        """Let the algorithm learn from a whole generation, if the process that drives its block has not done so."""
-        number, learnt = plan.number, self._said(plan)
-        plan.block.learnt = learnt if isinstance(learnt, Learnt) else None
-        events = plan.learn()
-        if plan.number != number:
-            self._driven.pop(number, None)
-            if self._suspect is not None:
-                self.runner.processes.recovered.append(self._suspect)
-                self._suspect = None
-        return events
+    def judge_ahead(self, made: Trace | Facts) -> tuple[Run, Verdict] | None:
+        """Judge a run before its turn, so that :meth:`finish` need not; return it with its verdict.
 
-    def _said(self, plan: Plan[Any], *, stops: bool = False) -> Tally | Facts | LostRun | Learnt | None:
-        """Return what the process says next that drives the block of a plan; None if the session must go on.
-
-        With ``stops``, return None as well as soon as something has failed in a later block.
+        Return None if a run of its scenario was judged before.
         """
-        processes, said = self.runner.processes, self._driven.get(plan.number)
-        while heard := processes.hear(waits=said is not None and not said and not (stops and self._failed)):
-            task, what = heard
-            self._has_died |= isinstance(what, ProcessLostError)
-            if isinstance(what, tuple) and isinstance(what[0], Recovered):
-                processes.recovered.append(what[0].lost)
-            elif (driven := self._driven.get(task.number)) is not None:
-                driven.append(what)
-                if driven is not said and isinstance(what, tuple):
-                    self._look_at(what[0], plan, task.number)
-        if said is None or (stops and self._failed):
-            return None
-        what = said.popleft() if said else None
-        if isinstance(what, tuple):
-            made: Tally | Facts | LostRun | Learnt = what[0]
-            processes.count(made.runs if isinstance(made, Tally) else isinstance(made, Facts), what[2])
-            if isinstance(made, Facts):
-                processes.ready[made.trace.scenario] = what
-            else:
-                what[1].repeat()
-            return made
-        if isinstance(what, ProcessLostError):
-            self._suspect = what
-        del self._driven[plan.number]
-        return None
-
-    def _look_at(self, made: object, plan: Plan[Any], number: int) -> None:
-        """Judge a run of a later block that has failed, so that it is saved before its turn."""
-        if not isinstance(made, (Facts, ProcessLostError)):
-            return
-        learnt = sum(isinstance(each, tuple) and isinstance(each[0], Learnt) for each in self._driven[number])
-        generation = number * (plan.length or 0) + learnt
-        if isinstance(made, Facts):
-            self._judge_ahead(made, generation)
-        else:
-            self._failed.append(PendingFailure(made, generation))
-
-    def _judge_ahead(self, made: Trace | Facts, generation: int) -> None:
         scenario = trace_of(made).scenario
-        if scenario not in self._judged_ahead:
-            self.record.write(scenario)
-            run = self.harness.run_of(made)
-            verdict = self.finish(run)
-            self._judged_ahead[scenario] = run, verdict
-            if verdict.failed:
-                self._failed.append(PendingFailure((run, verdict), generation))
+        if scenario in self._judged_ahead:
+            return None
+        self.record.write(scenario)
+        run = self.harness.run_of(made)
+        self._judged_ahead[scenario] = run, self.finish(run)
+        return self._judged_ahead[scenario]
 
-    def _foresee(self, plan: Plan[Any], fatal: Set[Scenario]) -> None:
-        """Let other processes run scenarios of the next blocks, while the last runs of a generation are waited for."""
-        processes, workers = self.runner.processes, self.harness.request.settings.workers
-        if (
-            plan.length is None
-            or self._driven
-            or self._drives_blocks(plan, plan.number + 1)
-            or self.runner.decides_for_many
-        ):
-            return
-        scenarios = AHEAD_ELSEWHERE if processes.is_elsewhere else 2 * workers if processes.in_use > 1 else 0
-        blocks = -(-scenarios // plan.algorithm(1).population)
-        unfit: tuple[type[BaseException], ...] = (FitnessError, *skips())
-        self._later = {number: block for number, block in self._later.items() if number > plan.number}
-        for number in range(plan.number + 1, plan.number + 1 + blocks):
-            block = self._later.get(number)
-            if block is None:
-                block = self._later[number] = plan.beginning(number)
-                processes.announce_later(each for each in plan.within(block) if each not in fatal)
-            while block.generation // plan.length == number:
-                runs = processes.arrived(block.drawn)
-                try:
-                    for each in runs:
-                        if not isinstance(each, Tally):
-                            self._judge_ahead(each, block.generation)
-                    if len(runs) < len(block.drawn):
-                        break
-                    evaluations = [
-                        each.unpacked[0] if isinstance(each, Tally) else self._evaluated_ahead(scenario)
-                        for scenario, each in zip(block.drawn, runs, strict=True)
-                    ]
-                except unfit:  # raised again as soon as the search comes to this run
-                    return
-                for each in evaluations:
-                    block.take(each)
-                block.learn()
-                if block.generation // plan.length == number:
-                    processes.announce_later(each for each in plan.within(block) if each not in fatal)
-
-    def _evaluated_ahead(self, scenario: Scenario) -> Evaluation:
-        """Return what the algorithm sees of a run that is not requested yet."""
+    def evaluate_ahead(self, scenario: Scenario) -> Evaluation:
+        """Return what the algorithm sees of a run that was judged before its turn."""
         (run, verdict), signature = self._judged_ahead[scenario], None
         if verdict.failed and verdict.failure is not None:
             signature, _ = failed_as(run, verdict.failure)

@@ -10,7 +10,8 @@ from collections.abc import Generator, Iterable, Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
-from pytest_pafot.campaign.bench import Bench, PendingFailure
+from pytest_pafot.campaign.bench import Bench
+from pytest_pafot.campaign.blocks import Blocks, PendingFailure
 from pytest_pafot.campaign.events import Judged, SearchEvent
 from pytest_pafot.campaign.setup_fault import unit_doubt
 from pytest_pafot.campaign.state import State, lose
@@ -28,9 +29,7 @@ from pytest_pafot.support.errors import OutOfTime
 from pytest_pafot.world.guard.hang_guard import runs_end_in
 
 
-def search(
-    plan: Plan[Any], state: State, bench: Bench, store: Store, watch: Watch
-) -> Generator[SearchEvent, None, None]:
+def search(blocks: Blocks, state: State, store: Store, watch: Watch) -> Generator[SearchEvent, None, None]:
     """Draw scenarios, drive and judge them, let the algorithm learn, and save each new failure; yield what happens.
 
     Raises:
@@ -38,14 +37,15 @@ def search(
         CheckpointError: if the plan goes on from a checkpoint of another search.
         RequestError: for a world, factory, test function or scenario that does not fit.
     """
+    plan, bench = blocks.plan, blocks.bench
     began, evaluated_before = state.clock(), plan.sums.evaluated
     reason: EndReason | None = None
     yield from _counted([plan.started], state, watch)
-    bench.begin(plan, state.random.most)
+    blocks.begin(state.random.most)
     while reason is None and not plan.is_over:
         # Until two runs differ, this process must see each failure, since it may be a fault of the set-up.
         if not state.first_generation.is_alike:
-            bench.give_blocks(plan, state.fatal, (state.shown, state.finds))
+            blocks.give(state.fatal, (state.shown, state.finds))
         while not plan.is_whole:
             # Limits count after the first scenario, so that a search tests something.
             reason = None if plan.sums.evaluated == evaluated_before else watch.reached(plan)
@@ -59,7 +59,7 @@ def search(
             taken: Sequence[Event] = []
             try:
                 with runs_end_in(watch.seconds_left()):
-                    done = bench.next(plan, state.fatal)
+                    done = blocks.next(state.fatal)
                     if isinstance(done, Run):
                         taken = [plan.take((yield from _judge_and_count(done, state, bench, store, watch)))]
             except OutOfTime:
@@ -87,7 +87,7 @@ def search(
             yield from _counted(taken, state, watch)
         # The algorithm learns from whole generations. Between two of them a resumable search may store its state.
         if reason is None:
-            yield from _counted(bench.learn(plan), state, watch)
+            yield from _counted(blocks.learn(), state, watch)
             state.offer(store)
     yield from _counted(plan.finished(reason or "generations", state.clock() - began), state, watch)
 

@@ -19,6 +19,7 @@ import numpy as np
 
 from pytest_pafot.campaign.beginnings import begun_with
 from pytest_pafot.campaign.bench import Bench, left_out_text
+from pytest_pafot.campaign.blocks import Blocks
 from pytest_pafot.campaign.events import (
     ALL_RUN,
     DONE,
@@ -153,7 +154,7 @@ class Prepared:
     ) -> Generator[SearchEvent, None, None]:
         """Search with an algorithm, without limits of time, until ``stop()`` says so between two scenarios."""
         plan = plan_of(algorithm, generations=generations, seed=seed)
-        return search(plan, self.state, self.bench, self.store, Watch(stop))
+        return search(Blocks(plan=plan, bench=self.bench), self.state, self.store, Watch(stop))
 
     def watch(
         self, node_id: str, limit: TimeLimit, *, progress_seconds: float, stops_at_first: bool = False
@@ -506,7 +507,8 @@ class SearchSession:
             )
             if resumed is None:
                 state.offer(self.store)
-            yield from self._events(search(plan, state, self.bench, self.store, watch))
+            blocks = Blocks(plan=plan, bench=self.bench)
+            yield from self._events(search(blocks, state, self.store, watch))
         except CheckpointError as error:
             raise RequestError(str(error)) if state.file is None else state.file.refused(error) from None
         except FitnessError as error:

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from pytest_pafot.campaign.bench import PendingFailure
+from pytest_pafot.campaign.blocks import PendingFailure
 from pytest_pafot.campaign.harness import Harness
 from pytest_pafot.campaign.verdict import PlainFailure, Verdict, headline
 from pytest_pafot.corpus.layout import SUFFIX, files_in, relative

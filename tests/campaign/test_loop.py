@@ -21,7 +21,7 @@ from pytest_pafot.model.trace import Lane, Outcome, Trace
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.searching import SearchSpace, sample
 from pytest_pafot.searching.algorithms.random_search import RandomSearch
-from pytest_pafot.searching.plan import plan_of
+from pytest_pafot.searching.plan import Plan, plan_of
 from pytest_pafot.support.errors import OutOfTime
 from tests.helpers.tables import table
 
@@ -85,30 +85,39 @@ class Bench:
     numbers: Iterator[int] = field(default_factory=count)
     has_reference: bool = False
 
-    def begin(self, plan, random_runs):
-        """Do nothing, because there are no other processes."""
-
-    def give_blocks(self, plan, fatal, known):
-        """Do nothing, because there are no other processes."""
-
-    def next(self, plan, fatal):
-        try:
-            return None if plan.scenario() in fatal else self.simulate(plan.scenario())
-        except ProcessLostError as error:
-            return error
-
     def finish(self, run):
         return self.verdicts(next(self.numbers))
 
     def evaluation(self, run, verdict, signature):
         return evaluated(run, verdict, signature, lambda run: 0.0, is_steered_by_checks=True)
 
-    def learn(self, plan):
-        return plan.learn()
-
     def is_common(self, scenario):
         """Return whether a scenario fails the reference: every second one does if a process dies."""
         return self.has_reference and next(self.numbers) % 2 == 1
+
+
+@dataclass
+class Blocks:
+    """Have each scenario run on the bench, because there are no other processes."""
+
+    plan: Plan
+    bench: Bench
+
+    def begin(self, random_runs):
+        """Do nothing."""
+
+    def give(self, fatal, known):
+        """Do nothing."""
+
+    def next(self, fatal):
+        scenario = self.plan.scenario()
+        try:
+            return None if scenario in fatal else self.bench.simulate(scenario)
+        except ProcessLostError as error:
+            return error
+
+    def learn(self):
+        return self.plan.learn()
 
 
 def searched(
@@ -126,7 +135,8 @@ def searched(
     state, store = State(fatal=set(fatal)), Store()
     state.shown = dict(shown)
     plan = plan_of(RandomSearch(SPACE, population=population), generations=generations, seed=1)
-    for _ in search(plan, state, Bench(verdicts, run, has_reference=has_reference), store, watch or Watch()):
+    blocks = Blocks(plan, Bench(verdicts, run, has_reference=has_reference))
+    for _ in search(blocks, state, store, watch or Watch()):
         pass
     return state, store.finds
 
