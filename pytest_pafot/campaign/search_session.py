@@ -21,8 +21,7 @@ from pytest_pafot.campaign.beginnings import begun_with
 from pytest_pafot.campaign.bench import Bench, left_out_text
 from pytest_pafot.campaign.blocks import Blocks
 from pytest_pafot.campaign.events import (
-    ALL_RUN,
-    DONE,
+    Ending,
     Note,
     Phase,
     SearchEvent,
@@ -52,6 +51,7 @@ from pytest_pafot.findings.finding import Manner, of_failure
 from pytest_pafot.findings.sighting import Sighting
 from pytest_pafot.model.sight import Sight
 from pytest_pafot.searching.ask_tell import Algorithm, ResumableSearch
+from pytest_pafot.searching.events import EndReason
 from pytest_pafot.searching.fitness import FitnessError, Steered, is_built_in, resolve
 from pytest_pafot.searching.plan import Checkpoint, CheckpointError, plan_of
 from pytest_pafot.searching.space import SearchSpace, sample
@@ -297,9 +297,9 @@ class SearchSession:
         return self.bench.harness
 
     @property
-    def _ends_with_warnings(self) -> tuple[str, ...]:
+    def _ends_with_warnings(self) -> tuple[Ending, ...]:
         """The reasons for an end that leave enough runs to warn of their health."""
-        return DONE, ALL_RUN, self.limit.flag
+        return Ending.GENERATIONS, Ending.RUNS, self.limit.flag
 
     def _events(self, happened: Iterable[SearchEvent | Phase | Note]) -> Iterator[SearchEvent]:
         """Yield the events among what happens.
@@ -341,7 +341,7 @@ class SearchSession:
         for leftover in left:
             retried.append((yield from self._retried(leftover, left)))
         self.process_notes += [note for each in retried for note in each.notes]
-        reason, fault, is_closed = "interrupted", None, False
+        reason, fault, is_closed = Ending.INTERRUPTED, None, False
         try:
             with bench.runner:
                 reason = yield from self._searched(saved_in(harness.folder), began)
@@ -362,12 +362,12 @@ class SearchSession:
                 yield from self._events(self._worse.compare(state.space))
             yield from self._refine(reason)
         except SetupFaultError as error:
-            reason, fault = "error", error
+            reason, fault = Ending.ERROR, error
             yield from self._events(store.withdraw())
             state.forget_findings()
         except BaseException as error:
             is_closed = isinstance(error, GeneratorExit)
-            reason = "interrupted" if is_closed or is_interruption(error) else "error"
+            reason = Ending.INTERRUPTED if is_closed or is_interruption(error) else Ending.ERROR
             raise
         finally:
             with postponed():
@@ -396,14 +396,14 @@ class SearchSession:
             is_vacuous=state.health.vacuous or bool(state.broken),
         )
 
-    def _settle(self, reason: str) -> None:
+    def _settle(self, reason: Ending) -> None:
         """Take the failures of blocks that were not counted as findings, or forget them if the order says so."""
-        is_cut = reason in ("interrupted", "error", self.limit.flag)
+        is_cut = reason.is_broken_off or reason is self.limit.flag
         for signature, find_id in self.store.settle(self.state.runs + 1, keeps=is_cut):
             self.state.add(signature, find_id)
             self.state.verdicts["failed"] += 1
 
-    def _refine(self, reason: str) -> Iterator[SearchEvent]:
+    def _refine(self, reason: Ending) -> Iterator[SearchEvent]:
         """Shrink the findings, and look at their neighbours and at decisions."""
         __tracebackhide__ = True
         state = self.state
@@ -457,7 +457,7 @@ class SearchSession:
             yield from self._events(self.store.publish(each))
         return again
 
-    def _searched(self, saved: Sequence[Saved], began: float) -> Generator[SearchEvent, None, str]:
+    def _searched(self, saved: Sequence[Saved], began: float) -> Generator[SearchEvent, None, Ending]:
         """Replay the saved scenarios and search; return why it ended. ``began`` is when the search began [s].
 
         Raises:
@@ -466,7 +466,7 @@ class SearchSession:
         __tracebackhide__ = True
         state, space, watch, clock = self.state, self.state.space, self.watch, self.state.clock
         if space is None:
-            return "replay only"
+            return Ending.REPLAYS
         request, settings = self.harness.request, self.harness.request.settings
         # The algorithm twice: a policy that decides for many runs at once gets a larger population, but only its first
         # generation shows whether it does.
@@ -515,7 +515,6 @@ class SearchSession:
             raise RequestError(str(error)) from None
         except skips() as error:
             raise RequestError(no_skip("the fitness", error)) from None
-        reasons = {"generations": DONE, "runs": ALL_RUN, "time": self.limit.flag, "stopped": "enough findings"}
         lost, runs = clock() - watch.last, state.runs - runs_before
         is_cut = state.finished is not None and state.finished.reason == "time"
         if is_cut and lost > max(1.0, SLOW_RUNS * (watch.last - watch.began) / (runs + 1)):
@@ -523,7 +522,18 @@ class SearchSession:
                 f"{self.limit.flag} cut a run after {lost:.1f} s, with {plural(runs, 'run')} before it: if a decision "
                 "hangs, a longer limit or a shorter hang_limit of the world shows it"
             )
-        return "interrupted" if state.finished is None else reasons[state.finished.reason]
+        return Ending.INTERRUPTED if state.finished is None else self._ending_of(state.finished.reason)
+
+    def _ending_of(self, reason: EndReason) -> Ending:
+        match reason:
+            case "generations":
+                return Ending.GENERATIONS
+            case "runs":
+                return Ending.RUNS
+            case "time":
+                return self.limit.flag
+            case "stopped":
+                return Ending.FINDINGS
 
     def _resumed(
         self, algorithm: Algorithm[Any], space: SearchSpace, saved: Sequence[Saved]
@@ -614,10 +624,10 @@ class SearchSession:
                 state.add(find.signature, find_id)
                 state.answers[find_id] = list(find.answers)
 
-    def _summary(self, reason: str) -> SearchSummary:
+    def _summary(self, reason: Ending) -> SearchSummary:
         settings, state, health = self.harness.request.settings, self.state, self.state.health
         budget, generations = state.budget(settings)
-        is_cut = reason == self.limit.flag and self.state.file is None
+        is_cut = reason is self.limit.flag and self.state.file is None
         cut = [f"cut by {reason}: the same seed may find other scenarios next time"] * is_cut
         notes = (
             state.doubt,
@@ -632,7 +642,7 @@ class SearchSession:
         random, crossings = state.random, None if state.space is None else state.space.crossings
         ways = [] if crossings is None else [zone.way for zone in crossings.zones]
         # An error says nothing about the ego, and a rate of random scenarios that end at the first failure is too high.
-        is_cut_short = reason == "error" or (reason == "enough findings" and not random.is_whole)
+        is_cut_short = reason is Ending.ERROR or (reason is Ending.FINDINGS and not random.is_whole)
         return SearchSummary(
             node_id=self.watch.node_id,
             algorithm=self.harness.request.algorithm.name,
@@ -764,11 +774,11 @@ class SearchSession:
         without = ", and acts= has no effect" if "acts" in self.harness.request.space else ""
         return f"{which}, so the search says nothing about such traffic{without}"
 
-    def _left_undone(self, reason: str) -> Iterator[str]:
+    def _left_undone(self, reason: Ending) -> Iterator[str]:
         """Yield notes on what the search left undone, and how to continue."""
         request, store = self.harness.request, self.store
         settings = request.settings
-        is_broken_off = reason in ("interrupted", "error")
+        is_broken_off = reason.is_broken_off
         firm = [each for each in store.findings.values() if each.is_firm]
         left = [each for each in firm if (each.finding.shrunk is None if is_broken_off else each.unshrunk)]
         if left and settings.shrink_rollouts != 0:
@@ -785,7 +795,7 @@ class SearchSession:
             elif self.state.file is None:
                 yield f"ended before {what} shrunk: {shrink if by_command else again}"
         is_default = settings.profile == LOCAL and settings.runs == PROFILES[LOCAL]["runs"]
-        if is_default and reason == ALL_RUN and not self.state.verdicts["failed"] and not store.count:
+        if is_default and reason is Ending.RUNS and not self.state.verdicts["failed"] and not store.count:
             longer = request.option("runs", PROFILES[FULL]["runs"])
             yield f"{settings.runs} runs are a short search; use {longer} for a longer one"
 

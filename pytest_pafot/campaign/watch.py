@@ -8,14 +8,13 @@ from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 from pytest_pafot.campaign.bench import Bench
-from pytest_pafot.campaign.events import Progress, SearchEvent
+from pytest_pafot.campaign.events import Ending, Progress, SearchEvent
 from pytest_pafot.campaign.options import Settings
 from pytest_pafot.campaign.refine.simplest import rollouts_for
 from pytest_pafot.campaign.state import State
 from pytest_pafot.campaign.store import Store
 from pytest_pafot.searching.events import EndReason
 from pytest_pafot.searching.plan import Plan
-from pytest_pafot.support.errors import flag
 
 RUNS_TO_CONFIRM = 4
 """The time to find and confirm a failure, as a number of runs.
@@ -31,7 +30,7 @@ is over by then [s]. So a search of a fast policy tests something although other
 class TimeLimit(NamedTuple):
     """The time limit of a search, including shrinking: the option's flag, and the time of the end [s] or infinity."""
 
-    flag: str
+    flag: Ending
     end: float
 
 
@@ -44,11 +43,11 @@ def time_limit(settings: Settings, *, now: float, began: float, left: int) -> Ti
         began: the time at which the session began [s].
         left: the number of searches, including this search, that share the remaining time of the session equally.
     """
-    own = TimeLimit(flag("max_time"), now + (math.inf if settings.max_time is None else settings.max_time))
+    own = TimeLimit(Ending.MAX_TIME, now + (math.inf if settings.max_time is None else settings.max_time))
     if settings.total_time is None:
         return own
     share = max(0.0, began + settings.total_time - now) / left
-    return min(own, TimeLimit(flag("total_time"), now + share), key=lambda limit: limit.end)
+    return min(own, TimeLimit(Ending.TOTAL_TIME, now + share), key=lambda limit: limit.end)
 
 
 @dataclass(slots=True)

@@ -70,6 +70,7 @@ class Pages:
 
     def _take(self, node_id: str, message: Message) -> None:
         """Store what a finding or a search sends for the page."""
+        from pytest_pafot.campaign.events import Ending  # noqa: PLC0415
         from pytest_pafot.report.page import Draft  # noqa: PLC0415
         from pytest_pafot.report.page_data import RunView  # noqa: PLC0415
 
@@ -79,7 +80,7 @@ class Pages:
             self._shown |= {finding.node_id, node_id}  # the search that found it fails because of it, too
             if self._config.getoption("htmlpath", None):  # pytest-html writes a report
                 self._rows[finding.node_id] = finding
-        if message.kind == "search" and self._record.searches[node_id].reason == "error":
+        if message.kind == "search" and self._record.searches[node_id].reason is Ending.ERROR:
             self._shown.discard(node_id)
         target = data["target"]
         if target is not None:
@@ -90,6 +91,7 @@ class Pages:
                 draft.take(finding)
 
     def _write(self, path: Path, draft: Draft, *, is_interrupted: bool) -> tuple[str, str]:
+        from pytest_pafot.campaign.events import Ending  # noqa: PLC0415
         from pytest_pafot.report.page import write_report  # noqa: PLC0415
 
         errors = tuple(
@@ -108,7 +110,7 @@ class Pages:
             searches=[
                 each
                 for each in self._record.searches.values()
-                if self._targets.get(each.node_id) == path and each.reason != "replay only"
+                if self._targets.get(each.node_id) == path and each.reason is not Ending.REPLAYS
             ],
             replays=[each for each in self._record.replays if self._targets.get(each.node_id) == path],
             requirements=self._requirements(draft),

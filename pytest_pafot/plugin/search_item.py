@@ -19,6 +19,7 @@ import numpy as np
 import pytest
 
 from pytest_pafot.campaign.events import (
+    Ending,
     Listener,
     Progress,
     SearchEvent,
@@ -323,7 +324,7 @@ def run_search(item: pytest.Function, request: Request) -> None:
     alike = [f"{plural(summary.known[id_], 'run')} like {id_}" for id_ in late if id_ in summary.known]
     if alike:
         _fail(item, "failures that were saved after this session collected its tests; run it again", alike)
-    if summary.reason == "replay only":
+    if summary.reason is Ending.REPLAYS:
         return
     if result.skip is not None:
         raise result.skip

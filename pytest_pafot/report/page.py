@@ -22,7 +22,7 @@ from string import Template
 from typing import Any
 from urllib.parse import quote
 
-from pytest_pafot.campaign.events import ALL_RUN, DONE, SearchSummary
+from pytest_pafot.campaign.events import Ending, SearchSummary
 from pytest_pafot.campaign.options import is_page_file
 from pytest_pafot.corpus.layout import SUFFIX
 from pytest_pafot.findings.labels import JUDGED_OTHERWISE
@@ -260,13 +260,10 @@ def _tags(finding: RunView) -> list[str]:
 
 # The page's text on a search.
 
-ENDS = {"": "early", "error": "with an error"}
-"""The text for a reason for which a search ends, if it is not the reason itself. An empty one is not known."""
-
 
 def search_article(search: SearchSummary, index: int, *, is_open: bool = True) -> str:
     """Return the HTML article on one search; ``is_open`` is False if it is folded until the reader opens it."""
-    made, end = search.generations, ENDS.get(search.reason, search.reason)
+    made, end = search.generations, search.reason.after_ended
     figures = (
         ("algorithm", search.algorithm),
         ("seed", search.seed),
@@ -278,7 +275,7 @@ def search_article(search: SearchSummary, index: int, *, is_open: bool = True) -
     )
     folded = f"{plural(search.runs, 'run')}, {search.failing} failing"
     folded += f", {plural(len(search.warnings), 'warning')}" if search.warnings else ""
-    folded += f", ended {end}" if search.reason in ("error", "interrupted") else ""
+    folded += f", ended {end}" if search.reason.is_broken_off else ""
     warnings = "".join(f'<p class="warning"><b>Warning</b> {text(warning)}</p>' for warning in search.warnings)
     return (
         f'<article class="campaign" aria-labelledby="campaign-{index}">'
@@ -337,7 +334,7 @@ def render_page(report: Report, *, embedded: bool = False) -> str:
     kind = "embedded" if embedded else "whole"
     is_open = len(report.searches) == 1 and not embedded
     # Failures without a finding, with the text that pytest shows for them.
-    ended = {each.node_id: "The search ended with an error." for each in report.searches if each.reason == "error"}
+    ended = {each.node_id: "The search ended with an error." for each in report.searches if each.reason is Ending.ERROR}
     errors = "".join(
         f'<article class="error" role="alert"><h2>{text(node_id)}</h2>'
         f"<p>{ended.get(node_id, 'It failed, and no finding on this page shows why.')}</p>"
@@ -395,13 +392,13 @@ def data_json(report: Report) -> str:
 def _nothing_found(report: Report) -> str:
     """Return the sentence on a page without findings. It says that the property held only if nothing was cut short."""
     ends = {search.reason for search in report.searches}
-    if report.errors or "error" in ends:
+    if report.errors or Ending.ERROR in ends:
         return "No findings, but an error stopped something before its end."
-    if report.is_interrupted or ends & {"", "interrupted"}:
+    if report.is_interrupted or ends & {Ending.UNKNOWN, Ending.INTERRUPTED}:
         return "No findings before the interrupt. The scenarios that had not run by then are untested."
     if any(search.failing for search in report.searches):
         return "No new findings. Some runs failed, but saved scenarios already cover these failures."
-    if ends - {DONE, ALL_RUN}:
+    if not all(end.is_complete for end in ends):
         return "No findings before time ran out. The property held in every run that was evaluated by then."
     return "No findings. The property held in every evaluated run."
 

@@ -12,7 +12,7 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
-from pytest_pafot.campaign.events import Progress, SearchSummary
+from pytest_pafot.campaign.events import Ending, Progress, SearchSummary
 from pytest_pafot.findings.finding import Expect, Finding
 from pytest_pafot.findings.severity import Severity, worsening
 from pytest_pafot.findings.shrink import size_of
@@ -474,9 +474,9 @@ def annotation_lines(sightings: Iterable[Sighting]) -> list[str]:
 def _is_quiet(search: SearchSummary) -> bool:
     """Return whether a search ran as asked, evaluated something, and nothing failed in it."""
     untested = search.invalid + search.rejected + search.skipped
-    is_tested = search.runs > untested or search.reason == "replay only"
+    is_tested = search.runs > untested or search.reason is Ending.REPLAYS
     is_clean = not (search.failing or search.finds or search.unsaved)
-    return is_tested and is_clean and search.reason not in ("error", "interrupted")
+    return is_tested and is_clean and not search.reason.is_broken_off
 
 
 def _lines_of_searches(session: SessionSummary, *, verbose: bool, width: int) -> list[str]:

@@ -9,7 +9,7 @@ from highway_env.vehicle.controller import ControlledVehicle
 from hypothesis import strategies as st
 
 import pytest_pafot as pafot
-from pytest_pafot.campaign.events import SearchSummary
+from pytest_pafot.campaign.events import Ending, SearchSummary
 from pytest_pafot.findings.finding import Finding, Found
 from pytest_pafot.findings.sighting import Sighting
 from pytest_pafot.findings.signature import Failure
@@ -106,7 +106,7 @@ def bend_trace():
 @cache
 def real_report():
     search = SearchSummary(
-        node_id=f"{TEST}[search]", algorithm="pafot", seed=5, generations=8, asked=8, reason="all generations done",
+        node_id=f"{TEST}[search]", algorithm="pafot", seed=5, generations=8, asked=8, reason=Ending.GENERATIONS,
         runs=50, known_runs=2, failing=5, outcomes={"safe": 45, "collision": 5}, coverage="reached 8/8 cells",
         responsibilities={"none": 45, "ego": 3, "npc": 2}, warnings=("few NPCs reached their cell",),
     )  # fmt: skip

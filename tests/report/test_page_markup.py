@@ -6,7 +6,7 @@ The texts are in ``__snapshots__``. ``--snapshot-update`` rewrites them; read th
 import re
 from dataclasses import replace
 
-from pytest_pafot.campaign.events import SearchSummary
+from pytest_pafot.campaign.events import Ending, SearchSummary
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.report.page import finding_article, finding_list, render_page, search_article
 from pytest_pafot.report.page_data import Report
@@ -35,7 +35,7 @@ def hand_made_search():
         seed=7,
         generations=2,
         asked=3,
-        reason="--pafot-max-time",
+        reason=Ending.MAX_TIME,
         runs=8,
         failing=1,
         known_runs=1,
