@@ -9,7 +9,8 @@ from typing import Any, NamedTuple, Self, TypeVar
 
 from pytest_pafot.campaign.verdict import Verdict
 from pytest_pafot.corpus.layout import SEARCH_PART, name_without
-from pytest_pafot.findings.sighting import ELSEWHERE, PASSING, Sighting
+from pytest_pafot.findings.labels import PASSING, Label
+from pytest_pafot.findings.sighting import Sighting
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.searching.events import Event
@@ -258,7 +259,7 @@ def concluded(replay: Sighting, searches: Mapping[str, SearchSummary]) -> Sighti
     if search is None or replay.label not in PASSING:
         return replay
     if elsewhere := search.failures.get(replay.finding.signature.text, ""):
-        return replace(replay, label=ELSEWHERE, elsewhere=elsewhere)
+        return replace(replay, label=Label.ELSEWHERE, elsewhere=elsewhere)
     return replace(replay, searched=search.tested)
 
 

@@ -20,7 +20,7 @@ from pytest_pafot.attribution.mistakes import Manoeuvre, manoeuvre_before
 from pytest_pafot.attribution.responsibility import Fault, Mistake, Responsibility
 from pytest_pafot.attribution.takeovers import Avoidance
 from pytest_pafot.findings.failure_rate import FailureRate
-from pytest_pafot.findings.labels import JUDGED_OTHERWISE, RunLabel
+from pytest_pafot.findings.labels import Label, RunLabel
 from pytest_pafot.findings.neighbours import Breadth
 from pytest_pafot.findings.shrink import Shrunk
 from pytest_pafot.findings.signature import (
@@ -671,12 +671,12 @@ def replay_label(finding: Finding, run: Run, failure: Failure | None, versions: 
     """
     expect, is_same = finding.expect, is_same_event(finding.expect, run, failure)
     if failure is not None:
-        return "still failing" if is_same and failure.kind == expect.failure else "drifted"
+        return Label.STILL_FAILING if is_same and failure.kind == expect.failure else Label.DRIFTED
     has_other_rules = versions.get(RULES) != finding.found.versions.get(RULES)
     if has_other_rules and is_same and run.collision is not None and run.responsibility != expect.responsibility:
-        return JUDGED_OTHERWISE
+        return Label.JUDGED_OTHERWISE
     if any(versions.get(name) != version for name, version in finding.found.versions.items()):
-        return "drifted"
+        return Label.DRIFTED
     # A run that was cut short did not drive the rest of the scenario.
     is_whole = run.collision is None and run.ads_error is None and run.outcome not in ("invalid", "off_road")
     is_whole = is_whole or (expect.check is not None and run.duration > expect.time)
@@ -685,7 +685,7 @@ def replay_label(finding: Finding, run: Run, failure: Failure | None, versions: 
         is_whole = is_whole or (after is not None and after > max(expect.time - expect.situation.time, BEFORE))
     # If a different party is responsible for the same event, the policy has changed and not the test.
     is_same = is_same and (expect.situation is None or run.responsibility == expect.responsibility)
-    return "fixed" if is_same or (is_whole and not unhandled(finding, run)) else "drifted"
+    return Label.FIXED if is_same or (is_whole and not unhandled(finding, run)) else Label.DRIFTED
 
 
 def unhandled(finding: Finding, run: Run) -> str:

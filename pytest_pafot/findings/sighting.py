@@ -8,25 +8,11 @@ from pathlib import Path
 from pytest_pafot.findings.decisions import Answers, Moment
 from pytest_pafot.findings.failure_rate import FailureRate
 from pytest_pafot.findings.finding import IN_MEMORY, Finding
+from pytest_pafot.findings.labels import PASSING, Label
 from pytest_pafot.findings.neighbours import Breadth
 from pytest_pafot.findings.severity import Severity
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.support.text import ascii_text, plural
-
-NEW = "new"
-"""The label of a finding that was not known before this session."""
-
-ELSEWHERE = "still failing elsewhere"
-"""The label of a replay that passes while the search of its test finds the same failure in other scenarios."""
-
-PASSING = ("fixed", "fixed before", ELSEWHERE)
-"""The labels of replays that pass with the situation of the failure."""
-
-PASSES = "passes"
-"""The result of a replay with the label ``fixed`` that no search confirms, see :attr:`Sighting.result`."""
-
-NO_WORSE = "no worse"
-"""The label of a new finding that does not speak against a policy, since the reference fails as often elsewhere."""
 
 NOT_REPEATED, ENDED_OTHERWISE = "running it again gave a different run", "a later run of it ended differently"
 """How the difference begins of a policy that drives the same scenario in different ways."""
@@ -36,7 +22,7 @@ def passing(neighbours: int, searched: int) -> str:
     """Say what passes: a saved scenario, a number of its neighbours, and a number of runs of the search of its test."""
     others = f", and so {'does' if neighbours == 1 else 'do'} {plural(neighbours, 'neighbour')}" if neighbours else ""
     runs = f"; no such failure in {plural(searched, 'run')} of the search" if searched else ""
-    return f"{PASSES}{others}{runs}"
+    return f"{Label.PASSES}{others}{runs}"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -90,7 +76,7 @@ class Sighting:
     finding: Finding
     node_id: str
     test: str = ""
-    label: str = NEW
+    label: Label = Label.NEW
     headline: str = ""
     path: str = ""
     detail: str = ""
@@ -162,19 +148,19 @@ class Sighting:
         return (self.finding.rate is not None or has_drawn) and not self.is_timed
 
     @property
-    def result(self) -> str:
+    def result(self) -> Label:
         """The label, but ``passes`` if no search of the session confirms that the failure is fixed.
 
         With a reference the label compares two policies in one scenario, so no search has to confirm it.
         """
-        return PASSES if self.label == "fixed" and not (self.searched or self.against) else self.label
+        return Label.PASSES if self.label is Label.FIXED and not (self.searched or self.against) else self.label
 
     @property
     def heading(self) -> str:
         """The result of a replay in a few words that claim no more than what was driven."""
-        if self.result == PASSES:
+        if self.result is Label.PASSES:
             return self.driven
-        return f"{self.label}: {self.elsewhere}" if self.elsewhere else self.label
+        return f"{self.label}: {self.elsewhere}" if self.elsewhere else str(self.label)
 
     @property
     def driven(self) -> str:

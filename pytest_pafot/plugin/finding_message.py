@@ -12,7 +12,8 @@ from typing import Any
 import pytest
 
 from pytest_pafot.campaign.options import Settings
-from pytest_pafot.findings.sighting import NEW, Sighting
+from pytest_pafot.findings.labels import Label
+from pytest_pafot.findings.sighting import Sighting
 from pytest_pafot.oracle.checks import Check
 from pytest_pafot.plugin import messages
 from pytest_pafot.plugin.tracing import traced
@@ -26,7 +27,7 @@ def is_on_page(config: pytest.Config, settings: Settings) -> bool:
 
 def label_of(sighting: Sighting) -> str:
     """Return the label of a new finding on a page."""
-    return f"{NEW} ({sighting.remark})" if sighting.remark else NEW
+    return f"{Label.NEW} ({sighting.remark})" if sighting.remark else Label.NEW
 
 
 def send_sighting(
@@ -66,7 +67,7 @@ def send_sighting(
             accepted = f", accepted: {sighting.finding.accepted}" if sighting.finding.accepted else ""
             view = replace(
                 finding_view(sighting, note=note, check=check),
-                label=label_of(sighting) if sighting.label == NEW else f"{sighting.label}{accepted}",
+                label=label_of(sighting) if sighting.label is Label.NEW else f"{sighting.label}{accepted}",
                 traced=traced(item).described if traced(item).requirements else "",
                 command=rerun(["pytest", shown], os.environ, *options, saved=saved),
             )

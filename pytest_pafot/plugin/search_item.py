@@ -46,7 +46,8 @@ from pytest_pafot.corpus.saved import refusal
 from pytest_pafot.door import REFERENCES, opened
 from pytest_pafot.execution import scenario_pool
 from pytest_pafot.findings.finding import message_of
-from pytest_pafot.findings.sighting import NO_WORSE, NOT_REPEATED, Sighting
+from pytest_pafot.findings.labels import Label
+from pytest_pafot.findings.sighting import NOT_REPEATED, Sighting
 from pytest_pafot.oracle.checks import CheckFailed
 from pytest_pafot.plugin import messages, node_ids
 from pytest_pafot.plugin.collection import COLLECTED, is_search, policy_of
@@ -394,7 +395,7 @@ class SearchMessages:
 
     def _send_finding(self, sighting: Sighting) -> None:
         config = self.item.config
-        if sighting.label == NO_WORSE:  # it was sent as new before, and gets no item
+        if sighting.label is Label.NO_WORSE:  # it was sent as new before, and gets no item
             self.sent.pop(sighting.id, None)
             send_sighting(self.item, self.settings, sighting, note=sighting.detail)
             return

@@ -69,6 +69,8 @@ class Records:
     @pytest.hookimpl(tryfirst=True)
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
         """Pass a message on to hooks of other plugins, and write the JSON file again if it says something new."""
+        from pytest_pafot.findings.labels import Label  # noqa: PLC0415
+
         message, sighting = received(report), self._record.latest
         if message is None:
             return
@@ -80,7 +82,7 @@ class Records:
                 is_new = sighting is not None and sighting.is_first
                 data = {} if sighting is None else {"record": finding_entry(sighting), "is_new": is_new}
             self._call("pytest_pafot_event", node_id=report.nodeid, kind=message.kind, data=data)
-        if message.kind == "search" or (sighting is not None and sighting.label == "new"):
+        if message.kind == "search" or (sighting is not None and sighting.label is Label.NEW):
             self._write_json(None)
 
     @pytest.hookimpl(trylast=True)  # after the pages are written and the new findings are reported

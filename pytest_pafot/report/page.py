@@ -25,9 +25,9 @@ from urllib.parse import quote
 from pytest_pafot.campaign.events import Ending, SearchSummary
 from pytest_pafot.campaign.options import is_page_file
 from pytest_pafot.corpus.layout import SUFFIX
-from pytest_pafot.findings.labels import JUDGED_OTHERWISE
+from pytest_pafot.findings.labels import Label
 from pytest_pafot.findings.severity import Severity
-from pytest_pafot.findings.sighting import NEW, Sighting
+from pytest_pafot.findings.sighting import Sighting
 from pytest_pafot.report.animation import AnimationError, animate
 from pytest_pafot.report.page_data import (
     CheckView,
@@ -486,8 +486,8 @@ def _facts(
         results = ", ".join(f"{count} {result}" for result, count in counts)
         yield "replayed", f"{plural(len(replays), 'saved scenario')}: {results}"
     for each in replays:
-        if each.label in ("drifted", JUDGED_OTHERWISE):
-            yield "drifted", f"{each.node_id}: {each.detail}"
+        if each.label in (Label.DRIFTED, Label.JUDGED_OTHERWISE):
+            yield Label.DRIFTED, f"{each.node_id}: {each.detail}"
         elif each.elsewhere:
             yield each.label, f"{each.node_id}: {each.elsewhere}"
     yield from installed_versions().items()
@@ -546,7 +546,7 @@ def _rank(finding: RunView) -> tuple[Any, ...]:
     if finding.sighting is not None:
         severity, breadth = finding.sighting.severity, finding.sighting.breadth
     worst = Severity.worst_first(finding.responsibility, severity, breadth)
-    return not finding.label.startswith(NEW), *worst, -finding.runs, finding.node_id
+    return not finding.label.startswith(Label.NEW), *worst, -finding.runs, finding.node_id
 
 
 def _numbers(findings: Sequence[object], errors: Sequence[object]) -> str:
