@@ -62,6 +62,7 @@ def shrink_saved(
         yield Later(result=f"it does not fail as the file says: {now}", is_refused=True)
         return
     sight = harness.policy.sight
+    # What was measured in the file's scenario says nothing of a simpler one.
     start = replace(
         before,
         found=replace(before.found, versions=harness.versions, weights=harness.policy.weights),
@@ -82,6 +83,7 @@ def shrink_saved(
         run=run,
         is_first=False,
     )
+    # A candidate counts if it shows this failure; another one is a finding of its own, and only noted.
     state.finds[of_failure(run, failure)] = saved.id
     notes = list[str]()
     for event in refine(state, bench, store, until=until):

@@ -627,6 +627,7 @@ class SearchSession:
     def _summary(self, reason: Ending) -> SearchSummary:
         settings, state, health = self.harness.request.settings, self.state, self.state.health
         budget, generations = state.budget(settings)
+        # With a file of its state the search goes on where it was cut, so the result does not depend on the machine.
         is_cut = reason is self.limit.flag and self.state.file is None
         cut = [f"cut by {reason}: the same seed may find other scenarios next time"] * is_cut
         notes = (

@@ -283,10 +283,13 @@ class BlockDriver:
                     block.take(unknown(scenario))
                     continue
                 digested, output, seconds = answer if isinstance(answer, tuple) else (None, CapturedOutput(), 0.0)
+                # Only the session may judge this run, or report what it raised: it goes on with the block from here.
                 if not isinstance(digested, Digested):
                     count()
                     return
                 block.take(digested.evaluation)
+                # Nothing new: it is counted with the runs next to it, because a message for each would cost the session
+                # more than the run itself.
                 if digested.facts is None or digested.signature in known:
                     counted.append((digested, output, seconds))
                 else:
@@ -294,6 +297,7 @@ class BlockDriver:
                     say((digested.facts, output, seconds))
                     if digested.signature is not None:
                         known.add(digested.signature)
+                # The random runs of the beginning are counted apart, so a tally must not go beyond their end.
                 if first + block.index == self.random_runs:
                     count()
             count()

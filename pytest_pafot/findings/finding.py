@@ -232,12 +232,15 @@ class Expect:
         Times are rounded to milliseconds. Paths in texts are relative to ``root``, the folder of the project.
         """
         hit, trace, event = run.collision, run.trace, event_of(run, failure)
+        # An assertion says already what its message says. An error of the ADS is known by its message alone.
         is_told = bool(failure.assertion.strip()) and run.ads_error is None
+        # The last lines say where it was raised. The text is cut before it is made portable, too, which saves time.
         text = portable(failure.traceback[-4 * MAX_TRACEBACK :], root)
         if len(text) > MAX_TRACEBACK:
             text = "...\n" + text[-MAX_TRACEBACK:].split("\n", 1)[-1]
         bounded, check = None, failure.check
         if check is not None:
+            # A measured value differs in its last digits between processors; a bound is the user's own number.
             bounds = {name: _rounded(bound, 6) for name, bound in check.bounds.items()}
             bounded = Bounded(value=_rounded(check.value, 3), unit=check.unit, **bounds)
         return cls(

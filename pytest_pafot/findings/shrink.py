@@ -199,7 +199,9 @@ def sort_key(scenario: Scenario) -> tuple[int, ...]:
     steps = [step for manoeuvre in asked for step in manoeuvre.steps]
     distances = [each.ahead for each in asked] + [step.gap or step.headway or step.after for step in steps]
     distances += [step.speed or 0.0 for step in steps]
+    # Slots are times, so they have their own steps of roughness, and a distance from 0 in place of a speed.
     slots = [round(abs(each.slot) * SLOT_STEPS_PER_SECOND) for each in scenario.crossings if each is not None]
+    # The first gene of an NPC that crosses or manoeuvres has a number that is no speed: it is taken out of part 8.
     alone = sum(_tenths(each) for each in (*scenario.crossings, *asked) if each is not None)
     start = round(scenario.ego_speed * SPEED_STEPS_PER_MPS)
     return (

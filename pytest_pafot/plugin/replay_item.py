@@ -200,10 +200,12 @@ def _send(
     today = date.fromisoformat(item.config.stash[SHARED].today)
     failure = None if verdict is None else verdict.failure
     reference = None if verdict is None else verdict.reference
+    # What differs from the accepted failure is not accepted, see the caller.
     is_accepted = finding.is_accepted(today) and NOT_ACCEPTED not in item.stash
     may_pass = finding.xfail_flaky and is_accepted
     if may_pass:
         detail = "; ".join(filter(None, [detail, f"accepted: {finding.accepted}"]))
+    # If a neighbour fails in place of the scenario, the report is about the neighbour.
     sighting = Sighting(
         finding=around.failing or finding,
         node_id=item.nodeid,
@@ -224,6 +226,7 @@ def _send(
     )
     if headline:
         set_properties(item.user_properties, severity=severity_text(sighting.severity))
+    # The item fails again from that day on, and nobody may remember why it did not before.
     if finding.xfail is not None and not finding.is_accepted(today):
         over = (
             f"{path}: accepted ({finding.accepted}), but that day is over: correct the failure, write a later day, "

@@ -123,10 +123,12 @@ def harness_of(item: pytest.Function, request: Request, *, writes: bool = True) 
     if link is None and folder not in tidied:  # once per session: listing thousands of files takes as long as a replay
         tidied.add(folder)
         remove_unfinished(folder)
+    # A search that saves nothing may look through a link.
     if link is not None and writes and request.settings.save != "none":
         raise RequestError(f"{flag('corpus')}: {refusal(link)}")
     if writes and resume is not None:
         check_states(resume, here)
+    # Processes of processes would be as many as the product of both numbers.
     if request.settings.workers > 1 and is_worker(item.config):
         messages.send(item, "note", {"text": IN_WORKER})
         request = replace(request, settings=replace(request.settings, workers=1))

@@ -140,6 +140,8 @@ class Records:
         def message(node_id: str) -> str:
             return same(record.reasons.get(node_id, ""))
 
+        # A file that could not be read has an entry without a sighting. Replays come last: by now the searches of their
+        # tests may have found their failures elsewhere.
         sightings: dict[str, Sighting | None] = {**dict.fromkeys(record.unread), **record.sightings}
         sightings |= {each.node_id: each for each in record.replays}
         findings = []
@@ -147,9 +149,11 @@ class Records:
             if seen is None:
                 known: dict[str, Any] = {**record.unread[node_id], "node_id": node_id, "detail": message(node_id)}
             else:
+                # Only a search that has ended has counted the runs that fail like its findings.
                 runs = 1 + record.new[node_id].repeats if node_id in record.new else 0
                 known = {"headline": same(seen.headline), "detail": same(seen.detail), "runs": runs}
             findings.append(finding_entry(seen, **known, **item(node_id)))
+        # A search that runs now has an empty record, which is what a session that is killed leaves of it.
         searches = {**record.unbegun, **record.searches, **record.running}
         return SessionRecord(
             exit=code,

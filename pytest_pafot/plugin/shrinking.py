@@ -83,6 +83,7 @@ def run_shrink(item: pytest.Function, request: Request, saved: Saved) -> None:
                     of=event.of,
                 )
                 messages.send(item, "progress", asdict(progress))
+    # Nothing is written before all is known: an interrupt leaves the file as it was.
     for note in later.notes:
         messages.send(item, "note", {"text": note})
     result = f"{visible(path)}: {later.result}"

@@ -32,6 +32,7 @@ def with_drivers(
     original = before.original or before.scenario
     yield Phase(f"trying reference drivers in saved-{sighting.id}", sighting.id)
     outcomes, errors = harness.reference_outcomes(run, verdict)
+    # When would a driver have had to take over and brake? The world simulates it.
     avoided, exception = None, verdict.exception
     try:
         avoided = harness.avoidance(run, verdict)
@@ -44,6 +45,7 @@ def with_drivers(
         again = harness.judge(shown)
         exception = (again.exception if again.failed else None) or exception
     perception = yield from _perceived(sighting, scenario, bench)
+    # The file says from now on what the simple scenario shows; only its name and its origin are those of the first run.
     finding = replace(
         before,
         scenario=scenario,
@@ -59,6 +61,7 @@ def with_drivers(
         original=original if scenario != original else None,
         shrunk=simplest.shrunk if simplest.shrunk.rollouts else None,
     )
+    # Nothing new: the caller then does not write the file again.
     if finding == before and not sighting.unshrunk:
         return sighting
     line = headline(run, verdict)

@@ -114,10 +114,12 @@ def _on_vehicles(
     if without_it is None:
         return None, moment
     whole = yield from ask(None, question)
+    # The policy must decide in the recorded run as it did, or a difference would not be due to the hidden vehicle.
     if whole is None or any(differ(action, whole.of(each)) for each, action in enumerate(trace.actions)):
         return None, None
     if trace.drew:  # a copy has no part in the generators that the policy draws from
         whole = replace(whole, ads=None)
+    # Decisions before the danger began say nothing of it.
     numbers, since = counted(trace, *window(run, expect))
     others = [each for each in range(len(run.scenario.npcs)) if each != npc]
     answers = Answers(
