@@ -102,7 +102,7 @@ class Store:
         signature, saved = finding.signature, None
         if signature in known or signature in self.pending:
             return
-        if self.harness.request.settings.save != "none" and not self._is_full:
+        if self.harness.request.settings.save != "none" and self._room > self._pending_files:
             path, finding = free_path(self.harness.folder, finding, self.replayed)
             with suppress(CorpusWriteError):  # which is reported in its turn
                 saved = path if write(path, finding) else None
@@ -134,11 +134,19 @@ class Store:
         self.pending.clear()
 
     @property
-    def _is_full(self) -> bool:
-        """True if as many findings are saved as may be, without those that are saved before their turn."""
+    def _room(self) -> int:
+        """The number of findings that may still be saved, without those that are saved before their turn."""
         files = files_in(self.harness.folder)  # Empty if the folder cannot be read; writing into it reports why.
-        pending = sum(path is not None for path, _ in self.pending.values())
-        return max(len(files) - pending, len(self.findings)) >= self.harness.request.settings.max_saved
+        saved = max(len(files) - self._pending_files, len(self.findings))
+        return self.harness.request.settings.max_saved - saved
+
+    @property
+    def _is_full(self) -> bool:
+        return self._room <= 0
+
+    @property
+    def _pending_files(self) -> int:
+        return sum(path is not None for path, _ in self.pending.values())
 
     def _failure(self, run: Run, verdict: Verdict, generation: int) -> Finding:
         if verdict.failure is None:
