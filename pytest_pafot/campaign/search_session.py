@@ -98,6 +98,17 @@ class SearchResult:
     is_vacuous: bool  # True if nothing was tested, or if a broken reference prevented every failure from counting
 
 
+class ListenerError(RuntimeError):
+    """The error of a consumer of events that raised StopIteration, which cannot be raised in a search."""
+
+    def __init__(self, error: StopIteration) -> None:
+        super().__init__(
+            f"expected a listener that returns for each event of a search, received {error!r} from it, as from next() "
+            "without a default; catch it there"
+        )
+        self.__cause__ = error
+
+
 class Events:
     """The events of a search, for a consumer that may fail: ``with events:`` around its loop, until they are over.
 
@@ -137,6 +148,9 @@ class Events:
         pass
 
     def __exit__(self, kind: object, error: BaseException | None, place: object) -> bool:
+        if isinstance(error, StopIteration):
+            # A generator would replace it by an error that names the place where the search waits.
+            error = ListenerError(error)
         self._error = None if self.is_over else error
         return not self.is_over
 

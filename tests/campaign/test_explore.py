@@ -135,6 +135,15 @@ def test_events_equal_those_a_listener_hears_except_runs(exploration, heard):
     }
 
 
+def test_a_listener_that_raises_stop_iteration_is_named():
+    def listen(event):
+        next(iter(()))
+
+    with pytest.raises(RuntimeError, match=r"expected a listener .*, received StopIteration\(\) from it") as raised:
+        pafot.explore(constant_speed.make, holds=never_collides, seed=5, on_event=listen, **SHORT)
+    assert isinstance(raised.value.__cause__, StopIteration)
+
+
 def test_a_search_whose_listener_raises_reports_what_it_has():
     heard = []
 
