@@ -52,14 +52,14 @@ class Braking:
             than the headway [m/s^2].
         perception: first part of the delay, in which the driver may continue to speed up [s].
         headway: headway to the vehicle ahead that the driver restores [s].
-        kept: deceleration during the delay, of a driver who already brakes and keeps that braking [m/s^2].
+        delay_deceleration: that of a driver who already brakes and keeps that braking during the delay [m/s^2].
     """
 
     delay: float
     deceleration: float
     perception: float = 0.0
     headway: float = 0.0
-    kept: float = 0.0
+    delay_deceleration: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -215,7 +215,7 @@ class Pursuit:
             leader = other[tick] if tick <= end else max(leader - slowing, 0.0)
             if tick >= end and speed <= leader and not (slowing and leader):
                 break
-            deceleration = response.deceleration if tick + 1 >= due else response.kept
+            deceleration = response.deceleration if tick + 1 >= due else response.delay_deceleration
             gap = gaps[min(tick, end)] + back
             if alarm is not None and alarm.acts(tick, speed - leader, gap):
                 deceleration = alarm.deceleration

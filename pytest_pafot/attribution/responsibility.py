@@ -700,7 +700,7 @@ class Conflict:
         if chance is None and self._gap(tick) >= LEAST_ROOM:
             chance = self._sped_up(self._npc + 1, tick, pursuit)
         if chance is not None:
-            return self._attributed("both", tick, (crossed, drove, *self._told(chance, tick)), "entered-lane")
+            return self._attributed("both", tick, (crossed, drove, *self._missed(chance, tick)), "entered-lane")
         asked = Fact(What.LEFT_TOO_LITTLE, 0, self._at(tick), other=self._npc + 1, asked_m=room)
         return self._attributed("ego", tick, (crossed, asked, drove), "entered-lane")
 
@@ -924,7 +924,7 @@ class Conflict:
         if chance is None:
             return self._excused(tick, reason)
         if self._pushed_in(change):
-            return self._attributed("both", tick, (reason[0], *self._told(chance, tick)), "leader-unanswered")
+            return self._attributed("both", tick, (reason[0], *self._missed(chance, tick)), "leader-unanswered")
         return self._blamed_unless_standing(tick, (reason[0], chance), "leader-unanswered")
 
     def _second_chance(self, tick: int, pursuit: Pursuit, *, by_ego: bool) -> Fact | None:
@@ -957,7 +957,7 @@ class Conflict:
         since, slowed = max(tick, self._before), braking(self._trace)
         brakes_behind = slowed[since] >= VISIBLY and self._gap(since) > 0 and not self._leads(since)
         had = float(slowed[since])
-        kept = replace(FOLLOWING, deceleration=max(had, HARDEST), kept=had)
+        kept = replace(FOLLOWING, deceleration=max(had, HARDEST), delay_deceleration=had)
         required = (ALREADY_BRAKING, kept) if change else (ALREADY_BRAKING,)
         if not brakes_behind or any(pursuit.avoided_from(since, each) is None for each in required):
             return None
@@ -1139,7 +1139,7 @@ class Conflict:
 
         return answer(self._trace, vehicle, since, avoids, response, danger=danger)
 
-    def _told(self, chance: Fact, tick: int) -> Reason:
+    def _missed(self, chance: Fact, tick: int) -> Reason:
         """Return the fact on a second chance that the follower missed, with what it should have done and did."""
         since = max(tick, self._before)
         return (chance,) if chance.what is What.ANSWERED else (chance, self._answer(chance.vehicle, since, tick))

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Generator, Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from enum import StrEnum
 from typing import Any, NamedTuple, Self, TypeVar
 
 from pytest_pafot.campaign.verdict import Verdict
 from pytest_pafot.corpus.layout import SEARCH_PART, name_without
-from pytest_pafot.findings.sighting import ELSEWHERE, PASSING, Sighting
+from pytest_pafot.findings.labels import PASSING, Label
+from pytest_pafot.findings.sighting import Sighting
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.searching.events import Event
@@ -40,8 +42,33 @@ class Progress:
     of: str = ""  # the id of the finding that this work is about
 
 
-DONE, ALL_RUN = "all generations done", "all runs done"
-"""The reasons for which a search ends that ran to its end."""
+class Ending(StrEnum):
+    """The reason why a search ended, as summaries and results name it."""
+
+    UNKNOWN = ""  # it did not begin, its process died, or a decision of the ADS could not be interrupted
+    GENERATIONS = "all generations done"
+    RUNS = "all runs done"
+    MAX_TIME = flag("max_time")
+    TOTAL_TIME = flag("total_time")
+    FINDINGS = "enough findings"
+    REPLAYS = "replay only"
+    INTERRUPTED = "interrupted"
+    ERROR = "error"
+
+    @property
+    def is_complete(self) -> bool:
+        """True if the search made all runs for which it was asked."""
+        return self in (Ending.GENERATIONS, Ending.RUNS)
+
+    @property
+    def is_broken_off(self) -> bool:
+        """True if something other than a limit ended the search."""
+        return self in (Ending.INTERRUPTED, Ending.ERROR)
+
+    @property
+    def after_ended(self) -> str:
+        """The words that follow "ended" on a page."""
+        return "early" if self is Ending.UNKNOWN else "with an error" if self is Ending.ERROR else str(self)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -134,7 +161,7 @@ class SearchSummary:
     node_id: str
     result: str = ""  # like ``message``, known only to the controller
     message: str = ""
-    reason: str = ""
+    reason: Ending = Ending.UNKNOWN
     algorithm: str = ""
     profile: str = ""
     base_seed: int | None = None
@@ -214,7 +241,7 @@ class SearchSummary:
     @property
     def tested(self) -> int:
         """The number of runs that were judged, if the search ran to its end; otherwise 0."""
-        return self.runs - self.invalid - self.rejected - self.skipped if self.reason in (DONE, ALL_RUN) else 0
+        return self.runs - self.invalid - self.rejected - self.skipped if self.reason.is_complete else 0
 
 
 def by_test(searches: Iterable[SearchSummary]) -> dict[str, SearchSummary]:
@@ -232,7 +259,7 @@ def concluded(replay: Sighting, searches: Mapping[str, SearchSummary]) -> Sighti
     if search is None or replay.label not in PASSING:
         return replay
     if elsewhere := search.failures.get(replay.finding.signature.text, ""):
-        return replace(replay, label=ELSEWHERE, elsewhere=elsewhere)
+        return replace(replay, label=Label.ELSEWHERE, elsewhere=elsewhere)
     return replace(replay, searched=search.tested)
 
 

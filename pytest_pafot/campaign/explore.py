@@ -367,8 +367,10 @@ def replays_of(
     def fixture(name: str) -> NoReturn:
         raise request.error("against", f"expected a factory, or its name as module:factory, received {name!r}")
 
+    # Without a corpus, findings are not saved, but the search and its replays need the place where they would be.
     corpus = Path.cwd() / settings.corpus if settings.corpus else scratch / "corpus"
     folder = folder_of_test(Path(module), test, str(corpus), Path())
+    # Files are written and removed there, and what a link shows may belong to somebody else.
     link = link_below(corpus, folder)
     if link is not None:
         raise request.error("corpus", refusal(link))

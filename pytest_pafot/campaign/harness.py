@@ -191,7 +191,7 @@ class Harness:
         """True if the policy acts in SI units, and not by an environment's actions."""
         return self.policy.drives_itself or self.world.action_space is None
 
-    def seen(self, made: Trace | Facts, world: BaseWorld | None = None) -> Run:
+    def run_of(self, made: Trace | Facts, world: BaseWorld | None = None) -> Run:
         """Return a trace as the test function sees it; ``world`` is by default the world of the search."""
         run = (self.world if world is None else world).run_of(trace_of(made), self.request.decision_limit)
         return replace(run, facts=made) if isinstance(made, Facts) else run
@@ -233,7 +233,7 @@ class Harness:
 
     def judge_trace(self, world: BaseWorld, trace: Trace) -> Verdict:
         """Return the verdict on a trace that was made in ``world``."""
-        return self.judge(self.seen(trace, world))
+        return self.judge(self.run_of(trace, world))
 
     def reference_runner(self, job: Job, record: CrashRecord, *, isolate: bool) -> Runner | None:
         """Return the runner that drives the reference; None if the search has no reference.
@@ -269,7 +269,7 @@ class Harness:
             text = str(error).removeprefix("ads: ").removeprefix(f"{self.against_name}: ")
             named = f" ({self.against_name})" if self.against_name else ""
             raise AgainstError(f"against{named}: {text}") from None
-        run = self.seen(trace, world)
+        run = self.run_of(trace, world)
         return run, self.judge(run)
 
     def fails_with(self, ads: Callable[..., Any], scenario: Scenario, record: CrashRecord) -> bool:
@@ -278,7 +278,7 @@ class Harness:
         job = replace(self.job(), policy=self.drawing(Policy(ads)))
         with refusals(), runner_for(job, record, isolate=self.request.settings.isolate) as runner:
             try:
-                run = self.seen(runner.run(scenario, afresh=True))
+                run = self.run_of(runner.run(scenario, afresh=True))
             except ProcessLostError:
                 return True
         verdict = self.judge(run)

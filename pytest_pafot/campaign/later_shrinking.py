@@ -24,13 +24,13 @@ class Later:
 
     Attributes:
         finding: the finding with a simpler scenario; None if the file stays as it is.
-        told: what was done, or why nothing was, without the name of the file.
+        result: what was done, or why nothing was, without the name of the file.
         is_refused: True if the finding does not show its failure now, or does not repeat, so that nothing was tried.
         notes: remarks on what could not be found out.
     """
 
     finding: Finding | None = None
-    told: str
+    result: str
     is_refused: bool = False
     notes: tuple[str, ...] = ()
 
@@ -49,19 +49,20 @@ def shrink_saved(
         until: the time at which it must end [s], or infinity.
     """
     __tracebackhide__ = True
-    state, workers, store, before = parts.state, parts.workers, parts.store, saved.finding
-    harness = workers.harness
+    state, bench, store, before = parts.state, parts.bench, parts.store, saved.finding
+    harness = bench.harness
     if before is None:
         raise ValueError(f"saved: expected a file that can be read, received {saved!r:.100}")
     # The file has to fail as it says, or everything that is simpler would be compared with something else.
-    run = workers.run(before.scenario, afresh=True)
-    verdict = workers.judge(run)
+    run = bench.run(before.scenario, afresh=True)
+    verdict = bench.finish(run)
     failure = verdict.failure if verdict.failed else None
     if failure is None or verdict.exception is None or of_failure(run, failure) != before.signature:
         now = headline(run, verdict) if verdict.failed else ending(run)
-        yield Later(told=f"it does not fail as the file says: {now}", is_refused=True)
+        yield Later(result=f"it does not fail as the file says: {now}", is_refused=True)
         return
     sight = harness.policy.sight
+    # What was measured in the file's scenario says nothing of a simpler one.
     start = replace(
         before,
         found=replace(before.found, versions=harness.versions, weights=harness.policy.weights),
@@ -82,9 +83,10 @@ def shrink_saved(
         run=run,
         is_first=False,
     )
+    # A candidate counts if it shows this failure; another one is a finding of its own, and only noted.
     state.finds[of_failure(run, failure)] = saved.id
     notes = list[str]()
-    for event in refine(state, workers, store, until=until):
+    for event in refine(state, bench, store, until=until):
         if isinstance(event, Phase):
             yield event
         elif isinstance(event, Note) and event.text not in notes:
@@ -93,7 +95,7 @@ def shrink_saved(
     notes += (f"found saved-{id_}: {each.headline}" for id_, each in store.findings.items() if each is not sighting)
     later = _compared(before, sighting, state.shrink_runs)
     if sighting.is_flaky:
-        later = Later(told=f"it is flaky: {sighting.difference}", is_refused=True)
+        later = Later(result=f"it is flaky: {sighting.difference}", is_refused=True)
     yield replace(later, notes=tuple(notes))
 
 
@@ -101,7 +103,7 @@ def _compared(before: Finding, sighting: Sighting, runs: int) -> Later:
     """Return the simpler version of a finding with the words for it, or that there is none after so many runs."""
     now, more = sighting.finding, f" ({sighting.unshrunk.partition(': ')[2]})" if sighting.unshrunk else ""
     if not sort_key(now.scenario) < sort_key(before.scenario):
-        return Later(told=f"nothing simpler was found in {plural(runs, 'run')}{more}")
+        return Later(result=f"nothing simpler was found in {plural(runs, 'run')}{more}")
     sizes = [size_of(each.scenario, each.longest_run) for each in (before, now)]
     how = f"from {sizes[0]} to {sizes[1]}" if sizes[0] != sizes[1] else "to a simpler scenario of the same size"
     earlier, shrunk = before.shrunk or Shrunk(rollouts=0), now.shrunk or Shrunk(rollouts=0, is_minimal=False)
@@ -111,4 +113,4 @@ def _compared(before: Finding, sighting: Sighting, runs: int) -> Later:
         original=before.original or before.scenario,
         shrunk=replace(shrunk, rollouts=earlier.rollouts + shrunk.rollouts),
     )
-    return Later(finding=whole, told=f"shrunk {how} in {plural(runs, 'run')}{more}")
+    return Later(finding=whole, result=f"shrunk {how} in {plural(runs, 'run')}{more}")

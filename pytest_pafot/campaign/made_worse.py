@@ -12,10 +12,10 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from itertools import islice
 
+from pytest_pafot.campaign.bench import Bench
 from pytest_pafot.campaign.events import Paired, Phase, Refining, SearchEvent
 from pytest_pafot.campaign.state import State, lose
 from pytest_pafot.campaign.store import Store
-from pytest_pafot.campaign.workers import Workers
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.findings.sighting import Sighting
 from pytest_pafot.findings.signature import SLOW_DECISION
@@ -35,17 +35,17 @@ class MadeWorse:
     """The decision which findings of a search speak against the new policy, and which it only fails elsewhere.
 
     Attributes:
-        state, workers, store: the parts of the search, which has a reference.
+        state, bench, store: the parts of the search, which has a reference.
         most: the largest number of random scenarios.
-        until: the time at which random scenarios must end [s], or infinity.
+        end: the time at which random scenarios must end [s], or infinity.
         paired: the counts of the random scenarios.
     """
 
     state: State
-    workers: Workers
+    bench: Bench
     store: Store
     most: int
-    until: float
+    end: float
     paired: Paired = field(init=False)
 
     def __post_init__(self) -> None:
@@ -60,7 +60,7 @@ class MadeWorse:
         __tracebackhide__ = True
         # Numbers that follow those of a generation, so no generation of the search draws the same.
         drawn = (sample(space, generation_rng(self.store.seed, 0, 0, number)) for number in range(self.most))
-        runner = self.workers.runner
+        runner = self.bench.runner
         # Other processes judge by the failures that the search knows, which do not matter here.
         runner.processes.read_here()
         with runner, suppress(OutOfTime):
@@ -68,7 +68,7 @@ class MadeWorse:
                 runner.announce(ahead)
                 for scenario in ahead:
                     yield Phase(f"comparing in random scenario {self.paired.runs + 1} of {self.most}", "comparison")
-                    with runs_end_in(self.until - self.state.clock()):
+                    with runs_end_in(self.end - self.state.clock()):
                         new, old = yield from self._fail(scenario)
                     self.paired = self.paired.with_run(new=new, old=old)
                     if self.paired.is_worse is not None:
@@ -92,22 +92,22 @@ class MadeWorse:
     def _fail(self, scenario: Scenario) -> Generator[SearchEvent, None, tuple[bool, bool]]:
         """Return whether only the new policy fails in a scenario, and whether only the reference does."""
         __tracebackhide__ = True
-        workers = self.workers
-        if scenario in self.state.fatal or workers.reference is None:
+        bench = self.bench
+        if scenario in self.state.fatal or bench.reference is None:
             return False, False
         try:
-            verdict = workers.judge(workers.run(scenario))
+            verdict = bench.finish(bench.run(scenario))
         except ProcessLostError as error:
-            return (yield from lose(error, self.state, workers, self.store)), False
+            return (yield from lose(error, self.state, bench, self.store)), False
         if not verdict.passes:
             return verdict.failed, False
-        reference = workers.harness.judge_reference(workers.reference, scenario)
-        workers.record.clear()
+        reference = bench.harness.judge_reference(bench.reference, scenario)
+        bench.record.clear()
         return False, reference.failed
 
     def _dismiss(self, sightings: Iterable[Sighting]) -> Iterator[SearchEvent]:
         """Take findings back, unless the policy itself raised, hung or was slow: that is no question of how often."""
-        state, harness = self.state, self.workers.harness
+        state, harness = self.state, self.bench.harness
         way_out = f"a search without {harness.request.option('against')} counts what it finds, and saves it"
         told = f"fails elsewhere, no worse than {harness.against_name}: {self.paired}; {way_out}"
         for sighting in list(sightings):

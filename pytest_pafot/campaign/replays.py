@@ -38,7 +38,7 @@ from pytest_pafot.findings.finding import (
     replay_label,
     unhandled,
 )
-from pytest_pafot.findings.labels import FLAKY, Observed, RunLabel
+from pytest_pafot.findings.labels import Label, Observed, RunLabel
 from pytest_pafot.findings.neighbours import FEWEST, around
 from pytest_pafot.findings.signature import SLOW_DECISION, Failure, Signature
 from pytest_pafot.findings.situation import missed
@@ -111,23 +111,23 @@ class ReplayResult:
         """
         finding, label, run, verdict = self.finding, self.label, self.run, self.verdict
         if run is None or verdict is None:
-            return (False if label == "still failing" else None), "the process died or hung"
-        if label == FLAKY or not (verdict.failed or verdict.passes):
-            return None, label if label == FLAKY else f"the test function did not judge the run: {verdict.kind}"
+            return (False if label == Label.STILL_FAILING else None), "the process died or hung"
+        if label == Label.FLAKY or not (verdict.failed or verdict.passes):
+            return None, label if label == Label.FLAKY else f"the test function did not judge the run: {verdict.kind}"
         failure = verdict.failure if verdict.failed else None
         found = replace(finding, found=replace(finding.found, versions={}))
         now = replay_label(found, run, failure, {})
         if failure is not None:
-            is_same = now == "still failing" or is_same_failure(finding, run, failure)
+            is_same = now is Label.STILL_FAILING or is_same_failure(finding, run, failure)
             return (False if is_same else None), f"{'' if is_same else 'another failure: '}{headline(run, verdict)}"
         why = unhandled(finding, run)
-        is_tested = now == "fixed" or finding.expect.is_crash or (why and not missed(finding.expect.situation, run))
+        is_tested = now is Label.FIXED or finding.expect.is_crash or (why and not missed(finding.expect.situation, run))
         return (True if is_tested else None), why or ending(run)
 
     @property
     def passes_otherwise(self) -> bool:
         """True if the test function accepted the run, and the same run each time, whatever the file is about."""
-        return self.verdict is not None and self.verdict.passes and self.label != FLAKY
+        return self.verdict is not None and self.verdict.passes and self.label != Label.FLAKY
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,7 +154,7 @@ class Replayed:
     rate: FailureRate | None = None
 
     @property
-    def label(self) -> str:
+    def label(self) -> Label:
         """The label of the replay."""
         return self.facts.label
 
@@ -282,7 +282,7 @@ class Replays:
             if trace is None:
                 with refusals(), _naming(saved.path):
                     trace = rollout_of(world)(scenario, job.policy.factory)
-            run = _finding(saved).expect.known_of(harness.seen(trace, world))
+            run = _finding(saved).expect.known_of(harness.run_of(trace, world))
             return run, harness.judge(run)
 
     def _is_apart(self, saved: Saved, owner: str) -> bool:
@@ -306,7 +306,7 @@ class Replays:
             space, job = build_space(harness.request, harness.world), harness.job(owner=owner)
             with harness.recording(job) as record, refusals(), runner_for(job, record, isolate=isolate) as runner:
                 for number in range(PROBES):
-                    probe = harness.seen(runner.run(sample(space, np.random.default_rng(number)), afresh=True))
+                    probe = harness.run_of(runner.run(sample(space, np.random.default_rng(number)), afresh=True))
                     first.see(probe, harness.judge(probe))
                     if not first.is_alike:
                         return
@@ -438,7 +438,7 @@ class Replays:
         is_hit = is_alike and _is_hit_soon(finding, first.run, run)
         facts = replace(first.facts, is_unsteady=finding.flaky is not None or not is_alike, is_hit=is_hit)
         passed = replace(second, facts=facts, run=first.run, verdict=first.verdict)
-        failed = replace(second, facts=replace(facts, shows="still failing", fails=True, is_unsteady=True))
+        failed = replace(second, facts=replace(facts, shows=Label.STILL_FAILING, fails=True, is_unsteady=True))
         failure = verdict.failure if verdict.failed else None
         if is_hit:
             passed = replace(passed, note=f"{PAST_END}: the same NPC still hits the ego: {headline(run, verdict)}")
@@ -498,7 +498,8 @@ class Replays:
         # What the file's own run says, in the file's world.
         shows = replay_label(finding, run, failure, self.harness.versions)
         if finding.expect.is_crash:
-            shows = "drifted" if verdict.failed else "fixed"  # The process survived, whatever the run shows.
+            # The process survived, whatever the run shows.
+            shows = Label.DRIFTED if verdict.failed else Label.FIXED
         is_elsewhere = bool(self.world_changes(finding) or self.sight_change(finding))
         now = Replayed(Observed(shows=shows, fails=verdict.failed, is_elsewhere=is_elsewhere), run, verdict)
         if verdict.discarded:
@@ -541,14 +542,14 @@ class Replays:
             while runs < (then.runs if failing else max(then.runs, then.clean)):
                 runs += 1
                 scenario = finding.scenario if finding.flaky else with_other_seed(finding.scenario, runs)
-                run = finding.expect.known_of(harness.seen(runner.run(scenario, afresh=True), world))
+                run = finding.expect.known_of(harness.run_of(runner.run(scenario, afresh=True), world))
                 verdict = harness.judge(run)
                 failing += verdict.failed
-                if verdict.failed and shown.facts.shows != "still failing":
+                if verdict.failed and shown.facts.shows is not Label.STILL_FAILING:
                     shown = _by_chance(finding, replace(now, run=run, verdict=verdict))
-                is_fixed = verdict.passes and replay_label(finding, run, None, harness.versions) == "fixed"
-                if is_fixed and shown.facts.shows == "drifted" and not shown.facts.fails:
-                    shown = replace(shown, facts=replace(shown.facts, shows="fixed"))
+                is_fixed = verdict.passes and replay_label(finding, run, None, harness.versions) is Label.FIXED
+                if is_fixed and shown.facts.shows is Label.DRIFTED and not shown.facts.fails:
+                    shown = replace(shown, facts=replace(shown.facts, shows=Label.FIXED))
         rate = FailureRate(failing=failing, runs=runs)
         facts = replace(shown.facts, is_as_often=then.change(rate) != "fixed")
         note = "; ".join(filter(None, [now.note, then.compared(rate, finding.drawn)]))
@@ -617,7 +618,7 @@ class Replays:
             if reference is not None:
                 stack.enter_context(reference)
             for scenario in islice(drawn, self._number(finding)):
-                run = harness.seen(runner.run(scenario, afresh=True), world)
+                run = harness.run_of(runner.run(scenario, afresh=True), world)
                 verdict = harness.judge(run)
                 failure = verdict.failure
                 if verdict.passes:
@@ -625,7 +626,7 @@ class Replays:
                     continue
                 if failure is None or not (has_time(run, failure) and is_same_failure(finding, run, failure)):
                     continue
-                again = harness.seen(runner.run(scenario, afresh=True), world)
+                again = harness.run_of(runner.run(scenario, afresh=True), world)
                 is_firm = is_same_run(run, again) and harness.judge(again).failed
                 if is_firm and (reference is None or harness.judge_reference(reference, scenario, world).passes):
                     yield run, verdict
@@ -696,7 +697,7 @@ def _by_chance(finding: Finding, now: Replayed) -> Replayed:
     failure = now.verdict.failure if now.verdict.failed else None
     if failure is None:
         return now
-    shows: RunLabel = "still failing" if is_same_failure(finding, now.run, failure) else "drifted"
+    shows: RunLabel = Label.STILL_FAILING if is_same_failure(finding, now.run, failure) else Label.DRIFTED
     return replace(now, facts=replace(now.facts, shows=shows, fails=True, is_unsteady=False))
 
 

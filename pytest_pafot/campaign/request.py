@@ -261,6 +261,7 @@ def build_space(request: Request, world: Any) -> SearchSpace:
                 f"expected a world in which NPCs cross the ego's way, received {world!r:.100}, in which none does; "
                 'leave acts out, or search in a world such as pafot.World("intersection-v0")',
             )
+        # World and algorithm declare what they can do. An error of the space would not say which of the two cannot.
         kinds = request.algorithm.instructions
         if request.space.get("instructions", kinds[0]) not in kinds:
             raise request.error(
@@ -288,6 +289,7 @@ def build_space(request: Request, world: Any) -> SearchSpace:
             )
         # The paper's algorithms keep the paper's space; the others fill in what the mark leaves open.
         drawn = {} if request.algorithm.is_papers else drawn_space(world, {"instructions": kinds[-1], **request.space})
+        # What the user gives goes before what is drawn, and the world fills in the rest, such as the crossings.
         space: SearchSpace = world.space({**drawn, **request.space})
         if space.instructions == "manoeuvres":
             space = _with_room(space, world, "npcs" in request.space)

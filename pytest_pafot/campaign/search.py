@@ -10,6 +10,8 @@ from collections.abc import Generator, Iterable, Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
+from pytest_pafot.campaign.bench import Bench
+from pytest_pafot.campaign.blocks import Blocks, PendingFailure
 from pytest_pafot.campaign.events import Judged, SearchEvent
 from pytest_pafot.campaign.setup_fault import unit_doubt
 from pytest_pafot.campaign.state import State, lose
@@ -17,7 +19,6 @@ from pytest_pafot.campaign.store import Store
 from pytest_pafot.campaign.tallies import Tally
 from pytest_pafot.campaign.verdict import Verdict, caught_in, unknown
 from pytest_pafot.campaign.watch import Watch
-from pytest_pafot.campaign.workers import Early, Workers
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.findings.finding import failed_as
 from pytest_pafot.oracle.run import Run
@@ -28,9 +29,7 @@ from pytest_pafot.support.errors import OutOfTime
 from pytest_pafot.world.guard.hang_guard import runs_end_in
 
 
-def search(
-    plan: Plan[Any], state: State, workers: Workers, store: Store, watch: Watch
-) -> Generator[SearchEvent, None, None]:
+def search(blocks: Blocks, state: State, store: Store, watch: Watch) -> Generator[SearchEvent, None, None]:
     """Draw scenarios, drive and judge them, let the algorithm learn, and save each new failure; yield what happens.
 
     Raises:
@@ -38,69 +37,70 @@ def search(
         CheckpointError: if the plan goes on from a checkpoint of another search.
         RequestError: for a world, factory, test function or scenario that does not fit.
     """
+    plan, bench = blocks.plan, blocks.bench
     began, evaluated_before = state.clock(), plan.sums.evaluated
     reason: EndReason | None = None
-    yield from _seen([plan.started], state, watch)
-    workers.begin(plan, state.random.most)
+    yield from _counted([plan.started], state, watch)
+    blocks.begin(state.random.most)
     while reason is None and not plan.is_over:
         # Until two runs differ, this process must see each failure, since it may be a fault of the set-up.
-        if not state.first.is_alike:
-            workers.give_blocks(plan, state.fatal, (state.shown, state.finds))
+        if not state.first_generation.is_alike:
+            blocks.give(state.fatal, (state.shown, state.finds))
         while not plan.is_whole:
             # Limits count after the first scenario, so that a search tests something.
             reason = None if plan.sums.evaluated == evaluated_before else watch.reached(plan)
             if reason is not None:
                 break
-            known = plan.known()
-            if known is not None:
-                yield from _seen([plan.take(known, reused=True)], state, watch)
+            recalled = plan.recalled()
+            if recalled is not None:
+                yield from _counted([plan.take(recalled, reused=True)], state, watch)
                 continue
             # Drive the next scenario and judge it. Other processes may have done so, for several scenarios at once.
             taken: Sequence[Event] = []
             try:
                 with runs_end_in(watch.seconds_left()):
-                    done = workers.next(plan, state.fatal)
+                    done = blocks.next(state.fatal)
                     if isinstance(done, Run):
-                        taken = [plan.take((yield from _judge_and_count(done, state, workers, store, watch)))]
+                        taken = [plan.take((yield from _judge_and_count(done, state, bench, store, watch)))]
             except OutOfTime:
                 reason = "time"
                 break
             match done:
                 case Tally():
                     yield from done.judged or ()
-                    workers.counted_decisions += done.decisions
+                    bench.counted_decisions += done.decisions
                     state.take_tally(done)
-                    yield from _taken(done, plan)
-                    yield from watch.seen()
-                case Early():
-                    store.add_early(done, {*state.shown, *state.finds})
+                    yield from _tallied(done, plan)
+                    yield from watch.after_event()
+                case PendingFailure():
+                    store.add_pending(done, {*state.shown, *state.finds})
                     continue
                 case ProcessLostError() | None:  # It died or hung now, or in the same scenario before.
-                    state.first.is_alike = False
+                    state.first_generation.is_alike = False
                     yield from _released(state, store)
                     if done is not None:
-                        is_failure = yield from lose(done, state, workers, store)
+                        is_failure = yield from lose(done, state, bench, store)
                         state.verdicts["failed" if is_failure else "common"] += 1
                     taken = [plan.take(unknown(plan.scenario()))]
-            state.decides_for_many = plan.decides_for_many = state.decides_for_many or workers.runner.decides_for_many
+            state.decides_for_many = plan.decides_for_many = state.decides_for_many or bench.runner.decides_for_many
             yield from _released(state, store)
-            yield from _seen(taken, state, watch)
+            yield from _counted(taken, state, watch)
         # The algorithm learns from whole generations. Between two of them a resumable search may store its state.
         if reason is None:
-            yield from _seen(workers.learn(plan), state, watch)
+            yield from _counted(blocks.learn(), state, watch)
             state.offer(store)
-    yield from _seen(plan.finished(reason or "generations", state.clock() - began), state, watch)
+    yield from _counted(plan.finished(reason or "generations", state.clock() - began), state, watch)
 
 
-def _seen(happened: Iterable[Event], state: State, watch: Watch) -> Iterator[SearchEvent]:
+def _counted(happened: Iterable[Event], state: State, watch: Watch) -> Iterator[SearchEvent]:
     """Yield events of the plan, and count what they say."""
     for event in happened:
         yield event
         state.see(event)
-        yield from watch.seen()
+        yield from watch.after_event()
 
 
-def _taken(tally: Tally, plan: Plan[Any]) -> Sequence[Event]:
+def _tallied(tally: Tally, plan: Plan[Any]) -> Sequence[Event]:
     """Return the events of runs that another process has judged: one for each, or one for all."""
     if tally.judged is not None:
         return [*map(plan.take, tally.unpacked)]
@@ -110,15 +110,15 @@ def _taken(tally: Tally, plan: Plan[Any]) -> Sequence[Event]:
 
 
 def _judge_and_count(
-    run: Run, state: State, workers: Workers, store: Store, watch: Watch
+    run: Run, state: State, bench: Bench, store: Store, watch: Watch
 ) -> Generator[SearchEvent, None, Evaluation]:
     """Judge and count a run, and save a new failure before the next run; return what the algorithm sees of it."""
     __tracebackhide__ = True
-    is_alone, verdict = workers.runner.is_alone, workers.judge(run)
+    is_alone, verdict = bench.runner.is_alone, bench.finish(run)
     judged = [Judged.here(run, verdict)]
     if verdict.failed and not is_alone:  # Run it alone as its replay will, in case a batch mixes up its rows.
-        run = workers.run(run.trace.scenario, afresh=True)
-        verdict = workers.judge(run)
+        run = bench.run(run.trace.scenario, afresh=True)
+        verdict = bench.finish(run)
         judged.append(Judged.here(run, verdict))
         state.repeated[verdict.failed] += 1
     for event in judged:  # After both runs, because the time limit may end the second one, and then none counts.
@@ -134,13 +134,13 @@ def _judge_and_count(
         if state.knows(signature):
             state.repeat(signature)
         else:
-            found = yield from save_and_confirm(run, verdict, state.generation, state.runs, workers, store, watch)
+            found = yield from save_and_confirm(run, verdict, state.generation, state.runs, bench, store, watch)
             state.add(signature, found)
-    return workers.evaluation(run, verdict, signature)
+    return bench.evaluation(run, verdict, signature)
 
 
 def save_and_confirm(
-    run: Run, verdict: Verdict, generation: int, number: int, workers: Workers, store: Store, watch: Watch
+    run: Run, verdict: Verdict, generation: int, number: int, bench: Bench, store: Store, watch: Watch
 ) -> Generator[SearchEvent, None, str]:
     """Save a new failure, run its scenario again to confirm it, and report it or hold it back; return its id.
 
@@ -151,18 +151,18 @@ def save_and_confirm(
         return sighting
     # It is saved before it is confirmed, so that nothing is lost if the session dies in the second run.
     if not verdict.is_timed:
-        yield from watch.confirms(sighting.id)
+        yield from watch.before_rerun(sighting.id)
         try:
-            if differs := workers.difference(run):
+            if differs := bench.confirm(run):
                 sighting = store.call_flaky(sighting, differs)
         except OutOfTime:
             sighting = store.call_unconfirmed(sighting)
     if not store.is_holding:
-        yield from store.report(sighting)
+        yield from store.publish(sighting)
     return sighting.id
 
 
 def _released(state: State, store: Store) -> Iterator[SearchEvent]:
     """Report the findings that were held back, as soon as two runs differ, which is no fault of the set-up."""
-    if store.is_holding and not state.first.is_alike:
+    if store.is_holding and not state.first_generation.is_alike:
         yield from store.release()

@@ -18,9 +18,10 @@ from typing import Any, Self
 import numpy as np
 
 from pytest_pafot.campaign.beginnings import begun_with
+from pytest_pafot.campaign.bench import Bench, left_out_text
+from pytest_pafot.campaign.blocks import Blocks
 from pytest_pafot.campaign.events import (
-    ALL_RUN,
-    DONE,
+    Ending,
     Note,
     Phase,
     SearchEvent,
@@ -41,7 +42,6 @@ from pytest_pafot.campaign.store import Store
 from pytest_pafot.campaign.tallies import BlockDriver, Reader
 from pytest_pafot.campaign.verdict import no_skip, skips
 from pytest_pafot.campaign.watch import LEAST, TimedWatch, TimeLimit, Watch
-from pytest_pafot.campaign.workers import Workers, left_out_text
 from pytest_pafot.corpus.saved import Saved, saved_in
 from pytest_pafot.execution import scenario_pool
 from pytest_pafot.execution.crash_records import Leftover
@@ -51,6 +51,7 @@ from pytest_pafot.findings.finding import Manner, of_failure
 from pytest_pafot.findings.sighting import Sighting
 from pytest_pafot.model.sight import Sight
 from pytest_pafot.searching.ask_tell import Algorithm, ResumableSearch
+from pytest_pafot.searching.events import EndReason
 from pytest_pafot.searching.fitness import FitnessError, Steered, is_built_in, resolve
 from pytest_pafot.searching.plan import Checkpoint, CheckpointError, plan_of
 from pytest_pafot.searching.space import SearchSpace, sample
@@ -91,10 +92,21 @@ class SearchResult:
     summary: SearchSummary
     findings: tuple[Sighting, ...]
     count: int  # number of distinct new findings, saved or only counted
-    first: BaseException | None  # the exception of the first finding; None without one
+    first_exception: BaseException | None  # the exception of the first finding; None without one
     fault: BaseException | None  # a fault of the set-up, as the exception to raise instead of findings
     skip: BaseException | None  # the last skip, if the function skipped every run
     is_vacuous: bool  # True if nothing was tested, or if a broken reference prevented every failure from counting
+
+
+class ListenerError(RuntimeError):
+    """The error of a consumer of events that raised StopIteration, which cannot be raised in a search."""
+
+    def __init__(self, error: StopIteration) -> None:
+        super().__init__(
+            f"expected a listener that returns for each event of a search, received {error!r} from it, as from next() "
+            "without a default; catch it there"
+        )
+        self.__cause__ = error
 
 
 class Events:
@@ -136,6 +148,9 @@ class Events:
         pass
 
     def __exit__(self, kind: object, error: BaseException | None, place: object) -> bool:
+        if isinstance(error, StopIteration):
+            # A generator would replace it by an error that names the place where the search waits.
+            error = ListenerError(error)
         self._error = None if self.is_over else error
         return not self.is_over
 
@@ -145,7 +160,7 @@ class Prepared:
     """The parts of a search that is ready to run."""
 
     state: State
-    workers: Workers
+    bench: Bench
     store: Store
 
     def search(
@@ -153,7 +168,7 @@ class Prepared:
     ) -> Generator[SearchEvent, None, None]:
         """Search with an algorithm, without limits of time, until ``stop()`` says so between two scenarios."""
         plan = plan_of(algorithm, generations=generations, seed=seed)
-        return search(plan, self.state, self.workers, self.store, Watch(stop))
+        return search(Blocks(plan=plan, bench=self.bench), self.state, self.store, Watch(stop))
 
     def watch(
         self, node_id: str, limit: TimeLimit, *, progress_seconds: float, stops_at_first: bool = False
@@ -162,10 +177,10 @@ class Prepared:
         return TimedWatch(
             node_id=node_id,
             state=self.state,
-            workers=self.workers,
+            bench=self.bench,
             store=self.store,
             limit=limit,
-            most=1 if stops_at_first else self.workers.harness.request.settings.stop_after,
+            most=1 if stops_at_first else self.bench.harness.request.settings.stop_after,
             progress_seconds=progress_seconds,
         )
 
@@ -234,7 +249,7 @@ def prepared(
         stack.callback(state.close)
         yield Prepared(
             state=state,
-            workers=Workers(
+            bench=Bench(
                 harness=harness,
                 runner=runner,
                 record=record,
@@ -276,9 +291,9 @@ class SearchSession:
         return self.watch.state
 
     @property
-    def workers(self) -> Workers:
-        """The runs of the search."""
-        return self.watch.workers
+    def bench(self) -> Bench:
+        """What runs and judges the scenarios of the search."""
+        return self.watch.bench
 
     @property
     def store(self) -> Store:
@@ -293,12 +308,12 @@ class SearchSession:
     @property
     def harness(self) -> Harness:
         """The harness of the search."""
-        return self.workers.harness
+        return self.bench.harness
 
     @property
-    def _ends_with_warnings(self) -> tuple[str, ...]:
+    def _ends_with_warnings(self) -> tuple[Ending, ...]:
         """The reasons for an end that leave enough runs to warn of their health."""
-        return DONE, ALL_RUN, self.limit.flag
+        return Ending.GENERATIONS, Ending.RUNS, self.limit.flag
 
     def _events(self, happened: Iterable[SearchEvent | Phase | Note]) -> Iterator[SearchEvent]:
         """Yield the events among what happens.
@@ -330,19 +345,19 @@ class SearchSession:
             RequestError: if the search cannot be run as requested.
         """
         __tracebackhide__ = True
-        harness, state, workers, store = self.harness, self.state, self.workers, self.store
+        harness, state, bench, store = self.harness, self.state, self.bench, self.store
         yield SearchStarted(node_id=self.watch.node_id, seed=store.seed)
         began = state.clock()
-        workers.until = max(self.limit.until, began + LEAST)
+        bench.refining_end = max(self.limit.end, began + LEAST)
         # A process of an earlier session may have died: its scenarios are tried again before anything else.
         left = harness.left_behind()
         retried = list[Retried]()
         for leftover in left:
             retried.append((yield from self._retried(leftover, left)))
         self.process_notes += [note for each in retried for note in each.notes]
-        reason, fault, is_closed = "interrupted", None, False
+        reason, fault, is_closed = Ending.INTERRUPTED, None, False
         try:
-            with workers.runner:
+            with bench.runner:
                 reason = yield from self._searched(saved_in(harness.folder), began)
             # All findings are reported and the state is stored before shrinking, which takes long and may be cut.
             self._settle(reason)
@@ -353,20 +368,20 @@ class SearchSession:
                 now = state.clock()
                 self._worse = MadeWorse(
                     state=state,
-                    workers=workers,
+                    bench=bench,
                     store=store,
                     most=harness.request.settings.pairs,
-                    until=now + (self.limit.until - now) / 2,
+                    end=now + (self.limit.end - now) / 2,
                 )
                 yield from self._events(self._worse.compare(state.space))
             yield from self._refine(reason)
         except SetupFaultError as error:
-            reason, fault = "error", error
+            reason, fault = Ending.ERROR, error
             yield from self._events(store.withdraw())
             state.forget_findings()
         except BaseException as error:
             is_closed = isinstance(error, GeneratorExit)
-            reason = "interrupted" if is_closed or is_interruption(error) else "error"
+            reason = Ending.INTERRUPTED if is_closed or is_interruption(error) else Ending.ERROR
             raise
         finally:
             with postponed():
@@ -379,9 +394,9 @@ class SearchSession:
                 for each in retried:
                     if each.pending is not None:
                         each.pending.discard()
-                self.process_notes += workers.runner.notes
-                if workers.record.error:
-                    self.process_notes += [str(workers.record.error)]
+                self.process_notes += bench.runner.notes
+                if bench.record.error:
+                    self.process_notes += [str(bench.record.error)]
                 summary = self._summary(reason)
                 if not is_closed:
                     yield summary
@@ -389,32 +404,32 @@ class SearchSession:
             summary=summary,
             findings=tuple(store.findings.values()),
             count=store.count,
-            first=store.first,
+            first_exception=store.first_exception,
             fault=None if fault is None else fault.shown(harness.world, harness.policy),
             skip=state.skip if state.skip is not None and state.verdicts["skipped"] == state.runs else None,
             is_vacuous=state.health.vacuous or bool(state.broken),
         )
 
-    def _settle(self, reason: str) -> None:
+    def _settle(self, reason: Ending) -> None:
         """Take the failures of blocks that were not counted as findings, or forget them if the order says so."""
-        is_cut = reason in ("interrupted", "error", self.limit.flag)
+        is_cut = reason.is_broken_off or reason is self.limit.flag
         for signature, find_id in self.store.settle(self.state.runs + 1, keeps=is_cut):
             self.state.add(signature, find_id)
             self.state.verdicts["failed"] += 1
 
-    def _refine(self, reason: str) -> Iterator[SearchEvent]:
+    def _refine(self, reason: Ending) -> Iterator[SearchEvent]:
         """Shrink the findings, and look at their neighbours and at decisions."""
         __tracebackhide__ = True
         state = self.state
         way_on = "" if state.file is None else f"; {flag('resume')} goes on"
         try:
             with GENERATORS.held():
-                yield from self._events(refine(state, self.workers, self.store, until=self.limit.until, way_on=way_on))
+                yield from self._events(refine(state, self.bench, self.store, until=self.limit.end, way_on=way_on))
                 if self._worse is not None:
                     yield from self._events(self._worse.conclude())
                 if reason in self._ends_with_warnings:
-                    with suppress(OutOfTime), runs_end_in(self.limit.until - state.clock()):
-                        state.impure = self.workers.impure()
+                    with suppress(OutOfTime), runs_end_in(self.limit.end - state.clock()):
+                        state.impure = self.bench.impure()
         finally:  # Even after Ctrl-C, findings that were refined must not be refined again.
             state.write(self.store)
 
@@ -450,13 +465,13 @@ class SearchSession:
             isolate=harness.request.settings.isolate,
             has_died_twice=sum(not each.is_watched for each in same) > 1,
             keep=self.store.add_crash,
-            run_here=self.workers.rerun_one_by_one,
+            run_here=self.bench.rerun_one_by_one,
         )
         for each in [each for id_, each in self.store.findings.items() if id_ not in before]:
-            yield from self._events(self.store.report(each))
+            yield from self._events(self.store.publish(each))
         return again
 
-    def _searched(self, saved: Sequence[Saved], began: float) -> Generator[SearchEvent, None, str]:
+    def _searched(self, saved: Sequence[Saved], began: float) -> Generator[SearchEvent, None, Ending]:
         """Replay the saved scenarios and search; return why it ended. ``began`` is when the search began [s].
 
         Raises:
@@ -465,7 +480,7 @@ class SearchSession:
         __tracebackhide__ = True
         state, space, watch, clock = self.state, self.state.space, self.watch, self.state.clock
         if space is None:
-            return "replay only"
+            return Ending.REPLAYS
         request, settings = self.harness.request, self.harness.request.settings
         # The algorithm twice: a policy that decides for many runs at once gets a larger population, but only its first
         # generation shows whether it does.
@@ -483,9 +498,9 @@ class SearchSession:
         others = [each for each in saved if not self._is_own(each)]
         self.store.replayed = frozenset(each.path for each in others)
         state.fatal |= {each.finding.scenario for each in others if each.finding is not None and each.is_crash}
-        until = began + (self.limit.until - began) * (1 - FOR_SIMPLIFYING)
+        until = began + (self.limit.end - began) * (1 - FOR_SIMPLIFYING)
         try:
-            with runs_end_in(self.workers.until - clock()):
+            with runs_end_in(self.bench.refining_end - clock()):
                 state.shown = self.replays.shown_by(others)  # Their failures are not new.
                 self._manners = {each.id: Manner.of(each.finding.expect) for each in others if each.finding is not None}
                 yield from self._events(self._find_again(saved, until))
@@ -506,14 +521,14 @@ class SearchSession:
             )
             if resumed is None:
                 state.offer(self.store)
-            yield from self._events(search(plan, state, self.workers, self.store, watch))
+            blocks = Blocks(plan=plan, bench=self.bench)
+            yield from self._events(search(blocks, state, self.store, watch))
         except CheckpointError as error:
             raise RequestError(str(error)) if state.file is None else state.file.refused(error) from None
         except FitnessError as error:
             raise RequestError(str(error)) from None
         except skips() as error:
             raise RequestError(no_skip("the fitness", error)) from None
-        reasons = {"generations": DONE, "runs": ALL_RUN, "time": self.limit.flag, "stopped": "enough findings"}
         lost, runs = clock() - watch.last, state.runs - runs_before
         is_cut = state.finished is not None and state.finished.reason == "time"
         if is_cut and lost > max(1.0, SLOW_RUNS * (watch.last - watch.began) / (runs + 1)):
@@ -521,7 +536,18 @@ class SearchSession:
                 f"{self.limit.flag} cut a run after {lost:.1f} s, with {plural(runs, 'run')} before it: if a decision "
                 "hangs, a longer limit or a shorter hang_limit of the world shows it"
             )
-        return "interrupted" if state.finished is None else reasons[state.finished.reason]
+        return Ending.INTERRUPTED if state.finished is None else self._ending_of(state.finished.reason)
+
+    def _ending_of(self, reason: EndReason) -> Ending:
+        match reason:
+            case "generations":
+                return Ending.GENERATIONS
+            case "runs":
+                return Ending.RUNS
+            case "time":
+                return self.limit.flag
+            case "stopped":
+                return Ending.FINDINGS
 
     def _resumed(
         self, algorithm: Algorithm[Any], space: SearchSpace, saved: Sequence[Saved]
@@ -552,13 +578,13 @@ class SearchSession:
         state.resume(earlier, runs=checkpoint.sums.simulated, generations=checkpoint.generation)
         # A session that was killed may have saved failures that its state does not know yet.
         known = {each.id for each in state.earlier}
-        self.store.early = {
+        self.store.pending = {
             each.finding.signature: (each.path, None)
             for each in saved
             if each.finding is not None and each.id not in known and self._is_own(each)
         }
         if checkpoint.sums.evaluated:  # A fault of the set-up would have ended the search in its first session.
-            state.first.is_alike = False
+            state.first_generation.is_alike = False
             yield from self._events(self.store.release())
         return checkpoint
 
@@ -581,7 +607,7 @@ class SearchSession:
         After the time ``until`` [s], findings with a file are left to a later session.
         """
         __tracebackhide__ = True
-        state, workers, store = self.state, self.workers, self.store
+        state, bench, store = self.state, self.bench, self.store
         for find in state.earlier:
             # There is a file of the same name, or a simpler one of the same kind after `corpus join`.
             is_there = any(
@@ -601,21 +627,22 @@ class SearchSession:
                 del state.finds[find.signature]
             scenario, generation, number = find.found
             try:
-                run = workers.run(scenario, afresh=True)
+                run = bench.run(scenario, afresh=True)
             except ProcessLostError as error:
-                yield from lose(error, state, workers, store)
+                yield from lose(error, state, bench, store)
                 continue
-            verdict = workers.judge(run)
+            verdict = bench.finish(run)
             failure = verdict.failure if verdict.failed else None
             if failure is not None and of_failure(run, failure) == find.signature:
-                find_id = yield from save_and_confirm(run, verdict, generation, number, workers, store, self.watch)
+                find_id = yield from save_and_confirm(run, verdict, generation, number, bench, store, self.watch)
                 state.add(find.signature, find_id)
                 state.answers[find_id] = list(find.answers)
 
-    def _summary(self, reason: str) -> SearchSummary:
+    def _summary(self, reason: Ending) -> SearchSummary:
         settings, state, health = self.harness.request.settings, self.state, self.state.health
         budget, generations = state.budget(settings)
-        is_cut = reason == self.limit.flag and self.state.file is None
+        # With a file of its state the search goes on where it was cut, so the result does not depend on the machine.
+        is_cut = reason is self.limit.flag and self.state.file is None
         cut = [f"cut by {reason}: the same seed may find other scenarios next time"] * is_cut
         notes = (
             state.doubt,
@@ -629,7 +656,7 @@ class SearchSession:
         )
         random, ways = state.random, [] if state.space is None else list(state.space.zones)
         # An error says nothing about the ego, and a rate of random scenarios that end at the first failure is too high.
-        is_cut_short = reason == "error" or (reason == "enough findings" and not random.is_whole)
+        is_cut_short = reason is Ending.ERROR or (reason is Ending.FINDINGS and not random.is_whole)
         return SearchSummary(
             node_id=self.watch.node_id,
             algorithm=self.harness.request.algorithm.name,
@@ -657,12 +684,12 @@ class SearchSession:
             unsaved={id_: 1 + state.repeats[id_] for id_ in self.store.unsaved},
             shrink_runs=state.shrink_runs,
             neighbour_runs=state.neighbour_runs,
-            decisions=self.workers.decisions - state.shrink_decisions - state.neighbour_decisions,
-            confirm_decisions=self.workers.confirm_decisions,
+            decisions=self.bench.decisions - state.shrink_decisions - state.neighbour_decisions,
+            confirm_decisions=self.bench.confirm_decisions,
             shrink_decisions=state.shrink_decisions,
             neighbour_decisions=state.neighbour_decisions,
-            reused_decisions=self.workers.runner.reused,
-            known=dict(state.known + state.found_before(self.store)),
+            reused_decisions=self.bench.runner.reused,
+            known=dict(state.covered + state.found_before(self.store)),
             unlike=self._unlike(),
             failures={signature.text: id_ for signature, id_ in state.failures.items()},
             warnings=state.warnings(self.harness) if reason in self._ends_with_warnings else (),
@@ -761,11 +788,11 @@ class SearchSession:
         without = ", and acts= has no effect" if "acts" in self.harness.request.space else ""
         return f"{which}, so the search says nothing about such traffic{without}"
 
-    def _left_undone(self, reason: str) -> Iterator[str]:
+    def _left_undone(self, reason: Ending) -> Iterator[str]:
         """Yield notes on what the search left undone, and how to continue."""
         request, store = self.harness.request, self.store
         settings = request.settings
-        is_broken_off = reason in ("interrupted", "error")
+        is_broken_off = reason.is_broken_off
         firm = [each for each in store.findings.values() if each.is_firm]
         left = [each for each in firm if (each.finding.shrunk is None if is_broken_off else each.unshrunk)]
         if left and settings.shrink_rollouts != 0:
@@ -782,7 +809,7 @@ class SearchSession:
             elif self.state.file is None:
                 yield f"ended before {what} shrunk: {shrink if by_command else again}"
         is_default = settings.profile == LOCAL and settings.runs == PROFILES[LOCAL]["runs"]
-        if is_default and reason == ALL_RUN and not self.state.verdicts["failed"] and not store.count:
+        if is_default and reason is Ending.RUNS and not self.state.verdicts["failed"] and not store.count:
             longer = request.option("runs", PROFILES[FULL]["runs"])
             yield f"{settings.runs} runs are a short search; use {longer} for a longer one"
 

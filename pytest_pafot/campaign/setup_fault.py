@@ -49,7 +49,7 @@ class SetupFaultError(Exception):
         failure = self.verdict.failure
         return "" if failure is None else f"{failure.kind}: {failure.message}"
 
-    def asked(self, world: Any, policy: Policy, *, of_si: str, of_env: str) -> str:
+    def first_decision(self, world: Any, policy: Policy, *, of_si: str, of_env: str) -> str:
         """Return a paragraph on the first decision that the world asks an ADS for; empty if no world can say it.
 
         It ends with ``of_si`` if the decision is in SI units, and with ``of_env`` if it is the environment's.
@@ -63,7 +63,7 @@ class SetupFaultError(Exception):
         nothing = "so nothing was saved" if not self.is_replay else "so it says nothing about any saved scenario"
         again = "replay" if self.is_replay else "search"
         if verdict.is_ads or verdict.exception is None:
-            asked = self.asked(
+            asked = self.first_decision(
                 world,
                 policy,
                 of_si='A policy of a highway-env environment needs world=pafot.World("highway-v0", config=...).',

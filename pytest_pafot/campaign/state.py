@@ -11,6 +11,7 @@ from dataclasses import asdict, dataclass, field, fields, is_dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from pytest_pafot.campaign.bench import Bench
 from pytest_pafot.campaign.events import Judged, SearchEvent
 from pytest_pafot.campaign.harness import Harness
 from pytest_pafot.campaign.options import Settings
@@ -19,7 +20,6 @@ from pytest_pafot.campaign.state_file import FLAG, StateFile
 from pytest_pafot.campaign.store import Store
 from pytest_pafot.campaign.tallies import Tally
 from pytest_pafot.campaign.verdict import FAILING, Verdict, fails_by_ego
-from pytest_pafot.campaign.workers import Workers
 from pytest_pafot.corpus.layout import link_below
 from pytest_pafot.corpus.saved import refusal
 from pytest_pafot.execution.scenario_pool import LostRun, expectation
@@ -130,7 +130,7 @@ class State:
     seconds: float = 0.0  # the time of all earlier sessions [s]
     decides_for_many: bool = False  # True if the ADS has decided for many runs at once
     earlier: tuple[EarlierFind, ...] = ()  # the findings of earlier sessions in the order of discovery
-    known: Counter[str] = field(default_factory=Counter)  # number of failing runs by the file that covers them
+    covered: Counter[str] = field(default_factory=Counter)  # number of failing runs by the file that covers them
     verdicts: Counter[str] = field(default_factory=Counter)  # number of verdicts by kind
     outcomes: Counter[str] = field(default_factory=Counter)  # number of runs by outcome
     responsibilities: Counter[str] = field(default_factory=Counter)  # and by who was responsible
@@ -166,7 +166,7 @@ class State:
     generation: int = field(init=False, default=0)  # generation of the main search, from 0
     finished: events.CampaignFinished | None = field(init=False, default=None)  # the last event of the plan
     skip: BaseException | None = field(init=False, default=None)  # the last skip of the test function
-    first: FirstGeneration = field(init=False, default_factory=FirstGeneration)
+    first_generation: FirstGeneration = field(init=False, default_factory=FirstGeneration)
     # number of runs that failed in lock step, by whether they failed alone, too
     repeated: Counter[bool] = field(init=False, default_factory=Counter)
     # a scenario in which an ADS decided otherwise than it must, and the mark by which it must not
@@ -198,15 +198,15 @@ class State:
     def known_alone(self) -> str:
         """A note if all failures so far are known failures of checks; empty if nothing or anything else failed."""
         checks = {id_ for signature, id_ in self.shown.items() if signature.failure == CHECK_FAILED}
-        if not self.known or self.known.total() < self.verdicts["failed"] or not checks.issuperset(self.known):
+        if not self.covered or self.covered.total() < self.verdicts["failed"] or not checks.issuperset(self.covered):
             return ""
-        names = " and ".join(f"saved-{id_}" for id_ in sorted(self.known))
-        which = "a failed check" if len(self.known) == 1 else "failed checks"
-        return f"all {plural(self.known.total(), 'failing run')} are known, by {names}, {which}; nothing else failed"
+        names = " and ".join(f"saved-{id_}" for id_ in sorted(self.covered))
+        which = "a failed check" if len(self.covered) == 1 else "failed checks"
+        return f"all {plural(self.covered.total(), 'failing run')} are known, by {names}, {which}; nothing else failed"
 
     def warnings(self, harness: Harness) -> tuple[str, ...]:
         """Return warnings about the search's health, and about a test or reference with which nothing can fail."""
-        warnings = self.health.warnings(self.known.total(), acts_in_si=harness.acts_in_si)
+        warnings = self.health.warnings(self.covered.total(), acts_in_si=harness.acts_in_si)
         excused = sum(self.verdicts[kind] for kind in ("npc", "avoidable", "unpreventable"))
         if excused and not self.verdicts["passed"] and not self.verdicts["failed"]:
             blame, what = harness.request.blame, "collisions that an NPC is responsible for"
@@ -326,7 +326,7 @@ class State:
                     self.count()
             case events.GenerationFinished(local_generation=0):
                 self.generation = event.generation + 1
-                self.first.end()
+                self.first_generation.end()
             case events.LocalSearchStarted():
                 self.generation = event.generation
             case events.LocalSearchFinished():
@@ -342,8 +342,8 @@ class State:
         self.caught.update(caught)
         self.doubt = self.doubt or doubt
         self.avoidable = self.avoidable or verdict.excused
-        if self.first.is_alike:
-            self.first.see(run, verdict)
+        if self.first_generation.is_alike:
+            self.first_generation.see(run, verdict)
         if verdict.kind == "skipped":
             self.skip = verdict.exception
         if verdict.reference is not None and self.broken != "":
@@ -360,8 +360,8 @@ class State:
         self.responsibilities.update(tally.responsibilities)
         self.doubt = self.doubt or tally.doubt
         self.avoidable = self.avoidable or tally.avoidable
-        if self.first.is_alike:
-            self.first.see_others(tally.verdicts)
+        if self.first_generation.is_alike:
+            self.first_generation.see_others(tally.verdicts)
         for signature, runs in tally.failed.items():
             if self.knows(signature):  # unless this process has judged the first of these runs otherwise
                 self.repeat(signature, runs)
@@ -375,7 +375,7 @@ class State:
     def repeat(self, signature: Signature, runs: int = 1) -> None:
         """Count runs with a failure that the search :meth:`knows`."""
         id_ = self.failures[signature] = self.shown.get(signature) or self.finds[signature]
-        (self.known if signature in self.shown else self.repeats)[id_] += runs
+        (self.covered if signature in self.shown else self.repeats)[id_] += runs
 
     def add(self, signature: Signature, find_id: str) -> None:
         """Take a new finding."""
@@ -388,7 +388,7 @@ class State:
 
     def forget_findings(self) -> None:
         """Forget the failures of a search whose set-up is at fault: they must not count as findings or as known."""
-        self.known.clear()
+        self.covered.clear()
         self.failures.clear()
         self.finds.clear()
 
@@ -413,20 +413,20 @@ class State:
         ]
 
 
-def lose(lost: LostRun, state: State, workers: Workers, store: Store) -> Generator[SearchEvent, None, bool]:
+def lose(lost: LostRun, state: State, bench: Bench, store: Store) -> Generator[SearchEvent, None, bool]:
     """Record a scenario whose process died or hung, so that it is never run again, not even in later sessions.
 
     Return whether that is a failure. It is none if the reference does not pass the scenario either.
     """
     state.fatal.add(lost.task)
-    if workers.is_common(lost.task):
+    if bench.is_common(lost.task):
         return False
     signature = expectation(lost).signature
     if state.knows(signature):
         state.repeat(signature)
     else:
         sighting = store.add_lost(lost, state.generation, state.runs + 1)
-        yield from store.report(sighting)
+        yield from store.publish(sighting)
         state.add(signature, sighting.id)
     return True
 

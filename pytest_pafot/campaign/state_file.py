@@ -122,6 +122,7 @@ class StateFile:
             RequestError: if the file is not a state, belongs to another search, or cannot be read.
         """
         try:
+            # Anyone may have written the file: it may be a pipe, or larger than the memory.
             with open_regular(self.path) as file:
                 content = file.read(MAX_BYTES + 1)
         except FileNotFoundError:
@@ -145,6 +146,7 @@ class StateFile:
         version, settings = data.get("version"), data.get("settings")
         if not isinstance(version, int):  # The file may be a secret, so its content is not printed.
             self._refuse(f"a state of version {VERSION}", "version unknown")
+        # Other versions drive other runs. That is no error of the user, so the search begins again, with a note.
         then = settings.get("versions") if isinstance(settings, dict) else None
         if version != VERSION or (then is not None and then != self.settings["versions"]):
             of_format = f"of version {version} of its format, not {VERSION}"
@@ -154,6 +156,7 @@ class StateFile:
             self._refuse(f"the keys {', '.join(PARTS)}", "others")
         if not isinstance(data["settings"], dict):
             self._refuse("settings: a mapping", f"{data['settings']!r:.60}")
+        # Of the same versions, other settings are a mistake: what was found before would not be found by this search.
         differ = differences("", data["settings"], self.settings)
         if differ:
             self._refuse("the state of this search", f"one that differs: {'; '.join(differ)}")

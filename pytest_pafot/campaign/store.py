@@ -10,9 +10,9 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from pytest_pafot.campaign.blocks import PendingFailure
 from pytest_pafot.campaign.harness import Harness
 from pytest_pafot.campaign.verdict import PlainFailure, Verdict, headline
-from pytest_pafot.campaign.workers import Early
 from pytest_pafot.corpus.layout import SUFFIX, files_in, relative
 from pytest_pafot.corpus.reader import load
 from pytest_pafot.corpus.writer import CorpusWriteError, free_path, rewrite, text_of, write
@@ -20,7 +20,8 @@ from pytest_pafot.execution.crash_records import Leftover
 from pytest_pafot.execution.pool import OUT_OF_MEMORY, WORLD_HANGS, ProcessLostError
 from pytest_pafot.execution.scenario_pool import LostRun, expectation
 from pytest_pafot.findings.finding import Expect, Finding, Found, Perceived, portable
-from pytest_pafot.findings.sighting import NO_WORSE, Sighting
+from pytest_pafot.findings.labels import Label
+from pytest_pafot.findings.sighting import Sighting
 from pytest_pafot.findings.signature import PROCESS_CRASH, Signature
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Outcome
@@ -54,12 +55,12 @@ class Store:
     replayed: frozenset[Path] = frozenset()
     findings: dict[str, Sighting] = field(default_factory=dict)  # the findings so far, by id
     unsaved: list[str] = field(default_factory=list)  # ids of findings above the limit of saved scenarios
-    first: BaseException | None = None  # the exception of the first finding, for a debugger
+    first_exception: BaseException | None = None  # the exception of the first finding, for a debugger
     held: list[str] = field(default_factory=list)  # ids of findings that are saved and not reported yet
     dismissed: dict[str, str] = field(default_factory=dict)  # headlines of findings that do not count, by id
     # failures of blocks that are not counted yet, and their files, if any; without the failure, what a session that was
     # killed has left
-    early: dict[Signature, tuple[Path | None, Early | None]] = field(default_factory=dict)
+    pending: dict[Signature, tuple[Path | None, PendingFailure | None]] = field(default_factory=dict)
     is_holding: bool = True  # False once findings are reported at once, because they are no fault of the set-up
 
     @property
@@ -80,11 +81,11 @@ class Store:
         if verdict.exception is None:
             raise ValueError(f"verdict: expected the verdict on a failed run, received {verdict!r}")
         harness, finding = self.harness, self._failure(run, verdict, generation)
-        self._forget_early(finding)
+        self._forget_pending(finding)
         # A finding whose file exists already takes no more room.
         if self._is_full and not os.path.lexists(free_path(harness.folder, finding, self.replayed)[0]):
             self.unsaved.append(finding.id)
-            self.first = self.first or verdict.exception
+            self.first_exception = self.first_exception or verdict.exception
             return finding.id
         origin = self._origin(generation, number)
         with postponed():  # Whatever interrupts the search from here on, it ends with a report of what is held.
@@ -92,52 +93,60 @@ class Store:
             sighting = replace(sighting, run=run, number=number, severity=verdict.severity)
             return self._held(sighting)
 
-    def add_early(self, early: Early, known: Collection[Signature]) -> None:
+    def add_pending(self, pending: PendingFailure, known: Collection[Signature]) -> None:
         """Save a failure that is not known and not counted yet, so that it is not lost if the session is killed."""
-        if isinstance(early.of, ProcessLostError):
-            finding = self._death(early.of.task, expectation(early.of), self._found(early.generation), None)
+        if isinstance(pending.of, ProcessLostError):
+            finding = self._death(pending.of.task, expectation(pending.of), self._found(pending.generation), None)
         else:
-            finding = self._failure(*early.of, early.generation)
+            finding = self._failure(*pending.of, pending.generation)
         signature, saved = finding.signature, None
-        if signature in known or signature in self.early:
+        if signature in known or signature in self.pending:
             return
-        if self.harness.request.settings.save != "none" and not self._is_full:
+        if self.harness.request.settings.save != "none" and self._room > self._pending_files:
             path, finding = free_path(self.harness.folder, finding, self.replayed)
             with suppress(CorpusWriteError):  # which is reported in its turn
                 saved = path if write(path, finding) else None
-        self.early[signature] = saved, early
+        self.pending[signature] = saved, pending
 
-    def _forget_early(self, finding: Finding) -> None:
-        """Remove what was saved early if a failure of its kind comes before it, or if there is no room for it."""
-        path, _ = self.early.pop(finding.signature, (None, None))
+    def _forget_pending(self, finding: Finding) -> None:
+        """Remove what was saved before its turn if a failure of its kind has come before it, or if there is no room."""
+        path, _ = self.pending.pop(finding.signature, (None, None))
         is_same = path == free_path(self.harness.folder, finding, self.replayed)[0]
         if path is not None and (self._is_full or not is_same):
-            _remove_early(path)
+            _remove_pending(path)
 
     def settle(self, number: int, *, keeps: bool) -> Iterator[tuple[Signature, str]]:
-        """End the search with failures that are saved early: take them as findings, or remove their files.
+        """End the search with failures that are saved before their turn: take them as findings, or remove their files.
 
         Yield what is taken, with the ids; ``number`` is that of its run. What an earlier session has left stays.
         """
-        for signature, (path, early) in [*self.early.items()]:
-            if early is None:
+        for signature, (path, pending) in [*self.pending.items()]:
+            if pending is None:
                 continue
             if not keeps:
                 if path is not None:
-                    _remove_early(path)
-            elif isinstance(early.of, ProcessLostError):
-                yield signature, self.add_lost(early.of, early.generation, number).id
+                    _remove_pending(path)
+            elif isinstance(pending.of, ProcessLostError):
+                yield signature, self.add_lost(pending.of, pending.generation, number).id
             else:
-                sighting = self.add(*early.of, early.generation, number)
+                sighting = self.add(*pending.of, pending.generation, number)
                 yield signature, sighting if isinstance(sighting, str) else self.call_unconfirmed(sighting).id
-        self.early.clear()
+        self.pending.clear()
+
+    @property
+    def _room(self) -> int:
+        """The number of findings that may still be saved, without those that are saved before their turn."""
+        files = files_in(self.harness.folder)  # Empty if the folder cannot be read; writing into it reports why.
+        saved = max(len(files) - self._pending_files, len(self.findings))
+        return self.harness.request.settings.max_saved - saved
 
     @property
     def _is_full(self) -> bool:
-        """True if as many findings are saved as may be, without those that are saved early."""
-        files = files_in(self.harness.folder)  # Empty if the folder cannot be read; writing into it reports why.
-        early = sum(path is not None for path, _ in self.early.values())
-        return max(len(files) - early, len(self.findings)) >= self.harness.request.settings.max_saved
+        return self._room <= 0
+
+    @property
+    def _pending_files(self) -> int:
+        return sum(path is not None for path, _ in self.pending.values())
 
     def _failure(self, run: Run, verdict: Verdict, generation: int) -> Finding:
         if verdict.failure is None:
@@ -157,7 +166,7 @@ class Store:
         """Yield the findings that were held back; from now on, each new finding is to be reported at once."""
         self.is_holding = False
         for find_id in tuple(self.held):
-            yield from self.report(self.findings[find_id])
+            yield from self.publish(self.findings[find_id])
 
     def withdraw(self) -> Iterator[Sighting]:
         """Remove the files of findings that were held back, since they are a fault of the set-up.
@@ -174,7 +183,7 @@ class Store:
                 if sighting.file is not None:
                     sighting.file.unlink(missing_ok=True)
             except OSError:
-                yield from self.report(sighting)
+                yield from self.publish(sighting)
         if not any(each.file for each in withdrawn):
             return  # Nothing was saved, and the folders may be behind a link, where nothing may be removed.
         with suppress(OSError):  # Folders with other content stay.
@@ -183,7 +192,7 @@ class Store:
     def dismiss(self, sighting: Sighting, why: str) -> Iterator[Sighting]:
         """Remove the file of a finding that does not count, and yield what is to be reported."""
         file = sighting.file
-        sighting = replace(sighting, label=NO_WORSE, detail=why, unshrunk="", is_first=False)
+        sighting = replace(sighting, label=Label.NO_WORSE, detail=why, unshrunk="", is_first=False)
         if file is not None:
             with suppress(OSError):  # A file that cannot be removed stays, and is reported with its path.
                 file.unlink(missing_ok=True)
@@ -193,19 +202,19 @@ class Store:
         with postponed():
             del self.findings[sighting.id]
             self.dismissed[sighting.id] = sighting.headline
-            self.first = next((each.exception for each in self.findings.values()), None)
+            self.first_exception = next((each.exception for each in self.findings.values()), None)
             yield sighting
 
     def _remove_folders(self) -> None:
         for folder in (self.harness.folder, *self.harness.folder.parents[:2]):
             folder.rmdir()
 
-    def report(self, sighting: Sighting) -> Iterator[Sighting]:
+    def publish(self, sighting: Sighting) -> Iterator[Sighting]:
         """Yield a new finding, or an update of one, which is reported as soon as the next event is asked for."""
         with postponed():
             self.findings[sighting.id] = sighting
-            if self.first is None or sighting.id == next(iter(self.findings)):
-                self.first = sighting.exception
+            if self.first_exception is None or sighting.id == next(iter(self.findings)):
+                self.first_exception = sighting.exception
             yield sighting
             if sighting.id in self.held:
                 self.held.remove(sighting.id)
@@ -264,7 +273,7 @@ class Store:
         text = f"the {lost.who} that ran this scenario {lost.how}{again}: "
         text += cause(lost, f"{flag('workers', 1)} finds nothing here; delete the file")
         finding = self._death(lost.task, expectation(lost), self._found(generation), None)
-        self._forget_early(finding)
+        self._forget_pending(finding)
         origin = self._origin(generation, number)
         with postponed():
             return self._held(self._saved(finding, _headline(lost), origin, PlainFailure(text), lost.is_hang))
@@ -335,8 +344,8 @@ class Store:
         )
 
 
-def _remove_early(path: Path) -> None:
-    """Remove a file that was saved early, unless somebody has accepted its failure meanwhile or put another there."""
+def _remove_pending(path: Path) -> None:
+    """Remove a file that was saved before its turn, unless somebody has accepted its failure or put another there."""
     with suppress(OSError, CorpusError):
         if load(path).xfail is None:
             path.unlink()

@@ -110,7 +110,7 @@ class Reader:
             run = Run(trace)
             fitness = None if self.fitness is None else self.fitness(run)
             return Facts(trace, run.attribution, interaction_of(trace), unit_doubt(trace), fitness)
-        run = self.harness.seen(trace)
+        run = self.harness.run_of(trace)
         verdict, signature, manner = self.harness.judge(run), None, None
         if verdict.failed and verdict.failure is not None:
             signature, manner = failed_as(run, verdict.failure)
@@ -234,7 +234,7 @@ class BlockDriver:
 
     def __call__(self, task: BlockTask, job: Job, record: CrashRecord, say: Callable[[Timed], object]) -> None:
         """Drive a block and say what comes of it, until it ends or only the session can go on."""
-        known = set(task.known)
+        known = set(task.known_failures)
         read = partial(self.reader.digested, known=known)
         if not task.is_apart:
             self._drive(task, known, lambda scenario: run_recorded(job, record, scenario, read), say)
@@ -283,10 +283,13 @@ class BlockDriver:
                     block.take(unknown(scenario))
                     continue
                 digested, output, seconds = answer if isinstance(answer, tuple) else (None, CapturedOutput(), 0.0)
+                # Only the session may judge this run, or report what it raised: it goes on with the block from here.
                 if not isinstance(digested, Digested):
                     count()
                     return
                 block.take(digested.evaluation)
+                # Nothing new: it is counted with the runs next to it, because a message for each would cost the session
+                # more than the run itself.
                 if digested.facts is None or digested.signature in known:
                     counted.append((digested, output, seconds))
                 else:
@@ -294,6 +297,7 @@ class BlockDriver:
                     say((digested.facts, output, seconds))
                     if digested.signature is not None:
                         known.add(digested.signature)
+                # The random runs of the beginning are counted apart, so a tally must not go beyond their end.
                 if first + block.index == self.random_runs:
                     count()
             count()

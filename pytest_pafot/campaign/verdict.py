@@ -121,7 +121,7 @@ def judge(run: Run, test: Test, *, blame: str, test_file: str | None = None) -> 
         elif is_excused and not avoidable:
             verdict = Verdict(kind="npc")
         else:
-            verdict = _asked(run, test, test_file)
+            verdict = _verdict_of_test(run, test, test_file)
         if blame == "preventable" and verdict.asserts:
             outcomes = reference_outcomes(run, test, blame=blame, test_file=test_file)
             try:
@@ -170,7 +170,7 @@ def judged_with_drivers(run: Run, test: Test, test_file: str | None = None) -> t
     return verdict, headline(run, verdict), next((name for name, outcome in outcomes if outcome == "avoids"), "")
 
 
-def _asked(run: Run, test: Test, test_file: str) -> Verdict:
+def _verdict_of_test(run: Run, test: Test, test_file: str) -> Verdict:
     recording = Recording(hz=run.trace.physics_hz, ticks=run.trace.ticks, npcs=len(run.scenario.npcs))
     try:
         with recorded(recording):

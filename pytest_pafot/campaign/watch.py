@@ -7,15 +7,14 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
-from pytest_pafot.campaign.events import Progress, SearchEvent
+from pytest_pafot.campaign.bench import Bench
+from pytest_pafot.campaign.events import Ending, Progress, SearchEvent
 from pytest_pafot.campaign.options import Settings
 from pytest_pafot.campaign.refine.simplest import rollouts_for
 from pytest_pafot.campaign.state import State
 from pytest_pafot.campaign.store import Store
-from pytest_pafot.campaign.workers import Workers
 from pytest_pafot.searching.events import EndReason
 from pytest_pafot.searching.plan import Plan
-from pytest_pafot.support.errors import flag
 
 RUNS_TO_CONFIRM = 4
 """The time to find and confirm a failure, as a number of runs.
@@ -31,8 +30,8 @@ is over by then [s]. So a search of a fast policy tests something although other
 class TimeLimit(NamedTuple):
     """The time limit of a search, including shrinking: the option's flag, and the time of the end [s] or infinity."""
 
-    flag: str
-    until: float
+    flag: Ending
+    end: float
 
 
 def time_limit(settings: Settings, *, now: float, began: float, left: int) -> TimeLimit:
@@ -44,11 +43,11 @@ def time_limit(settings: Settings, *, now: float, began: float, left: int) -> Ti
         began: the time at which the session began [s].
         left: the number of searches, including this search, that share the remaining time of the session equally.
     """
-    own = TimeLimit(flag("max_time"), now + (math.inf if settings.max_time is None else settings.max_time))
+    own = TimeLimit(Ending.MAX_TIME, now + (math.inf if settings.max_time is None else settings.max_time))
     if settings.total_time is None:
         return own
     share = max(0.0, began + settings.total_time - now) / left
-    return min(own, TimeLimit(flag("total_time"), now + share), key=lambda limit: limit.until)
+    return min(own, TimeLimit(Ending.TOTAL_TIME, now + share), key=lambda limit: limit.end)
 
 
 @dataclass(slots=True)
@@ -65,11 +64,11 @@ class Watch:
         """Return the time after which a run ends between two decisions [s]."""
         return math.inf
 
-    def seen(self) -> Iterator[SearchEvent]:
+    def after_event(self) -> Iterator[SearchEvent]:
         """Yield a report of the progress if one is due after an event of the plan."""
         yield from ()
 
-    def confirms(self, find_id: str) -> Iterator[SearchEvent]:
+    def before_rerun(self, find_id: str) -> Iterator[SearchEvent]:
         """Yield a report of the progress if one is due before a finding is run again."""
         yield from ()
 
@@ -84,19 +83,19 @@ class TimedWatch(Watch):
         most: the number of findings after which it ends, or None.
         progress_seconds: the interval between reports of progress [s].
         began: the time at which the loop began [s].
-        until: the earliest time at which it ends for lack of time [s].
+        earliest_end: the earliest time at which it ends for lack of time [s].
         last: the time of the last event of the plan [s].
     """
 
     node_id: str
     state: State
-    workers: Workers
+    bench: Bench
     store: Store
     limit: TimeLimit
     most: int | None
     progress_seconds: float
     began: float = 0.0
-    until: float = math.inf
+    earliest_end: float = math.inf
     last: float = 0.0
     _runs_before: int = 0
     _reported_at: float = field(init=False)
@@ -106,10 +105,10 @@ class TimedWatch(Watch):
     def __post_init__(self) -> None:
         self._reported_at = self.state.clock()
 
-    def begin(self, until: float) -> None:
+    def begin(self, earliest_end: float) -> None:
         """Note that the loop begins now, and the earliest time at which it may end [s]."""
         self.began = self.last = self.state.clock()
-        self.until, self._runs_before = until, self.state.runs
+        self.earliest_end, self._runs_before = earliest_end, self.state.runs
 
     def reached(self, plan: Plan[Any]) -> EndReason | None:
         """Return the limit that is reached between two scenarios; None if there is none."""
@@ -121,7 +120,7 @@ class TimedWatch(Watch):
 
     def seconds_left(self) -> float:
         """Return the time after which a run may be cut [s]. The first run gets its time in any case."""
-        ends = self._ends() if self.store.firm else self.limit.until
+        ends = self._ends() if self.store.firm else self.limit.end
         ends = ends if self.state.runs > self._runs_before else max(ends, self.began + LEAST)
         return ends - self.state.clock()
 
@@ -131,23 +130,24 @@ class TimedWatch(Watch):
         That leaves the time to simplify its findings, or without any, to confirm one in its last run, as far as can be
         told from the runs so far. Runs of a policy that decides for many at once do not tell how long one alone takes.
         """
-        harness, state = self.workers.harness, self.state
+        harness, state = self.bench.harness, self.state
         settings, firm = harness.request.settings, self.store.firm
-        if self.limit.until == math.inf or (firm and state.decides_for_many):
-            return self.until
+        if self.limit.end == math.inf or (firm and state.decides_for_many):
+            return self.earliest_end
         to_simplify = RUNS_TO_CONFIRM + rollouts_for(harness) + settings.neighbours
         to_compare = 0 if harness.against is None else 2 * settings.pairs
         run_seconds = (state.clock() - self.began) * settings.workers / max(state.runs - self._runs_before, 1)
-        return max(self.until, self.limit.until - (firm * to_simplify + to_compare or RUNS_TO_CONFIRM) * run_seconds)
+        seconds = (firm * to_simplify + to_compare or RUNS_TO_CONFIRM) * run_seconds
+        return max(self.earliest_end, self.limit.end - seconds)
 
-    def seen(self) -> Iterator[SearchEvent]:
+    def after_event(self) -> Iterator[SearchEvent]:
         """Yield a report of the progress if one is due after an event of the plan."""
         self.last = self.state.clock()
         if self._since is None and self.state.runs > self._runs_before:
-            self._since = self.last - self.workers.confirm_seconds, self.state.runs
+            self._since = self.last - self.bench.confirm_seconds, self.state.runs
         return self.progress()
 
-    def confirms(self, find_id: str) -> Iterator[SearchEvent]:
+    def before_rerun(self, find_id: str) -> Iterator[SearchEvent]:
         """Yield a report of the progress if one is due before a finding is run again."""
         return self.progress(f"found {find_id}, running it again")
 
@@ -157,7 +157,7 @@ class TimedWatch(Watch):
 
         Confirming a finding is left out: at first most failures are new, and later hardly any.
         """
-        runner = self.workers.runner
+        runner = self.bench.runner
         if runner.processes.in_use:
             return runner.processes.run_seconds
         # The first runs of an executor come at the same time, after that of one run.
@@ -165,19 +165,19 @@ class TimedWatch(Watch):
             return 0.0
         began, before = self._since
         made = self.state.runs + runner.ready - before
-        return (self.state.clock() - self.workers.confirm_seconds - began) / made if made else 0.0
+        return (self.state.clock() - self.bench.confirm_seconds - began) / made if made else 0.0
 
     def progress(self, phase: str = "", of: str = "") -> Iterator[SearchEvent]:
         """Yield a report of the progress if one is due, in a phase of the work on a finding."""
-        state, runner = self.state, self.workers.runner
+        state, runner = self.state, self.bench.runner
         now = state.clock()
         if now - self._reported_at < self.progress_seconds:
             return
         self._reported_at = now
-        budget, generations = state.budget(self.workers.harness.request.settings)
+        budget, generations = state.budget(self.bench.harness.request.settings)
         run_seconds = self._run_seconds
         runs_left = 0 if budget is None else budget - state.runs - runner.ready
-        decisions = 0 if state.done_before else self.workers.decisions  # some of the runs are of an earlier session
+        decisions = 0 if state.done_before else self.bench.decisions  # some of the runs are of an earlier session
         yield Progress(
             node_id=self.node_id,
             generation=min(state.generation + 1, generations or state.generation + 1),
@@ -189,7 +189,7 @@ class TimedWatch(Watch):
             seconds=state.seconds_so_far,
             left=runs_left * run_seconds / max(runner.processes.in_use, 1),
             decision_seconds=run_seconds * state.runs / decisions if decisions else 0.0,
-            is_limited=self.limit.until < math.inf,
+            is_limited=self.limit.end < math.inf,
             phase=phase,
             of=of,
         )

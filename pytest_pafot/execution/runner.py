@@ -144,7 +144,7 @@ class Runner:
     clock: Callable[[], float]
     is_alone: bool = field(default=True, init=False)
     """True if the last run was made by itself, and not in lock step with other runs."""
-    asked: int = field(default=0, init=False)
+    decisions: int = field(default=0, init=False)
     """The number of decisions that the ADS made in the runs with a trace so far."""
     reused: int = field(default=0, init=False)
     """The number of cached decisions in these runs, which the ADS did not make."""
@@ -225,7 +225,7 @@ class Runner:
             Exception: any exception of the world, the factory or the ADS's ``batch``.
         """
         __tracebackhide__ = True
-        made = self._prefetching.take(scenario, afresh=afresh)
+        made = self._prefetching.collect(scenario, afresh=afresh)
         if isinstance(made, Digest):
             self.is_alone = True
             return made
@@ -254,7 +254,7 @@ class Runner:
                 self.resumed.insert(0, (reused, trace))  # Of those that are as good, the last has most to share.
                 self.resumed.sort(key=lambda pair: -min(pair[0], len(pair[1].actions) - pair[0]))
                 del self.resumed[RESUMED:]
-        self.asked, self.reused = self.asked + len(trace.actions) - reused, self.reused + reused
+        self.decisions, self.reused = self.decisions + len(trace.actions) - reused, self.reused + reused
         if self._decisions is not None and self.is_alone:  # decisions of a batch may differ, so they are not cached
             self._decisions.remember(trace, None if self._copies is None else copies)
         return made or trace
@@ -527,10 +527,10 @@ class LockStep:
             self._announced, self._made = [], {}
         self._announced += scenarios
 
-    def take(self, scenario: Scenario, *, afresh: bool) -> Trace | None:
+    def collect(self, scenario: Scenario, *, afresh: bool) -> Trace | None:
         """Return the trace of an announced scenario; None if the scenario must be run by itself.
 
-        Each trace can be taken once. With ``afresh`` the result is always None.
+        Each trace can be collected once. With ``afresh`` the result is always None.
         """
         __tracebackhide__ = True
         if afresh:
@@ -666,10 +666,10 @@ class Processes:
             self.announced[scenario] = None
             yield scenario
 
-    def take(self, scenario: Scenario, *, afresh: bool) -> Made | None:
+    def collect(self, scenario: Scenario, *, afresh: bool) -> Made | None:
         """Return what became of an announced scenario; None if the scenario must be run in this process.
 
-        Each run can be taken once. With ``afresh`` the result is always None.
+        Each run can be collected once. With ``afresh`` the result is always None.
         """
         __tracebackhide__ = True
         if not afresh and scenario in self.ready:
@@ -739,7 +739,7 @@ class Isolated(Processes):
             return [] if pool.failure or pool.unable else pool.notes
         return self._retried
 
-    def take(self, scenario: Scenario, *, afresh: bool) -> Trace | Facts:
+    def collect(self, scenario: Scenario, *, afresh: bool) -> Trace | Facts:
         """Return the run of a scenario from a different process, and raise the exceptions of that process.
 
         No run is repeated in this process. So if a worker of an executor raises, for example because it lacks a

@@ -158,13 +158,13 @@ class BlockTask:
 
     Attributes:
         number: the number of the block.
-        known: the failures of which no run must be sent.
+        known_failures: the failures of which no run must be sent.
         fatal: scenarios that must not be run.
         is_apart: True if each scenario must run in a process of that process, because it may die.
     """
 
     number: int
-    known: frozenset[Any] = field(compare=False)
+    known_failures: frozenset[Any] = field(compare=False)
     fatal: frozenset[Scenario] = field(compare=False)
     is_apart: bool = field(compare=False)
 

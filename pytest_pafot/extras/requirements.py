@@ -206,15 +206,15 @@ class Requirement:
     session did not come to the end of its tests, if none has since; otherwise it is empty.
     """
 
-    told: Traced
+    traced: Traced
     tests: tuple[str, ...] = ()
-    known: tuple[Failure, ...] = ()
+    all_failures: tuple[Failure, ...] = ()
     days: tuple[Day, ...] = ()
     broke_off: str = ""
 
     def failures(self, state: str) -> list[Failure]:
         """Return the failures in a state, the worst first."""
-        return sorted((each for each in self.known if each.state == state), key=lambda each: each.rank)
+        return sorted((each for each in self.all_failures if each.state == state), key=lambda each: each.rank)
 
     @property
     def runs(self) -> int:
@@ -239,10 +239,10 @@ class Requirement:
     @property
     def rank(self) -> tuple[Any, ...]:
         """The key that sorts requirements, the one with the worst open failure first."""
-        first = min((each.rank for each in self.known), default=(len(STATES),))
+        first = min((each.rank for each in self.all_failures), default=(len(STATES),))
         if self.broke_off and self.state == BROKE_OFF:
             first = (STATES.index(OPEN) + 0.5,)
-        return first[0], *first[1:-1], self.told.ids
+        return first[0], *first[1:-1], self.traced.ids
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -285,13 +285,13 @@ class Table:
                     known.setdefault(id_, []).append(failure)
         requirements = [
             Requirement(
-                told=_told(id_, [inventory.tests[test] for test in tests.get(id_, ())], course.told, listed),
+                traced=_traced(id_, [inventory.tests[test] for test in tests.get(id_, ())], course.named, listed),
                 tests=tuple(sorted(tests.get(id_, ()))),
-                known=tuple(known.get(id_, ())),
+                all_failures=tuple(known.get(id_, ())),
                 days=tuple(course.days(id_)),
                 broke_off=course.broke_off(tests.get(id_, ())),
             )
-            for id_ in {**tests, **course.told, **listed}
+            for id_ in {**tests, **course.named, **listed}
         ]
         return cls(
             requirements=tuple(sorted(requirements, key=lambda each: each.rank)),
@@ -301,7 +301,7 @@ class Table:
         )
 
 
-def _told(
+def _traced(
     id_: str, of_tests: Sequence[Traced], of_sessions: Mapping[str, Traced], listed: Mapping[str, Traced]
 ) -> Traced:
     """Return title and owner of a requirement: from the list, else from its tests, else from the last session."""
@@ -335,7 +335,7 @@ class Course:
         searched: for each test the sessions in which it ran, and was not only replayed or skipped.
         unended: for each test the sessions in which it did not come to an end, or in which its search could not begin,
             each with the reason.
-        told: the requirements that the results name, as in the last session that names them.
+        named: the requirements that the results name, as in the last session that names them.
         by_test: the requirements of each test: as its marks say now, or as the last results say if the test is gone.
     """
 
@@ -343,7 +343,7 @@ class Course:
     events: dict[Key, dict[int, Event]] = field(default_factory=dict)
     searched: dict[str, set[int]] = field(default_factory=dict)
     unended: dict[str, dict[int, str]] = field(default_factory=dict)
-    told: dict[str, Traced] = field(default_factory=dict)
+    named: dict[str, Traced] = field(default_factory=dict)
     by_test: dict[str, tuple[str, ...]] = field(default_factory=dict)
 
     @classmethod
@@ -406,7 +406,7 @@ class Course:
         """Note the requirements that an entry names; return its test."""
         self.by_test[test] = tuple(entry.get("requirements", ()))
         for id_ in self.by_test[test]:
-            self.told[id_] = Traced(requirements=(id_,), title=entry.get("title", ""), owner=entry.get("owner", ""))
+            self.named[id_] = Traced(requirements=(id_,), title=entry.get("title", ""), owner=entry.get("owner", ""))
         return test
 
     def _see(self, key: Key, number: int, event: Event) -> None:
@@ -547,7 +547,7 @@ def _worst(requirement: Requirement) -> Failure | None:
 
 def _cells(requirement: Requirement) -> list[object]:
     """Return the cells of a requirement's row, in the order of the columns."""
-    told, worst, last = requirement.told, _worst(requirement), requirement.searched
+    told, worst, last = requirement.traced, _worst(requirement), requirement.searched
     return [
         told.ids,
         told.title,
@@ -567,7 +567,7 @@ def _course_cells(requirement: Requirement) -> Iterator[list[object]]:
     for day in requirement.days:
         session, rate = day.session, _rate(day.random_failing, day.random_runs)
         figures = (day.runs, day.new, day.open, day.fixed, day.drifted)
-        yield [requirement.told.ids, session.day, session.commit[:10], *figures, rate]
+        yield [requirement.traced.ids, session.day, session.commit[:10], *figures, rate]
 
 
 def text_lines(table: Table, *, course: bool) -> Iterator[str]:
@@ -578,7 +578,7 @@ def text_lines(table: Table, *, course: bool) -> Iterator[str]:
     yield f"{plural(len(states), 'requirement')}{': ' if counts else ''}{', '.join(counts)}"
     for requirement in table.requirements:
         yield ""
-        yield from wrapped_to(ascii_text(requirement.told.described), width)
+        yield from wrapped_to(ascii_text(requirement.traced.described), width)
         for name, text in _parts(requirement):
             yield from wrapped_to(ascii_text(f"  {name:9} {text}"), width)
         if course or len(table.sessions) > 1:
@@ -612,7 +612,7 @@ def _parts(requirement: Requirement) -> Iterator[tuple[str, str]]:
 
 def _left_over(table: Table) -> Iterator[tuple[str, Sequence[str]]]:
     """Yield what belongs to no requirement or has no test, each with its names."""
-    untested = [each.told.ids for each in table.requirements if not each.tests]
+    untested = [each.traced.ids for each in table.requirements if not each.tests]
     for title, names in (
         ("requirements without a test", untested),
         ("tests without a requirement", table.without),

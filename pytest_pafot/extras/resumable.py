@@ -91,7 +91,7 @@ def file_name(name: str, run: int) -> str:
     return str(PurePath(RUNS) / f"{name}-{run:03}.csv")
 
 
-def run_job(job: ResumableJob, folder: Path, *, workers: int, told: TextIO, clock: Callable[[], float]) -> Path:
+def run_job(job: ResumableJob, folder: Path, *, workers: int, stream: TextIO, clock: Callable[[], float]) -> Path:
     """Run the tasks that are not finished; return the path of the file with the rows of all tasks.
 
     Results in the folder are reused, unless they were changed. With one worker, the tasks run in this process.
@@ -100,7 +100,7 @@ def run_job(job: ResumableJob, folder: Path, *, workers: int, told: TextIO, cloc
         job: the tasks.
         folder: the folder for the results.
         workers: the number of processes.
-        told: the stream for the progress and the remaining time.
+        stream: the stream for the progress and the remaining time.
         clock: returns the seconds since some fixed moment.
 
     Raises:
@@ -112,11 +112,11 @@ def run_job(job: ResumableJob, folder: Path, *, workers: int, told: TextIO, cloc
     left = [task for task in job.tasks if seconds_of(folder / file_name(*task)) is None]
     for task in left:
         if (folder / file_name(*task)).exists():
-            told.write(f"{job.command}: {folder / file_name(*task)} was changed or damaged, so its task runs again\n")
+            stream.write(f"{job.command}: {folder / file_name(*task)} was changed or damaged, so its task runs again\n")
     done = job.total - sum(map(job.size, left))
     if done and job.caution:
-        told.write(f"{job.command}: {done} of {job.total} {job.units} are reused from before; {job.caution}\n")
-    progress = ProgressLine(job=job, done=done, told=told, clock=clock)
+        stream.write(f"{job.command}: {done} of {job.total} {job.units} are reused from before; {job.caution}\n")
+    progress = ProgressLine(job=job, done=done, stream=stream, clock=clock)
     for task in _done(job, folder, left, progress, workers):
         progress.finished(task)
     progress.close()
@@ -218,7 +218,7 @@ class ProgressLine:
 
     job: ResumableJob
     done: int  # number of finished units
-    told: TextIO  # the stream for the report
+    stream: TextIO  # the stream for the report
     clock: Callable[[], float]  # returns the seconds since some fixed moment
     started: float = field(init=False)
     told_at: float = field(default=-math.inf, init=False)
@@ -230,7 +230,7 @@ class ProgressLine:
     def tick(self, shares: float) -> None:
         """Report progress, unless the last report is recent; ``shares`` is the sum of the running tasks' shares."""
         now = self.clock()
-        is_terminal = self.told.isatty()
+        is_terminal = self.stream.isatty()
         if now - self.told_at < (POLL_SECONDS if is_terminal else TOLD_EVERY):
             return
         if not is_terminal and self.done + shares >= self.job.total:
@@ -252,7 +252,7 @@ class ProgressLine:
         """Count a finished task and report it. Tasks of many units are reported by :meth:`tick`, except the last."""
         job = self.job
         self.done += job.size(task)
-        if self.told.isatty():
+        if self.stream.isatty():
             return
         which = "100 %," if job.sizes else f"{task[0]} {job.units.removesuffix('s')} {task[1]} done"
         if not job.sizes or self.done == job.total:
@@ -261,11 +261,11 @@ class ProgressLine:
 
     def close(self) -> None:
         """Erase the line of progress on a terminal."""
-        if self.told.isatty():
+        if self.stream.isatty():
             self._tell("\r\x1b[K")
 
     def _tell(self, text: str) -> None:
-        print(text, end="", file=self.told, flush=True)
+        print(text, end="", file=self.stream, flush=True)
 
 
 def _done(
@@ -309,12 +309,12 @@ def _run_in(scratch: str, work: Callable[[Task, Tick], None], task: Task, tick: 
 
 def _run_task(job: ResumableJob, folder: Path, task: Task, tick: Tick) -> None:
     """Run a task; then write the file of its rows, and next to it the file of its wall-clock time."""
-    started, told = time.perf_counter(), -1.0
+    started, stream = time.perf_counter(), -1.0
 
     def tick_sparsely(share: float) -> None:  # only each hundredth, because a report costs time
-        nonlocal told
-        if share - told >= 0.01:
-            told = share
+        nonlocal stream
+        if share - stream >= 0.01:
+            stream = share
             tick(share * job.size(task))
 
     path = folder / file_name(*task)

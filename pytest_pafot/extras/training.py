@@ -84,7 +84,7 @@ class TrainingEnv(gymnasium.Env[Any, Any]):
             seen, info = self._steps.reset()
         else:
             self._steps, seen, info = self._stepped.traffic(int(rng.integers(2**31)))
-        return seen, self._told(info)
+        return seen, self._with_identity(info)
 
     def step(self, action: Any) -> Step:
         """Drive with an action up to the next decision, or to the end of the episode.
@@ -99,9 +99,9 @@ class TrainingEnv(gymnasium.Env[Any, Any]):
         if terminated or truncated:
             self.trace = None if self._scenario is None else self._steps.trace
             self._steps = None
-        return seen, reward, terminated, truncated, self._told(info)
+        return seen, reward, terminated, truncated, self._with_identity(info)
 
-    def _told(self, info: dict[str, Any]) -> dict[str, Any]:
+    def _with_identity(self, info: dict[str, Any]) -> dict[str, Any]:
         responsible = ""
         if self.trace is not None and self.trace.collision is not None:
             responsible = Run(self.trace).responsibility or "none"

@@ -20,7 +20,7 @@ from pytest_pafot.attribution.mistakes import Manoeuvre, manoeuvre_before
 from pytest_pafot.attribution.responsibility import Fault, Mistake, Responsibility
 from pytest_pafot.attribution.takeovers import Avoidance
 from pytest_pafot.findings.failure_rate import FailureRate
-from pytest_pafot.findings.labels import JUDGED_OTHERWISE, RunLabel
+from pytest_pafot.findings.labels import Label, RunLabel
 from pytest_pafot.findings.neighbours import Breadth
 from pytest_pafot.findings.shrink import Shrunk
 from pytest_pafot.findings.signature import (
@@ -232,14 +232,17 @@ class Expect:
         Times are rounded to milliseconds. Paths in texts are relative to ``root``, the folder of the project.
         """
         hit, trace, event = run.collision, run.trace, event_of(run, failure)
+        # An assertion says already what its message says. An error of the ADS is known by its message alone.
         is_told = bool(failure.assertion.strip()) and run.ads_error is None
+        # The last lines say where it was raised. The text is cut before it is made portable, too, which saves time.
         text = portable(failure.traceback[-4 * MAX_TRACEBACK :], root)
         if len(text) > MAX_TRACEBACK:
             text = "...\n" + text[-MAX_TRACEBACK:].split("\n", 1)[-1]
         bounded, check = None, failure.check
         if check is not None:
-            bounds = {name: _told(bound, 6) for name, bound in check.bounds.items()}
-            bounded = Bounded(value=_told(check.value, 3), unit=check.unit, **bounds)
+            # A measured value differs in its last digits between processors; a bound is the user's own number.
+            bounds = {name: _rounded(bound, 6) for name, bound in check.bounds.items()}
+            bounded = Bounded(value=_rounded(check.value, 3), unit=check.unit, **bounds)
         return cls(
             failure=failure.kind,
             assertion=failure.assertion if failure.check else normalised(failure.assertion, failure.message),
@@ -251,7 +254,7 @@ class Expect:
             cell=event.cell,
             zone=event.zone,
             side=None if hit is None else hit.side,
-            closing_speed=None if hit is None else _told(hit.closing_speed, 3),
+            closing_speed=None if hit is None else _rounded(hit.closing_speed, 3),
             ego_mean_speed=mean_speed(trace, event.time),
             situation=situation_of(run, failure, event.time),
             responsibility=run.attribution.responsibility,
@@ -489,7 +492,7 @@ def pace(expect: Expect, trace: Trace) -> float:
     return 1.0 if then is None or now is None or then < 1.0 else min(max(now / then, SLOWEST), FASTEST)
 
 
-def _told(value: float | None, digits: int) -> float | None:
+def _rounded(value: float | None, digits: int) -> float | None:
     """Round a number for a file: to ``digits`` decimals, or below 1 to ``digits`` significant digits."""
     if value is None or not abs(value) <= MAX_NUMBER:
         return None
@@ -671,12 +674,12 @@ def replay_label(finding: Finding, run: Run, failure: Failure | None, versions: 
     """
     expect, is_same = finding.expect, is_same_event(finding.expect, run, failure)
     if failure is not None:
-        return "still failing" if is_same and failure.kind == expect.failure else "drifted"
+        return Label.STILL_FAILING if is_same and failure.kind == expect.failure else Label.DRIFTED
     has_other_rules = versions.get(RULES) != finding.found.versions.get(RULES)
     if has_other_rules and is_same and run.collision is not None and run.responsibility != expect.responsibility:
-        return JUDGED_OTHERWISE
+        return Label.JUDGED_OTHERWISE
     if any(versions.get(name) != version for name, version in finding.found.versions.items()):
-        return "drifted"
+        return Label.DRIFTED
     # A run that was cut short did not drive the rest of the scenario.
     is_whole = run.collision is None and run.ads_error is None and run.outcome not in ("invalid", "off_road")
     is_whole = is_whole or (expect.check is not None and run.duration > expect.time)
@@ -685,7 +688,7 @@ def replay_label(finding: Finding, run: Run, failure: Failure | None, versions: 
         is_whole = is_whole or (after is not None and after > max(expect.time - expect.situation.time, BEFORE))
     # If a different party is responsible for the same event, the policy has changed and not the test.
     is_same = is_same and (expect.situation is None or run.responsibility == expect.responsibility)
-    return "fixed" if is_same or (is_whole and not unhandled(finding, run)) else "drifted"
+    return Label.FIXED if is_same or (is_whole and not unhandled(finding, run)) else Label.DRIFTED
 
 
 def unhandled(finding: Finding, run: Run) -> str:

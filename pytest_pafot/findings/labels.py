@@ -3,21 +3,51 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from enum import StrEnum
+from typing import Literal, Self
 
-FLAKY = "flaky"
-"""The label of a replay whose scenario gave different runs."""
 
-COMMON = "common"
-"""The label of a replay that fails in the same scenario as the reference."""
+class Label(StrEnum):
+    """What a session says of a finding in a few words: how its replay ended, or that it is new.
 
-NEARBY = "still failing, nearby"
-"""The label of a replay that passes while a neighbour of its scenario fails as the file says."""
+    Summaries group findings by it, in this order, the most urgent group first. ``group`` is the title of the group.
+    """
 
-JUDGED_OTHERWISE: Literal["judged otherwise"] = "judged otherwise"
-"""The label of a replay with the file's collision that passes because rules of another version excuse the ego."""
+    group: str
 
-RunLabel = Literal["fixed", "still failing", "drifted", "judged otherwise"]
+    NEW = "new", "New"
+    INTRODUCED = "introduced", "Introduced by the change"
+    NO_WORSE = "no worse", "New, but no worse: the reference fails as often, elsewhere"
+    ERROR = "error", "Could not be read or run"
+    STILL_FAILING = "still failing", "Known, still failing"
+    NEARBY = "still failing, nearby", "Still failing nearby: the saved scenario passes, a neighbour of it does not"
+    ELSEWHERE = (
+        "still failing elsewhere",
+        "Still failing elsewhere: the saved scenario passes, the search found the same failure",
+    )
+    DRIFTED = "drifted", "Drifted: the run differs from the file, so this is no fix"
+    # It has the file's collision, and passes because rules of another version excuse the ego.
+    JUDGED_OTHERWISE = "judged otherwise", "Judged otherwise, by other rules than when it was saved: this is no fix"
+    FLAKY = "flaky", "Flaky"
+    COMMON = "common", "Known, and also failing in the reference"
+    # Only a group: the replay has another label, and its failure is accepted with ``xfail``.
+    ACCEPTED = "accepted", "Accepted for now"
+    # Only a result: the label is ``fixed``, and no search confirms it, see :attr:`.Sighting.result`.
+    PASSES = "passes", "Pass, and no search of this session looked for the same failure"
+    FIXED = "fixed", "Fixed"
+    FIXED_BEFORE = "fixed before", "Fixed before"
+
+    def __new__(cls, value: str, group: str) -> Self:
+        """Make a label, which is equal to its text."""
+        self = str.__new__(cls, value)
+        self._value_, self.group = value, group
+        return self
+
+
+PASSING = (Label.FIXED, Label.FIXED_BEFORE, Label.ELSEWHERE)
+"""The labels of replays that pass with the situation of the failure."""
+
+RunLabel = Literal[Label.FIXED, Label.STILL_FAILING, Label.DRIFTED, Label.JUDGED_OTHERWISE]
 """What a run says by itself, see :func:`pytest_pafot.findings.finding.replay_label`."""
 
 
@@ -37,7 +67,7 @@ class Observed:
         reference_passes: whether the reference passes the same scenario; None without a reference.
     """
 
-    shows: RunLabel = "drifted"
+    shows: RunLabel = Label.DRIFTED
     fails: bool = False
     is_elsewhere: bool = False
     is_unsteady: bool = False
@@ -48,18 +78,19 @@ class Observed:
     reference_passes: bool | None = None
 
     @property
-    def label(self) -> str:
+    def label(self) -> Label:
         """The label of the replay."""
         if self.is_unsteady:
-            return FLAKY
+            return Label.FLAKY
         if self.fails and self.reference_passes is not None:
-            return "introduced" if self.reference_passes else COMMON
+            return Label.INTRODUCED if self.reference_passes else Label.COMMON
         if self.fails:
             return self.shows
         if self.is_nearby:
-            return NEARBY
+            return Label.NEARBY
         if self.reference_passes is False and self.is_handled and not self.is_hit:
-            return "fixed"  # also elsewhere, and in a run that does not show it: both policies drove the same scenario
-        if self.shows == "fixed" and (self.is_elsewhere or self.is_as_often or self.is_hit):
-            return "drifted"
-        return "fixed before" if self.shows == "fixed" and self.reference_passes else self.shows
+            # Also elsewhere, and in a run that does not show it: both policies drove the same scenario.
+            return Label.FIXED
+        if self.shows is Label.FIXED and (self.is_elsewhere or self.is_as_often or self.is_hit):
+            return Label.DRIFTED
+        return Label.FIXED_BEFORE if self.shows is Label.FIXED and self.reference_passes else self.shows

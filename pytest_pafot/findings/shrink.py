@@ -178,11 +178,11 @@ def sort_key(scenario: Scenario) -> tuple[int, ...]:
 
     Every part is a non-negative integer, so every chain of simplifications ends.
     """
-    told = [chain[start] for chain in scenario.npcs for start, _ in _parts(chain)]
+    parts = [chain[start] for chain in scenario.npcs for start, _ in _parts(chain)]
     start = round(scenario.ego_speed * SPEED_STEPS_PER_MPS)
     return (
         len(scenario.npcs),
-        sum(each.size for each in told),
+        sum(each.size for each in parts),
         sum(map(_moves, scenario.npcs)),
         sum(chain[0].in_free_cell for chain in scenario.npcs),
         scenario.genes,
@@ -190,8 +190,8 @@ def sort_key(scenario: Scenario) -> tuple[int, ...]:
         (scenario.ego_lane != EGO_LANE)
         + (scenario.ego_speed != EGO_SPEED and 1 + roughness(start))
         + (scenario.gene_seconds != GENE_SECONDS),
-        sum(roughness(_tenths(each)) + each.roughness for each in told),
-        sum(each.weight for each in told),
+        sum(roughness(_tenths(each)) + each.roughness for each in parts),
+        sum(each.weight for each in parts),
         int(scenario.traffic != PAPERS),
         scenario.seed,
     )

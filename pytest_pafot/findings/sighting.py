@@ -8,25 +8,11 @@ from pathlib import Path
 from pytest_pafot.findings.decisions import Answers, Moment
 from pytest_pafot.findings.failure_rate import FailureRate
 from pytest_pafot.findings.finding import IN_MEMORY, Finding
+from pytest_pafot.findings.labels import PASSING, Label
 from pytest_pafot.findings.neighbours import Breadth
 from pytest_pafot.findings.severity import Severity
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.support.text import ascii_text, plural
-
-NEW = "new"
-"""The label of a finding that was not known before this session."""
-
-ELSEWHERE = "still failing elsewhere"
-"""The label of a replay that passes while the search of its test finds the same failure in other scenarios."""
-
-PASSING = ("fixed", "fixed before", ELSEWHERE)
-"""The labels of replays that pass with the situation of the failure."""
-
-PASSES = "passes"
-"""The result of a replay with the label ``fixed`` that no search confirms, see :attr:`Sighting.result`."""
-
-NO_WORSE = "no worse"
-"""The label of a new finding that does not speak against a policy, since the reference fails as often elsewhere."""
 
 NOT_REPEATED, ENDED_OTHERWISE = "running it again gave a different run", "a later run of it ended differently"
 """How the difference begins of a policy that drives the same scenario in different ways."""
@@ -36,7 +22,7 @@ def passing(neighbours: int, searched: int) -> str:
     """Say what passes: a saved scenario, a number of its neighbours, and a number of runs of the search of its test."""
     others = f", and so {'does' if neighbours == 1 else 'do'} {plural(neighbours, 'neighbour')}" if neighbours else ""
     runs = f"; no such failure in {plural(searched, 'run')} of the search" if searched else ""
-    return f"{PASSES}{others}{runs}"
+    return f"{Label.PASSES}{others}{runs}"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -80,7 +66,7 @@ class Sighting:
         is_first: True if it is reported for the first time.
         origin: one line on how a new finding was found.
         exception: what the test function raised in the run of a new finding, or what stands for the death of its
-            process.
+            process; None for a replay, and beyond that process.
         run: the run of the scenario in the file; None if its process died or hung.
         file: the file; None if a new finding has none.
         content: the content of a file that could not be written, or empty.
@@ -90,7 +76,7 @@ class Sighting:
     finding: Finding
     node_id: str
     test: str = ""
-    label: str = NEW
+    label: Label = Label.NEW
     headline: str = ""
     path: str = ""
     detail: str = ""
@@ -114,7 +100,7 @@ class Sighting:
     command: str = ""
     is_first: bool = True
     origin: str = field(default="", compare=False, repr=False, metadata=IN_MEMORY)
-    exception: BaseException = field(default=AssertionError(), compare=False, repr=False, metadata=IN_MEMORY)
+    exception: BaseException | None = field(default=None, compare=False, repr=False, metadata=IN_MEMORY)
     run: Run | None = field(default=None, compare=False, repr=False, metadata=IN_MEMORY)
     file: Path | None = field(default=None, compare=False, repr=False, metadata=IN_MEMORY)
     content: str = field(default="", compare=False, repr=False, metadata=IN_MEMORY)
@@ -124,6 +110,17 @@ class Sighting:
     def id(self) -> str:
         """The name of its file without the suffix."""
         return self.finding.id
+
+    @property
+    def raised(self) -> BaseException:
+        """The exception of a new finding.
+
+        Raises:
+            ValueError: for a replay, or in another process than that of the search.
+        """
+        if self.exception is None:
+            raise ValueError(f"sighting: expected a new finding in the process of its search, received {self.id!r}")
+        return self.exception
 
     @property
     def responsible(self) -> str:
@@ -151,19 +148,19 @@ class Sighting:
         return (self.finding.rate is not None or has_drawn) and not self.is_timed
 
     @property
-    def result(self) -> str:
+    def result(self) -> Label:
         """The label, but ``passes`` if no search of the session confirms that the failure is fixed.
 
         With a reference the label compares two policies in one scenario, so no search has to confirm it.
         """
-        return PASSES if self.label == "fixed" and not (self.searched or self.against) else self.label
+        return Label.PASSES if self.label is Label.FIXED and not (self.searched or self.against) else self.label
 
     @property
     def heading(self) -> str:
         """The result of a replay in a few words that claim no more than what was driven."""
-        if self.result == PASSES:
+        if self.result is Label.PASSES:
             return self.driven
-        return f"{self.label}: {self.elsewhere}" if self.elsewhere else self.label
+        return f"{self.label}: {self.elsewhere}" if self.elsewhere else str(self.label)
 
     @property
     def driven(self) -> str:

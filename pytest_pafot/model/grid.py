@@ -138,6 +138,7 @@ def repair_gene(
     Raises:
         ValueError: if there are more NPCs than existing cells in the first gene.
     """
+    # Most genes can be driven as requested: this is the fixed point, and saves the search for an assignment.
     wanted = set(requested)
     are_free = len(wanted) == len(requested) and wanted.issubset(existing)
     if are_free and (previous is None or _STEPS.issuperset(zip(previous, requested, strict=True))):
@@ -150,6 +151,7 @@ def repair_gene(
             next_cells(before, cell, existing, coin(npc))
             for npc, (before, cell) in enumerate(zip(previous, requested, strict=True))
         ]
+    # The first complete assignment in order of preference, in which an NPC with a smaller index chooses first.
     assignment = _assigned(preferences, ())
     if assignment is None:
         raise ValueError(

@@ -161,6 +161,7 @@ def check(
     """
     __tracebackhide__ = True  # pytest then shows the line of the test function as the last one
     what, is_margin = f"check {name!r}", hasattr(value, "is_formula")
+    # A formula is a margin, which is to be at least 0, unless the user wants more.
     if is_margin and at_most is None and at_least is None:
         at_least = 0.0
     if at_most is None and at_least is None:
@@ -168,14 +169,17 @@ def check(
             f"{what}: expected at_most=, at_least= or both, received neither; without bounds use pafot.target"
         )
     values = _values(value, name)
+    # All bounds become margins in the same direction, of which the smallest counts.
     signed = [(bound, sign) for bound, sign in ((at_most, -1.0), (at_least, 1.0)) if bound is not None]
     bounds = [(checked_number(bound, what, "a finite bound"), sign) for bound, sign in signed]
     with np.errstate(invalid="ignore"):
         margins = np.min([sign * (values - bound) / _scale(name, bound, scale) for bound, sign in bounds], axis=0)
+    # NaN must never pass: it is worse than any number.
     margins = np.where(np.isnan(margins), -np.inf, margins)
     is_formula = getattr(value, "is_formula", False)
     tick = 0 if is_formula else int(margins.argmin())
     clock = _clock(value, values)
+    # The time of a formula is that of the tick which decides it, not that of its only value at the beginning.
     moment = float(value.deciders[0]) if is_formula else tick
     time = None if clock is None or math.isinf(moment) else (clock[0] + moment) / clock[1]
     made = Check(
@@ -190,6 +194,7 @@ def check(
         values=None if clock is None else values,
         start=0 if clock is None else clock[0],
     )
+    # The search learns from checks that hold, too: their margins are its objectives.
     _record(made)
     if not made.holds:
         raise CheckFailed(made)

@@ -12,7 +12,8 @@ from typing import Any
 import pytest
 
 from pytest_pafot.campaign.options import Settings
-from pytest_pafot.findings.sighting import NEW, Sighting
+from pytest_pafot.findings.labels import Label
+from pytest_pafot.findings.sighting import Sighting
 from pytest_pafot.oracle.checks import Check
 from pytest_pafot.plugin import messages
 from pytest_pafot.plugin.tracing import traced
@@ -26,7 +27,7 @@ def is_on_page(config: pytest.Config, settings: Settings) -> bool:
 
 def label_of(sighting: Sighting) -> str:
     """Return the label of a new finding on a page."""
-    return f"{NEW} ({sighting.remark})" if sighting.remark else NEW
+    return f"{Label.NEW} ({sighting.remark})" if sighting.remark else Label.NEW
 
 
 def send_sighting(
@@ -60,20 +61,16 @@ def send_sighting(
     if is_on_page(item.config, settings):
         data["target"] = settings.report
         if sighting.headline:
-            from pytest_pafot.report.views import finding_view, with_neighbours  # noqa: PLC0415
+            from pytest_pafot.report.views import finding_view  # noqa: PLC0415
 
-            trace, headline = None if run is None else run.trace, "; ".join(filter(None, [sighting.headline, note]))
-            view = finding_view(trace, sighting.finding, node_id=sighting.node_id, headline=headline, check=check)
             shown = sighting.node_id if sighting.path else item.nodeid
             accepted = f", accepted: {sighting.finding.accepted}" if sighting.finding.accepted else ""
             view = replace(
-                view,
-                label=label_of(sighting) if sighting.label == NEW else f"{sighting.label}{accepted}",
+                finding_view(sighting, note=note, check=check),
+                label=label_of(sighting) if sighting.label is Label.NEW else f"{sighting.label}{accepted}",
                 traced=traced(item).described if traced(item).requirements else "",
-                severity=sighting.severity,
-                path=sighting.path,
                 command=rerun(["pytest", shown], os.environ, *options, saved=saved),
             )
-            data["view"] = messages.packed(with_neighbours(view, sighting))
+            data["view"] = messages.packed(view)
     messages.send(item, "finding", data)
     return sighting

@@ -50,10 +50,11 @@ class Record:
     def replays(self) -> list[Sighting]:
         """The replays, with what the searches of their tests say about them, in the order in which they ended."""
         from pytest_pafot.campaign.events import by_test, concluded  # noqa: PLC0415
-        from pytest_pafot.findings.sighting import NEW, NO_WORSE  # noqa: PLC0415
+        from pytest_pafot.findings.labels import Label  # noqa: PLC0415
 
         searches = by_test(self.searches.values())
-        return [concluded(each, searches) for each in self.sightings.values() if each.label not in (NEW, NO_WORSE)]
+        replays = (each for each in self.sightings.values() if each.label not in (Label.NEW, Label.NO_WORSE))
+        return [concluded(each, searches) for each in replays]
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
@@ -66,7 +67,8 @@ class Record:
 
     def _take(self, node_id: str, message: Message) -> Sighting | None:
         from pytest_pafot.campaign.events import SearchSummary  # noqa: PLC0415
-        from pytest_pafot.findings.sighting import NEW, Sighting  # noqa: PLC0415
+        from pytest_pafot.findings.labels import Label  # noqa: PLC0415
+        from pytest_pafot.findings.sighting import Sighting  # noqa: PLC0415
 
         data = message.data
         match message.kind:
@@ -76,7 +78,7 @@ class Record:
                 sighting = messages.unpacked(Sighting, data["sighting"])
                 earlier = self.sightings.pop(sighting.node_id, None)
                 # A search whose new file this session replays as well may have left it unshrunk.
-                left = "" if earlier is None or sighting.label == NEW else earlier.unshrunk
+                left = "" if earlier is None or sighting.label is Label.NEW else earlier.unshrunk
                 self.sightings[sighting.node_id] = replace(sighting, unshrunk=left) if left else sighting
                 self.neighbour_seconds += data.get("seconds", 0.0)
                 return sighting

@@ -21,7 +21,7 @@ from pytest_pafot.corpus.writer import scenario_lines
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.execution.scenario_pool import LostRun
 from pytest_pafot.findings.finding import Finding, of_failure, unhandled
-from pytest_pafot.findings.labels import COMMON, FLAKY, JUDGED_OTHERWISE, NEARBY, Observed, RunLabel
+from pytest_pafot.findings.labels import Label, Observed, RunLabel
 from pytest_pafot.findings.sighting import Sighting
 from pytest_pafot.oracle.checks import CheckFailed
 from pytest_pafot.oracle.run import Run
@@ -64,7 +64,7 @@ def run_replay(item: pytest.Function, request: Request, saved: Saved) -> None:
     facts = Observed()
     if lost is not None:  # Outside of the handler, so that pytest does not print the error twice, once as a cause.
         passes = replays.passes_reference(saved, replays.world_of(saved), item.nodeid)
-        shows: RunLabel = "still failing" if was_lost(finding, lost) else "drifted"
+        shows: RunLabel = Label.STILL_FAILING if was_lost(finding, lost) else Label.DRIFTED
         facts = Observed(shows=shows, fails=True, reference_passes=passes)
     for leftover in harness.left_behind(item.nodeid) if lost is not None or not now.is_lost else ():
         leftover.discard()  # The item reports its result now.
@@ -73,18 +73,20 @@ def run_replay(item: pytest.Function, request: Request, saved: Saved) -> None:
     label, run, verdict, note, nearby = now.label, now.run, now.verdict, now.note, now.around.failing
     if nearby is None:
         _check_set_up(item, replays, saved, run, verdict)
-    worse = verdict.worsening if label == COMMON else ""
+    worse = verdict.worsening if label is Label.COMMON else ""
     # The marker xfail of the item accepts every exception, so the report needs to know which one it must not accept.
     beyond = "" if verdict.failure is None else replays.beyond_acceptance(finding, run, verdict.failure)
     if beyond:
         item.stash[NOT_ACCEPTED] = beyond
-    nearby_only = "the saved scenario passes, but a neighbour of it fails in the same way" if label == NEARBY else ""
+    nearby_only = ""
+    if label is Label.NEARBY:
+        nearby_only = "the saved scenario passes, but a neighbour of it fails in the same way"
     notes = [note, nearby_only, _against(replays), f"worse: {worse}" if worse else ""]
     notes += replays.setting_changes(finding)
     detail = "; ".join(filter(None, notes))
-    item.stash[REPLAYED] = ReplayResult(finding, label, run, verdict, note)
-    if label in ("drifted", JUDGED_OTHERWISE, FLAKY):
-        missed = unhandled(finding, run) if label == "drifted" and not verdict.failed else ""
+    item.stash[REPLAYED] = ReplayResult(finding, str(label), run, verdict, note)
+    if label in (Label.DRIFTED, Label.JUDGED_OTHERWISE, Label.FLAKY):
+        missed = unhandled(finding, run) if label is Label.DRIFTED and not verdict.failed else ""
         notes = [missed, replays.changes(finding, happened(finding, run, verdict.failure)), note]
         detail = "; ".join(filter(None, notes))
     line = headline(run, verdict) if verdict.failed else ""
@@ -144,7 +146,7 @@ def _check_set_up(item: pytest.Function, replays: Replays, saved: Saved, run: Ru
 
 def _explain_pass(item: pytest.Function, finding: Finding, sighting: Sighting, path: str, *, is_accepted: bool) -> None:
     """Ask to remove the line ``xfail`` of a file that passes. A flaky file stays accepted: it passes by chance."""
-    if sighting.label != FLAKY and not (is_accepted and finding.xfail_flaky):
+    if sighting.label is not Label.FLAKY and not (is_accepted and finding.xfail_flaky):
         _add_section(item, [f"{sighting.result}: remove the line `xfail:` from {path}"])
     elif is_accepted and not finding.xfail_flaky:
         pytest.xfail(f"{visible(finding.xfail or '')}; flaky: it passed this time")
@@ -155,14 +157,14 @@ def _conclude_lost(
 ) -> NoReturn:
     """Report and fail the replay of a saved scenario whose process died or hung."""
     __tracebackhide__ = True
-    beyond = "" if facts.shows == "still failing" or not replays.accepts(finding) else f"a process that {lost.how}"
+    beyond = "" if facts.shows is Label.STILL_FAILING or not replays.accepts(finding) else f"a process that {lost.how}"
     if beyond:
         item.stash[NOT_ACCEPTED] = beyond
     note = "; ".join(getattr(lost, "__notes__", ()))
-    item.stash[REPLAYED] = ReplayResult(finding, facts.shows, None, None, note)
+    item.stash[REPLAYED] = ReplayResult(finding, str(facts.shows), None, None, note)
     label = facts.label
     notes = [_against(replays), *replays.setting_changes(finding)]
-    if label == "drifted":
+    if label is Label.DRIFTED:
         notes = [replays.changes(finding, f"the process {lost.how}")]
     detail = "; ".join(filter(None, [note, *notes]))
     line = f"the process (pid {lost.pid}) that ran this scenario {lost.how}"
@@ -184,7 +186,7 @@ def _send(
     item: pytest.Function,
     replays: Replays,
     saved: Saved,
-    label: str,
+    label: Label,
     now: Replayed | None,
     *,
     headline: str,
@@ -198,10 +200,12 @@ def _send(
     today = date.fromisoformat(item.config.stash[SHARED].today)
     failure = None if verdict is None else verdict.failure
     reference = None if verdict is None else verdict.reference
+    # What differs from the accepted failure is not accepted, see the caller.
     is_accepted = finding.is_accepted(today) and NOT_ACCEPTED not in item.stash
     may_pass = finding.xfail_flaky and is_accepted
     if may_pass:
         detail = "; ".join(filter(None, [detail, f"accepted: {finding.accepted}"]))
+    # If a neighbour fails in place of the scenario, the report is about the neighbour.
     sighting = Sighting(
         finding=around.failing or finding,
         node_id=item.nodeid,
@@ -222,6 +226,7 @@ def _send(
     )
     if headline:
         set_properties(item.user_properties, severity=severity_text(sighting.severity))
+    # The item fails again from that day on, and nobody may remember why it did not before.
     if finding.xfail is not None and not finding.is_accepted(today):
         over = (
             f"{path}: accepted ({finding.accepted}), but that day is over: correct the failure, write a later day, "
@@ -250,7 +255,7 @@ def _conclude(
     item: pytest.Function,
     run: Run,
     verdict: Verdict,
-    label: str,
+    label: Label,
     detail: str,
     more: Sequence[str],
     *,
@@ -268,7 +273,7 @@ def _conclude(
         raise shown(verdict.exception)
     if verdict.kind == "skipped" and verdict.exception is not None:
         raise verdict.exception
-    if label in ("drifted", JUDGED_OTHERWISE) and is_strict:
+    if label in (Label.DRIFTED, Label.JUDGED_OTHERWISE) and is_strict:
         pytest.fail(
             f"the saved scenario passes, but {label}: {visible(detail)} ({flag('strict_drift')})", pytrace=False
         )

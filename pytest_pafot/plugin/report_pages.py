@@ -22,7 +22,7 @@ from pytest_pafot.support.traced import Traced, counted
 
 if TYPE_CHECKING:
     from pytest_pafot.report.page import Draft
-    from pytest_pafot.report.page_data import FindingView
+    from pytest_pafot.report.page_data import RunView
 
 
 class Pages:
@@ -32,7 +32,7 @@ class Pages:
         self._config = config
         self._record = record
         self._drafts: dict[Path, Draft] = {}
-        self._rows: dict[str, FindingView] = {}
+        self._rows: dict[str, RunView] = {}
         self._targets: dict[str, Path] = {}
         self._failures: dict[tuple[str, str], str] = {}
         self._shown: set[str] = set()
@@ -70,16 +70,17 @@ class Pages:
 
     def _take(self, node_id: str, message: Message) -> None:
         """Store what a finding or a search sends for the page."""
+        from pytest_pafot.campaign.events import Ending  # noqa: PLC0415
         from pytest_pafot.report.page import Draft  # noqa: PLC0415
-        from pytest_pafot.report.page_data import FindingView  # noqa: PLC0415
+        from pytest_pafot.report.page_data import RunView  # noqa: PLC0415
 
         data = message.data
-        finding = unpacked(FindingView, data["view"]) if "view" in data else None
+        finding = replace(unpacked(RunView, data["view"]), sighting=self._record.latest) if "view" in data else None
         if finding is not None:
             self._shown |= {finding.node_id, node_id}  # the search that found it fails because of it, too
             if self._config.getoption("htmlpath", None):  # pytest-html writes a report
                 self._rows[finding.node_id] = finding
-        if message.kind == "search" and self._record.searches[node_id].reason == "error":
+        if message.kind == "search" and self._record.searches[node_id].reason is Ending.ERROR:
             self._shown.discard(node_id)
         target = data["target"]
         if target is not None:
@@ -90,6 +91,7 @@ class Pages:
                 draft.take(finding)
 
     def _write(self, path: Path, draft: Draft, *, is_interrupted: bool) -> tuple[str, str]:
+        from pytest_pafot.campaign.events import Ending  # noqa: PLC0415
         from pytest_pafot.report.page import write_report  # noqa: PLC0415
 
         errors = tuple(
@@ -108,7 +110,7 @@ class Pages:
             searches=[
                 each
                 for each in self._record.searches.values()
-                if self._targets.get(each.node_id) == path and each.reason != "replay only"
+                if self._targets.get(each.node_id) == path and each.reason is not Ending.REPLAYS
             ],
             replays=[each for each in self._record.replays if self._targets.get(each.node_id) == path],
             requirements=self._requirements(draft),
@@ -129,13 +131,13 @@ class Pages:
             for node_id, named in sorted(self._record.traced.items())
         )
 
-    def _completed(self, finding: FindingView) -> FindingView:
+    def _completed(self, finding: RunView) -> RunView:
         """Return a finding with its number of runs and its label, which are known only at the end of its search."""
         from pytest_pafot.campaign.events import by_test  # noqa: PLC0415
         from pytest_pafot.plugin.finding_message import label_of  # noqa: PLC0415
 
         new, replay = (each.get(finding.node_id) for each in (self._record.new, self._record.sightings))
         if new is not None:
-            return replace(finding, runs=1 + new.repeats, label=label_of(new))
+            return replace(finding, runs=1 + new.repeats, label=label_of(new), sighting=new)
         search = None if replay is None else by_test(self._record.searches.values()).get(replay.test)
         return finding if search is None else replace(finding, runs=search.known.get(finding.id, finding.runs))

@@ -19,6 +19,7 @@ import numpy as np
 import pytest
 
 from pytest_pafot.campaign.events import (
+    Ending,
     Listener,
     Progress,
     SearchEvent,
@@ -45,7 +46,8 @@ from pytest_pafot.corpus.saved import refusal
 from pytest_pafot.door import REFERENCES, opened
 from pytest_pafot.execution import scenario_pool
 from pytest_pafot.findings.finding import message_of
-from pytest_pafot.findings.sighting import NO_WORSE, NOT_REPEATED, Sighting
+from pytest_pafot.findings.labels import Label
+from pytest_pafot.findings.sighting import NOT_REPEATED, Sighting
 from pytest_pafot.oracle.checks import CheckFailed
 from pytest_pafot.plugin import messages, node_ids
 from pytest_pafot.plugin.collection import COLLECTED, is_search, policy_of
@@ -121,10 +123,12 @@ def harness_of(item: pytest.Function, request: Request, *, writes: bool = True) 
     if link is None and folder not in tidied:  # once per session: listing thousands of files takes as long as a replay
         tidied.add(folder)
         remove_unfinished(folder)
+    # A search that saves nothing may look through a link.
     if link is not None and writes and request.settings.save != "none":
         raise RequestError(f"{flag('corpus')}: {refusal(link)}")
     if writes and resume is not None:
         check_states(resume, here)
+    # Processes of processes would be as many as the product of both numbers.
     if request.settings.workers > 1 and is_worker(item.config):
         messages.send(item, "note", {"text": IN_WORKER})
         request = replace(request, settings=replace(request.settings, workers=1))
@@ -281,7 +285,7 @@ def run_search(item: pytest.Function, request: Request) -> None:
     today = date.fromisoformat(shared.today)
     now = time.monotonic()
     limit = time_limit(settings, now=now, began=shared.began, left=searches_left(item))
-    with runs_end_in(max(limit.until - now, LEAST_TO_BUILD)):  # for the policy of a revision, in its own process
+    with runs_end_in(max(limit.end - now, LEAST_TO_BUILD)):  # for the policy of a revision, in its own process
         harness = harness_of(item, request)
         if harness.against is not None or is_revision(settings.against):  # which may not have the policy yet
             _compare(item, harness)
@@ -304,7 +308,7 @@ def run_search(item: pytest.Function, request: Request) -> None:
         while not events.is_over:
             with events:
                 for event in events:
-                    messages_of_search.take(event)
+                    messages_of_search.send(event)
     result = events.result
     # The item fails for a fault of the set-up, for new findings, for failures without an item, and for an empty search.
     summary = result.summary
@@ -312,8 +316,8 @@ def run_search(item: pytest.Function, request: Request) -> None:
         raise shown(result.fault)
     if result.count:
         item.stash[SUMMARY] = terminal.failure_line(summary)
-        if item.config.getoption("usepdb", False) and result.first is not None:
-            first = shown(result.first)
+        if item.config.getoption("usepdb", False) and result.first_exception is not None:
+            first = shown(result.first_exception)
             first.add_note(terminal.failure_message(summary))
             raise first  # so that the debugger starts where the test function failed
         pytest.fail(terminal.failure_message(summary), pytrace=False)
@@ -323,7 +327,7 @@ def run_search(item: pytest.Function, request: Request) -> None:
     alike = [f"{plural(summary.known[id_], 'run')} like {id_}" for id_ in late if id_ in summary.known]
     if alike:
         _fail(item, "failures that were saved after this session collected its tests; run it again", alike)
-    if summary.reason == "replay only":
+    if summary.reason is Ending.REPLAYS:
         return
     if result.skip is not None:
         raise result.skip
@@ -361,7 +365,7 @@ class SearchMessages:
     sent: dict[str, Sighting] = field(default_factory=dict)  # the findings so far, by id, as they were last sent
     new: list[str] = field(default_factory=list)  # the ids of those that were reported when they were found
 
-    def take(self, event: SearchEvent) -> None:
+    def send(self, event: SearchEvent) -> None:
         """Send a message for each event that the terminal, the page or the table reports."""
         if self.table is not None:
             self.table(event)
@@ -374,7 +378,7 @@ class SearchMessages:
         elif isinstance(event, Progress):
             messages.send(self.item, "progress", asdict(event))
         elif isinstance(event, Sighting):
-            self._send(event)
+            self._send_finding(event)
         elif isinstance(event, SearchSummary):
             set_properties(self.item.user_properties, **of_findings(self.sent.values()))
             for each in self.sent.values():  # only now, because a finding is sent again once it is shrunk
@@ -391,15 +395,15 @@ class SearchMessages:
         sent = self.sent.get(sighting.id, sighting)
         return replace(sighting, sentences=sent.sentences, command=sent.command)
 
-    def _send(self, sighting: Sighting) -> None:
+    def _send_finding(self, sighting: Sighting) -> None:
         config = self.item.config
-        if sighting.label == NO_WORSE:  # it was sent as new before, and gets no item
+        if sighting.label is Label.NO_WORSE:  # it was sent as new before, and gets no item
             self.sent.pop(sighting.id, None)
             send_sighting(self.item, self.settings, sighting, note=sighting.detail)
             return
         self.sent[sighting.id] = sighting  # even if an interrupt ends what follows
         width = config.stash[SHARED].width
-        explanation = "" if sighting.run is None else explained(sighting.run, sighting.exception, config)
+        explanation = "" if sighting.run is None else explained(sighting.run, sighting.raised, config)
         details = (
             [f"against    {sighting.finding.expect.against}, which passes"] if sighting.finding.expect.against else []
         )
@@ -418,7 +422,7 @@ class SearchMessages:
         avoided = sighting.finding.expect.avoided_by
         section = terminal.find_section(
             sighting,
-            explanation="" if explanation.partition("\n")[0] in message_of(sighting.exception) else explanation,
+            explanation="" if explanation.partition("\n")[0] in message_of(sighting.raised) else explanation,
             content=sighting.content,
             first=[] if avoided is None or sighting.is_first else [avoided.sentence],
             details=details,
@@ -464,7 +468,7 @@ def _report(item: pytest.Item, sighting: Sighting, section: str) -> dict[str, An
 
 
 def _call(sighting: Sighting) -> pytest.CallInfo[None]:
-    error = shown(sighting.exception)
+    error = shown(sighting.raised)
     context = error.__context__
 
     def fail() -> None:

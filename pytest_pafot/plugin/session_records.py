@@ -69,6 +69,8 @@ class Records:
     @pytest.hookimpl(tryfirst=True)
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
         """Pass a message on to hooks of other plugins, and write the JSON file again if it says something new."""
+        from pytest_pafot.findings.labels import Label  # noqa: PLC0415
+
         message, sighting = received(report), self._record.latest
         if message is None:
             return
@@ -80,7 +82,7 @@ class Records:
                 is_new = sighting is not None and sighting.is_first
                 data = {} if sighting is None else {"record": finding_entry(sighting), "is_new": is_new}
             self._call("pytest_pafot_event", node_id=report.nodeid, kind=message.kind, data=data)
-        if message.kind == "search" or (sighting is not None and sighting.label == "new"):
+        if message.kind == "search" or (sighting is not None and sighting.label is Label.NEW):
             self._write_json(None)
 
     @pytest.hookimpl(trylast=True)  # after the pages are written and the new findings are reported
@@ -138,6 +140,8 @@ class Records:
         def message(node_id: str) -> str:
             return same(record.reasons.get(node_id, ""))
 
+        # A file that could not be read has an entry without a sighting. Replays come last: by now the searches of their
+        # tests may have found their failures elsewhere.
         sightings: dict[str, Sighting | None] = {**dict.fromkeys(record.unread), **record.sightings}
         sightings |= {each.node_id: each for each in record.replays}
         findings = []
@@ -145,9 +149,11 @@ class Records:
             if seen is None:
                 known: dict[str, Any] = {**record.unread[node_id], "node_id": node_id, "detail": message(node_id)}
             else:
+                # Only a search that has ended has counted the runs that fail like its findings.
                 runs = 1 + record.new[node_id].repeats if node_id in record.new else 0
                 known = {"headline": same(seen.headline), "detail": same(seen.detail), "runs": runs}
             findings.append(finding_entry(seen, **known, **item(node_id)))
+        # A search that runs now has an empty record, which is what a session that is killed leaves of it.
         searches = {**record.unbegun, **record.searches, **record.running}
         return SessionRecord(
             exit=code,

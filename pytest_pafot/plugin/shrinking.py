@@ -63,14 +63,14 @@ def run_shrink(item: pytest.Function, request: Request, saved: Saved) -> None:
     limit = time_limit(request.settings, now=now, began=item.config.stash[SHARED].began, left=1)
     with (
         prepared(harness, space=space) as parts,
-        closing(shrink_saved(parts, saved, path=path, until=limit.until)) as its,
+        closing(shrink_saved(parts, saved, path=path, until=limit.end)) as its,
     ):
-        told_at = now
+        reported_at = now
         for event in its:
             if isinstance(event, Later):
                 later = event
-            elif (time_now := time.monotonic()) - told_at >= item.config.stash[SHARED].progress_seconds:
-                told_at = time_now
+            elif (time_now := time.monotonic()) - reported_at >= item.config.stash[SHARED].progress_seconds:
+                reported_at = time_now
                 progress = Progress(
                     node_id=item.nodeid,
                     generation=0,
@@ -78,14 +78,15 @@ def run_shrink(item: pytest.Function, request: Request, saved: Saved) -> None:
                     runs=0,
                     failing=0,
                     finds=0,
-                    seconds=told_at - now,
+                    seconds=reported_at - now,
                     phase=event.text,
                     of=event.of,
                 )
                 messages.send(item, "progress", asdict(progress))
+    # Nothing is written before all is known: an interrupt leaves the file as it was.
     for note in later.notes:
         messages.send(item, "note", {"text": note})
-    result = f"{visible(path)}: {later.told}"
+    result = f"{visible(path)}: {later.result}"
     if later.is_refused:
         pytest.fail(f"{result}; the file is left as it is", pytrace=False)
     if later.finding is not None:

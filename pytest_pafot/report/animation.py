@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pytest_pafot.report.page_data import EventView, FindingView, LaneView, RoadView, VehicleView
+from pytest_pafot.report.page_data import EventView, LaneView, RoadView, RunView, VehicleView
 from pytest_pafot.support.errors import RequestError, flag, install
 
 if TYPE_CHECKING:
@@ -47,7 +47,7 @@ class AnimationError(RequestError):
     """An animation that cannot be made; the message says why and what to do."""
 
 
-def animate(finding: FindingView) -> bytes:
+def animate(finding: RunView) -> bytes:
     """Draw the end of a finding's run, as the content of an APNG file.
 
     The first frame is the finding's moment, because previews and viewers without animations show only that one. With
@@ -80,7 +80,7 @@ def animate(finding: FindingView) -> bytes:
     return content.getvalue()
 
 
-def shown_frames(finding: FindingView) -> range:
+def shown_frames(finding: RunView) -> range:
     """Return the indices of an animation's frames.
 
     They cover ``MAX_SECONDS`` of the run, which end ``AFTER`` after the finding's moment, and not before
@@ -91,7 +91,7 @@ def shown_frames(finding: FindingView) -> range:
     return range(inside[0], inside[-1] + 1)
 
 
-def frame(finding: FindingView, index: int) -> Image:
+def frame(finding: RunView, index: int) -> Image:
     """Draw a frame of a finding's run from above, with the ego in its middle.
 
     Raises:
@@ -179,10 +179,8 @@ def drawn_episode(episode: Episode, headline: str) -> bytes:
     ticks = sorted({*range(0, last + 1, max(1, round(hz / FRAMES_PER_SECOND))), last})
     distance = np.hypot(*(states[-1, 1:, :2] - states[-1, 0, :2]).T)
     shown = [0, *(np.argsort(distance, kind="stable")[:NEAREST] + 1)]  # NaN, a vehicle that has left, is sorted last
-    view = FindingView(
-        id=f"seed-{episode.seed}",
-        node_id="",
-        test="",
+    view = RunView(
+        name=f"seed-{episode.seed}",
         headline=headline,
         explanation="",
         responsibility="none",

@@ -17,8 +17,8 @@ from pytest_pafot.model.trace import Trace
 from pytest_pafot.oracle.checks import CheckFailed
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.report.page import render_frame
-from pytest_pafot.report.page_data import FindingView, Report
-from pytest_pafot.report.views import finding_view, run_view, with_neighbours
+from pytest_pafot.report.page_data import Report, RunView
+from pytest_pafot.report.views import finding_view, run_view
 from pytest_pafot.support.text import plural
 from pytest_pafot.world.limits import CLEARANCE
 
@@ -35,8 +35,8 @@ def report_of(value: object) -> Report:
         title = f"{plural(len(views), 'finding')} in {plural(value.summary.runs, 'run')}"
         return Report(title=title, findings=views, searches=(value.summary,))
     if isinstance(value, SavedScenario):
-        view = _finding_view(value.finding)
-        view = replace(view, path=str(value.path), command=f"pytest {shlex.quote(str(value.path))}")
+        path = str(value.path)
+        view = replace(_finding_view(value.finding, path), command=f"pytest {shlex.quote(path)}")
     elif isinstance(value, Finding):
         view = _finding_view(value)
     else:
@@ -44,28 +44,22 @@ def report_of(value: object) -> Report:
     return Report.of(view)
 
 
-def _finding_view(finding: Finding) -> FindingView:
+def _finding_view(finding: Finding, path: str = "") -> RunView:
     """Return the view of a single finding, without the number of runs that failed like it and without a command."""
-    headline = finding.expect.event if finding.trace is None else ""
-    view = finding_view(finding.trace, finding, node_id=finding.test, headline=headline)
-    return replace(view, runs=0, command="")
+    headline, run = (finding.expect.event, None) if finding.trace is None else ("", Run(finding.trace))
+    seen = Sighting(finding=finding, node_id=finding.test, headline=headline, path=path, run=run)
+    return replace(finding_view(seen), runs=0, command="")
 
 
-def _sighting_view(sighting: Sighting, value: Exploration) -> FindingView:
+def _sighting_view(sighting: Sighting, value: Exploration) -> RunView:
     """Return the view of a finding from a search outside pytest. It has no command, since no test replays it."""
-    view = finding_view(
-        None if sighting.run is None else sighting.run.trace,
-        sighting.finding,
-        node_id=sighting.path or sighting.node_id,
-        headline=sighting.headline,
-        check=sighting.exception.check if isinstance(sighting.exception, CheckFailed) else None,
-    )
+    check = sighting.exception.check if isinstance(sighting.exception, CheckFailed) else None
+    view = finding_view(replace(sighting, node_id=sighting.path or sighting.node_id), check=check)
     runs = next((1 + each.repeats for each in value.summary.finds if each.id == sighting.id), 1)
-    view = replace(view, runs=runs, path=sighting.path, label=sighting.remark, command="")
-    return with_neighbours(view, sighting)
+    return replace(view, runs=runs, label=sighting.remark, command="")
 
 
-def _run_view(value: object) -> FindingView:
+def _run_view(value: object) -> RunView:
     if isinstance(value, Run):
         return run_view(value.trace, float(getattr(value.world, "clearance", CLEARANCE)))
     if isinstance(value, Trace):

@@ -22,18 +22,18 @@ from string import Template
 from typing import Any
 from urllib.parse import quote
 
-from pytest_pafot.campaign.events import ALL_RUN, DONE, SearchSummary
+from pytest_pafot.campaign.events import Ending, SearchSummary
 from pytest_pafot.campaign.options import is_page_file
 from pytest_pafot.corpus.layout import SUFFIX
-from pytest_pafot.findings.labels import JUDGED_OTHERWISE
+from pytest_pafot.findings.labels import Label
 from pytest_pafot.findings.severity import Severity
-from pytest_pafot.findings.sighting import NEW, Sighting
+from pytest_pafot.findings.sighting import Sighting
 from pytest_pafot.report.animation import AnimationError, animate
 from pytest_pafot.report.page_data import (
     CheckView,
     Errors,
-    FindingView,
     Report,
+    RunView,
 )
 from pytest_pafot.support.errors import flag
 from pytest_pafot.support.files import write_whole
@@ -93,7 +93,7 @@ WHO = {
 }
 
 
-def finding_keys(findings: Iterable[FindingView]) -> tuple[str, ...]:
+def finding_keys(findings: Iterable[RunView]) -> tuple[str, ...]:
     """Return a unique key for each finding, for links and files: its id, with a number if several findings share it."""
     keys: dict[str, None] = {}
     for finding in findings:
@@ -104,7 +104,7 @@ def finding_keys(findings: Iterable[FindingView]) -> tuple[str, ...]:
     return tuple(keys)
 
 
-def finding_list(findings: Sequence[FindingView]) -> str:
+def finding_list(findings: Sequence[RunView]) -> str:
     """Return an HTML list of links to all findings, with counts; an empty text if there are none."""
     if not findings:
         return ""
@@ -136,7 +136,7 @@ def finding_list(findings: Sequence[FindingView]) -> str:
     return listed
 
 
-def further_section(findings: Sequence[FindingView], whole: int) -> str:
+def further_section(findings: Sequence[RunView], whole: int) -> str:
     """Return an HTML table of the findings that the page does not show whole; an empty text if there are none.
 
     ``whole`` is the number of findings that it shows whole.
@@ -177,7 +177,7 @@ def requirement_section(requirements: Sequence[tuple[Traced, int]]) -> str:
     )
 
 
-def _filter(findings: Sequence[FindingView]) -> str:
+def _filter(findings: Sequence[RunView]) -> str:
     """Return the input fields that filter the list of findings. They work only with the page's script."""
     options = ""
     for kind, count in sorted(Counter(map(_kind, findings)).items()):
@@ -190,7 +190,7 @@ def _filter(findings: Sequence[FindingView]) -> str:
     )
 
 
-def finding_article(finding: FindingView, index: int) -> str:
+def finding_article(finding: RunView, index: int) -> str:
     """Return the HTML article on one finding, with an empty place for its picture."""
     claim = f'<p class="assertion"><code>{text(finding.assertion)}</code></p>' if finding.assertion else ""
     who, *tags = _tags(finding)
@@ -213,7 +213,7 @@ def finding_article(finding: FindingView, index: int) -> str:
     return "".join(parts)
 
 
-def _keep_section(finding: FindingView) -> str:
+def _keep_section(finding: RunView) -> str:
     """Return the HTML of a finding's command, if any, and of the text of its file."""
     command = f"<h3>Run it again</h3>{copyable(finding.command)}" if finding.command else ""
     return (
@@ -240,33 +240,30 @@ def _check_figures(check: CheckView) -> str:
     return f'<dl class="figures">{shown}</dl>'
 
 
-def _who(finding: FindingView) -> str:
+def _who(finding: RunView) -> str:
     return finding.responsibility if finding.check is None else "check"
 
 
-def _kind(finding: FindingView) -> str:
+def _kind(finding: RunView) -> str:
     return finding.event.kind if finding.check is None else WHO["check"]
 
 
-def _tags(finding: FindingView) -> list[str]:
+def _tags(finding: RunView) -> list[str]:
     """Return short texts that distinguish a finding from others, such as who is responsible for the collision."""
     tags = [WHO.get(_who(finding), finding.responsibility)]
     if finding.check is not None and finding.responsibility != "none":
         tags.append(f"{WHO.get(finding.responsibility, finding.responsibility)} for the collision")
     tags += [plural(finding.runs, "run")] if finding.runs else []
-    tags += [] if finding.generation is None else [f"first in generation {finding.generation}"]
+    tags += [] if finding.sighting is None else [f"first in generation {finding.sighting.finding.found.generation}"]
     return [*tags, finding.label] if finding.label else tags
 
 
 # The page's text on a search.
 
-ENDS = {"": "early", "error": "with an error"}
-"""The text for a reason for which a search ends, if it is not the reason itself. An empty one is not known."""
-
 
 def search_article(search: SearchSummary, index: int, *, is_open: bool = True) -> str:
     """Return the HTML article on one search; ``is_open`` is False if it is folded until the reader opens it."""
-    made, end = search.generations, ENDS.get(search.reason, search.reason)
+    made, end = search.generations, search.reason.after_ended
     figures = (
         ("algorithm", search.algorithm),
         ("seed", search.seed),
@@ -278,7 +275,7 @@ def search_article(search: SearchSummary, index: int, *, is_open: bool = True) -
     )
     folded = f"{plural(search.runs, 'run')}, {search.failing} failing"
     folded += f", {plural(len(search.warnings), 'warning')}" if search.warnings else ""
-    folded += f", ended {end}" if search.reason in ("error", "interrupted") else ""
+    folded += f", ended {end}" if search.reason.is_broken_off else ""
     warnings = "".join(f'<p class="warning"><b>Warning</b> {text(warning)}</p>' for warning in search.warnings)
     return (
         f'<article class="campaign" aria-labelledby="campaign-{index}">'
@@ -337,7 +334,7 @@ def render_page(report: Report, *, embedded: bool = False) -> str:
     kind = "embedded" if embedded else "whole"
     is_open = len(report.searches) == 1 and not embedded
     # Failures without a finding, with the text that pytest shows for them.
-    ended = {each.node_id: "The search ended with an error." for each in report.searches if each.reason == "error"}
+    ended = {each.node_id: "The search ended with an error." for each in report.searches if each.reason is Ending.ERROR}
     errors = "".join(
         f'<article class="error" role="alert"><h2>{text(node_id)}</h2>'
         f"<p>{ended.get(node_id, 'It failed, and no finding on this page shows why.')}</p>"
@@ -387,7 +384,7 @@ def data_json(report: Report) -> str:
     It has only what they read. Nothing in the JSON can end the element or begin a comment, and everything beyond ASCII,
     such as U+2028, is escaped.
     """
-    findings = [asdict(finding) for finding in report.findings]
+    findings = [asdict(replace(finding, sighting=None)) for finding in report.findings]
     data = {"findings": [{name: finding[name] for name in DRAWN} for finding in findings]}
     return json_in_script(json.dumps(data, ensure_ascii=True, allow_nan=False, separators=(",", ":")))
 
@@ -395,13 +392,13 @@ def data_json(report: Report) -> str:
 def _nothing_found(report: Report) -> str:
     """Return the sentence on a page without findings. It says that the property held only if nothing was cut short."""
     ends = {search.reason for search in report.searches}
-    if report.errors or "error" in ends:
+    if report.errors or Ending.ERROR in ends:
         return "No findings, but an error stopped something before its end."
-    if report.is_interrupted or ends & {"", "interrupted"}:
+    if report.is_interrupted or ends & {Ending.UNKNOWN, Ending.INTERRUPTED}:
         return "No findings before the interrupt. The scenarios that had not run by then are untested."
     if any(search.failing for search in report.searches):
         return "No new findings. Some runs failed, but saved scenarios already cover these failures."
-    if ends - {DONE, ALL_RUN}:
+    if not all(end.is_complete for end in ends):
         return "No findings before time ran out. The property held in every run that was evaluated by then."
     return "No findings. The property held in every evaluated run."
 
@@ -427,20 +424,20 @@ class Draft:
     """
 
     target: str
-    findings: dict[str, FindingView] = field(default_factory=dict)
+    findings: dict[str, RunView] = field(default_factory=dict)
     _whole: dict[str, bytes] = field(default_factory=dict)
 
-    def take(self, finding: FindingView) -> None:
+    def take(self, finding: RunView) -> None:
         """Add the view of a failing finding."""
         self.findings[finding.node_id] = _as_row(finding)
-        self._whole[finding.node_id] = zlib.compress(pickle.dumps(finding), level=1)
+        self._whole[finding.node_id] = zlib.compress(pickle.dumps(replace(finding, sighting=None)), level=1)
 
     def report(
         self,
         *,
         project: str,
         command: str,
-        findings: Iterable[FindingView],
+        findings: Iterable[RunView],
         errors: Errors,
         is_interrupted: bool,
         searches: Sequence[SearchSummary] = (),
@@ -467,13 +464,13 @@ class Draft:
             is_interrupted=is_interrupted,
         )
 
-    def _completed(self, finding: FindingView) -> FindingView:
+    def _completed(self, finding: RunView) -> RunView:
         """Return a finding with everything that was compressed of it."""
         packed = self._whole.get(finding.node_id)
         if packed is None:
             return finding
-        whole: FindingView = pickle.loads(zlib.decompress(packed))  # noqa: S301  (of this process)
-        return replace(whole, runs=finding.runs, label=finding.label)
+        whole: RunView = pickle.loads(zlib.decompress(packed))  # noqa: S301  (of this process)
+        return replace(whole, runs=finding.runs, label=finding.label, sighting=finding.sighting)
 
 
 def _facts(
@@ -489,8 +486,8 @@ def _facts(
         results = ", ".join(f"{count} {result}" for result, count in counts)
         yield "replayed", f"{plural(len(replays), 'saved scenario')}: {results}"
     for each in replays:
-        if each.label in ("drifted", JUDGED_OTHERWISE):
-            yield "drifted", f"{each.node_id}: {each.detail}"
+        if each.label in (Label.DRIFTED, Label.JUDGED_OTHERWISE):
+            yield Label.DRIFTED, f"{each.node_id}: {each.detail}"
         elif each.elsewhere:
             yield each.label, f"{each.node_id}: {each.elsewhere}"
     yield from installed_versions().items()
@@ -535,7 +532,7 @@ def report_files(report: Report) -> Iterator[tuple[str, bytes]]:
             yield re.sub(r"[^A-Za-z0-9._-]", "_", key) + ".png", animate(finding)
 
 
-def _as_row(finding: FindingView) -> FindingView:
+def _as_row(finding: RunView) -> RunView:
     """Return a finding without what only a whole finding shows: its run, and the text of its file."""
     check = None if finding.check is None else replace(finding.check, values=(), broken=())
     road = replace(finding.road, lanes=(), shapes=())
@@ -543,10 +540,13 @@ def _as_row(finding: FindingView) -> FindingView:
     return replace(finding, explanation="", yaml="", check=check, road=road, **nothing)
 
 
-def _rank(finding: FindingView) -> tuple[Any, ...]:
+def _rank(finding: RunView) -> tuple[Any, ...]:
     """Return the key that sorts findings: new before known, then by responsibility, severity and number of runs."""
-    worst = Severity.worst_first(finding.responsibility, finding.severity, finding.breadth)
-    return not finding.label.startswith(NEW), *worst, -finding.runs, finding.node_id
+    severity, breadth = None, None
+    if finding.sighting is not None:
+        severity, breadth = finding.sighting.severity, finding.sighting.breadth
+    worst = Severity.worst_first(finding.responsibility, severity, breadth)
+    return not finding.label.startswith(Label.NEW), *worst, -finding.runs, finding.node_id
 
 
 def _numbers(findings: Sequence[object], errors: Sequence[object]) -> str:

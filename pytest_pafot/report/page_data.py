@@ -8,12 +8,12 @@ as the time to contact of vehicles that never touch. An empty text stands for a 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Self
 
 from pytest_pafot.campaign.events import SearchSummary
-from pytest_pafot.findings.neighbours import Breadth
-from pytest_pafot.findings.severity import Severity
+from pytest_pafot.findings.finding import IN_MEMORY
+from pytest_pafot.findings.sighting import Sighting
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.support.traced import Traced
 
@@ -217,35 +217,29 @@ class CheckView:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class FindingView:
-    """One finding, as the report page shows it.
+class RunView:
+    """A run, as the report page shows it, and the finding that it shows, if any.
 
     Attributes:
-        id: name of the finding; together with the node id it is unique within a report.
-        node_id: node id of the item that replays the finding.
         sentences: who did what, what was due or what avoids it, and who is responsible; empty without a collision.
         assertion: the line of the test that failed, or the exception that was raised.
         responsibility: ``ego``, ``npc``, ``both`` or ``none``.
         runs: number of runs of the search that failed in this way; 0 for a run without a verdict.
-        generation: generation in which the search first ran into the finding, from 0; None if no search found it.
         label: ``new``, ``still failing``, ``flaky`` and so on.
         traced: the requirements that its test checks, with their title and owner, on one line.
-        severity: severity of the run on the page; None if it has no measure.
-        breadth: how many neighbours of its scenario fail in the same way; None if that was not examined.
         vehicles: the ego, then the NPCs.
         times: times of the frames; empty if no run was recorded.
         instructions: instructions to all NPCs, ordered by NPC and gene.
-        yaml, path: text and path of its file; empty for a run without a file.
+        yaml: text of its file; empty for a run without a file.
         check: the check that failed; None if something else failed.
         traffic: how the NPCs drive; empty for the paper's traffic.
         grid: poses of the eight cells at each frame of a bent road, None for a cell without a lane. Empty if all NPCs
             cross, because these use no cells.
         plans: the plan of each decision, in order; empty if the ADS returned no plan.
+        name: what identifies a run that shows no finding.
+        sighting: the finding, as the session saw it; None for a run alone. It has its own message.
     """
 
-    id: str
-    node_id: str
-    test: str
     headline: str
     explanation: str
     responsibility: str
@@ -257,23 +251,36 @@ class FindingView:
     yaml: str
     command: str
     runs: int = 1
-    generation: int | None = None
     label: str = ""
     traced: str = ""
-    severity: Severity | None = None
-    breadth: Breadth | None = None
-    path: str = ""
     sentences: tuple[str, ...] = ()
     assertion: str = ""
     check: CheckView | None = None
     traffic: str = ""
     grid: tuple[tuple[Pose | None, ...], ...] = ()
     plans: tuple[PlanView, ...] = ()
+    name: str = ""
+    sighting: Sighting | None = field(default=None, compare=False, repr=False, metadata=IN_MEMORY)
+
+    @property
+    def id(self) -> str:
+        """The name of the finding, or of the run alone; together with the node id it is unique within a report."""
+        return self.name if self.sighting is None else self.sighting.id
+
+    @property
+    def node_id(self) -> str:
+        """The node id of the item that replays the finding; empty for a run alone."""
+        return "" if self.sighting is None else self.sighting.node_id
+
+    @property
+    def path(self) -> str:
+        """The path of the file of the finding; empty if there is none."""
+        return "" if self.sighting is None else self.sighting.path
 
     @property
     def group(self) -> str:
         """The heading under which the page lists the finding: its requirements, or else the name of its test."""
-        return self.traced or self.test.rpartition("::")[2]
+        return self.traced or ("" if self.sighting is None else self.sighting.finding.test.rpartition("::")[2])
 
     @property
     def is_crossed(self) -> bool:
@@ -311,14 +318,14 @@ class Report:
     title: str
     facts: tuple[tuple[str, str], ...] = ()
     command: str = ""
-    findings: tuple[FindingView, ...] = ()
+    findings: tuple[RunView, ...] = ()
     searches: tuple[SearchSummary, ...] = ()
-    further: tuple[FindingView, ...] = ()
+    further: tuple[RunView, ...] = ()
     requirements: tuple[tuple[Traced, int], ...] = ()
     errors: Errors = ()
     is_interrupted: bool = False
 
     @classmethod
-    def of(cls, finding: FindingView) -> Self:
+    def of(cls, finding: RunView) -> Self:
         """Make a report on a single finding, without facts on a session."""
         return cls(title=finding.headline, findings=(finding,))

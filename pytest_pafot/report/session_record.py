@@ -18,20 +18,17 @@ from typing import Any, NamedTuple
 
 from pytest_pafot.campaign.events import SearchSummary
 from pytest_pafot.findings.finding import Finding, portable
-from pytest_pafot.findings.labels import JUDGED_OTHERWISE, NEARBY
+from pytest_pafot.findings.labels import PASSING, Label
 from pytest_pafot.findings.neighbours import Breadth
 from pytest_pafot.findings.severity import Severity, worsening
 from pytest_pafot.findings.shrink import size_of
-from pytest_pafot.findings.sighting import ELSEWHERE, NEW, NO_WORSE, PASSES, PASSING, Sighting, passing
+from pytest_pafot.findings.sighting import Sighting, passing
 from pytest_pafot.support.markup import code, plain
 from pytest_pafot.support.text import plural, quiet_json
 from pytest_pafot.support.traced import Traced, counted
 
 VERSION = 1
 """The version of the JSON layout. It grows if a key is removed or changes its meaning, not if a key is added."""
-
-ERROR = "error"
-"""The status of a saved scenario that could not be read or run."""
 
 NOT_WRITTEN = ("outcomes", "responsibilities", "seconds", "process_notes")
 """The attributes of a search that only pages or the terminal show; of the last two, the same seed may give others."""
@@ -82,7 +79,7 @@ FINDING: Mapping[str, Key] = MappingProxyType({
         "`new`; `no worse` if it is new and does not count in a comparison with a reference; the result of its replay, "
         "as in the summary; or `error` if it could not be read or run. Then only its ids, `test`, `result`, `file`, "
         "`replay` and `detail` are known.",
-        ERROR, lambda seen: seen.result,
+        str(Label.ERROR), lambda seen: str(seen.result),
     ),
     "result": Key(
         "result of the item: `passed`, `skipped`, `xfailed`, `failed`, `error`; empty if the item did not end.", "",
@@ -341,30 +338,6 @@ def worst(results: Iterable[str]) -> str:
 MAX_LISTED = 20
 """The largest number of entries that a list in the summary names. Any more are only counted."""
 
-ACCEPTED = "accepted"
-"""The group of failures that are accepted with ``xfail``."""
-
-_GROUPS: Mapping[str, str] = MappingProxyType(
-    {
-        NEW: "New",
-        "introduced": "Introduced by the change",
-        NO_WORSE: "New, but no worse: the reference fails as often, elsewhere",
-        ERROR: "Could not be read or run",
-        "still failing": "Known, still failing",
-        NEARBY: "Still failing nearby: the saved scenario passes, a neighbour of it does not",
-        ELSEWHERE: "Still failing elsewhere: the saved scenario passes, the search found the same failure",
-        "drifted": "Drifted: the run differs from the file, so this is no fix",
-        JUDGED_OTHERWISE: "Judged otherwise, by other rules than when it was saved: this is no fix",
-        "flaky": "Flaky",
-        "common": "Known, and also failing in the reference",
-        ACCEPTED: "Accepted for now",
-        PASSES: "Pass, and no search of this session looked for the same failure",
-        "fixed": "Fixed",
-        "fixed before": "Fixed before",
-    }
-)
-"""The title of each group of findings, by status, with the most urgent group first."""
-
 
 def markdown(record: SessionRecord) -> str:
     """Return the summary of a session; empty if nothing in the session concerned this plugin."""
@@ -372,16 +345,16 @@ def markdown(record: SessionRecord) -> str:
 
 
 def _lines(record: SessionRecord) -> Iterator[str]:
-    groups: dict[str, list[dict[str, Any]]] = {name: [] for name in _GROUPS}
+    groups: dict[Label, list[dict[str, Any]]] = {label: [] for label in Label}
     for entry in record.findings:
-        groups[ACCEPTED if entry["result"] == "xfailed" else entry["status"]].append(entry)
-    counts = [f"{len(group)} {name}" for name, group in groups.items() if group]
-    yield f"### pafot: {', '.join([*([] if groups[NEW] else ['nothing new']), *counts])}"
+        groups[Label.ACCEPTED if entry["result"] == "xfailed" else entry["status"]].append(entry)
+    counts = [f"{len(group)} {label}" for label, group in groups.items() if group]
+    yield f"### pafot: {', '.join([*([] if groups[Label.NEW] else ['nothing new']), *counts])}"
     yield ""
     yield from _search_lines(record)
-    for name, group in groups.items():
+    for label, group in groups.items():
         if group:
-            yield from ("", f"**{_GROUPS[name]}**", "")
+            yield from ("", f"**{label.group}**", "")
             for entry in sorted(group, key=_rank)[:MAX_LISTED]:
                 yield from _finding_lines(entry)
             yield from ([f"- ... and {len(group) - MAX_LISTED} more"] if len(group) > MAX_LISTED else [])
@@ -428,7 +401,8 @@ def _rank(entry: Mapping[str, Any]) -> tuple[Any, ...]:
 def _finding_lines(entry: Mapping[str, Any]) -> Iterator[str]:
     """Yield two lines on a finding: its test and its description, then the command that replays it."""
     elsewhere = f"{plain(entry['elsewhere'])} fails in the same way" if entry["elsewhere"] else ""
-    passes = passing(entry["neighbours"], entry["searched"]) if entry["status"] in (PASSES, *PASSING) else ""
+    is_pass = entry["status"] in (Label.PASSES, *PASSING)
+    passes = passing(entry["neighbours"], entry["searched"]) if is_pass else ""
     parts = [passes, plain(entry["headline"] or elsewhere or entry["detail"])]
     if entry["severity"] is not None and entry["severity_before"] is not None:
         worse = worsening(Severity(**entry["severity"]), Severity(**entry["severity_before"]))

@@ -12,11 +12,12 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
-from pytest_pafot.campaign.events import Progress, SearchSummary
+from pytest_pafot.campaign.events import Ending, Progress, SearchSummary
 from pytest_pafot.findings.finding import Expect, Finding
+from pytest_pafot.findings.labels import Label
 from pytest_pafot.findings.severity import Severity, worsening
 from pytest_pafot.findings.shrink import size_of
-from pytest_pafot.findings.sighting import NEW, Sighting
+from pytest_pafot.findings.sighting import Sighting
 from pytest_pafot.oracle.run import ReferenceOutcome
 from pytest_pafot.support.errors import flag
 from pytest_pafot.support.proportions import interval_text
@@ -360,7 +361,7 @@ def replay_lines(replays: Sequence[Sighting], width: int = WIDTH, *, seconds: fl
     lines = wrapped_to(f"replayed {plural(len(replays), 'saved scenario')}: {figures}", width)
     if several:
         lines.append(f"  {plural(several, 'neighbour')} passed, in {seconds:.1f} s ({flag('replay_neighbours')})")
-    shown = [replay for replay in replays if replay.may_pass or replay.label not in ("still failing", "common")]
+    shown = [replay for replay in replays if replay.may_pass or replay.label not in (Label.STILL_FAILING, Label.COMMON)]
     for replay in shown[:MAX_REPLAYS]:
         lines.append(f"  {replay.heading}: {replay.node_id}")
         remarks = "; ".join(filter(None, ["" if replay.driven == replay.heading else replay.driven, replay.detail]))
@@ -380,16 +381,16 @@ def against_lines(session: SessionSummary, width: int = WIDTH) -> list[str]:
     for name in filter(None, dict.fromkeys(names)):
         labels = Counter(replay.label for replay in session.replays if replay.against == name)
         found = sum(len(each.finds) + len(each.unsaved) for each in session.searches if each.against == name)
-        introduced = plural(found + labels["introduced"], "failure")
-        text = f"against {name}: introduces {introduced}, fixes {labels['fixed']}, {labels['common']} as before"
+        introduced = plural(found + labels[Label.INTRODUCED], "failure")
+        text = f"against {name}: introduces {introduced}, fixes {labels[Label.FIXED]}, {labels[Label.COMMON]} as before"
         elsewhere = sum(len(each.no_worse) for each in session.searches if each.against == name)
         text += f", {elsewhere} elsewhere" if elsewhere else ""
         lines += wrapped_to(text, width)
-        common = [each for each in session.replays if each.against == name and each.label == "common"]
+        common = [each for each in session.replays if each.against == name and each.label is Label.COMMON]
         changes = [(each.id, worsening(each.severity, each.severity_before)) for each in common]
         worse = [f"{id_} {change}" for id_, change in changes if change]
         if worse:
-            count = f"{len(worse)} of {plural(labels['common'], 'failure')} in common became worse"
+            count = f"{len(worse)} of {plural(labels[Label.COMMON], 'failure')} in common became worse"
             lines += wrapped_to(f"{count}: {'; '.join(worse[:MAX_REPLAYS])}", width)
     return lines
 
@@ -402,7 +403,7 @@ def worst_lines(session: SessionSummary, width: int = WIDTH) -> list[str]:
     failing = [each for each in session.replays if each.headline and not each.is_accepted]
     listed = sorted(
         (
-            each.label not in (NEW, "introduced"),
+            each.label not in (Label.NEW, Label.INTRODUCED),
             *Severity.worst_first(each.responsible, each.severity, each.breadth),
             -each.repeats,
             each.node_id,
@@ -468,9 +469,9 @@ def annotation_lines(sightings: Iterable[Sighting]) -> list[str]:
 def _is_quiet(search: SearchSummary) -> bool:
     """Return whether a search ran as asked, evaluated something, and nothing failed in it."""
     untested = search.invalid + search.rejected + search.skipped
-    is_tested = search.runs > untested or search.reason == "replay only"
+    is_tested = search.runs > untested or search.reason is Ending.REPLAYS
     is_clean = not (search.failing or search.finds or search.unsaved)
-    return is_tested and is_clean and search.reason not in ("error", "interrupted")
+    return is_tested and is_clean and not search.reason.is_broken_off
 
 
 def _lines_of_searches(session: SessionSummary, *, verbose: bool, width: int) -> list[str]:

@@ -17,7 +17,7 @@ from pytest_pafot.corpus.writer import text_of
 from pytest_pafot.criticality import Encounters, Passage, gap, passages, time_advantage, ttc
 from pytest_pafot.criticality.asked import Asked, asked
 from pytest_pafot.criticality.signals import jerk
-from pytest_pafot.findings.finding import Expect, Finding
+from pytest_pafot.findings.finding import Expect
 from pytest_pafot.findings.sighting import Sighting
 from pytest_pafot.model.driving_style import AMPLE, Traffic
 from pytest_pafot.model.grid import Cell
@@ -29,7 +29,6 @@ from pytest_pafot.oracle.run import Run, arrival, lanes_apart
 from pytest_pafot.report.page_data import (
     CheckView,
     EventView,
-    FindingView,
     InstructionView,
     LaneView,
     Numbers,
@@ -37,6 +36,7 @@ from pytest_pafot.report.page_data import (
     PlanView,
     Pose,
     RoadView,
+    RunView,
     VehicleView,
     Window,
     ZoneView,
@@ -231,22 +231,20 @@ FRAMES_PER_SECOND = 7
 """Approximate number of frames per second of a run. The page interpolates between them, so more are not needed."""
 
 
-def finding_view(
-    trace: Trace | None, finding: Finding, *, node_id: str, headline: str = "", check: Check | None = None
-) -> FindingView:
+def finding_view(sighting: Sighting, *, note: str = "", check: Check | None = None) -> RunView:
     """Return the data that the report page shows of a finding.
 
-    Use :func:`dataclasses.replace` to set what is known only later, such as the number of runs that failed in this way,
-    the label or the path of the file.
+    Use :func:`dataclasses.replace` to set what is known only later, such as the number of runs that failed in this way
+    or the label.
 
     Args:
-        trace: a run of the finding's scenario; None if no run was recorded.
-        finding: the finding, as its file describes it.
-        node_id: node id of the item that replays the finding.
-        headline: the title; by default the first line of the run's explanation.
+        sighting: the finding, with its run if one was recorded. Without a headline, the title is the first line of the
+            run's explanation.
+        note: what the page adds to the headline.
         check: the check that failed in the run; None if something else failed.
     """
-    expect = finding.expect
+    finding, trace = sighting.finding, None if sighting.run is None else sighting.run.trace
+    expect, headline = finding.expect, "; ".join(filter(None, [sighting.headline, note]))
     clearance = finding.world.get("clearance", CLEARANCE)
     clearance = float(clearance) if isinstance(clearance, (int, float)) else CLEARANCE
     run = None if trace is None else expect.known_of(Run(trace))
@@ -254,45 +252,34 @@ def finding_view(
     explanation = "" if run is None else _explanation(run, sentences)
     first, _, rest = explanation.partition("\n")
     lines = [(rest if check is None else explanation) or expect.message, *simplified_lines(finding)]
-    view = FindingView(
-        id=finding.id,
-        node_id=node_id,
-        test=finding.test,
+    view = RunView(
         headline=headline or first or expect.message or expect.failure,
-        explanation="\n".join(filter(None, [*lines, *effort_lines(finding)])),
+        explanation="\n".join(filter(None, [*lines, *effort_lines(finding), *sighting.on_decisions])),
         sentences=sentences,
         assertion=_assertion(expect),
         responsibility=expect.responsibility,
-        generation=finding.found.generation,
         road=RoadView(lanes=(), lane_width=0.0, speed_limit=0.0, clearance=clearance),
         vehicles=(),
         times=(),
         instructions=_instructions(trace, finding.scenario),
         event=EventView(kind=str(expect.outcome), time=expect.time),
         yaml=text_of(finding),
-        command=f"pytest {shlex.quote(node_id)}",
+        command=f"pytest {shlex.quote(sighting.node_id)}",
         traffic=finding.scenario.traffic.described,
+        sighting=sighting,
     )
     return view if trace is None else _with_run(view, trace, clearance, check)
 
 
-def with_neighbours(view: FindingView, sighting: Sighting) -> FindingView:
-    """Return a view with what the neighbours of the finding say, and with what the ADS answers to."""
-    explanation = "\n".join(filter(None, [view.explanation, *sighting.on_decisions]))
-    return replace(view, breadth=sighting.breadth, explanation=explanation)
-
-
-def run_view(trace: Trace, clearance: float = CLEARANCE) -> FindingView:
+def run_view(trace: Trace, clearance: float = CLEARANCE) -> RunView:
     """Return the data to show of a run that has no file and no verdict.
 
     The clearance is the gap between the ego and the cells ahead of and behind it [m].
     """
     run = Run(trace)
     headline, _, explanation = _explanation(run, run.sentences).partition("\n")
-    view = FindingView(
-        id=f"scenario {run.scenario.id}",
-        node_id="",
-        test="",
+    view = RunView(
+        name=f"scenario {run.scenario.id}",
         headline=headline,
         explanation=explanation,
         sentences=run.sentences,
@@ -324,7 +311,7 @@ def _assertion(expect: Expect) -> str:
     return f"{expect.failure}: {expect.message}" if expect.message else expect.failure
 
 
-def _with_run(view: FindingView, trace: Trace, clearance: float, check: Check | None) -> FindingView:
+def _with_run(view: RunView, trace: Trace, clearance: float, check: Check | None) -> RunView:
     """Return a view with what only a run shows: the road, the vehicles' tracks, and the moment of the event."""
     run, tick = Run(trace), check_tick(trace, check)
     ticks = frame_ticks(trace) if tick is None else sorted({*frame_ticks(trace), tick})

@@ -108,11 +108,13 @@ def plan_of(
     for name, value, least in (("generations", generations, 1), ("runs", runs, 1), ("seed", seed, 0)):
         if value is not None and value < least:
             raise ValueError(f"{name}: expected a whole number, at least {least}, received {value!r}")
+    # A new search is one that goes on from nothing, so there is one way to begin.
     if resumed is None:
         sums = CampaignFinished(reason="generations", generations=0, evaluated=0, simulated=0, best=None, seconds=0.0)
         resumed = Checkpoint(state=algorithm.start(generation_rng(seed)), sums=sums)
     length, of_block = None, block_runs(algorithm)
     if of_block is not None:
+        # Whole generations, since an algorithm learns from nothing less.
         length = max(LEAST_GENERATIONS, -(-of_block // algorithm.population))  # type: ignore[attr-defined]
     return Plan(
         started=CampaignStarted(algorithm=algorithm.name, generations=generations, seed=seed),
@@ -201,9 +203,9 @@ class Plan(Generic[StateT]):
         """Return the next scenario."""
         return self.block.scenario()
 
-    def known(self) -> Evaluation | None:
+    def recalled(self) -> Evaluation | None:
         """Return the evaluation of the next scenario if an earlier run shows it; None if it has to be simulated."""
-        return self.block.known()
+        return self.block.recalled()
 
     def ahead(self) -> Iterator[Scenario] | None:
         """Return the scenarios of the generation that no earlier run shows, at its beginning; None if it has begun.
@@ -376,7 +378,7 @@ class Block(Generic[StateT]):
         drawn.has(self.index)
         return drawn.scenarios[self.index]
 
-    def known(self) -> Evaluation | None:
+    def recalled(self) -> Evaluation | None:
         """Return the evaluation of the next scenario if an earlier run shows it; None if it has to be simulated."""
         return None if self._cache is None else self._cache.recall(self.scenario())
 

@@ -109,7 +109,7 @@ def test_a_finding_that_does_not_repeat_stays_as_it_was_found_if_it_is_too_rare_
 
 
 def test_a_finding_that_only_highway_envs_own_environment_does_not_show_has_no_rate(tmp_path, monkeypatch):
-    monkeypatch.setattr("pytest_pafot.campaign.workers._difference_in_gym", lambda run, workers: "safe for 4.0 s")
+    monkeypatch.setattr("pytest_pafot.campaign.bench._difference_in_gym", lambda run, bench: "safe for 4.0 s")
     told = found(Brakes, tmp_path)
     assert told.difference == "in highway-env's own environment: safe for 4.0 s"
     assert told.finding.rate is None

@@ -12,7 +12,8 @@ from pathlib import Path
 
 import pytest
 
-from pytest_pafot.campaign import explore, search, tallies, workers
+import pytest_pafot as pafot
+from pytest_pafot.campaign import bench, blocks, explore, search, tallies
 from pytest_pafot.campaign.store import Store
 from pytest_pafot.campaign.watch import TimedWatch
 from pytest_pafot.execution import runner
@@ -50,14 +51,14 @@ def searched(tmp_path, monkeypatch):
     """Return a function that searches in blocks of 16 runs, and tells all about it and which blocks were given away."""
     for each in (DistinctSearch, RandomSearch):
         monkeypatch.setattr(each, "block_runs", 16)
-    given, task = [], workers.BlockTask
+    given, task = [], blocks.BlockTask
     monkeypatch.setattr(
-        workers, "BlockTask", lambda number, *more, **named: given.append(number) or task(number, *more, **named)
+        blocks, "BlockTask", lambda number, *more, **named: given.append(number) or task(number, *more, **named)
     )
 
     def search(name, *, drives=False, ads=keep, test=holds, runs=RUNS, saves=True, **settings):
-        monkeypatch.setattr(workers, "DRIVEN_SECONDS", 60.0 if drives else -1.0)
-        monkeypatch.setattr(workers, "FED_SECONDS", 0.0)
+        monkeypatch.setattr(blocks, "DRIVEN_SECONDS", 60.0 if drives else -1.0)
+        monkeypatch.setattr(blocks, "FED_SECONDS", 0.0)
         settings = SPACE | {"population": 4, "shrink_rollouts": 0, "neighbours": 0} | settings
         given.clear()
         corpus, own = tmp_path / name, {"node_id": "test_it.py::test_it", "runs": runs}
@@ -80,21 +81,21 @@ def searched(tmp_path, monkeypatch):
 def test_processes_drive_blocks_while_the_session_makes_the_runs_of_the_first(searched, monkeypatch):
     monkeypatch.setattr(runner, "DEAR", math.inf)  # so that processes only drive blocks
     alone, _ = searched("alone")
-    began, give = [], workers.Workers.give_blocks
+    began, give = [], blocks.Blocks.give
 
-    def note(self, plan, *more):
-        give(self, plan, *more)
-        began.extend([plan.generation] if self._driven else [])
+    def note(self, *given):
+        give(self, *given)
+        began.extend([self.plan.generation] if self._driven else [])
 
-    monkeypatch.setattr(workers.Workers, "give_blocks", note)
+    monkeypatch.setattr(blocks.Blocks, "give", note)
     assert searched("driven", drives=True, workers=2) == (alone, [1, 2, 3, 4])
     assert began[0] == 1
 
 
 @pytest.mark.parametrize("algorithm", ["distinct", "random"])
 def test_whoever_drives_the_blocks_the_search_is_the_same(searched, algorithm):
-    alone, blocks = searched("alone", drives=True, algorithm=algorithm)
-    assert not blocks
+    alone, numbers = searched("alone", drives=True, algorithm=algorithm)
+    assert not numbers
     assert len(alone["files"]) >= 2
     for count, driven in ((2, [1, 2, 3, 4]), (3, [])):  # fewer than two blocks for each process are not given away
         assert searched(f"{count}", workers=count, algorithm=algorithm) == (alone, [])
@@ -108,8 +109,8 @@ def test_a_search_goes_on_inside_of_a_block_that_another_process_drove(searched,
     done = len(first["rows"])
     assert done > 16
     assert done % 4
-    rest, blocks = searched("parts", runs=144 - done, **given)
-    assert blocks
+    rest, numbers = searched("parts", runs=144 - done, **given)
+    assert numbers
     assert rest["files"] == alone["files"]
     assert rest["counts"] == alone["counts"]
     assert first["rows"] + rest["rows"] == alone["rows"]
@@ -122,16 +123,16 @@ def test_a_dead_process_costs_its_run_and_not_its_block(searched, monkeypatch):
     assert any(name.startswith("crash") for name in one_by_one["files"])
     lost, lose = [], search.lose
     monkeypatch.setattr(search, "lose", lambda died, *more: lost.append(died.task) or lose(died, *more))
-    broken_off, said = set(), workers.Workers._said
+    broken_off, message = set(), blocks.Blocks._message
 
     def hear(self, *given, **named):
-        what = said(self, *given, **named)
+        what = message(self, *given, **named)
         broken_off.update([self._suspect.task.number] if self._suspect else [])
         return what
 
-    monkeypatch.setattr(workers.Workers, "_said", hear)
-    driven, blocks = searched("driven", drives=True, **given)
-    assert blocks == [1, 2, 3, 4, 5, 6, 7, 8]
+    monkeypatch.setattr(blocks.Blocks, "_message", hear)
+    driven, numbers = searched("driven", drives=True, **given)
+    assert numbers == [1, 2, 3, 4, 5, 6, 7, 8]
     assert driven == one_by_one
     assert len(broken_off) <= 2 < len(lost)  # one for each process
 
@@ -141,9 +142,9 @@ def test_what_a_process_ran_that_was_killed_from_outside_is_run_again_with_a_not
     searched, tmp_path, monkeypatch, is_apart
 ):
     monkeypatch.setattr(runner, "DEAR", math.inf)  # so that processes only drive blocks
-    task = workers.BlockTask
+    task = blocks.BlockTask
     if is_apart:
-        monkeypatch.setattr(workers, "BlockTask", lambda *given, is_apart: task(*given, is_apart=True))
+        monkeypatch.setattr(blocks, "BlockTask", lambda *given, is_apart: task(*given, is_apart=True))
     alone, _ = searched("alone")
     flag = tmp_path / "flag"
 
@@ -154,9 +155,9 @@ def test_what_a_process_ran_that_was_killed_from_outside_is_run_again_with_a_not
             os._exit(3)
         return 0.0, 0.0
 
-    found, blocks = searched("killed", drives=True, ads=killed, workers=2)
+    found, numbers = searched("killed", drives=True, ads=killed, workers=2)
     assert flag.exists()
-    assert blocks
+    assert numbers
     (note,) = found.pop("notes")
     what = "<Scenario .*>" if is_apart else r"block \d of the search"
     assert re.search(rf"ended with exit code 3 while it ran {what}, which ran to its end", note)
@@ -171,8 +172,8 @@ def speed(trace):
 def test_runs_of_later_blocks_that_only_the_session_may_judge_are_judged_when_they_come(searched, monkeypatch):
     monkeypatch.setattr(runner, "DEAR", 0.0)
     alone, _ = searched("alone", fitness=speed)
-    early, evaluated = [], workers.Workers._evaluated_early
-    monkeypatch.setattr(workers.Workers, "_evaluated_early", lambda *given: early.append(given) or evaluated(*given))
+    early, evaluated = [], bench.Bench.evaluate_ahead
+    monkeypatch.setattr(bench.Bench, "evaluate_ahead", lambda *given: early.append(given) or evaluated(*given))
     assert searched("ahead", workers=3, fitness=speed) == (alone, [])
     assert early
 
@@ -190,18 +191,18 @@ def test_sessions_of_5_16_and_40_runs_are_one_long_one(searched, tmp_path):
 @pytest.fixture
 def saved_early(monkeypatch):
     """Return a list of the files that are saved before their block is counted, while block 1 takes long."""
-    saved, add_early, drive = [], Store.add_early, tallies.BlockDriver.__call__
+    saved, add_pending, drive = [], Store.add_pending, tallies.BlockDriver.__call__
 
     def add(self, *given):
-        before = {*self.early}
-        add_early(self, *given)
-        saved.extend(self.early[each][0] for each in self.early.keys() - before)
+        before = {*self.pending}
+        add_pending(self, *given)
+        saved.extend(self.pending[each][0] for each in self.pending.keys() - before)
 
     def late(self, task, *given):
         time.sleep(1.5 if task.number == 1 else 0)
         drive(self, task, *given)
 
-    monkeypatch.setattr(Store, "add_early", add)
+    monkeypatch.setattr(Store, "add_pending", add)
     monkeypatch.setattr(tallies.BlockDriver, "__call__", late)
     return saved
 
@@ -230,8 +231,8 @@ def test_a_death_in_a_later_block_is_saved_before_its_turn(searched, saved_early
         "__call__",
         lambda self, task, *more: driven.append(task.number) or drive(self, task, *more),
     )
-    task = workers.BlockTask
-    monkeypatch.setattr(workers, "BlockTask", lambda *given, is_apart: task(*given, is_apart=True))
+    task = blocks.BlockTask
+    monkeypatch.setattr(blocks, "BlockTask", lambda *given, is_apart: task(*given, is_apart=True))
     found, _ = searched("early", ads=dies, drives=True, workers=2)
     crashes = {each.name for each in saved_early if each.name.startswith("crash")}
     assert crashes
@@ -242,6 +243,25 @@ def test_a_search_that_stops_at_its_findings_forgets_those_of_later_blocks(searc
     alone, _ = searched("alone", stop_after=STOP)
     assert searched("early", drives=True, workers=2, stop_after=STOP)[0] == alone
     assert saved_early
+
+
+def test_failures_of_later_blocks_have_files_while_there_is_room(searched, saved_early, monkeypatch):
+    add_pending, most = Store.add_pending, []
+
+    def add(self, *given):
+        add_pending(self, *given)
+        if saved_early[-1:] != [None]:
+            most.append(len(self.findings) + sum(path is not None for path, _ in self.pending.values()))
+
+    def fails(run):
+        pafot.check(0, name=run.scenario.id, at_least=1)
+
+    monkeypatch.setattr(Store, "add_pending", add)
+    monkeypatch.setattr(bench, "difference", lambda run, bench: "")
+    alone, _ = searched("alone", test=fails, max_saved=20)
+    assert searched("early", drives=True, workers=2, test=fails, max_saved=20)[0] == alone
+    assert most
+    assert max(most) <= 20
 
 
 def test_a_failure_of_a_later_block_whose_file_cannot_be_removed_stays(searched, saved_early, monkeypatch):
@@ -299,23 +319,23 @@ def test_a_test_function_that_judges_otherwise_in_other_processes_does_not_end_t
     def holds_here(run):
         assert os.getpid() == SESSION or not run.collision
 
-    found, blocks = searched("elsewhere", test=holds_here, drives=True, workers=2)
-    assert blocks
+    found, numbers = searched("elsewhere", test=holds_here, drives=True, workers=2)
+    assert numbers
     assert len(found["rows"]) == RUNS
     assert not found["files"]
 
 
 @pytest.mark.parametrize("change", ["xfail: known\n", "no YAML: ["])
 def test_a_file_that_somebody_changes_before_its_turn_is_not_removed(searched, saved_early, monkeypatch, change):
-    add_early, changed = Store.add_early, {}
+    add_pending, changed = Store.add_pending, {}
 
     def add(self, *given):
-        add_early(self, *given)
+        add_pending(self, *given)
         for path in {*saved_early} - {*changed}:
             changed[path] = path.read_text() + change
             path.write_text(changed[path])
 
-    monkeypatch.setattr(Store, "add_early", add)
+    monkeypatch.setattr(Store, "add_pending", add)
     searched("early", drives=True, workers=2, stop_after=STOP)
     assert changed
     assert {path: path.read_text() for path in changed} == changed
@@ -325,8 +345,8 @@ def end_when_something_is_saved_early(end, search, monkeypatch):
     """Search in a process that gets a signal as soon as a failure is saved early."""
 
     def ended():
-        add_early = Store.add_early
-        monkeypatch.setattr(Store, "add_early", lambda *given: add_early(*given) or os.kill(os.getpid(), end))
+        add_pending = Store.add_pending
+        monkeypatch.setattr(Store, "add_pending", lambda *given: add_pending(*given) or os.kill(os.getpid(), end))
         search()
 
     session = multiprocessing.get_context("fork").Process(target=ended)

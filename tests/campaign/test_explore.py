@@ -18,7 +18,7 @@ from highway_env.vehicle.behavior import IDMVehicle
 import pytest_pafot as pafot
 from example_ads import constant_speed
 from pytest_pafot.campaign import explore
-from pytest_pafot.campaign.events import Judged, SearchStarted, SearchSummary
+from pytest_pafot.campaign.events import Ending, Judged, SearchStarted, SearchSummary
 from pytest_pafot.campaign.refine import simplest
 from pytest_pafot.campaign.search_session import Events, SearchSession, prepared
 from pytest_pafot.campaign.watch import TimeLimit
@@ -135,6 +135,15 @@ def test_events_equal_those_a_listener_hears_except_runs(exploration, heard):
     }
 
 
+def test_a_listener_that_raises_stop_iteration_is_named():
+    def listen(event):
+        next(iter(()))
+
+    with pytest.raises(RuntimeError, match=r"expected a listener .*, received StopIteration\(\) from it") as raised:
+        pafot.explore(constant_speed.make, holds=never_collides, seed=5, on_event=listen, **SHORT)
+    assert isinstance(raised.value.__cause__, StopIteration)
+
+
 def test_a_search_whose_listener_raises_reports_what_it_has():
     heard = []
 
@@ -169,7 +178,7 @@ def test_a_search_that_is_closed_keeps_the_findings_it_has(tmp_path):
     given = {"ads": constant_speed.make, "world": None, "seed": 5, "corpus": str(tmp_path), **SHORT}
     replays = explore.replays_of(explore.request_of(given), never_collides, "test_it.py::test_it", tmp_path)
     with prepared(replays.harness) as parts:
-        watch = parts.watch("test_it.py::test_it", TimeLimit("", math.inf), progress_seconds=math.inf)
+        watch = parts.watch("test_it.py::test_it", TimeLimit(Ending.MAX_TIME, math.inf), progress_seconds=math.inf)
         happens = SearchSession(watch=watch, replays=replays).run()
         before = signal.getsignal(signal.SIGINT)
         found = next(event for event in happens if isinstance(event, Sighting))

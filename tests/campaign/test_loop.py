@@ -21,7 +21,7 @@ from pytest_pafot.model.trace import Lane, Outcome, Trace
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.searching import SearchSpace, sample
 from pytest_pafot.searching.algorithms.random_search import RandomSearch
-from pytest_pafot.searching.plan import plan_of
+from pytest_pafot.searching.plan import Plan, plan_of
 from pytest_pafot.support.errors import OutOfTime
 from tests.helpers.tables import table
 
@@ -71,12 +71,12 @@ class Store:
         self.finds.append(("hang" if lost.is_hang else "crash", generation, number))
         return SimpleNamespace(id=f"id-{len(self.finds)}")
 
-    def report(self, sighting):
+    def publish(self, sighting):
         return ()
 
 
 @dataclass
-class Workers:
+class Bench:
     """Make runs by a function; run ``n`` gets the ``n``-th verdict."""
 
     verdicts: Callable[[int], Verdict]
@@ -85,30 +85,39 @@ class Workers:
     numbers: Iterator[int] = field(default_factory=count)
     has_reference: bool = False
 
-    def begin(self, plan, random_runs):
-        """Do nothing, because there are no other processes."""
-
-    def give_blocks(self, plan, fatal, known):
-        """Do nothing, because there are no other processes."""
-
-    def next(self, plan, fatal):
-        try:
-            return None if plan.scenario() in fatal else self.simulate(plan.scenario())
-        except ProcessLostError as error:
-            return error
-
-    def judge(self, run):
+    def finish(self, run):
         return self.verdicts(next(self.numbers))
 
     def evaluation(self, run, verdict, signature):
         return evaluated(run, verdict, signature, lambda run: 0.0, is_steered_by_checks=True)
 
-    def learn(self, plan):
-        return plan.learn()
-
     def is_common(self, scenario):
         """Return whether a scenario fails the reference: every second one does if a process dies."""
         return self.has_reference and next(self.numbers) % 2 == 1
+
+
+@dataclass
+class Blocks:
+    """Have each scenario run on the bench, because there are no other processes."""
+
+    plan: Plan
+    bench: Bench
+
+    def begin(self, random_runs):
+        """Do nothing."""
+
+    def give(self, fatal, known):
+        """Do nothing."""
+
+    def next(self, fatal):
+        scenario = self.plan.scenario()
+        try:
+            return None if scenario in fatal else self.bench.simulate(scenario)
+        except ProcessLostError as error:
+            return error
+
+    def learn(self):
+        return self.plan.learn()
 
 
 def searched(
@@ -126,7 +135,8 @@ def searched(
     state, store = State(fatal=set(fatal)), Store()
     state.shown = dict(shown)
     plan = plan_of(RandomSearch(SPACE, population=population), generations=generations, seed=1)
-    for _ in search(plan, state, Workers(verdicts, run, has_reference=has_reference), store, watch or Watch()):
+    blocks = Blocks(plan, Bench(verdicts, run, has_reference=has_reference))
+    for _ in search(blocks, state, store, watch or Watch()):
         pass
     return state, store.finds
 
@@ -186,7 +196,7 @@ def test_failure_covered_by_saved_scenario_counts_as_known():
     signature = of_failure(run, Failure(kind="AssertionError"))
     found, finds = searched(lambda number: failed(), shown={signature: "saved"})
     assert finds == []
-    assert found.known == {"saved": found.runs}
+    assert found.covered == {"saved": found.runs}
 
 
 @table("kind", ["passed", "rejected", "skipped", "npc", "common", "invalid"])
@@ -232,7 +242,7 @@ def test_dying_processes_are_known_from_saved_scenario():
     signature = expectation(lost_run).signature
     found, finds = searched(lambda number: failed(), run=lost, shown={signature: "saved"})
     assert finds == []
-    assert found.known == {"saved": 6}
+    assert found.covered == {"saved": 6}
 
 
 def test_lost_process_teaches_the_search_nothing():

@@ -7,7 +7,8 @@ import pytest
 import pytest_pafot as pafot
 from pytest_pafot.campaign.events import Paired
 from pytest_pafot.campaign.made_worse import MadeWorse
-from pytest_pafot.findings.sighting import NO_WORSE, Sighting
+from pytest_pafot.findings.labels import Label
+from pytest_pafot.findings.sighting import Sighting
 from pytest_pafot.support.errors import OutOfTime
 from tests.helpers.tables import table
 
@@ -54,7 +55,7 @@ def test_policy_that_fails_as_often_elsewhere_is_no_worse(tmp_path, monkeypatch)
     found, told = compared(EVEN, ODD, corpus="saved")
     assert found.findings == found.summary.finds == ()
     assert found.summary.shrink_runs == 0
-    assert [find.label for find in told] == [NO_WORSE]
+    assert [find.label for find in told] == [Label.NO_WORSE]
     assert found.summary.no_worse == {told[0].id: told[0].headline}
     paired = found.summary.paired
     way_out = "a search without against=... counts what it finds, and saves it"

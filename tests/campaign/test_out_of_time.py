@@ -12,7 +12,7 @@ import pytest
 
 import pytest_pafot as pafot
 from example_ads import constant_speed
-from pytest_pafot.campaign import explore, search_session, state_file, watch, workers
+from pytest_pafot.campaign import bench, explore, search_session, state_file, watch
 from pytest_pafot.campaign.events import Progress
 from pytest_pafot.campaign.refine.simplest import Turn
 from pytest_pafot.execution import runner
@@ -83,14 +83,14 @@ def attempts(exploration):
 
 
 def test_a_finding_of_a_slow_policy_is_told_before_it_is_confirmed(clock, monkeypatch):
-    def confirming(run, workers):
+    def confirming(run, bench):
         confirmed.append(clock.now)
         clock.now += 30
         return ""
 
     confirmed = []
     clock.step = lambda: 20.0
-    monkeypatch.setattr(workers, "difference", confirming)
+    monkeypatch.setattr(bench, "difference", confirming)
     result = searched(clock, fails_in_three_ways, runs=4, shrink_rollouts=0)
     told = [event for event in result.events if isinstance(event, Sighting) and event.is_first]
     phases = {event.phase: event.seconds for event in result.events if isinstance(event, Progress)}
@@ -135,7 +135,7 @@ def test_time_left_is_true_within_a_factor_of_two_or_not_told(clock, monkeypatch
         clock.now += 10 if ended else 15  # the first run loads libraries
         return rollout_of(world)
 
-    def confirming(run, workers):
+    def confirming(run, bench):
         clock.now += 30
         return ""
 
@@ -146,7 +146,7 @@ def test_time_left_is_true_within_a_factor_of_two_or_not_told(clock, monkeypatch
     ended = []
     monkeypatch.setattr(runner, "pool_for", Pool)
     monkeypatch.setattr(runner, "rollout_of", here)
-    monkeypatch.setattr("pytest_pafot.campaign.workers.difference", confirming)
+    monkeypatch.setattr("pytest_pafot.campaign.bench.difference", confirming)
     monkeypatch.setattr(search_session, "runner_for", partial(runner.runner_for, clock=lambda: clock.now))
     given = {"runs": 120, "workers": workers, "fitness": lambda trace: 0.0, "population": 16, "shrink_rollouts": 0}
     result = pafot.explore(constant_speed.make, holds=judged, corpus="corpus", **SHORT | given)
@@ -351,15 +351,15 @@ def test_search_whose_first_run_is_cut_tested_nothing(clock):
 @pytest.fixture
 def confirming(monkeypatch):
     """Return the confirming runs so far; there is no time for the first three."""
-    calls, compare = [], workers.difference
+    calls, compare = [], bench.difference
 
-    def difference(run, workers):
+    def difference(run, bench):
         calls.append(run)
         if len(calls) <= 3:
             raise OutOfTime
-        return compare(run, workers)
+        return compare(run, bench)
 
-    monkeypatch.setattr(workers, "difference", difference)
+    monkeypatch.setattr(bench, "difference", difference)
     return calls
 
 
@@ -396,7 +396,7 @@ def test_what_was_shrunk_before_a_run_is_cut_is_saved(clock, monkeypatch):
 
         return decide
 
-    for module in ("search", "workers", "refine.steps", "refine.simplest"):
+    for module in ("search", "bench", "refine.steps", "refine.simplest"):
         monkeypatch.setattr(f"pytest_pafot.campaign.{module}.runs_end_in", runs_end_in)
     options = SHORT | {"runs": 1000, "stop_after": 1, "max_time": 240, "shrink_rollouts": 300}
     result = pafot.explore(slow, holds=fails_in_three_ways, corpus="corpus", **options)
@@ -406,7 +406,7 @@ def test_what_was_shrunk_before_a_run_is_cut_is_saved(clock, monkeypatch):
 
 
 def test_time_is_kept_for_a_run_that_another_process_made_in_advance():
-    turn = Turn(until=100.0)
+    turn = Turn(end=100.0)
     turn.took(0.0, confirming=10.0)
     turn.check(74.0)
     with pytest.raises(OutOfBudget):
@@ -414,7 +414,7 @@ def test_time_is_kept_for_a_run_that_another_process_made_in_advance():
 
 
 def test_time_is_kept_for_the_runs_that_compare_rates():
-    turn = Turn(until=1000.0, runs_to_compare=180)
+    turn = Turn(end=1000.0, runs_to_compare=180)
     turn.took(20.0, confirming=4.0)  # it takes many runs of 2 s each
     turn.check(609.0)
     with pytest.raises(OutOfBudget):

@@ -9,7 +9,7 @@ import pytest
 
 import pytest_pafot as pafot
 from example_ads import blind_lane_change, constant_speed, idm_mobil
-from pytest_pafot.campaign import workers
+from pytest_pafot.campaign import bench
 from pytest_pafot.campaign.refine import steps
 from pytest_pafot.campaign.run_table import COLUMNS
 from pytest_pafot.searching.fitness import resolve
@@ -73,7 +73,7 @@ SEARCHES = {
 @pytest.mark.parametrize("name", mostly_oracle(SEARCHES, "highway"))
 def test_each_row_is_enough_to_run_its_run_again(name, monkeypatch):
     # What a search does with its findings adds no row, and takes longer than its runs.
-    monkeypatch.setattr(workers, "_difference_in_gym", lambda run, workers: "")
+    monkeypatch.setattr(bench, "_difference_in_gym", lambda run, bench: "")
     monkeypatch.setattr(steps, "with_drivers", lambda sighting, *given: _as_it_is(sighting))
     search = {"world": pafot.Highway(), **SEARCHES[name]}
     found = pafot.explore(**search, holds=never_collides, runs=32, seed=5, shrink_rollouts=0)

@@ -267,7 +267,7 @@ def test_only_some_copies_are_kept_the_latest_ones(runner_of, monkeypatch):
 @pytest.mark.parametrize("ads", [Planner, Pure, Stateful])
 def test_run_ends_after_the_decisions_that_are_of_interest(runner_of, ads):
     runner = runner_of(ads)
-    cut, asked = runner.run(SCENARIOS[0], most=4), runner.asked
+    cut, asked = runner.run(SCENARIOS[0], most=4), runner.decisions
     assert len(cut.actions) == asked == len(callers) == 4
     whole = runner.run(SCENARIOS[0], most=100)
     assert whole.states.tobytes() == runner.run(SCENARIOS[0], afresh=True).states.tobytes()

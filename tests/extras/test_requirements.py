@@ -66,7 +66,7 @@ def table_of(*sessions, tests=None, listed=None):
 
 
 def states(table):
-    return {each.told.ids: each.state for each in table.requirements}
+    return {each.traced.ids: each.state for each in table.requirements}
 
 
 def test_requirement_with_the_worst_open_failure_comes_first():
@@ -372,7 +372,7 @@ def test_list_of_a_spreadsheet_in_another_country_is_read(tmp_path):
     file = tmp_path / "all.csv"
     file.write_text('\ufeffRequirement ID;Title;Owner\nR1;"Brakes; softly";Ann\n', encoding="utf-8")
     table = table_of(listed=listed_in(file))
-    assert [(each.told.title, each.told.owner) for each in table.requirements] == [("Brakes; softly", "Ann")]
+    assert [(each.traced.title, each.traced.owner) for each in table.requirements] == [("Brakes; softly", "Ann")]
 
 
 def test_pipe_is_no_file_of_results(tmp_path):

@@ -11,6 +11,7 @@ from pytest_pafot.attribution.takeovers import Avoidance
 from pytest_pafot.corpus.reader import LIMITS, WORLDS
 from pytest_pafot.findings.failure_rate import MOST_CLEAN, FailureRate
 from pytest_pafot.findings.finding import MAX_KEY, MAX_NUMBER, Bounded, Expect, Finding, Found, Perceived
+from pytest_pafot.findings.labels import Label
 from pytest_pafot.findings.neighbours import Breadth
 from pytest_pafot.findings.shrink import Shrunk, SpeedInterval
 from pytest_pafot.findings.sighting import Sighting
@@ -66,7 +67,8 @@ def sighting(id_="front-2-1f3a9c", *, finding=None, responsible=None, **seen):
     made = plain_finding(id=id_, **finding or {})
     if responsible is not None:
         made = replace(made, expect=replace(made.expect, responsibility=responsible))
-    return Sighting(finding=made, **{"node_id": f"t[{id_}]"} | seen)
+    label = Label(seen.pop("label", Label.NEW))
+    return Sighting(finding=made, label=label, **{"node_id": f"t[{id_}]"} | seen)
 
 
 @cache  # hypothesis then examines a strategy only once

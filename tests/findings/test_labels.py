@@ -4,10 +4,10 @@ from itertools import product
 
 import pytest
 
-from pytest_pafot.findings.labels import COMMON, FLAKY, JUDGED_OTHERWISE, NEARBY, Observed
+from pytest_pafot.findings.labels import Label, Observed
 from tests.helpers.tables import table
 
-PASSES, FAILS = {"shows": "fixed"}, {"shows": "still failing", "fails": True}
+PASSES, FAILS = {"shows": Label.FIXED}, {"shows": Label.STILL_FAILING, "fails": True}
 
 
 @table(
@@ -18,23 +18,23 @@ PASSES, FAILS = {"shows": "fixed"}, {"shows": "still failing", "fails": True}
         ("drifted", PASSES | {"is_hit": True}),
         ("drifted", PASSES | {"is_as_often": True}),
         ("drifted", {"shows": "drifted"}),
-        (JUDGED_OTHERWISE, {"shows": JUDGED_OTHERWISE}),
-        (NEARBY, PASSES | {"is_nearby": True}),
+        (Label.JUDGED_OTHERWISE, {"shows": Label.JUDGED_OTHERWISE}),
+        (Label.NEARBY, PASSES | {"is_nearby": True}),
         ("still failing", FAILS),
         ("drifted", {"shows": "drifted", "fails": True}),
         # Beside a reference, a pass is new only if the reference fails.
         ("fixed before", PASSES | {"reference_passes": True}),
         ("drifted", PASSES | {"is_hit": True, "reference_passes": True}),
         ("drifted", {"shows": "drifted", "reference_passes": True}),
-        (JUDGED_OTHERWISE, {"shows": JUDGED_OTHERWISE, "reference_passes": True}),
+        (Label.JUDGED_OTHERWISE, {"shows": Label.JUDGED_OTHERWISE, "reference_passes": True}),
         ("fixed", PASSES | {"is_elsewhere": True, "reference_passes": False}),
         ("fixed", {"shows": "drifted", "reference_passes": False}),
         ("drifted", {"shows": "drifted", "reference_passes": False, "is_handled": False}),
         ("drifted", PASSES | {"reference_passes": False, "is_hit": True}),
-        (NEARBY, PASSES | {"reference_passes": False, "is_nearby": True}),
+        (Label.NEARBY, PASSES | {"reference_passes": False, "is_nearby": True}),
         ("introduced", FAILS | {"reference_passes": True}),
         ("introduced", {"shows": "drifted", "fails": True, "reference_passes": True}),
-        (COMMON, FAILS | {"reference_passes": False}),
+        (Label.COMMON, FAILS | {"reference_passes": False}),
     ],
 )
 def test_each_label_follows_from_the_facts(label, facts):
@@ -44,4 +44,4 @@ def test_each_label_follows_from_the_facts(label, facts):
 @pytest.mark.parametrize("others", list(product((False, True), repeat=4)))
 def test_nothing_is_said_of_a_policy_that_drives_a_scenario_in_different_ways(others):
     names = ("fails", "is_hit", "is_nearby", "reference_passes")
-    assert Observed(shows="fixed", is_unsteady=True, **dict(zip(names, others, strict=True))).label == FLAKY
+    assert Observed(shows=Label.FIXED, is_unsteady=True, **dict(zip(names, others, strict=True))).label == Label.FLAKY

@@ -29,10 +29,10 @@ def run_campaign(
     yield plan.started
     while not (plan.is_over or plan.has_all_runs):
         while not (plan.is_whole or plan.has_all_runs):
-            known = plan.known()
-            if known is None:
+            recalled = plan.recalled()
+            if recalled is None:
                 foresee(plan.ahead() or ())
-            yield plan.take(evaluate(plan.scenario()) if known is None else known, reused=known is not None)
+            yield plan.take(evaluate(plan.scenario()) if recalled is None else recalled, reused=recalled is not None)
         if plan.is_whole:
             yield from plan.learn()
         border(plan)

@@ -548,7 +548,7 @@ class Crash:
             if count == needed:
                 self.ticks["brakes less"] = tick - needed
                 soon = Response(self, self.ego, self.npc, since, delay=0.4, perceived=0.0)
-                late = Response(self, self.ego, self.npc, since, delay=1.0, perceived=0.0, kept=was)
+                late = Response(self, self.ego, self.npc, since, delay=1.0, perceived=0.0, delay_deceleration=was)
                 return soon.avoids(lambda tick: 6.0, brakes_on=self.is_cut_in) and (
                     not is_after_change or late.avoids(lambda tick: max(was, 6.0), brakes_on=self.is_cut_in)
                 )

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from pytest_pafot.model.grid import Cell
-from pytest_pafot.report.page_data import FindingView, InstructionView, Numbers, RoadView, gap_to
+from pytest_pafot.report.page_data import InstructionView, Numbers, RoadView, RunView, gap_to
 
 TRAIL_SECONDS = 4.0
 TRAIL_STEP = 0.125
@@ -67,7 +67,7 @@ class Picture:
     impact: Point | None
 
 
-def picture_at(finding: FindingView, time: float) -> Picture:
+def picture_at(finding: RunView, time: float) -> Picture:
     """Return the picture of a finding at a time [s], with positions interpolated between frames.
 
     Raises:
@@ -91,7 +91,7 @@ def picture_at(finding: FindingView, time: float) -> Picture:
     )
 
 
-def vehicle_at(finding: FindingView, vehicle: int, time: float) -> DrawnVehicle | None:
+def vehicle_at(finding: RunView, vehicle: int, time: float) -> DrawnVehicle | None:
     """Return a vehicle as it is at a time [s]; None if its position is unknown then."""
     view = finding.vehicles[vehicle]
     before, after, share = _frame_at(finding, time)
@@ -107,7 +107,7 @@ def vehicle_at(finding: FindingView, vehicle: int, time: float) -> DrawnVehicle 
     return DrawnVehicle(along, across, heading, view.length, view.width, speed)
 
 
-def instruction_at(finding: FindingView, npc: int, time: float) -> tuple[InstructionView, Phase] | None:
+def instruction_at(finding: RunView, npc: int, time: float) -> tuple[InstructionView, Phase] | None:
     """Return an NPC's instruction at a time [s], and its phase; None if the NPC has no instructions.
 
     The phase is ``approach`` on the way to the goal, ``arrived`` there, and ``ended`` after the last instruction.
@@ -121,7 +121,7 @@ def instruction_at(finding: FindingView, npc: int, time: float) -> tuple[Instruc
     return row, "arrived" if row.arrived is not None and time >= row.arrived - 1e-9 else "approach"
 
 
-def drawn_cell(finding: FindingView, ego: DrawnVehicle, cell: Cell, time: float) -> DrawnCell:
+def drawn_cell(finding: RunView, ego: DrawnVehicle, cell: Cell, time: float) -> DrawnCell:
     """Return the place of a cell at a time [s].
 
     On a bent road it is the cell's place at the nearest recorded frame, moved along with the ego. If all NPCs cross, no
@@ -152,7 +152,7 @@ def _nearest_lane(road: RoadView, across: float) -> int:
     return min(range(len(road.lanes)), key=lambda lane: (round(abs(road.lanes[lane] - across), 9), lane))
 
 
-def _target(finding: FindingView, cells: Sequence[DrawnCell], npc: int, time: float) -> DrawnCell | None:
+def _target(finding: RunView, cells: Sequence[DrawnCell], npc: int, time: float) -> DrawnCell | None:
     """Return the cell to which an NPC is driving at a time [s]; None if it has no cell, or if there is no lane.
 
     The target of an NPC that changes lanes is drawn as a cell without a number, beside the NPC in its target lane.
@@ -173,7 +173,7 @@ def _target(finding: FindingView, cells: Sequence[DrawnCell], npc: int, time: fl
     return target if target.exists or not finding.road.shapes else None
 
 
-def _frame_at(finding: FindingView, time: float) -> tuple[int, int, float]:
+def _frame_at(finding: RunView, time: float) -> tuple[int, int, float]:
     """Return the frames before and after a time, and the share of the time between them that has passed."""
     after = min(max(bisect_right(finding.times, time), 1), len(finding.times) - 1)
     before = max(after - 1, 0)
@@ -181,7 +181,7 @@ def _frame_at(finding: FindingView, time: float) -> tuple[int, int, float]:
     return before, after, min(max((time - finding.times[before]) / span, 0.0), 1.0) if span > 0 else 0.0
 
 
-def _trail(finding: FindingView, vehicle: int, time: float, ego: DrawnVehicle) -> tuple[Point, ...]:
+def _trail(finding: RunView, vehicle: int, time: float, ego: DrawnVehicle) -> tuple[Point, ...]:
     count = int(min(TRAIL_SECONDS, time) / TRAIL_STEP)
     is_relative = vehicle > 0 and not finding.road.shapes
     points = []
@@ -192,9 +192,7 @@ def _trail(finding: FindingView, vehicle: int, time: float, ego: DrawnVehicle) -
     return tuple(points)
 
 
-def _impact(
-    finding: FindingView, ego: DrawnVehicle, vehicles: Sequence[DrawnVehicle | None], time: float
-) -> Point | None:
+def _impact(finding: RunView, ego: DrawnVehicle, vehicles: Sequence[DrawnVehicle | None], time: float) -> Point | None:
     """Return the point of the ego that is nearest to the centre of the NPC that it touches."""
     event = finding.event
     other = None if event.npc is None else vehicles[event.npc + 1]

@@ -10,7 +10,7 @@ import pytest
 
 import pytest_pafot
 import pytest_pafot.strategies
-from pytest_pafot.campaign import workers
+from pytest_pafot.campaign import bench
 from pytest_pafot.campaign.harness import Harness
 from pytest_pafot.execution.crash_records import CrashRecord
 from pytest_pafot.model.grid import Cell
@@ -22,7 +22,7 @@ from tests.helpers.sessions import CORE, imported, in_a_copy, in_process, quick_
 # pytester forgets the modules that a session imports; those of the package stay, because importing them is slow.
 imported(*CORE)
 
-DIFFERENCE_IN_GYM = workers._difference_in_gym
+DIFFERENCE_IN_GYM = bench._difference_in_gym
 REFERENCE_OUTCOMES = Harness.reference_outcomes
 
 CONFTEST = """
@@ -113,7 +113,7 @@ class Project:
         """
         before = self._tree
         settings = {name: value for name, value in os.environ.items() if name in SETTINGS or name.startswith("PAFOT_")}
-        whole = workers._difference_in_gym is DIFFERENCE_IN_GYM, Harness.reference_outcomes is REFERENCE_OUTCOMES
+        whole = bench._difference_in_gym is DIFFERENCE_IN_GYM, Harness.reference_outcomes is REFERENCE_OUTCOMES
         key = repr((before, settings, whole, [str(arg).replace(str(self.path), "") for arg in args], options))
         if key not in self.found:
             result = self.run(*args, **options)
@@ -222,7 +222,7 @@ def project(request, pytester, monkeypatch, found):
 
 
 def omit_slow_steps(monkeypatch):
-    monkeypatch.setattr(workers, "_difference_in_gym", lambda run, workers: "")
+    monkeypatch.setattr(bench, "_difference_in_gym", lambda run, bench: "")
     monkeypatch.setattr(Harness, "reference_outcomes", lambda self, run, verdict: ({}, []))
     monkeypatch.setenv("PAFOT_SHRINK_ROLLOUTS", "0")
     monkeypatch.setenv("PAFOT_ISOLATE", "0")
@@ -238,7 +238,7 @@ def quick(project, monkeypatch):
 @pytest.fixture
 def in_highway_env(project, monkeypatch):
     """Let sessions also run each finding in highway-env's own environment, as users' sessions do."""
-    monkeypatch.setattr(workers, "_difference_in_gym", DIFFERENCE_IN_GYM)
+    monkeypatch.setattr(bench, "_difference_in_gym", DIFFERENCE_IN_GYM)
 
 
 @pytest.fixture

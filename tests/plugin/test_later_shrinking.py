@@ -121,7 +121,7 @@ def test_scenario_that_passes_now_is_not_shrunk(unshrunk):
 
 def test_scenario_that_does_not_repeat_is_not_shrunk(unshrunk, monkeypatch):
     before = unshrunk.contents
-    monkeypatch.setattr("pytest_pafot.campaign.workers.Workers.difference", lambda *_: "another run")
+    monkeypatch.setattr("pytest_pafot.campaign.bench.Bench.confirm", lambda *_: "another run")
     result = shrink(unshrunk, "--pafot-neighbours=0")
     assert result.ret == 1
     result.stdout.fnmatch_lines(["*: it is flaky: another run; the file is left as it is"])

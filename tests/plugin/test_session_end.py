@@ -170,7 +170,7 @@ def test_the_report_of_a_finding_does_not_show_what_interrupted_its_confirmation
         raise KeyboardInterrupt
 
     project.write(FAILS)
-    monkeypatch.setattr("pytest_pafot.campaign.workers.difference", interrupted)
+    monkeypatch.setattr("pytest_pafot.campaign.bench.difference", interrupted)
     text = text_of(project.run(no_reraise_ctrlc=True))
     assert "AssertionError: the text of the failure" in text
     assert "During handling of the above exception" not in text

@@ -63,7 +63,7 @@ def test_search_ends_at_own_limit_or_total_share(settings, left, expected):
 def test_full_shares_of_searches_add_up_to_total(searches):
     now, shares = 0.0, []
     for left in range(searches, 0, -1):
-        until = time_limit(limits(total_time=80), now=now, began=0.0, left=left).until
+        until = time_limit(limits(total_time=80), now=now, began=0.0, left=left).end
         shares.append(until - now)
         now = until
     assert now == pytest.approx(80)

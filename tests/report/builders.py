@@ -1,7 +1,7 @@
 """Reports for tests: real runs, runs made by hand, and strategies for unexpected views."""
 
 import math
-from dataclasses import fields, is_dataclass
+from dataclasses import fields, is_dataclass, replace
 from functools import cache
 from typing import Literal, Union, get_args, get_origin, get_type_hints
 
@@ -9,12 +9,14 @@ from highway_env.vehicle.controller import ControlledVehicle
 from hypothesis import strategies as st
 
 import pytest_pafot as pafot
-from pytest_pafot.campaign.events import SearchSummary
+from pytest_pafot.campaign.events import Ending, SearchSummary
 from pytest_pafot.findings.finding import Finding, Found
+from pytest_pafot.findings.sighting import Sighting
 from pytest_pafot.findings.signature import Failure
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.report.page_data import Report
 from pytest_pafot.report.views import finding_view
+from tests.findings.builders import plain_finding
 from tests.helpers.hostile import CHARACTERS
 
 TEST = "tests/test_safety.py::test_never_at_fault_in_a_collision"
@@ -53,10 +55,21 @@ def finding_of(trace, **more):
     return Finding.of(Run(trace), failure, test=TEST, world=more.pop("world", {"kind": "highway"}), found=found)
 
 
-def view_of(trace, **more):
-    finding = finding_of(trace)
-    fields = {"node_id": f"{TEST}[saved-{finding.id}]"} | more
-    return finding_view(trace, finding, **fields)
+def seen_of(trace, finding=None, **more):
+    """Return what a session saw of a finding; by default of that of the run. The run is None if no run is known."""
+    finding = finding or finding_of(trace)
+    run = None if trace is None else Run(trace)
+    return Sighting(finding=finding, run=run, **{"node_id": f"{TEST}[saved-{finding.id}]"} | more)
+
+
+def view_of(trace, finding=None, **more):
+    return finding_view(seen_of(trace, finding, **more))
+
+
+def as_seen(view, *, finding=None, **more):
+    """Return a view with changes of what the session saw of its finding, and of the finding itself."""
+    changed = replace(view.sighting.finding, **finding or {})
+    return replace(view, sighting=replace(view.sighting, finding=changed, **more))
 
 
 @cache
@@ -93,7 +106,7 @@ def bend_trace():
 @cache
 def real_report():
     search = SearchSummary(
-        node_id=f"{TEST}[search]", algorithm="pafot", seed=5, generations=8, asked=8, reason="all generations done",
+        node_id=f"{TEST}[search]", algorithm="pafot", seed=5, generations=8, asked=8, reason=Ending.GENERATIONS,
         runs=50, known_runs=2, failing=5, outcomes={"safe": 45, "collision": 5}, coverage="reached 8/8 cells",
         responsibilities={"none": 45, "ego": 3, "npc": 2}, warnings=("few NPCs reached their cell",),
     )  # fmt: skip
@@ -122,6 +135,7 @@ def values_of(kind, leaves=None):
         float: st.floats(-1e6, 1e6).map(lambda value: round(value, 3)),
         int: st.integers(-1000, 1000),
         bool: st.booleans(),
+        Sighting: st.builds(Sighting, finding=st.just(plain_finding()), node_id=texts(), path=texts()),
     } | (leaves or {})
     if kind in leaves:
         return leaves[kind]

@@ -16,7 +16,7 @@ from pytest_pafot.report.page_data import Report
 from pytest_pafot.report.views import finding_view
 from tests.helpers.tables import table
 from tests.helpers.traces import trace_of, vehicle
-from tests.report.builders import finding_of
+from tests.report.builders import as_seen, finding_of, seen_of
 
 TICKS = 300
 """The ticks of a run of 20 s, with a frame at every second one."""
@@ -44,7 +44,7 @@ def shown(value, **arguments):
     failure = Failure(kind=CHECK_FAILED, message=str(check), assertion=check.name, check=check)
     given = finding_of(trace)
     finding = Finding.of(Run(trace), failure, test=given.test, world=given.world, found=given.found)
-    return finding_view(trace, finding, node_id="n", headline=str(check), check=check)
+    return finding_view(seen_of(trace, finding, headline=str(check)), check=check)
 
 
 def test_worst_tick_has_its_own_frame_and_value():
@@ -118,7 +118,7 @@ def test_article_starts_with_check_value_bound_and_moment():
 
 def test_list_calls_it_failed_check_and_blames_none():
     view = shown(peaks(t61=35.1), at_most=20)
-    listed = finding_list([view, replace(view, id="other")])
+    listed = finding_list([view, as_seen(view, finding={"id": "other"})])
     assert '<p class="summary">2 failed checks</p>' in listed
     assert 'data-outcome="failed check"' in listed
     assert "nobody" not in listed

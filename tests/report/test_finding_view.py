@@ -14,7 +14,7 @@ from pytest_pafot.findings.signature import Failure
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.trace import ACCELERATION, Outcome, X, Y
 from pytest_pafot.oracle.run import Run
-from pytest_pafot.report.views import finding_view, frame_ticks
+from pytest_pafot.report.views import frame_ticks
 from tests.helpers.tables import table
 from tests.helpers.traces import collision_at, straight_lanes, trace_of, vehicle
 from tests.report.builders import (
@@ -138,7 +138,7 @@ def test_reference_drivers_are_listed_with_their_results():
     trace = cut_in_trace()
     finding = finding_of(trace)
     finding = replace(finding, expect=replace(finding.expect, reference_drivers={"idm-aeb": "fails"}))
-    assert finding_view(trace, finding, node_id="n").explanation.endswith("\nnot preventable by idm-aeb (fails too)")
+    assert view_of(trace, finding).explanation.endswith("\nnot preventable by idm-aeb (fails too)")
 
 
 def test_avoidance_is_above_picture_and_duty_in_explanation():
@@ -149,9 +149,9 @@ def test_avoidance_is_above_picture_and_duty_in_explanation():
     assert view_of(trace).sentences == (first, *others)
     expect = replace(finding.expect, avoided_by=Avoidance(time=1.2, braking=6.0))
     avoided, other = (replace(finding, expect=each) for each in (expect, replace(expect, time=expect.time + 0.1)))
-    assert finding_view(trace, other, node_id="n").sentences == (first, *others)  # this finding is from a different run
-    assert finding_view(safe, avoided, node_id="n").sentences == ()
-    view = finding_view(trace, avoided, node_id="n")
+    assert view_of(trace, other).sentences == (first, *others)  # this finding is from a different run
+    assert view_of(safe, avoided).sentences == ()
+    view = view_of(trace, avoided)
     assert view.sentences == (first, "Braking at 6 m/s^2 from 1.2 s on avoids the collision.", "NPC 0 is responsible.")
     assert first not in view.explanation
     assert all(each in view.explanation for each in others[:-1])
@@ -163,7 +163,7 @@ def test_the_command_survives_a_shell():
 
 def test_unseen_finding_has_instructions_but_no_frames():
     finding = finding_of(cut_in_trace())
-    view = finding_view(None, finding, node_id="n")
+    view = view_of(None, finding)
     assert view.times == view.vehicles == ()
     assert view.duration == 0
     assert view.headline
@@ -175,7 +175,7 @@ def test_shrinking_is_told_as_in_the_terminal():
     trace = cut_in_trace()
     shrunk = Shrunk(rollouts=41, is_minimal=True, speeds=(SpeedInterval(npc=0, gene=0, low=3.0, high=11.0),))
     finding = replace(finding_of(trace), original=scenario([(2, 8.0)] * 2, [(4, 20.0)]), shrunk=shrunk)
-    told = finding_view(trace, finding, node_id="n").explanation
+    told = view_of(trace, finding).explanation
     assert "\nshrunk     from " in told
     assert "\nshrunk in  41 runs\nstill      NPC 0 from 0 s " in told
 
@@ -203,7 +203,7 @@ def test_view_has_recorded_acceleration_and_largest_jerk():
 def test_a_view_says_what_failed(failure, shown):
     finding = finding_of(cut_in_trace())
     expect = replace(finding.expect, failure=failure.kind, assertion=failure.assertion, message=failure.message)
-    view = finding_view(cut_in_trace(), replace(finding, expect=expect), node_id="n")
+    view = view_of(cut_in_trace(), replace(finding, expect=expect))
     assert view.assertion == shown
 
 

@@ -13,6 +13,7 @@ from tests.helpers.browser import Browser, find_chromium
 from tests.helpers.picture import picture_at
 from tests.report.builders import (
     HOSTILE,
+    as_seen,
     bend_report,
     planned_trace,
     real_report,
@@ -292,7 +293,9 @@ def test_curved_road_is_drawn_as_in_its_world(browser, tmp_path):
 
 def test_hostile_text_is_shown_and_never_run(browser, tmp_path):
     findings = tuple(
-        replace(real_report().findings[0], id=text, headline=text, explanation=text, yaml=text, label=text)
+        replace(
+            real_report().findings[0], sighting=None, name=text, headline=text, explanation=text, yaml=text, label=text
+        )
         for text in HOSTILE
     )
     path = tmp_path / "hostile.html"
@@ -318,8 +321,8 @@ def test_nothing_is_wider_than_the_window(opened, width):
 def test_long_words_do_not_widen_a_narrow_page(browser, tmp_path):
     word = "x" * 300
     finding = replace(
-        real_report().findings[0], headline=word, node_id=word, label=word, explanation=word, yaml=word, path=word,
-        command=word,
+        as_seen(real_report().findings[0], node_id=word, path=word),
+        headline=word, label=word, explanation=word, yaml=word, command=word,
     )  # fmt: skip
     search = replace(real_report().searches[0], node_id=word, warnings=(word,), outcomes={word: 1})
     report = Report(title=word, facts=((word, word),), command=word, findings=(finding,), searches=(search,))
@@ -356,8 +359,8 @@ def grouped_report():
             finding = base.findings[number]
             test, id_ = f"t.py::{name}", f"{name[5:]}-{kind}"
             event = replace(finding.event, kind=kind)
-            more = {"assertion": f"assert run.{kind}", "node_id": f"{test}[saved-{id_}]"}
-            findings.append(replace(finding, id=id_, test=test, event=event, **more))
+            finding = as_seen(finding, finding={"id": id_, "test": test}, node_id=f"{test}[saved-{id_}]")
+            findings.append(replace(finding, event=event, assertion=f"assert run.{kind}"))
     searches = tuple(replace(base.searches[0], node_id=f"{name}[search]") for name in ("first", "second"))
     return replace(base, findings=tuple(findings), searches=searches)
 
@@ -560,7 +563,7 @@ def test_a_page_without_findings_has_no_errors(browser, tmp_path):
 
 def test_a_finding_without_frames_can_be_passed_through(browser, tmp_path):
     first, second = real_report().findings
-    unseen = replace(first, id="crash-1", times=(), vehicles=())
+    unseen = replace(as_seen(first, finding={"id": "crash-1"}), times=(), vehicles=())
     path = tmp_path / "unseen.html"
     path.write_text(render_page(Report(title="t", findings=(unseen, second))), encoding="utf-8")
     page = browser.open(path.as_uri())

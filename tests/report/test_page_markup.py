@@ -6,12 +6,12 @@ The texts are in ``__snapshots__``. ``--snapshot-update`` rewrites them; read th
 import re
 from dataclasses import replace
 
-from pytest_pafot.campaign.events import SearchSummary
+from pytest_pafot.campaign.events import Ending, SearchSummary
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.report.page import finding_article, finding_list, render_page, search_article
 from pytest_pafot.report.page_data import Report
 from tests.helpers.traces import trace_of, vehicle
-from tests.report.builders import TEST, scenario, view_of
+from tests.report.builders import TEST, as_seen, scenario, view_of
 
 
 def hand_made_trace():
@@ -35,7 +35,7 @@ def hand_made_search():
         seed=7,
         generations=2,
         asked=3,
-        reason="--pafot-max-time",
+        reason=Ending.MAX_TIME,
         runs=8,
         failing=1,
         known_runs=1,
@@ -58,7 +58,7 @@ def test_an_article_on_a_finding_reads_so(snapshot):
 
 def test_article_on_unseen_finding_matches_its_snapshot(snapshot):
     finding = replace(
-        hand_made_finding(), label="new", runs=3, path="corpus/a.pafot.yaml", instructions=(),
+        as_seen(hand_made_finding(), path="corpus/a.pafot.yaml"), label="new", runs=3, instructions=(),
         explanation="", times=(), vehicles=(),
     )  # fmt: skip
     assert lines_of(finding_article(finding, 1)) == snapshot
@@ -66,7 +66,8 @@ def test_article_on_unseen_finding_matches_its_snapshot(snapshot):
 
 def test_finding_list_of_two_tests_matches_its_snapshot(snapshot):
     finding = hand_made_finding()
-    other = replace(finding, test="tests/test_b.py::test_other", responsibility="npc", label="flaky")
+    other = as_seen(finding, finding={"test": "tests/test_b.py::test_other"})
+    other = replace(other, responsibility="npc", label="flaky")
     assert lines_of(finding_list([finding, other])) == snapshot
 
 

@@ -24,12 +24,13 @@ from pytest_pafot.report.session_record import (
     to_text,
     worst,
 )
-from pytest_pafot.report.views import finding_view, run_view
+from pytest_pafot.report.views import run_view
 from pytest_pafot.world import Highway
 from tests.findings.builders import findings, plain_finding, sighting
 from tests.helpers.hostile import CHARACTERS
 from tests.helpers.sessions import read_record
 from tests.helpers.tables import table
+from tests.report.builders import view_of
 
 TEXTS = st.text(CHARACTERS, max_size=20)
 COUNTS = st.dictionaries(TEXTS, st.integers(0, 9), max_size=3)
@@ -79,7 +80,7 @@ def test_finding_names_the_traffic_it_was_driven_in():
     told, finding = "everyday traffic (least_gap 4)", plain_finding(scenario=scenario)
     assert finding_entry(sighting(finding={"scenario": scenario}))["traffic"] == told
     assert finding_entry(sighting())["traffic"] == ""
-    view = finding_view(None, finding, node_id="x")
+    view = view_of(None, finding)
     assert f"<li>{told}</li>" in finding_article(view, 0)
     trace = Highway(duration=1.0).rollout(scenario, lambda: lambda observation: (0.0, 0.0))
     explanation = Run(trace).explain()

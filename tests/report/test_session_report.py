@@ -12,7 +12,7 @@ from pytest_pafot.report.page import WHOLE, Draft, render_page, report_files, wr
 from pytest_pafot.report.page_data import Report
 from tests.findings.builders import sighting
 from tests.helpers.tables import table
-from tests.report.builders import real_report
+from tests.report.builders import as_seen, real_report
 
 
 def short(finding, **more):
@@ -36,7 +36,7 @@ def test_a_finding_that_nobody_saw_has_no_picture():
 
 
 def test_findings_with_same_id_have_distinct_valid_files():
-    finding = short(real_report().findings[0], id="../a b")
+    finding = short(real_report().findings[0], sighting=None, name="../a b")
     names = [name for name, _ in report_files(Report(title="t", findings=(finding, finding)))]
     assert names == ["index.html", ".._a_b.png", ".._a_b-2.png"]
 
@@ -54,10 +54,10 @@ RANKED = [
 """Findings: a name, whose first letter is the test's, the label, responsibility, runs and closing speed."""
 
 
-def shown(name="a1", label="new", responsibility="ego", runs=1, closing=None):
+def shown(name="a1", label="new", responsibility="ego", runs=1, closing=None, **seen):
     severity = None if closing is None else Severity(kind="collision", value=closing, unit="m/s")
-    more = {"node_id": name, "test": name[0], "label": label, "responsibility": responsibility, "runs": runs}
-    return replace(real_report().findings[0], severity=severity, **more)
+    finding = as_seen(real_report().findings[0], finding={"test": name[0]}, node_id=name, severity=severity, **seen)
+    return replace(finding, label=label, responsibility=responsibility, runs=runs)
 
 
 def report_of(draft, findings=(), *, errors=(), **more):
@@ -114,16 +114,19 @@ def test_worst_findings_are_whole_and_all_others_rows():
     report = report_of(draft, draft.findings.values())
     assert len(report.findings) == WHOLE
     assert {each.node_id for each in (*report.findings, *report.further)} == {each.node_id for each in MANY}
-    assert min(each.severity.value for each in report.findings) >= max(each.severity.value for each in report.further)
+    whole, rows = ([each.sighting.severity.value for each in part] for part in (report.findings, report.further))
+    assert min(whole) >= max(rows)
     by_id = {each.node_id: each for each in MANY}
     assert all(each == by_id[each.node_id] for each in report.findings)
+    assert all(each.sighting is by_id[each.node_id].sighting for each in (*report.findings, *report.further))
     assert report.title == f"highway: {WHOLE + 7} findings"
     assert f"the worst {WHOLE} are whole" in BY_NAME["report"].details
 
 
 def test_row_has_what_file_and_command_of_its_finding():
     finding = shown("a1", closing=3.0)
-    row = replace(finding, headline="hit <b>", path="pafot_corpus/a1.yaml", command="pytest 'a b.py::t'", vehicles=())
+    row = shown("a1", closing=3.0, path="pafot_corpus/a1.yaml")
+    row = replace(row, headline="hit <b>", command="pytest 'a b.py::t'", vehicles=())
     page = render_page(Report(title="t", findings=(finding,), further=(row,)))
     (section,) = re.findall('<section[^>]* id="further".*?</section>', page, re.DOTALL)
     assert "1 further finding" in section

@@ -5,7 +5,7 @@ Long texts are in ``__snapshots__``. ``--snapshot-update`` rewrites them; read t
 
 from dataclasses import replace
 
-from pytest_pafot.campaign.events import Progress, SearchSummary, concluded
+from pytest_pafot.campaign.events import Ending, Progress, SearchSummary, concluded
 from pytest_pafot.findings.finding import Expect
 from pytest_pafot.findings.severity import Severity
 from pytest_pafot.findings.shrink import Shrunk
@@ -40,7 +40,7 @@ SEARCH = SearchSummary(
     seed=4154884243,
     generations=10,
     asked=10,
-    reason="all generations done",
+    reason=Ending.GENERATIONS,
     seconds=12.34,
     runs=48,
     known_runs=3,
@@ -278,9 +278,9 @@ def test_finding_has_remark_when_reader_needs_it(flags, remark):
 
 def test_a_replay_says_what_was_driven_and_what_the_search_found():
     passes = replace(sighting("saved-a", label="fixed"), test="t", neighbours=10)
-    searches = {"t": replace(SEARCH, node_id="t[search]", reason="all runs done", runs=300, invalid=1)}
+    searches = {"t": replace(SEARCH, node_id="t[search]", reason=Ending.RUNS, runs=300, invalid=1)}
     other = {"t": replace(searches["t"], failures={passes.finding.signature.text: "hit-2", "miss": "miss-1"})}
-    cut = {"t": replace(searches["t"], reason="interrupted")}
+    cut = {"t": replace(searches["t"], reason=Ending.INTERRUPTED)}
     told = [terminal.replay_lines([concluded(passes, each)])[2:] for each in ({}, searches, other, cut)]
     alone = ["  passes, and so do 10 neighbours: t[saved-a]"]
     assert told == [

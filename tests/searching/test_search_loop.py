@@ -172,8 +172,8 @@ def test_another_algorithm_can_continue_after_first_generation(cheap_world, algo
     plan, events, world = plan_of(algorithm, generations=3, seed=1, for_batches=large), [], cheap_world()
     while not plan.is_over:
         while not plan.is_whole:
-            known = plan.known()
-            plan.take(world(plan.scenario()) if known is None else known, reused=known is not None)
+            recalled = plan.recalled()
+            plan.take(world(plan.scenario()) if recalled is None else recalled, reused=recalled is not None)
             plan.decides_for_many = True
         events += plan.learn()
     wholes = [event for event in of(GenerationFinished, events) if not event.local_generation]

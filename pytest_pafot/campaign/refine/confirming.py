@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import replace
 from itertools import count
 
+from pytest_pafot.campaign.bench import Bench
 from pytest_pafot.campaign.events import Phase, Refining
-from pytest_pafot.campaign.refine.runs import failure_rate, is_as_often, outcomes, shows
+from pytest_pafot.campaign.refine.runs import fails_again, failure_rate, is_as_often, shows
 from pytest_pafot.campaign.refine.simplest import Simplest
 from pytest_pafot.campaign.state import State
 from pytest_pafot.campaign.verdict import Verdict
-from pytest_pafot.campaign.workers import Workers
 from pytest_pafot.findings.failure_rate import FEW_RUNS, KNOWN_RUNS, MANY_RUNS, SURE_ODDS, FailureRate
 from pytest_pafot.findings.finding import ending
 from pytest_pafot.findings.shrink import sort_key
@@ -20,8 +20,8 @@ from pytest_pafot.oracle.run import Run
 from pytest_pafot.support.errors import OutOfTime
 
 
-def confirmed(
-    sighting: Sighting, original: Scenario, simplest: Simplest, state: State, workers: Workers
+def confirm_simplest(
+    sighting: Sighting, original: Scenario, simplest: Simplest, state: State, bench: Bench
 ) -> Refining[tuple[Simplest, Run, Verdict, str]]:
     """Run the simplest scenario of a finding again, or one on the way to it that fails as often as the finding.
 
@@ -33,11 +33,11 @@ def confirmed(
     """
     __tracebackhide__ = True
     scenario, as_found, rate = simplest.scenario, simplest.as_found, sighting.finding.rate
-    run, verdict, differs = _run_again(scenario, sighting, state, workers)
+    run, verdict, differs = _run_again(scenario, sighting, state, bench)
     if not differs and rate is not None and scenario == original != sighting.finding.scenario:
-        rate = yield from failure_rate(sighting, original, state, workers)  # the file's is that of a simpler scenario
+        rate = yield from failure_rate(sighting, original, state, bench)  # the file's is that of a simpler scenario
     elif not differs and as_found is not None and scenario not in (original, sighting.finding.scenario):
-        as_often = yield from _failing_as_often(sighting, as_found, scenario, state, workers)
+        as_often = yield from _failing_as_often(sighting, as_found, scenario, state, bench)
         if as_often is None and simplest.is_cut:
             raise OutOfTime
         if as_often is None:
@@ -45,28 +45,28 @@ def confirmed(
         if as_often != scenario:
             shrunk = replace(simplest.shrunk, is_minimal=False, speeds=())
             simplest = replace(simplest, scenario=as_often, shrunk=shrunk)
-            run, verdict, differs = _run_again(as_often, sighting, state, workers)
-        rate = yield from failure_rate(sighting, as_often, state, workers)
+            run, verdict, differs = _run_again(as_often, sighting, state, bench)
+        rate = yield from failure_rate(sighting, as_often, state, bench)
     return replace(simplest, rate=rate), run, verdict, differs
 
 
-def _run_again(scenario: Scenario, sighting: Sighting, state: State, workers: Workers) -> tuple[Run, Verdict, str]:
+def _run_again(scenario: Scenario, sighting: Sighting, state: State, bench: Bench) -> tuple[Run, Verdict, str]:
     """Run a scenario from scratch; return the run, its verdict, and its difference from the finding, if any."""
     __tracebackhide__ = True
     for _ in range(MANY_RUNS if sighting.is_flaky else 1):
-        run = workers.run(scenario, afresh=True)
-        verdict = workers.judge(run)
+        run = bench.run(scenario, afresh=True)
+        verdict = bench.finish(run)
         if is_shown := shows(sighting, run, verdict, state):
             break
     if not is_shown:
         otherwise = f"{ENDED_OTHERWISE}: {ending(run)}"
         return run, verdict, "the reference failed when it ran again" if verdict.kind == "common" else otherwise
     is_confirmed = sighting.is_flaky or (scenario == sighting.finding.scenario and not sighting.unshrunk)
-    return run, verdict, "" if is_confirmed else workers.difference(run)
+    return run, verdict, "" if is_confirmed else bench.confirm(run)
 
 
 def _failing_as_often(
-    sighting: Sighting, as_found: FailureRate, simplest: Scenario, state: State, workers: Workers
+    sighting: Sighting, as_found: FailureRate, simplest: Scenario, state: State, bench: Bench
 ) -> Refining[Scenario | None]:
     """Return the simplest scenario found on the way to ``simplest`` that fails about as often as the finding.
 
@@ -87,7 +87,7 @@ def _failing_as_often(
         yield Phase(f"comparing how often {sighting.id} fails", sighting.id)
         middle = max(bad - back, 0) if good < 0 else (good + bad) // 2
         try:
-            several = outcomes(sighting, steps[middle], state, workers, next(unused))
+            several = fails_again(sighting, steps[middle], state, bench, next(unused))
             is_good = is_as_often(as_found, several, KNOWN_RUNS, SURE_ODDS)
         except OutOfTime:
             if good < 0:

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 
+from pytest_pafot.campaign.bench import Bench
 from pytest_pafot.campaign.events import Note, Phase, Refining
 from pytest_pafot.campaign.refine.simplest import Simplest
 from pytest_pafot.campaign.verdict import Verdict, headline
-from pytest_pafot.campaign.workers import Workers
 from pytest_pafot.findings.finding import Expect, Perceived
 from pytest_pafot.findings.sighting import Sighting
 from pytest_pafot.model.scenario import Scenario
@@ -19,7 +19,7 @@ from pytest_pafot.world.driving.perception import Perception
 
 
 def with_drivers(
-    sighting: Sighting, simplest: Simplest, run: Run, verdict: Verdict, workers: Workers
+    sighting: Sighting, simplest: Simplest, run: Run, verdict: Verdict, bench: Bench
 ) -> Refining[Sighting]:
     """Return a finding as its confirmed scenario shows it, with what other drivers, and perfect sight, do in it.
 
@@ -27,11 +27,12 @@ def with_drivers(
     """
     if verdict.failure is None or verdict.exception is None:
         return sighting
-    harness, scenario = workers.harness, simplest.scenario
+    harness, scenario = bench.harness, simplest.scenario
     before = replace(sighting.finding, rate=simplest.rate)
     original = before.original or before.scenario
     yield Phase(f"trying reference drivers in saved-{sighting.id}", sighting.id)
     outcomes, errors = harness.reference_outcomes(run, verdict)
+    # When would a driver have had to take over and brake? The world simulates it.
     avoided, exception = None, verdict.exception
     try:
         avoided = harness.avoidance(run, verdict)
@@ -43,7 +44,8 @@ def with_drivers(
     if shown.sentences != run.sentences:  # the message of the failure may contain them
         again = harness.judge(shown)
         exception = (again.exception if again.failed else None) or exception
-    perception = yield from _perceived(sighting, scenario, workers)
+    perception = yield from _perceived(sighting, scenario, bench)
+    # The file says from now on what the simple scenario shows; only its name and its origin are those of the first run.
     finding = replace(
         before,
         scenario=scenario,
@@ -59,6 +61,7 @@ def with_drivers(
         original=original if scenario != original else None,
         shrunk=simplest.shrunk if simplest.shrunk.rollouts else None,
     )
+    # Nothing new: the caller then does not write the file again.
     if finding == before and not sighting.unshrunk:
         return sighting
     line = headline(run, verdict)
@@ -74,15 +77,15 @@ def with_drivers(
     )
 
 
-def _perceived(sighting: Sighting, scenario: Scenario, workers: Workers) -> Refining[Perceived | None]:
+def _perceived(sighting: Sighting, scenario: Scenario, bench: Bench) -> Refining[Perceived | None]:
     """Return the imperfections of the ADS's perception that a finding needs; None if its perception is perfect."""
-    before, harness, ads = sighting.finding.perception, workers.harness, workers.harness.policy.factory
+    before, harness, ads = sighting.finding.perception, bench.harness, bench.harness.policy.factory
     if before is None or not isinstance(ads, Perception):
         return None
     yield Phase(f"trying perfect sight in saved-{sighting.id}", sighting.id)
 
     def fails(sight: Sight) -> bool:
-        return harness.fails_with(ads.seeing(sight), scenario, workers.record)
+        return harness.fails_with(ads.seeing(sight), scenario, bench.record)
 
     return replace(before, needed=needed_imperfections(before.sight, fails))
 

@@ -11,12 +11,12 @@ from typing import Any
 
 import numpy as np
 
+from pytest_pafot.campaign.bench import Bench
 from pytest_pafot.campaign.events import Phase, Refining
 from pytest_pafot.campaign.harness import refusals
 from pytest_pafot.campaign.refine.runs import check_time
 from pytest_pafot.campaign.state import State
 from pytest_pafot.campaign.store import Store
-from pytest_pafot.campaign.workers import Workers
 from pytest_pafot.execution.runner import call_apart, runner_for
 from pytest_pafot.findings.decisions import (
     HARDER,
@@ -66,7 +66,7 @@ POSSIBLE = {"acceleration": possible_acceleration, "steering": possible_steering
 """The parts of a planner's decision with limits, and the functions that limit them to what an ego can do."""
 
 
-def with_moment(sighting: Sighting, state: State, workers: Workers, store: Store) -> Refining[Sighting]:
+def with_moment(sighting: Sighting, state: State, bench: Bench, store: Store) -> Refining[Sighting]:
     """Return a finding with how many decisions depend on its vehicle, and the last that could have avoided the failure.
 
     The finding's run is driven again by its recorded actions. Fresh policies decide beside it, with all that the policy
@@ -74,18 +74,18 @@ def with_moment(sighting: Sighting, state: State, workers: Workers, store: Store
     that has the environment, or in a world that is not built in. Nothing is said of a policy that decides otherwise
     when it sees the same.
     """
-    harness, run = workers.harness, sighting.run
+    harness, run = bench.harness, sighting.run
     if run is None or not harness.policy.only_observes or not codec.is_built_in(harness.world):
         return sighting
-    moment = None if harness.against is None else _first_difference(run.trace, state, workers)
-    ask = partial(_asked, sighting, run.trace, state, workers)
+    moment = None if harness.against is None else _first_difference(run.trace, state, bench)
+    ask = partial(_decided_aside, sighting, run.trace, state, bench)
     answers, moment = yield from _on_vehicles(sighting, run, moment, harness.policy.sight, ask)
     return replace(sighting, answers=answers, moment=moment)
 
 
-def with_conditions(sighting: Sighting, state: State, workers: Workers, store: Store) -> Refining[Sighting]:
+def with_conditions(sighting: Sighting, state: State, bench: Bench, store: Store) -> Refining[Sighting]:
     """Return a finding with the conditions that a fresh policy evaluates in its moment, if it decides as the run's."""
-    harness, moment, run = workers.harness, sighting.moment, sighting.run
+    harness, moment, run = bench.harness, sighting.moment, sighting.run
     conditions = None if moment is None else Conditions(source_files(harness.policy.factory), harness.root)
     if moment is None or run is None or not conditions:
         return sighting
@@ -93,7 +93,7 @@ def with_conditions(sighting: Sighting, state: State, workers: Workers, store: S
     times = [round(tick / trace.physics_hz, 3) for tick in trace.decision_ticks]
     number = times.index(moment.time)
     question = Question(number=number, conditions=conditions)
-    aside = yield from _asked(sighting, trace, state, workers, None, question)
+    aside = yield from _decided_aside(sighting, trace, state, bench, None, question)
     if aside is None or any(differ(each, aside.of(at)) for at, each in enumerate(trace.actions[: number + 1])):
         return sighting
     moment = replace(moment, conditions=tuple(aside.conditions))
@@ -114,10 +114,12 @@ def _on_vehicles(
     if without_it is None:
         return None, moment
     whole = yield from ask(None, question)
+    # The policy must decide in the recorded run as it did, or a difference would not be due to the hidden vehicle.
     if whole is None or any(differ(action, whole.of(each)) for each, action in enumerate(trace.actions)):
         return None, None
     if trace.drew:  # a copy has no part in the generators that the policy draws from
         whole = replace(whole, ads=None)
+    # Decisions before the danger began say nothing of it.
     numbers, since = counted(trace, *window(run, expect))
     others = [each for each in range(len(run.scenario.npcs)) if each != npc]
     answers = Answers(
@@ -149,14 +151,14 @@ def _on_vehicles(
     return answers, moment
 
 
-def _first_difference(trace: Trace, state: State, workers: Workers) -> Moment | None:
+def _first_difference(trace: Trace, state: State, bench: Bench) -> Moment | None:
     """Return the first decision that differs from the one of the reference in the same scenario."""
-    harness, isolate = workers.harness, workers.harness.request.settings.isolate
-    check_time(workers)
+    harness, isolate = bench.harness, bench.harness.request.settings.isolate
+    check_time(bench)
     state.neighbour_runs += 1
-    with harness.reference_runner(harness.job(), workers.record, isolate=isolate) or nullcontext() as runner:
+    with harness.reference_runner(harness.job(), bench.record, isolate=isolate) or nullcontext() as runner:
         run = None if runner is None else harness.run_reference(runner, trace.scenario)[0]
-    workers.record.clear()
+    bench.record.clear()
     for number, actions in enumerate(zip(trace.actions, () if run is None else run.trace.actions, strict=False)):
         if differ(*actions):
             time = round(trace.decision_ticks[number] / trace.physics_hz, 3)
@@ -165,16 +167,16 @@ def _first_difference(trace: Trace, state: State, workers: Workers) -> Moment | 
     return None
 
 
-def _asked(
-    sighting: Sighting, trace: Trace, state: State, workers: Workers, npc: int | None, question: Question | None
+def _decided_aside(
+    sighting: Sighting, trace: Trace, state: State, bench: Bench, npc: int | None, question: Question | None
 ) -> Refining[Aside | None]:
     """Drive a finding by its recorded actions, and return what a policy decides beside the run: see :data:`Ask`."""
-    check_time(workers)
+    check_time(bench)
     yield Phase(f"asking the policy of {trace.executed.id} again", sighting.id)
     state.neighbour_runs += 1
     from pytest_pafot.world.driving.policy_driver import checked_action  # noqa: PLC0415  (it needs highway-env, helps do not)
 
-    harness, record, scenario = workers.harness, workers.record, trace.executed
+    harness, record, scenario = bench.harness, bench.record, trace.executed
     space, isolate = harness.world.action_space, harness.request.settings.isolate
     check = partial(checked_si_action, lanes=MANY) if space is None else partial(checked_action, space=space)
     # A planner with perfect sight sees everybody.
@@ -194,7 +196,7 @@ def _asked(
     except RequestError:
         return None
     finally:
-        workers.counted_decisions += aside.asked  # not by the runner of the search
+        bench.counted_decisions += aside.asked  # not by the runner of the search
         record.clear()
 
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterator
 from itertools import count, islice
 
+from pytest_pafot.campaign.bench import Bench
 from pytest_pafot.campaign.events import Phase, Refining
 from pytest_pafot.campaign.harness import limits_of
 from pytest_pafot.campaign.state import State, lose
 from pytest_pafot.campaign.store import Store
 from pytest_pafot.campaign.verdict import Verdict
-from pytest_pafot.campaign.workers import Workers
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.findings.failure_rate import ENOUGH, FEW_RUNS, MANY_RUNS, ODDS, FailureRate, with_other_seed
 from pytest_pafot.findings.finding import of_failure
@@ -27,27 +27,27 @@ BATCH = 16
 
 
 def showing(
-    sighting: Sighting, scenario: Scenario, state: State, workers: Workers, store: Store, most: int | None = None
+    sighting: Sighting, scenario: Scenario, state: State, bench: Bench, store: Store, most: int | None = None
 ) -> Refining[Run | None]:
     """Run a scenario; return the run if it shows the failure of a finding in fewer than ``most`` decisions."""
     __tracebackhide__ = True
     if scenario in state.fatal:
         return None
     try:
-        workers.harness.world.check_fits(scenario)
+        bench.harness.world.check_fits(scenario)
         for afresh in (False, True):
-            run = workers.run(scenario, afresh=afresh, most=most)
+            run = bench.run(scenario, afresh=afresh, most=most)
             if most is not None and len(run.trace.actions) >= most:  # what ended it is no failure of the ADS
-                workers.record.clear()
+                bench.record.clear()
                 return None
-            if not shows(sighting, run, workers.judge(run, driven(run)), state):
+            if not shows(sighting, run, bench.finish(run, driven(run)), state):
                 return None
-            if workers.runner.is_alone:  # A batch may mix up its rows, and a replay runs it alone.
+            if bench.runner.is_alone:  # A batch may mix up its rows, and a replay runs it alone.
                 break
     except ScenarioError:  # For example, it begins in an outer lane, next to which there are too few cells.
         return None
     except ProcessLostError as error:
-        yield from lose(error, state, workers, store)
+        yield from lose(error, state, bench, store)
         return None
     return run
 
@@ -74,48 +74,48 @@ def driven(run: Run) -> Scenario:
     return scenario.truncated(max(1, min(scenario.genes, int(run.duration / scenario.gene_seconds - 1e-9) + 1)))
 
 
-def number_ahead(workers: Workers) -> int:
+def number_ahead(bench: Bench) -> int:
     """Return the number of runs that are made at the same time: in other processes, or in one batch."""
-    return BATCH if workers.runner.decides_for_many else workers.harness.request.settings.workers
+    return BATCH if bench.runner.decides_for_many else bench.harness.request.settings.workers
 
 
-def announce(ahead: Ahead, state: State, workers: Workers) -> None:
+def announce(ahead: Ahead, state: State, bench: Bench) -> None:
     """Let scenarios be run in advance, if they can be run at all, and if more than one is run at the same time."""
-    if number_ahead(workers) < 2:
+    if number_ahead(bench) < 2:
         return
-    fits = limits_of(workers.harness.world).fits
-    workers.runner.announce(
+    fits = limits_of(bench.harness.world).fits
+    bench.runner.announce(
         [each for each in ahead.candidates if fits(each) and each not in state.fatal], more=ahead.more
     )
 
 
-def check_time(workers: Workers) -> None:
+def check_time(bench: Bench) -> None:
     """Raise OutOfTime if the time for the work on findings is over."""
-    if workers.clock() >= workers.until:
+    if bench.clock() >= bench.refining_end:
         raise OutOfTime
 
 
-def failure_rate(sighting: Sighting, scenario: Scenario, state: State, workers: Workers) -> Refining[FailureRate]:
+def failure_rate(sighting: Sighting, scenario: Scenario, state: State, bench: Bench) -> Refining[FailureRate]:
     """Return how often the policy fails in a scenario of a finding."""
     yield Phase(f"measuring how often {sighting.id} fails", sighting.id)
-    several = outcomes(sighting, scenario, state, workers)
+    several = fails_again(sighting, scenario, state, bench)
     failing, runs = sum(islice(several, FEW_RUNS)), FEW_RUNS
     if failing < ENOUGH:
         failing, runs = failing + sum(islice(several, MANY_RUNS - FEW_RUNS)), MANY_RUNS
     return FailureRate(failing=failing, runs=runs)
 
 
-def outcomes(sighting: Sighting, scenario: Scenario, state: State, workers: Workers, first: int = 1) -> Iterator[bool]:
+def fails_again(sighting: Sighting, scenario: Scenario, state: State, bench: Bench, first: int = 1) -> Iterator[bool]:
     """Run a scenario with one other seed after another, or again and again, and yield whether each run fails."""
     for number in count(first):
         state.shrink_runs += 1
-        yield fails(scenario if sighting.is_flaky else with_other_seed(scenario, number), workers)
+        yield fails(scenario if sighting.is_flaky else with_other_seed(scenario, number), bench)
 
 
-def fails(scenario: Scenario, workers: Workers) -> bool:
+def fails(scenario: Scenario, bench: Bench) -> bool:
     """Return whether the test fails in a run of a scenario."""
-    check_time(workers)
-    return workers.judge(workers.run(scenario, afresh=True)).failed
+    check_time(bench)
+    return bench.finish(bench.run(scenario, afresh=True)).failed
 
 
 def is_as_often(as_found: FailureRate, several: Iterator[bool], most: int = FEW_RUNS, odds: float = ODDS) -> bool:

@@ -7,22 +7,22 @@ from dataclasses import dataclass
 from functools import cache, partial
 from typing import Any
 
+from pytest_pafot.campaign.bench import Bench
 from pytest_pafot.campaign.events import Phase, Refining
 from pytest_pafot.campaign.harness import Harness
 from pytest_pafot.campaign.refine.runs import (
     announce,
     driven,
     fails,
+    fails_again,
     is_as_often,
     is_same,
     number_ahead,
-    outcomes,
     showing,
     signature_of,
 )
 from pytest_pafot.campaign.state import Answered, State
 from pytest_pafot.campaign.store import Store
-from pytest_pafot.campaign.workers import Workers
 from pytest_pafot.findings.failure_rate import FEW_RUNS, KNOWN_RUNS, MANY_RUNS, FailureRate, with_other_seed
 from pytest_pafot.findings.finding import of_failure
 from pytest_pafot.findings.shrink import Ahead, Attempt, Likely, OutOfBudget, Shown, Shrunk, Start, shrink
@@ -66,7 +66,7 @@ class Turn:
     """The share of the remaining time in which one finding is shrunk.
 
     Attributes:
-        until: the time at which the share ends [s], or infinity.
+        end: the time at which the share ends [s], or infinity.
         runs_to_compare: the number of runs that compare rates at the end.
         to_conclude: the estimated time of the work after shrinking [s].
         attempts: the number of attempts to shrink so far.
@@ -74,7 +74,7 @@ class Turn:
         is_over: True if shrinking was stopped because no time was left.
     """
 
-    until: float
+    end: float
     runs_to_compare: int = 0
     to_conclude: float = 0.0
     attempts: int = 0
@@ -84,7 +84,7 @@ class Turn:
     def check(self, now: float) -> None:
         """Raise OutOfBudget if no time is left for another attempt and the work after it, and in all later calls."""
         mean = self.seconds / max(self.attempts, 1)
-        self.is_over = self.is_over or now + mean + self.to_conclude >= self.until
+        self.is_over = self.is_over or now + mean + self.to_conclude >= self.end
         if self.is_over:
             raise OutOfBudget
 
@@ -123,12 +123,12 @@ class Simplest:
 
 
 def simplest_of(
-    sighting: Sighting, original: Scenario, state: State, workers: Workers, store: Store, turn_ends: float
+    sighting: Sighting, original: Scenario, state: State, bench: Bench, store: Store, turn_ends: float
 ) -> Refining[Simplest]:
     """Shrink the scenario of a finding as it was found, until a time at which the turn of the finding ends [s]."""
     __tracebackhide__ = True
-    harness, space, id_, is_flaky = workers.harness, state.space, sighting.id, sighting.is_flaky
-    turn = Turn(until=turn_ends, runs_to_compare=RUNS_TO_COMPARE if sighting.finding.rate else 0)
+    harness, space, id_, is_flaky = bench.harness, state.space, sighting.id, sighting.is_flaky
+    turn = Turn(end=turn_ends, runs_to_compare=RUNS_TO_COMPARE if sighting.finding.rate else 0)
     answers = state.answers.setdefault(id_, [])
     asked, rollouts, top_speed = 0, rollouts_for(harness), harness.world.speed_limit
     as_found: FailureRate | None = None
@@ -138,7 +138,7 @@ def simplest_of(
 
     def actions_in(scenario: Scenario) -> tuple[Any, ...]:
         if scenario not in actions:
-            actions[scenario] = workers.rerun(scenario).trace.actions
+            actions[scenario] = bench.rerun(scenario).trace.actions
         return actions[scenario]
 
     def answered(ids: tuple[str, ...], work: Refining[Answered]) -> Refining[Answered]:
@@ -147,24 +147,24 @@ def simplest_of(
         if asked < len(answers) and answers[asked][0] not in ids:
             del answers[asked:]  # They are from a session with other settings, which made other attempts.
         if asked == len(answers):
-            began = workers.clock()
+            began = bench.clock()
             turn.check(began)
             try:
-                with runs_end_in(turn.until - turn.to_conclude - began):
+                with runs_end_in(turn.end - turn.to_conclude - began):
                     _, shown = given = yield from work
             except OutOfTime:
                 turn.is_over = True
                 raise OutOfBudget from None
             answers.append(given)
             seconds = 0.0 if shown is None else min(shown[0].seconds, harness.world.longest_run)
-            turn.took(workers.clock() - began, None if shown is None else workers.pace * seconds)
+            turn.took(bench.clock() - began, None if shown is None else bench.pace * seconds)
             state.offer(store)
         asked += 1
         return answers[asked - 1]
 
     def outcome(scenario: Scenario, texts: tuple[str, str]) -> Refining[Answered]:
         yield Phase(f"measuring how often {id_} fails", id_)
-        return texts[fails(scenario, workers)], None
+        return texts[fails(scenario, bench)], None
 
     def attempt(candidate: Scenario, best: Scenario | None) -> Refining[Answered]:
         number = asked + 1 - (0 if as_found is None else KNOWN_RUNS)
@@ -172,7 +172,7 @@ def simplest_of(
         most = None
         if best is not None and repeats is not None:  # in how many decisions it must fail
             most = len(actions_in(best)) + round(LATER * repeats.ads_hz)
-        show = partial(showing, sighting, candidate, state, workers, store, most)
+        show = partial(showing, sighting, candidate, state, bench, store, most)
         if as_found is None or not is_flaky:
             run = yield from show()
             if run is None:
@@ -181,7 +181,7 @@ def simplest_of(
             actions[scenario] = run.trace.actions
             # With other seeds in each attempt: simple scenarios would else be fitted to a few seeds.
             first = KNOWN_RUNS + 1 + asked * FEW_RUNS
-            others = outcomes(sighting, candidate, state, workers, first)
+            others = fails_again(sighting, candidate, state, bench, first)
             is_good = as_found is None or is_as_often(as_found, others)
             return candidate.id, (scenario, starts_of(run, top_speed)) if is_good else None
         failing, so_far = list[Run](), list[bool]()
@@ -205,14 +205,14 @@ def simplest_of(
         rollouts = 0
     scenario, shrunk = original, Shrunk(rollouts=0, is_minimal=False)
     if rollouts:
-        is_likely = None if repeats is None else _likely(sighting, turn, state, workers, actions_in)
+        is_likely = None if repeats is None else _likely(sighting, turn, state, bench, actions_in)
         asking = shrink(
             original,
             rollouts=rollouts,
             top_speed=top_speed,
             plain=None if space is None else (space.ego_lane, space.ego_speed),  # the default start
             plain_seconds=None if space is None else space.gene_seconds,
-            ahead=number_ahead(workers),
+            ahead=number_ahead(bench),
             asks_likely=is_likely is not None,
             measures_again=repeats is not None,
         )
@@ -227,7 +227,7 @@ def simplest_of(
                         case Likely(candidate, simplest) if is_likely is not None:
                             reply = is_likely(candidate, simplest)
                         case Ahead() if asked == len(answers):  # What is answered is not run again.
-                            announce(question, state, workers)
+                            announce(question, state, bench)
                 except OutOfBudget as over:
                     question = asking.throw(over)
                 else:
@@ -245,7 +245,7 @@ def _repeats_collision(sighting: Sighting, harness: Harness) -> Trace | None:
 
 
 def _likely(
-    sighting: Sighting, turn: Turn, state: State, workers: Workers, actions_in: Callable[[Scenario], tuple[Any, ...]]
+    sighting: Sighting, turn: Turn, state: State, bench: Bench, actions_in: Callable[[Scenario], tuple[Any, ...]]
 ) -> Callable[[Scenario, Scenario], bool] | None:
     """Return a function that says whether a small scenario is likely to fail, without a decision of the ADS.
 
@@ -253,7 +253,7 @@ def _likely(
     of 35 small scenarios that failed, and in 225 of 4,333 that did not. Return None if all small scenarios must be run:
     the world's ``rollout`` does not accept decisions.
     """
-    harness, found = workers.harness, signature_of(sighting, state)
+    harness, found = bench.harness, signature_of(sighting, state)
     if not harness.world.is_resumable:
         return None
     failure = Failure(kind=found.failure, assertion=found.assertion)
@@ -270,7 +270,7 @@ def _likely(
             trace = rollout(candidate, repeating(did[-1]), decisions=did)
         except ScenarioError:
             return False
-        return trace.collision is not None and is_same(of_failure(harness.seen(trace), failure), found)
+        return trace.collision is not None and is_same(of_failure(harness.run_of(trace), failure), found)
 
     return likely
 

@@ -8,16 +8,16 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
+from pytest_pafot.campaign.bench import Bench
 from pytest_pafot.campaign.events import Note, Refining
 from pytest_pafot.campaign.refine.breadth import with_breadth
-from pytest_pafot.campaign.refine.confirming import confirmed
+from pytest_pafot.campaign.refine.confirming import confirm_simplest
 from pytest_pafot.campaign.refine.drivers import with_drivers
 from pytest_pafot.campaign.refine.moment import with_conditions, with_moment
 from pytest_pafot.campaign.refine.runs import check_time, failure_rate
 from pytest_pafot.campaign.refine.simplest import simplest_of
 from pytest_pafot.campaign.state import State, lose
 from pytest_pafot.campaign.store import Store
-from pytest_pafot.campaign.workers import Workers
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.findings.shrink import Shrunk
 from pytest_pafot.findings.sighting import Sighting
@@ -31,9 +31,7 @@ EXAMINATIONS = {"neighbours": with_breadth, "decisions": with_moment, "condition
 or raises an error, ends them for this finding."""
 
 
-def refine(
-    state: State, workers: Workers, store: Store, *, until: float = math.inf, way_on: str = ""
-) -> Refining[None]:
+def refine(state: State, bench: Bench, store: Store, *, until: float = math.inf, way_on: str = "") -> Refining[None]:
     """Refine the findings in the order of discovery; yield what becomes of them.
 
     First each is shrunk, confirmed and tried with other drivers, in turns. This leaves out findings that cannot be
@@ -41,30 +39,30 @@ def refine(
     whose runs are the same each time are examined: their neighbours, and the decisions that led to them.
 
     Args:
-        state, workers, store: the parts of the search. What is done is counted in the state, at once.
+        state, bench, store: the parts of the search. What is done is counted in the state, at once.
         until: the time at which all this must end [s].
         way_on: how the user can go on with a finding that this time cuts, for its remark.
     """
     __tracebackhide__ = True
-    workers.until = until
+    bench.refining_end = until
     # Candidates are judged by the failure of one finding, which no other process knows.
-    workers.runner.processes.read_here()
-    before = workers.decisions
-    with workers.runner:
+    bench.runner.processes.read_here()
+    before = bench.decisions
+    with bench.runner:
         try:
-            refined = yield from _in_turns(state, workers, store, way_on)
+            refined = yield from _in_turns(state, bench, store, way_on)
         finally:
-            state.shrink_decisions = workers.decisions - before
+            state.shrink_decisions = bench.decisions - before
         try:
-            for sighting in list(store.findings.values()) if workers.harness.request.settings.neighbours else ():
+            for sighting in list(store.findings.values()) if bench.harness.request.settings.neighbours else ():
                 if sighting.is_firm and sighting.id in refined:
-                    yield from _examined(sighting, state, workers, store)
+                    yield from _examined(sighting, state, bench, store)
                     state.refined.add(sighting.id)
         finally:
-            state.neighbour_decisions = workers.decisions - before - state.shrink_decisions
+            state.neighbour_decisions = bench.decisions - before - state.shrink_decisions
 
 
-def _in_turns(state: State, workers: Workers, store: Store, way_on: str) -> Refining[set[str]]:
+def _in_turns(state: State, bench: Bench, store: Store, way_on: str) -> Refining[set[str]]:
     """Give each finding its turns; return the ids of those for which none is left to do.
 
     Each turn is an equal share of the time that is left. Unused time goes to the next findings, then to findings that
@@ -75,85 +73,85 @@ def _in_turns(state: State, workers: Workers, store: Store, way_on: str) -> Refi
     while waiting and state.shrink_runs > runs_before:  # After a round without runs there is no time left.
         runs_before, round_ = state.shrink_runs, waiting
         for number, id_ in enumerate(round_):
-            if (yield from _turn(store.findings[id_], state, workers, store, sharing=len(round_) - number)):
+            if (yield from _turn(store.findings[id_], state, bench, store, sharing=len(round_) - number)):
                 done.add(id_)
-                if not workers.harness.request.settings.neighbours:
+                if not bench.harness.request.settings.neighbours:
                     state.refined.add(id_)
         waiting = [id_ for id_ in round_ if id_ not in done]
     for sighting in [store.findings[id_] for id_ in waiting]:
         cut = "not shrunk: out of time" if sighting.finding.shrunk is None else "shrunk in part: out of time"
         unshrunk = f"{sighting.unshrunk or cut}{way_on}"
-        yield from store.report(replace(sighting, unshrunk=unshrunk, is_first=False))
+        yield from store.publish(replace(sighting, unshrunk=unshrunk, is_first=False))
     return done
 
 
-def _turn(sighting: Sighting, state: State, workers: Workers, store: Store, *, sharing: int) -> Refining[bool]:
+def _turn(sighting: Sighting, state: State, bench: Bench, store: Store, *, sharing: int) -> Refining[bool]:
     """Simplify a finding in one of ``sharing`` equal shares of the time that is left; return True if it is done.
 
     If time ends, the finding stays as it is. A later turn or session makes the same attempts to shrink it in the same
     order, and begins with their answers, which the state stores. So it has the same result.
     """
     __tracebackhide__ = True
-    now = workers.clock()
-    left = workers.until - now
+    now = bench.clock()
+    left = bench.refining_end - now
     if left <= 0:
         return False
     try:
         with runs_end_in(left):
-            return (yield from _simplified(sighting, state, workers, store, now + left / sharing))
+            return (yield from _simplified(sighting, state, bench, store, now + left / sharing))
     except OutOfTime:
         return False
     except ProcessLostError as error:
         store.call_flaky(sighting, f"the process that ran it again {error.how}")
-        yield from lose(error, state, workers, store)
+        yield from lose(error, state, bench, store)
         return True
 
 
-def _simplified(sighting: Sighting, state: State, workers: Workers, store: Store, turn_ends: float) -> Refining[bool]:
+def _simplified(sighting: Sighting, state: State, bench: Bench, store: Store, turn_ends: float) -> Refining[bool]:
     """Shrink a finding, run the result again, and try reference drivers in it; return True if nothing is left to do."""
     __tracebackhide__ = True
     original = sighting.finding.original or sighting.finding.scenario
     # How often it fails, if that is by chance. Another thread of this process may have drawn in one run, but hardly in
     # two.
     is_new = sighting.is_random and sighting.finding.rate is None
-    if is_new and (sighting.is_flaky or workers.rerun(sighting.finding.scenario).trace.drew):
-        rate = yield from failure_rate(sighting, sighting.finding.scenario, state, workers)
+    if is_new and (sighting.is_flaky or bench.rerun(sighting.finding.scenario).trace.drew):
+        rate = yield from failure_rate(sighting, sighting.finding.scenario, state, bench)
         sighting = replace(sighting, finding=replace(sighting.finding, rate=rate), is_first=False)
         sighting = store.rewritten(sighting)
-        yield from store.report(sighting)
+        yield from store.publish(sighting)
     if sighting.is_flaky and not (sighting.finding.rate and sighting.finding.rate.failing):
         return True
     # The simplest scenario that fails in the same way, and still does when it is run again.
-    simplest = yield from simplest_of(sighting, original, state, workers, store, turn_ends)
+    simplest = yield from simplest_of(sighting, original, state, bench, store, turn_ends)
     state.shrink_runs += simplest.attempts
     if simplest.is_cut and simplest.scenario == sighting.finding.scenario:
         return False
-    simplest, run, verdict, differs = yield from confirmed(sighting, original, simplest, state, workers)
+    simplest, run, verdict, differs = yield from confirm_simplest(sighting, original, simplest, state, bench)
     answers = state.answers[sighting.id]
     if differs and len(answers) > simplest.attempts:
         answers.clear()  # Some are from earlier sessions: the ADS may have changed since.
-        return (yield from _simplified(sighting, state, workers, store, turn_ends))
+        return (yield from _simplified(sighting, state, bench, store, turn_ends))
     if differs and simplest.scenario != original:
         # The simplified scenario does not repeat, so fall back to the scenario as found, which may be flaky, too.
         shrunk = Shrunk(rollouts=simplest.shrunk.rollouts, is_minimal=False)
         simplest = replace(simplest, scenario=original, shrunk=shrunk, is_cut=False)
-        simplest, run, verdict, differs = yield from confirmed(sighting, original, simplest, state, workers)
+        simplest, run, verdict, differs = yield from confirm_simplest(sighting, original, simplest, state, bench)
     if differs and not sighting.is_flaky:
         sighting = replace(store.call_flaky(sighting, differs), is_first=False)
-        yield from store.report(sighting)
+        yield from store.publish(sighting)
         if sighting.is_random:  # the runs that confirmed it were the same by chance
             answers.clear()
-            return (yield from _simplified(sighting, state, workers, store, turn_ends))
+            return (yield from _simplified(sighting, state, bench, store, turn_ends))
     elif not differs:
         # Drivers in the ego's place say who could have prevented the failure, and how. With that, the simplest scenario
         # replaces the one in the file.
-        refined = yield from with_drivers(sighting, simplest, run, verdict, workers)
+        refined = yield from with_drivers(sighting, simplest, run, verdict, bench)
         if refined is not sighting:
-            yield from store.report(store.rewritten(refined))
+            yield from store.publish(store.rewritten(refined))
     return bool(differs) or not simplest.is_cut
 
 
-def _examined(sighting: Sighting, state: State, workers: Workers, store: Store) -> Refining[None]:
+def _examined(sighting: Sighting, state: State, bench: Bench, store: Store) -> Refining[None]:
     """Examine a finding, and report what each step learns, unless the time ends before.
 
     No error ends the search here, because a user's world may not expect scenarios other than those of a search.
@@ -161,11 +159,11 @@ def _examined(sighting: Sighting, state: State, workers: Workers, store: Store) 
     __tracebackhide__ = True
     sighting, about = replace(sighting, is_first=False), "neighbours"
     try:
-        check_time(workers)
-        with runs_end_in(workers.until - workers.clock()):
+        check_time(bench)
+        with runs_end_in(bench.refining_end - bench.clock()):
             for about, step in EXAMINATIONS.items():  # noqa: B007  (a note names it)
-                sighting = yield from step(sighting, state, workers, store)
-                yield from store.report(sighting)
+                sighting = yield from step(sighting, state, bench, store)
+                yield from store.publish(sighting)
     except OutOfTime:
         yield Note(f"no {about} of saved-{sighting.id}: out of time")
     except Exception as error:

@@ -29,7 +29,7 @@ def text_of(rows: Iterable[Row]) -> str:
     return csv_text(tuple(COLUMNS), ([row.get(name) for name in COLUMNS] for row in rows))
 
 
-def run_all(plan: Plan, folder: Path, *, workers: int, told: TextIO, clock: Callable[[], float]) -> Path:
+def run_all(plan: Plan, folder: Path, *, workers: int, stream: TextIO, clock: Callable[[], float]) -> Path:
     """Do the runs that are not finished yet; return the file with all rows, by algorithm and run as in the plan.
 
     If algorithms have different scenarios, a warning says so before hours are spent on the runs.
@@ -51,8 +51,8 @@ def run_all(plan: Plan, folder: Path, *, workers: int, told: TextIO, clock: Call
     claim(job, folder)  # report an unusable folder before anything else
     if len(plan.scenarios) > 1:
         groups = "".join(f"  {', '.join(names)}: {which}\n" for which, names in plan.scenarios.items())
-        told.write(f"compare: warning: {DIFFERENT}\n{groups}")
-    return run_job(job, folder, workers=workers, told=told, clock=clock)
+        stream.write(f"compare: warning: {DIFFERENT}\n{groups}")
+    return run_job(job, folder, workers=workers, stream=stream, clock=clock)
 
 
 def _text(plan: Plan, task: Task, tick: Tick) -> str:
@@ -77,7 +77,7 @@ def _set_up(fault: SetupFaultError, world: WorldLike, policy: Policy) -> Request
     traceback = "" if fault.verdict.failure is None else fault.verdict.failure.traceback
     place = traceback.rfind("  File ")
     where = f"\n{traceback[place:].rstrip()}" if place >= 0 else ""
-    asked = fault.asked(
+    asked = fault.first_decision(
         world,
         policy,
         of_si="A policy of a highway-env environment needs that environment, such as --env highway-v0.",

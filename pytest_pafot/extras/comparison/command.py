@@ -108,7 +108,7 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
                 f"run `{install('compare')}`"
             )
         folder = Path(arguments.out)
-        results = run_all(plan, folder, workers=workers, told=sys.stderr, clock=time.monotonic)
+        results = run_all(plan, folder, workers=workers, stream=sys.stderr, clock=time.monotonic)
         from pytest_pafot.extras.comparison import figures, markdown, run_measures  # noqa: PLC0415
 
         measured = run_measures.Results.of(plan, results)

@@ -407,7 +407,7 @@ def _check_set_up(plan: ProgressPlan, side: str) -> None:
         check_drives(plan.judged(side, range(min(FIRST, plan.scenarios))))
     except SetupFaultError as fault:
         received = f"received {fault.received} in {fault.runs}"
-        asked = fault.asked(plan.world, Policy(plan.factory(side)), of_si="", of_env="").strip()
+        asked = fault.first_decision(plan.world, Policy(plan.factory(side)), of_si="", of_env="").strip()
         if not fault.verdict.is_ads:
             raise RequestError(f"--check: expected a function of a run that asserts, {received}; correct it") from None
         raise RequestError(
@@ -550,7 +550,7 @@ def run(given: argparse.Namespace, command: Sequence[str]) -> int:
                 job = checked(plan).job
                 workers = min(workers, len(job.tasks))
                 with tempfile.TemporaryDirectory(prefix="pafot-") as folder:
-                    results = run_job(job, Path(folder), workers=workers, told=sys.stderr, clock=time.monotonic)
+                    results = run_job(job, Path(folder), workers=workers, stream=sys.stderr, clock=time.monotonic)
                     table = io.StringIO(results.read_text("utf-8"))
                 rows = [PairRow.of_data(json.loads(each["row"])) for each in csv.DictReader(table)]
         old = plan.old if plan.revision is None else plan.revision.label

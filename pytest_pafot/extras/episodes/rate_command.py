@@ -141,7 +141,7 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
             workers = min(workers, len(job.tasks))
             if arguments.json:
                 stack.enter_context(printing_elsewhere())
-            results = run_job(job, folder, workers=workers, told=sys.stderr, clock=time.monotonic)
+            results = run_job(job, folder, workers=workers, stream=sys.stderr, clock=time.monotonic)
             rows = rows_of(results.read_text(encoding="utf-8"))
         rates = [Rate(ads=name, rows=tuple(row for row in rows if row.ads == name)) for name in plan.policies.values()]
         objection = "" if limit is None else _objection(rates[0], limit)

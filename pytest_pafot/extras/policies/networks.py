@@ -42,7 +42,7 @@ class NetworkLoader(PolicyLoader):
         """Load the network on the CPU."""
 
     @abstractmethod
-    def told(self) -> str:
+    def described(self) -> str:
         """Describe the file, module or input of the network, for an error message."""
 
     def __call__(self) -> NetworkAds:
@@ -64,12 +64,12 @@ class NetworkLoader(PolicyLoader):
         try:
             checked_action(self()(np.zeros(space.shape, space.dtype)), world.action_space)
         except BadAction as error:
-            received = f"{error} by {self.told()} in {named(world)}"
+            received = f"{error} by {self.described()} in {named(world)}"
             raise refused(f"actions in {world.action_space}", received, "give to_action=") from None
         except Exception as error:
             received = f"{named(world)}: {type(error).__name__}: {error!s:.300}"
             fix = "give the world the config= and wrappers= of the training"
-            raise refused(f"a world for {self.told()}", received, fix) from error
+            raise refused(f"a world for {self.described()}", received, fix) from error
 
 
 class NetworkAds:
@@ -122,7 +122,7 @@ class TorchPolicy(NetworkLoader):
         module = self._read(torch) if isinstance(self.module, Path) else copy.deepcopy(self.module)
         if not isinstance(module, torch.nn.Module):
             fix = "make the module, load the weights into it, and give the module itself"
-            raise refused("a torch.nn.Module", f"{self.told()}, which contains a {type(module).__name__}", fix)
+            raise refused("a torch.nn.Module", f"{self.described()}, which contains a {type(module).__name__}", fix)
         module = module.to("cpu").eval()
         first = next(module.parameters(), None)
         dtype = torch.float32 if first is None else first.dtype
@@ -143,7 +143,7 @@ class TorchPolicy(NetworkLoader):
                     return torch.jit.load(self.module, map_location="cpu")
         return torch.load(self.module, map_location="cpu", weights_only=False)
 
-    def told(self) -> str:
+    def described(self) -> str:
         """Return the path of the file, or the name of the module's class, for an error message."""
         return str(self.module) if isinstance(self.module, Path) else f"the module {type(self.module).__name__}"
 
@@ -171,7 +171,7 @@ class OnnxPolicy(NetworkLoader):
             received = f"{self.file} ({type(error).__name__}: {error!s:.200})"
             raise refused("an ONNX file that onnxruntime can run", received, "export it again") from error
 
-    def told(self) -> str:
+    def described(self) -> str:
         """Return the path of the file with the shape of its input, for an error message."""
         return f"{self.file} with inputs of shape {self.loaded.shape}"
 

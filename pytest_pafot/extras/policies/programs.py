@@ -120,7 +120,7 @@ class ProgramAds:
     def close(self) -> None:
         """Print the program's stderr; then end it, or keep it for the next run if it has answered everything."""
         try:
-            sys.stderr.write(self._program.said())
+            sys.stderr.write(self._program.new_output())
         finally:
             if self._is_asked:
                 self._program.kill()
@@ -335,7 +335,7 @@ class Program:
                 return
             self._read_words()
 
-    def said(self) -> str:
+    def new_output(self) -> str:
         """Return what the program wrote to stderr since the last call; a long text loses its middle."""
         self._read_rest()
         words, left_out = bytes(self._words), self._left_out

@@ -93,7 +93,7 @@ def run(arguments: argparse.Namespace, _: Sequence[str]) -> int:
             raise RequestError(f"expected --bad to fail as the file says, received: {trials.why(bad)}; {hint}")
         for start, name in ((good, "--good"), (history.parents(commits[0])[0], "the commit before these")):
             if trials.passes(start) is not True:
-                hint = ", or --any-pass if such a pass is enough" if trials.told(start).get("is_other") else ""
+                hint = ", or --any-pass if such a pass is enough" if trials.result(start).get("is_other") else ""
                 raise RequestError(f"expected {name} to pass, received: {trials.why(start)}; give another --good{hint}")
         left = first_failing(history, trials, commits)
         return _conclude(history, trials, left)
@@ -153,29 +153,29 @@ class Trials:
     file: Path
     timeout: float  # [s]
     any_pass: bool  # True if a pass counts even if the situation did not occur
-    known: dict[str, dict[str, Any]] = field(default_factory=dict)  # results of the sessions, by the content
+    results: dict[str, dict[str, Any]] = field(default_factory=dict)  # results of the sessions, by the content
 
     def passes(self, commit: str) -> bool | None:
         """Return whether a commit passes; None if its session gave no verdict."""
-        told = self.told(commit)
-        verdict: bool | None = told["passes"]
-        return True if self.any_pass and told.get("is_other") else verdict
+        result = self.result(commit)
+        verdict: bool | None = result["passes"]
+        return True if self.any_pass and result.get("is_other") else verdict
 
     def why(self, commit: str) -> str:
         """Return how the replay of a commit ended, or why there is no replay."""
-        return f"{VERDICTS[self.passes(commit)]}: {self.told(commit)['why']}"
+        return f"{VERDICTS[self.passes(commit)]}: {self.result(commit)['why']}"
 
-    def told(self, commit: str) -> dict[str, Any]:
+    def result(self, commit: str) -> dict[str, Any]:
         """Return the result of a commit's session, or of the session of another commit with the same policy."""
         content = self.history.content(commit)
-        if content not in self.known:
+        if content not in self.results:
             try:
                 self.history.put(self.tree, commit)
-                self.known[content] = self._session()
+                self.results[content] = self._session()
             except RequestError as error:  # such as a folder where there is a file now
-                self.known[content] = {"passes": None, "why": one_line(str(error))}
+                self.results[content] = {"passes": None, "why": one_line(str(error))}
             _say(f"  {commit:.10} {self.why(commit)} | {self.history.described(commit, '%s')}")
-        return self.known[content]
+        return self.results[content]
 
     def _session(self) -> dict[str, Any]:
         """Run a session with the policy in the worktree; return its result, or its last line as the reason."""
@@ -247,7 +247,7 @@ def _conclude(history: History, trials: Trials, left: Sequence[str]) -> int:
     lines = history.diff(before, left[0])
     more = [f"... and {plural(len(lines) - SHOWN, 'line')} more"] if len(lines) > SHOWN else []
     _say("\n".join([*lines[:SHOWN], *more, ""]))
-    _say(parted(trials.told(before), trials.told(left[0])))
+    _say(parted(trials.result(before), trials.result(left[0])))
     return 0
 
 

@@ -33,7 +33,7 @@ def contents(folder):
 def whole(tmp_path_factory, quick):
     """Return the files of an uninterrupted comparison in one process."""
     folder = tmp_path_factory.mktemp("whole")
-    run_all(quick(), folder, workers=1, told=io.StringIO(), clock=clock)
+    run_all(quick(), folder, workers=1, stream=io.StringIO(), clock=clock)
     return contents(folder)
 
 
@@ -49,7 +49,7 @@ def test_comparison_writes_one_file_per_run_in_order(whole):
 
 @pytest.mark.processes
 def test_two_workers_leave_the_same_bytes_as_one(tmp_path, quick, quiet, whole):
-    run_all(quick(), tmp_path, workers=2, told=quiet, clock=time.monotonic)
+    run_all(quick(), tmp_path, workers=2, stream=quiet, clock=time.monotonic)
     assert contents(tmp_path) == whole
 
 
@@ -67,8 +67,8 @@ def test_interrupted_comparison_continues_with_the_missing_runs(tmp_path, quick,
     monkeypatch.setattr(algorithm_run, "run_rows", watched)
     for _ in range(3):
         with pytest.raises(KeyboardInterrupt):
-            run_all(quick(), tmp_path, workers=1, told=quiet, clock=clock)
-    run_all(quick(), tmp_path, workers=1, told=quiet, clock=clock)
+            run_all(quick(), tmp_path, workers=1, stream=quiet, clock=clock)
+    run_all(quick(), tmp_path, workers=1, stream=quiet, clock=clock)
     assert contents(tmp_path) == whole
     assert len(begun) == 6 + 3, "a finished run was run again"
     assert not list(tmp_path.rglob("*.tmp"))
@@ -102,7 +102,7 @@ class Pool:
 
 def test_worker_order_does_not_change_the_written_bytes(tmp_path, quick, quiet, whole, monkeypatch):
     monkeypatch.setattr(resumable, "WorkerPool", Pool)
-    run_all(quick(), tmp_path, workers=2, told=quiet, clock=clock)
+    run_all(quick(), tmp_path, workers=2, stream=quiet, clock=clock)
     assert contents(tmp_path) == whole
 
 
@@ -113,7 +113,7 @@ def test_worker_failure_is_raised_with_the_way_out(tmp_path, quick, quiet, monke
     def raised(answer, kind, match):
         monkeypatch.setattr(Pool, "answer", lambda self, task, tick: answer)
         with pytest.raises(kind, match=match):
-            run_all(plan, tmp_path, workers=2, told=quiet, clock=clock)
+            run_all(plan, tmp_path, workers=2, stream=quiet, clock=clock)
 
     lost = ProcessLostError(("random", 0), pid=1, how="was ended by SIGKILL")
     raised(lost, ChildProcessError, r"finish \('random', 0\), .*: its process was ended by SIGKILL; .* fewer --workers")
@@ -138,7 +138,7 @@ def test_killed_with_its_workers_running_it_goes_on(tmp_path, quick, quiet, whol
     left = contents(tmp_path)
     assert left
     assert all(content == whole.get(name, content) for name, content in left.items())
-    run_all(quick(), tmp_path, workers=1, told=quiet, clock=clock)
+    run_all(quick(), tmp_path, workers=1, stream=quiet, clock=clock)
     now = contents(tmp_path)
     assert {name: now[name] for name in whole} == whole
 
@@ -148,7 +148,7 @@ def forever(folder):
     fields = {"ads": "constant_speed", "algorithms": ("pafot", "av-fuzzer", "random"), "generations": 3, "runs": 999}
     space = {"npcs": 2, "genes": 2, "gene_seconds": 10.0}
     plan = Plan(**fields, world=Highway(duration=20.0).to_dict(), space=space)
-    run_all(plan, Path(folder), workers=2, told=sys.stderr, clock=time.monotonic)
+    run_all(plan, Path(folder), workers=2, stream=sys.stderr, clock=time.monotonic)
 
 
 DAMAGE = {
@@ -163,12 +163,12 @@ DAMAGE = {
 
 def test_damaged_results_are_made_again(tmp_path, quick, whole):
     small = quick(algorithms=("random",))
-    run_all(small, tmp_path, workers=1, told=io.StringIO(), clock=clock)
+    run_all(small, tmp_path, workers=1, stream=io.StringIO(), clock=clock)
     for name, change in DAMAGE.values():
         path = tmp_path / "runs" / name
         path.write_bytes(change(path.read_bytes()))
         told = io.StringIO()
-        run_all(small, tmp_path, workers=1, told=told, clock=clock)
+        run_all(small, tmp_path, workers=1, stream=told, clock=clock)
         assert f"{path.with_suffix('.csv')} was changed or damaged, so its task runs again" in told.getvalue()
         assert all(
             contents(tmp_path)[f"runs/random-00{run}.csv"] == whole[f"runs/random-00{run}.csv"] for run in (0, 1)
@@ -177,29 +177,29 @@ def test_damaged_results_are_made_again(tmp_path, quick, whole):
 
 def test_results_without_readable_question_are_refused(tmp_path, quick, quiet):
     small = quick(runs=1, algorithms=("random",))
-    run_all(small, tmp_path, workers=1, told=quiet, clock=clock)
+    run_all(small, tmp_path, workers=1, stream=quiet, clock=clock)
     (question,) = tmp_path.glob("*.json")
     question.write_bytes(b"\xff")
     with pytest.raises(RequestError, match="json does not agree: it cannot be read"):
-        run_all(small, tmp_path, workers=1, told=quiet, clock=clock)
+        run_all(small, tmp_path, workers=1, stream=quiet, clock=clock)
     question.unlink()
     with pytest.raises(RequestError, match="json does not agree: it is gone; give another folder"):
-        run_all(small, tmp_path, workers=1, told=quiet, clock=clock)
+        run_all(small, tmp_path, workers=1, stream=quiet, clock=clock)
 
 
 def test_more_runs_and_algorithms_can_be_added_later(tmp_path, quick, quiet, whole):
-    run_all(quick(runs=1, algorithms=("random",)), tmp_path, workers=1, told=quiet, clock=clock)
-    run_all(quick(), tmp_path, workers=1, told=quiet, clock=clock)
+    run_all(quick(runs=1, algorithms=("random",)), tmp_path, workers=1, stream=quiet, clock=clock)
+    run_all(quick(), tmp_path, workers=1, stream=quiet, clock=clock)
     assert contents(tmp_path) == whole
 
 
 @pytest.mark.parametrize("changes", [{"seed": 1}, {"generations": 4}, {"blame": "ego"}, {"ads": "blind_lane_change"}])
 def test_a_folder_of_another_comparison_is_refused(tmp_path, quick, quiet, changes):
     small = {"runs": 1, "algorithms": ("random",)}
-    run_all(quick(**small), tmp_path, workers=1, told=quiet, clock=clock)
+    run_all(quick(**small), tmp_path, workers=1, stream=quiet, clock=clock)
     before = contents(tmp_path)
     with pytest.raises(RequestError, match=r"--out: expected an empty folder or the folder of this comparison"):
-        run_all(quick(**(small | changes)), tmp_path, workers=1, told=quiet, clock=clock)
+        run_all(quick(**(small | changes)), tmp_path, workers=1, stream=quiet, clock=clock)
     assert contents(tmp_path) == before
 
 
@@ -236,20 +236,20 @@ def own_algorithm(tmp_path, monkeypatch):
 def test_a_changed_algorithm_is_refused_by_file_name(quick, quiet, own_algorithm):
     imported, out = own_algorithm
     mine, both = "algorithm_of_mine:Mine", {"runs": 1, "generations": 1}
-    run_all(quick(algorithms=(mine,), **both), out, workers=1, told=quiet, clock=clock)
+    run_all(quick(algorithms=(mine,), **both), out, workers=1, stream=quiet, clock=clock)
     before = contents(out)
     imported.write_text("COUNT = 4\n")
     why = r"names\.mine\.code\.sampling_of_mine\.py 'sha256:\w+' in the file, 'sha256:\w+' now; give another folder"
     with pytest.raises(RequestError, match=why):
-        run_all(quick(algorithms=(mine, "random"), **both), out, workers=1, told=quiet, clock=clock)
+        run_all(quick(algorithms=(mine, "random"), **both), out, workers=1, stream=quiet, clock=clock)
     assert contents(out) == before
     # Without the algorithm nothing is mixed, and its identity stays: it cannot come back changed afterwards.
-    run_all(quick(algorithms=("random",), **both), out, workers=1, told=quiet, clock=clock)
+    run_all(quick(algorithms=("random",), **both), out, workers=1, stream=quiet, clock=clock)
     with pytest.raises(RequestError, match=why):
-        run_all(quick(algorithms=(mine, "random"), **both), out, workers=1, told=quiet, clock=clock)
-    run_all(quick(algorithms=(mine, "random"), **both), out.with_name("other"), workers=1, told=quiet, clock=clock)
+        run_all(quick(algorithms=(mine, "random"), **both), out, workers=1, stream=quiet, clock=clock)
+    run_all(quick(algorithms=(mine, "random"), **both), out.with_name("other"), workers=1, stream=quiet, clock=clock)
     imported.write_text("COUNT = 2\n")
-    run_all(quick(algorithms=(mine, "random"), **both), out, workers=1, told=quiet, clock=clock)
+    run_all(quick(algorithms=(mine, "random"), **both), out, workers=1, stream=quiet, clock=clock)
 
 
 def test_changed_algorithm_without_finished_runs_is_no_mixture(quick, quiet, own_algorithm, monkeypatch):
@@ -264,21 +264,21 @@ def test_changed_algorithm_without_finished_runs_is_no_mixture(quick, quiet, own
 
     monkeypatch.setattr(algorithm_run, "run_rows", interrupted)
     with pytest.raises(KeyboardInterrupt):
-        run_all(plan, out, workers=1, told=quiet, clock=clock)
+        run_all(plan, out, workers=1, stream=quiet, clock=clock)
     monkeypatch.undo()
     monkeypatch.chdir(out.parent)
     imported.write_text("COUNT = 4\n")
-    run_all(plan, out, workers=1, told=quiet, clock=clock)
+    run_all(plan, out, workers=1, stream=quiet, clock=clock)
     assert len(contents(out)) == 3
 
 
 def test_two_algorithms_of_one_name_are_not_mixed(quick, quiet, own_algorithm):
     imported, out = own_algorithm
     mine, other = "algorithm_of_mine:Mine", "other_of_mine:Mine"
-    run_all(quick(algorithms=(mine,), runs=1, generations=1), out, workers=1, told=quiet, clock=clock)
+    run_all(quick(algorithms=(mine,), runs=1, generations=1), out, workers=1, stream=quiet, clock=clock)
     imported.with_name("other_of_mine.py").write_text(OWN_ALGORITHM)
     with pytest.raises(RequestError, match=f"names.mine.given '{mine}' in the file, '{other}' now"):
-        run_all(quick(algorithms=(other,), runs=2, generations=1), out, workers=1, told=quiet, clock=clock)
+        run_all(quick(algorithms=(other,), runs=2, generations=1), out, workers=1, stream=quiet, clock=clock)
 
 
 @pytest.mark.parametrize("what", ["ads", "fitness"])
@@ -290,14 +290,14 @@ def test_a_changed_policy_or_fitness_is_refused_by_file_name(tmp_path, quick, qu
     imported = tmp_path / f"core_of_{what}.py"
     imported.write_text("NUMBER = 0.0\n")
     plan = quick(algorithms=("random",), runs=1, generations=1, **{what: f"module_of_{what}:{what}"})
-    run_all(plan, tmp_path / "out", workers=1, told=quiet, clock=clock)
+    run_all(plan, tmp_path / "out", workers=1, stream=quiet, clock=clock)
     imported.write_text("NUMBER = 1.0\n")
     with pytest.raises(RequestError, match=rf"code\.core_of_{what}\.py 'sha256:\w+' in the file"):
-        run_all(plan, tmp_path / "out", workers=1, told=quiet, clock=clock)
+        run_all(plan, tmp_path / "out", workers=1, stream=quiet, clock=clock)
 
 
 def test_other_seeds_give_other_runs(tmp_path, quick, quiet, whole):
-    run_all(quick(seed=1, runs=1), tmp_path, workers=1, told=quiet, clock=clock)
+    run_all(quick(seed=1, runs=1), tmp_path, workers=1, stream=quiet, clock=clock)
     other = contents(tmp_path)
     assert len(other) == 4
     assert all(other[name] != whole[name] for name in other)
@@ -313,23 +313,23 @@ def job_of(tasks, **fields):
 class TestProgressLine:
     def test_progress_has_runs_share_and_remaining_time(self):
         now = [100.0]
-        progress = ProgressLine(job=job_of(10), done=2, told=io.StringIO(), clock=lambda: now[0])
+        progress = ProgressLine(job=job_of(10), done=2, stream=io.StringIO(), clock=lambda: now[0])
         now[0] = 160.0
         progress.done = 4
         assert progress.line(0.5, 160.0) == "compare: 4 of 10 runs, 45 %, 2 min left"
 
     def test_progress_counts_units_of_unfinished_tasks(self):
         job = job_of(4, command="rate", units="episodes", sizes={("pafot", run): 25 for run in range(4)})
-        progress = ProgressLine(job=job, done=25, told=io.StringIO(), clock=lambda: 0.0)
+        progress = ProgressLine(job=job, done=25, stream=io.StringIO(), clock=lambda: 0.0)
         assert progress.line(18 / 25 * 25, 0.0) == "rate: 43 of 100 episodes, 43 %, 0 s left"
 
     def test_it_promises_nothing_before_anything_is_done(self):
-        progress = ProgressLine(job=job_of(10), done=2, told=io.StringIO(), clock=lambda: 0.0)
+        progress = ProgressLine(job=job_of(10), done=2, stream=io.StringIO(), clock=lambda: 0.0)
         assert progress.line(0.0, 50.0) == "compare: 2 of 10 runs, 20 %"
 
     def test_progress_without_terminal_prints_every_ten_seconds(self):
         now, told = [0.0], io.StringIO()
-        progress = ProgressLine(job=job_of(2), done=0, told=told, clock=lambda: now[0])
+        progress = ProgressLine(job=job_of(2), done=0, stream=told, clock=lambda: now[0])
         for second in range(25):
             now[0] = float(second)
             progress.tick(0.1)
@@ -342,7 +342,7 @@ class TestProgressLine:
         now, told = [0.0], io.StringIO()
         sizes = {("ads-25", 0): 25, ("ads-1", 25): 1}
         job = replace(job_of(2), command="rate", units="episodes", tasks=tuple(sizes), sizes=sizes)
-        progress = ProgressLine(job=job, done=0, told=told, clock=lambda: now[0])
+        progress = ProgressLine(job=job, done=0, stream=told, clock=lambda: now[0])
         for second, shares in ((0.0, 0.0), (5.0, 6.0), (10.0, 13.0)):
             now[0] = second
             progress.tick(shares)
@@ -365,7 +365,7 @@ def dying():
 def test_killed_worker_is_reported_with_the_way_out(tmp_path, quick, quiet):
     plan = quick(ads="tests.extras.comparison.test_resumable:dying", algorithms=("random",), runs=1)
     with pytest.raises(ChildProcessError, match=r"finish \('random', 0\), .* exit code 5; .* fewer --workers"):
-        run_all(plan, tmp_path, workers=2, told=quiet, clock=clock)
+        run_all(plan, tmp_path, workers=2, stream=quiet, clock=clock)
 
 
 def raising():
@@ -376,5 +376,5 @@ def raising():
 def test_worker_exception_is_raised_with_its_place(tmp_path, quick, quiet):
     plan = quick(ads="tests.extras.comparison.test_resumable:raising", algorithms=("random",), runs=1)
     with pytest.raises(LookupError, match="no such planner") as raised:
-        run_all(plan, tmp_path, workers=2, told=quiet, clock=clock)
+        run_all(plan, tmp_path, workers=2, stream=quiet, clock=clock)
     assert 'raise LookupError("no such planner")' in raised.value.__notes__[0]

@@ -1,0 +1,269 @@
+"""The bench of one search, on which its scenarios are run and judged: processes, limits, and records of crashes."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from itertools import chain
+from typing import Any
+
+from pytest_pafot.campaign.harness import Harness, is_same_run, refusals
+from pytest_pafot.campaign.tallies import BlockDriver, Tally, facts_of
+from pytest_pafot.campaign.verdict import Verdict, evaluated
+from pytest_pafot.execution.crash_records import CrashRecord, Leftover
+from pytest_pafot.execution.pool import ProcessLostError
+from pytest_pafot.execution.runner import Runner, replay_in_gym_apart
+from pytest_pafot.execution.scenario_pool import trace_of
+from pytest_pafot.findings.finding import disagreement, failed_as, message_of
+from pytest_pafot.findings.sighting import NOT_REPEATED
+from pytest_pafot.findings.signature import Signature
+from pytest_pafot.model.scenario import Scenario
+from pytest_pafot.model.trace import Trace
+from pytest_pafot.oracle.run import Facts, Run
+from pytest_pafot.searching.evaluation import Evaluation
+from pytest_pafot.support.errors import OutOfTime
+from pytest_pafot.world.base_world import BaseWorld
+from pytest_pafot.world.guard.chance import GENERATORS
+from pytest_pafot.world.guard.failure import UNFIT, let_through
+from pytest_pafot.world.guard.hang_guard import runs_end_in
+
+PURE_SHARE = 1 / 10
+"""The share of the decisions that a pure ADS need not make from which on no further run is made to check that it is."""
+
+
+@dataclass(slots=True, kw_only=True)
+class Bench:
+    """What runs and judges the scenarios of one search.
+
+    Until a run is judged, its scenario is on disk in the crash record of this process.
+    """
+
+    harness: Harness
+    runner: Runner
+    record: CrashRecord
+    reference: Runner | None = None  # the runner of the reference
+    driver: BlockDriver | None = None  # how other processes drive blocks; None if they cannot
+    fitness: Callable[[Run], float]  # the fitness of a run; higher is worse for the ego
+    is_steered_by_checks: bool = True  # as in :class:`~pytest_pafot.campaign.tallies.Reader`
+    clock: Callable[[], float] = time.monotonic  # returns the seconds since some fixed moment
+    counted_decisions: int = 0  # number of decisions of the ADS in runs that others judged, and beside runs
+    refining_end: float = math.inf  # the time at which the work on findings ends [s]
+    confirm_decisions: int = 0  # the number of decisions of the ADS that confirmed findings
+    confirm_seconds: float = 0.0  # the time that this took [s]
+    pace: float = 0.0  # the longest time to confirm one second of a run so far [s]
+    # runs that this process has judged and not counted yet, with their verdicts
+    _judged_ahead: dict[Scenario, tuple[Run, Verdict]] = field(default_factory=dict)
+
+    @property
+    def decisions(self) -> int:
+        """The number of decisions that the ADS has made so far in this session, except to confirm findings."""
+        return self.counted_decisions + self.runner.decisions - self.confirm_decisions
+
+    def evaluation(self, run: Run, verdict: Verdict, signature: Signature | None) -> Evaluation:
+        """Return what the algorithm sees of a run that this process has judged."""
+        return evaluated(run, verdict, signature, self.fitness, self.is_steered_by_checks)
+
+    def impure(self) -> tuple[str, str] | None:
+        """Make some runs again with all decisions by the ADS, if decisions of earlier runs took their place.
+
+        Each is made up to as many decisions after those as they were. Return the id of a scenario with another run, and
+        the mark of the ADS that allows no other; None if there is none.
+        """
+        asked = 0
+        for reused, trace in self.runner.resumed:
+            if asked > self.runner.reused * PURE_SHARE:
+                break
+            again = self.rerun(trace.scenario, most=2 * reused)
+            asked += len(again.trace.actions)
+            is_cut = len(again.trace.actions) == 2 * reused < len(trace.actions)
+            same = again.trace.states.tobytes() == trace.states[: len(again.trace.states)].tobytes()
+            if not (same if is_cut else is_same_run(self.harness.run_of(trace), again)):
+                return trace.scenario.id, self.runner.mark
+        return None
+
+    def make(self, scenario: Scenario) -> Run | Tally:
+        """Return the run of the next scenario of a plan, or its tally if another process has made and judged it.
+
+        A run may have been made, and judged by :meth:`judge_ahead`, before. The caller must call :meth:`finish` next.
+
+        Raises:
+            ProcessLostError, RequestError, OutOfTime: as for :meth:`run`.
+        """
+        __tracebackhide__ = True
+        with self._recorded(), refusals():
+            made: Any = self.runner.made(scenario)
+        if isinstance(made, Tally):
+            return made
+        run = self.harness.run_of(made)
+        judged, _ = self._judged_ahead.get(scenario, (run, None))
+        return judged if judged.trace is run.trace else run
+
+    def judge_ahead(self, made: Trace | Facts) -> tuple[Run, Verdict] | None:
+        """Judge a run before its turn, so that :meth:`finish` need not; return it with its verdict.
+
+        Return None if a run of its scenario was judged before.
+        """
+        scenario = trace_of(made).scenario
+        if scenario in self._judged_ahead:
+            return None
+        self.record.write(scenario)
+        run = self.harness.run_of(made)
+        self._judged_ahead[scenario] = run, self.finish(run)
+        return self._judged_ahead[scenario]
+
+    def evaluate_ahead(self, scenario: Scenario) -> Evaluation:
+        """Return what the algorithm sees of a run that was judged before its turn."""
+        (run, verdict), signature = self._judged_ahead[scenario], None
+        if verdict.failed and verdict.failure is not None:
+            signature, _ = failed_as(run, verdict.failure)
+        evaluation = self.evaluation(run, verdict, signature)
+        self._judged_ahead[scenario] = replace(run, facts=facts_of(run, evaluation)), verdict  # for its own turn
+        return evaluation
+
+    def run(self, scenario: Scenario, *, afresh: bool = False, most: int | None = None) -> Run:
+        """Run a scenario. The caller must call :meth:`finish` next, which also clears the crash record.
+
+        For ``afresh`` and ``most`` see :meth:`pytest_pafot.execution.runner.Runner.made`.
+
+        Raises:
+            ProcessLostError: if the run was in another process, and that process died or hung.
+            RequestError: for a world, factory or scenario that does not fit.
+            OutOfTime: if the time of the search is over.
+        """
+        __tracebackhide__ = True
+        with self._recorded(), refusals():
+            trace = self.runner.run(scenario, afresh=afresh, most=most)
+        return self.harness.run_of(trace)
+
+    def finish(self, run: Run, scenario: Scenario | None = None) -> Verdict:
+        """Judge the last run, and clear its crash record.
+
+        If it fails, the reference is run in ``scenario``, by default in the run's scenario.
+        """
+        __tracebackhide__ = True
+        judged, verdict = self._judged_ahead.pop(run.trace.scenario, (None, None))
+        # Another run of the scenario may have another verdict.
+        if judged is not None and verdict is not None and judged.trace is run.trace:
+            self.record.clear()
+            return verdict
+        with self._recorded():
+            verdict = self.harness.judge(run)
+            if verdict.failed and self.reference is not None:
+                verdict = verdict.beside(self.harness.judge_reference(self.reference, scenario or run.scenario))
+        self.record.clear()
+        return verdict
+
+    def is_common(self, scenario: Scenario) -> bool:
+        """Return whether a failure in a scenario does not count, because the reference does not pass it either."""
+        __tracebackhide__ = True
+        if self.reference is None:
+            return False
+        verdict = self.harness.judge_reference(self.reference, scenario)
+        self.record.clear()
+        return not verdict.passes
+
+    def rerun(self, scenario: Scenario, *, most: int | None = None) -> Run:
+        """Run a scenario from scratch, without a verdict; ``most`` is as for :meth:`run`."""
+        __tracebackhide__ = True
+        run = self.run(scenario, afresh=True, most=most)
+        self.record.clear()
+        return run
+
+    def rerun_one_by_one(self, leftover: Leftover) -> None:
+        """Run the scenarios of a batch in which a process died one by one, to see which scenario is the cause."""
+        __tracebackhide__ = True
+        leftover.discard()  # first, or after a second death every session would run the whole batch again
+        for scenario in leftover.scenarios:
+            self.rerun(scenario)
+
+    def rerun_in_gym(self, scenario: Scenario) -> Run | None:
+        """Run a scenario with ``env.step`` of highway-env's own environment; None if the world has no environment."""
+        __tracebackhide__ = True
+        world = self.harness.world
+        if not world.replays_in_gym:
+            return None
+        policy = self.harness.policy
+        with self._recorded(), refusals():
+            if policy.elsewhere is not None:
+                trace = policy.elsewhere.driven("rollout_in_gym", world, scenario)
+            elif self.harness.request.settings.isolate:
+                trace = replay_in_gym_apart(self.harness.job(), self.record, scenario)
+            else:
+                self.record.write(scenario)
+                trace = GENERATORS.run(world.rollout_in_gym, scenario, self.harness.drawing(policy).factory)
+        self.runner.decisions += len(trace.actions)
+        self.record.clear()
+        return Run(trace, decision_limit=self.harness.request.decision_limit)
+
+    def confirm(self, run: Run) -> str:
+        """Repeat the run of a finding; return what differs, empty if nothing does. Measure how long that takes.
+
+        Raises:
+            OutOfTime: if the time of the search is over.
+        """
+        began, before = self.clock(), self.runner.decisions
+        try:
+            with runs_end_in(self.refining_end - began):
+                differs = difference(run, self)
+        finally:
+            seconds = self.clock() - began
+            self.confirm_seconds += seconds
+            self.confirm_decisions += self.runner.decisions - before
+        self.pace = max(self.pace, seconds / max(run.duration, 1.0))
+        return differs
+
+    @contextmanager
+    def _recorded(self) -> Iterator[None]:
+        """Clear the crash record of a run that the time limit ends, because no process died in it."""
+        __tracebackhide__ = True
+        try:
+            yield
+        except OutOfTime:
+            self.record.clear()
+            raise
+
+
+def difference(run: Run, bench: Bench) -> str:
+    """Return what differs when the scenario of a run is run again; empty if the finding is confirmed.
+
+    The same world must give a run that is equal to the last bit. In highway-env's own environment, if the world has
+    it, the run must end in the same way.
+    """
+    try:
+        if not is_same_run(run, bench.rerun(run.scenario)):
+            return NOT_REPEATED
+        differs = _difference_in_gym(run, bench)
+    except ProcessLostError as error:
+        return f"the process that ran it again {error.how}"
+    if not differs:
+        return ""
+    harness = bench.harness
+    likely_cause = "" if harness.policy.drives_itself else left_out_text(harness.world)
+    return f"in highway-env's own environment: {differs}" + (f"; {likely_cause}" if likely_cause else "")
+
+
+def left_out_text(world: BaseWorld) -> str:
+    """Return a sentence on the environment's own methods that runs do not call, though they matter; or empty."""
+    methods = world.left_out
+    if not methods:
+        return ""
+    names = " and ".join(f"`{name}`" for name in methods)
+    changed = ", ".join(f"`{each}`" for each in dict.fromkeys(chain.from_iterable(methods.values())))
+    return (
+        f"runs do not call the environment's own {names}, which may change {changed}: write wrappers=[] in its "
+        "pafot.World"
+    )
+
+
+def _difference_in_gym(run: Run, bench: Bench) -> str:
+    try:
+        other = bench.rerun_in_gym(run.scenario)
+    except ProcessLostError:
+        raise
+    except UNFIT as error:  # any exception of the environment or the ADS is the difference
+        let_through(error)
+        return f"{type(error).__name__}: {message_of(error)}"[:165]
+    return "" if other is None else disagreement(run, other)
