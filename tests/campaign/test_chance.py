@@ -285,7 +285,7 @@ def test_what_fails_too_rarely_is_not_called_fixed(tmp_path):
 def test_isolation_and_workers_do_not_change_what_is_found(tmp_path):
     contents = set()
     for number, options in enumerate(({}, {"isolate": True}, {"workers": 2}, {"workers": 2, "isolate": True})):
-        told = found(Brakes, tmp_path / str(number), shrink_rollouts=8, **options)
+        told = found(Brakes, tmp_path / str(number), shrink_rollouts=3, **options)
         contents.add(told.file.read_text())
         assert replayed(Brakes, tmp_path / str(number), **options).label == "still failing"
     assert len(contents) == 1

@@ -62,6 +62,7 @@ class Conditions:
                 plain = compile(source, file, "exec", dont_inherit=True)
                 marked = self._with_recorder(compile(tree, file, "exec", dont_inherit=True))
                 self._copies[str(file)] = {code: copy for code, copy in _pairs(plain, marked) if code != copy}
+        self._places = {(code.co_name, code.co_firstlineno) for copies in self._copies.values() for code in copies}
         # A forked process freezes all that exists, so that it would not find these functions.
         self._functions = self._found()
 
@@ -97,6 +98,8 @@ class Conditions:
         return [each for each in gc.get_objects() if type(each) is FunctionType and self._copy(each.__code__)]
 
     def _copy(self, code: CodeType) -> CodeType | None:
+        if (code.co_name, code.co_firstlineno) not in self._places:  # else every function's path would be resolved
+            return None
         file = self._real.get(code.co_filename)
         if file is None:
             file = self._real[code.co_filename] = str(Path(code.co_filename).resolve())

@@ -55,7 +55,7 @@ AT_THE_START = frozenset({
 def has_own_code(env: Any) -> bool:
     """Return whether an environment has functions, other than those for its start, that are not highway-env's."""
     own = [cls for cls in type(env).__mro__ if cls.__module__.partition(".")[0] not in PACKAGES]
-    return bool(shadowed(env)) or any(set(vars(cls)) - ORDINARY - AT_THE_START for cls in own)
+    return bool(shadowed(env) - AT_THE_START) or any(set(vars(cls)) - ORDINARY - AT_THE_START for cls in own)
 
 
 def why_not(start: Start) -> str:

@@ -278,6 +278,15 @@ def test_environment_reward_works_again_after_vehicle_class_ego():
     assert env.step(1)[1] > 0.1
 
 
+def test_compiled_episode_of_highway_env_is_asked_for_no_reward(monkeypatch):
+    asked = []
+    monkeypatch.setattr(HighwayEnvFast, "_reward", lambda env, action: asked.append(action) or 0.0)
+    driven(FAST, lambda: lambda seen: 1, 0)
+    assert not asked
+    driven(FAST, lambda: lambda seen: 1, 0, may_compile=False)
+    assert asked
+
+
 @pytest.mark.oracle
 def test_environment_restores_class_constants_that_it_sets():
     before = IDMVehicle.DISTANCE_WANTED, MDPVehicle.DEFAULT_TARGET_SPEEDS
