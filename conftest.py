@@ -20,8 +20,8 @@ pytest_plugins = ["pytester"]
 settings.register_profile(
     "project", derandomize=True, deadline=None, max_examples=20, suppress_health_check=[HealthCheck.too_slow]
 )
-settings.register_profile("thorough", settings.get_profile("project"), max_examples=60)
-settings.register_profile("fresh", settings.get_profile("thorough"), derandomize=False)
+settings.register_profile("thorough", settings.get_profile("project"), max_examples=30)
+settings.register_profile("fresh", settings.get_profile("thorough"), derandomize=False, max_examples=60)
 settings.load_profile("project")
 
 # Under nohup, or in the background of a script, all processes that tests start would ignore these signals.

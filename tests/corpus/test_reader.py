@@ -12,6 +12,7 @@ from pytest_pafot.corpus.reader import load, located, parsed
 from pytest_pafot.corpus.writer import text_of
 from pytest_pafot.findings.failure_rate import FailureRate
 from pytest_pafot.findings.finding import Perceived
+from pytest_pafot.findings.neighbours import Breadth
 from pytest_pafot.findings.shrink import Shrunk, SpeedInterval
 from pytest_pafot.model.instructions import ScenarioError
 from pytest_pafot.model.scenario import Scenario
@@ -306,6 +307,12 @@ def test_last_xfail_day_is_read_quoted_or_unquoted(path, day):
     finding = load(path)
     assert (finding.xfail, finding.xfail_until) == ("issue 12", date(2027, 1, 31))
     assert finding.accepted == "issue 12, until 2027-01-31"
+
+
+@table("of", [1, 1000])
+def test_neighbours_are_read_up_to_both_limits(path, of):
+    path.write_text(swapped('# xfail: "reason"', f"neighbours: {{failing: {of}, of: {of}}}"))
+    assert load(path).neighbours == Breadth(failing=of, of=of)
 
 
 def test_invalid_xfail_day_error_shows_the_correct_format(path):
