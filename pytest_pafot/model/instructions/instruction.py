@@ -293,8 +293,8 @@ class Instruction(Pasteable, ABC):
 
     @property
     def place(self) -> str:
-        """The start in words, if the instruction says where the NPC starts; reports then show it and each step."""
-        return ""
+        """The start in words, which reports show above the steps; empty for genes of a table, and NPCs that cross."""
+        return self.goal if self.is_alone and not self.crosses else ""
 
     @property
     def steps(self) -> Sequence[Any]:
