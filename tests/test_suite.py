@@ -20,6 +20,7 @@ from tests.test_layers import MODULES, ROOMS
 
 ROOT = Path(__file__).parents[1]
 OF_ONE_NAME = {
+    "crossing": "what an NPC that crosses is told, and how it drives",
     "events": "what a campaign of generations yields, and what a whole search tells",
     "plan": "the scenarios of one search in their order, and the searches of a comparison",
     "run": "a finished run as checks read it, and a run of the world that proceeds",

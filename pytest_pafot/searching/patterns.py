@@ -16,7 +16,7 @@ from typing import NamedTuple
 from numpy.random import Generator
 
 from pytest_pafot.model.grid import Cell
-from pytest_pafot.model.instructions import SPEED_STEPS_PER_MPS, PositionInstruction, known_position
+from pytest_pafot.model.instructions import SPEED_STEPS_PER_MPS, PositionInstruction, known
 
 Bound = tuple[float, float]
 """A limit of a target speed: a share of the ego's first speed, plus an offset [m/s]; from 0 to the speed limit."""
@@ -123,7 +123,8 @@ def _drawn(step: Step, ego_speed: float, bounds: tuple[int, int], rng: Generator
         min(max((share * ego_speed + more) * SPEED_STEPS_PER_MPS, least), most) for share, more in (step.low, step.high)
     )
     speed = int(rng.integers(int(low), int(high) + 1)) / SPEED_STEPS_PER_MPS
-    return known_position(step.cell, speed)
+    gene: PositionInstruction = known(PositionInstruction, step.cell, speed)
+    return gene
 
 
 def _between(first: Cell, last: Cell, rng: Generator) -> list[Cell]:

@@ -21,7 +21,7 @@ from pytest_pafot.model.instructions import (
     Choices,
     Instruction,
     PositionInstruction,
-    known_position,
+    known,
     random_lanes,
     random_manoeuvre,
 )
@@ -331,7 +331,7 @@ def _sample_crossing(space: SearchSpace, crossing: CrossingTraffic, rng: Generat
 def chains_of(cells: Sequence[Sequence[int]], speeds: Sequence[Sequence[int]]) -> list[list[PositionInstruction]]:
     """Return a chain for each NPC from its cells, and from its speeds in steps of 0.1 m/s."""
     return [
-        [known_position(cell, speed / SPEED_STEPS_PER_MPS) for cell, speed in zip(*chain, strict=True)]
+        [known(PositionInstruction, cell, speed / SPEED_STEPS_PER_MPS) for cell, speed in zip(*chain, strict=True)]
         for chain in zip(cells, speeds, strict=True)
     ]
 

@@ -61,10 +61,6 @@ class Drift(Instruction):
         return f"drifts {abs(self.offset):g} m to the {self.side}"
 
     @property
-    def place(self):
-        return "ahead"
-
-    @property
     def steps(self):
         return (Step(after=2.0, offset=self.offset, speed=self.speed),)
 
@@ -148,11 +144,13 @@ def test_run_coverage_and_reports_show_it():
     across = run.trace.states[:, 1, Y]
     assert across[-1] - across[0] == pytest.approx(0.8, abs=0.2)
     assert [each.what for each in run.asked if not each.is_met] == []
-    assert "  NPC 0: ahead, 20.0 m/s\n     2.0 s  2 s later 0.8 m right of the centre" in run.explain()
+    rows = "  NPC 0: drifts 0.8 m to the right, 20.0 m/s\n     2.0 s  2 s later 0.8 m right of the centre"
+    assert rows in run.explain()
     coverage = Coverage.of([Evaluation.of(run.trace, fitness=0.0, failing=False)])
     assert coverage.describe(26.8) == "reached 1/2 sides, 1/6 speed bins; requested 1/2, 1/6"
     views = view_of(run.trace).instructions
-    assert [each.words for each in views] == ["ahead", "2 s later 0.8 m right of the centre, to 20 m/s at 3 m/s^2"]
+    step = "2 s later 0.8 m right of the centre, to 20 m/s at 3 m/s^2"
+    assert [each.words for each in views] == ["drifts 0.8 m to the right", step]
     told = Shrunk(rollouts=3, speeds=(SpeedInterval(npc=0, gene=0, low=19.0, high=20.5),))
     (sentence,) = speed_sentences(plain_finding(scenario=drifting(), shrunk=told))
     assert sentence == "NPC 0 from 0 s drifts 0.8 m to the right: any speed from 19.0 to 20.5 m/s still fails"

@@ -5,83 +5,33 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from pytest_pafot.model.instructions.cell import (
-    PositionInstruction,
-    known_position,
-    random_position,
-)
-from pytest_pafot.model.instructions.crossing import (
-    ACTS,
-    LARGEST_SLOT,
-    SLOT_STEPS_PER_SECOND,
-    SLOTS,
-    Act,
-    CrossingInstruction,
-)
-from pytest_pafot.model.instructions.instruction import (
-    MAX_SPEED,
-    SPEED,
-    SPEED_BIN,
-    SPEED_STEPS_PER_MPS,
-    Choices,
-    Instruction,
-    Key,
-    Nudge,
-    ScenarioError,
-    roughness,
-)
-from pytest_pafot.model.instructions.lane import (
-    LANE_STARTS,
-    SHIFTS,
-    LaneInstruction,
-    Shift,
-    known_lane,
-    random_lanes,
-)
-from pytest_pafot.model.instructions.manoeuvre import (
-    DEFAULT_STEP,
-    MOST_STEPS,
-    Manoeuvre,
-    Step,
-    places,
-    random_manoeuvre,
-)
-
-__all__ = [
-    "ACTS",
-    "DEFAULT_STEP",
-    "KINDS",
-    "LANE_STARTS",
-    "LARGEST_SLOT",
-    "MAX_SPEED",
-    "MOST_STEPS",
-    "SHIFTS",
-    "SLOTS",
-    "SLOT_STEPS_PER_SECOND",
-    "SPEED",
-    "SPEED_BIN",
-    "SPEED_STEPS_PER_MPS",
-    "Act",
-    "Choices",
-    "CrossingInstruction",
-    "Instruction",
-    "Key",
-    "LaneInstruction",
-    "Manoeuvre",
-    "Nudge",
-    "PositionInstruction",
-    "ScenarioError",
-    "Shift",
-    "Step",
-    "instruction_of",
-    "known_lane",
-    "known_position",
-    "places",
-    "random_lanes",
-    "random_manoeuvre",
-    "random_position",
-    "roughness",
-]
+from pytest_pafot.model.instructions.cell import PositionInstruction as PositionInstruction
+from pytest_pafot.model.instructions.cell import random_position as random_position
+from pytest_pafot.model.instructions.crossing import ACTS as ACTS
+from pytest_pafot.model.instructions.crossing import LARGEST_SLOT as LARGEST_SLOT
+from pytest_pafot.model.instructions.crossing import SLOT_STEPS_PER_SECOND as SLOT_STEPS_PER_SECOND
+from pytest_pafot.model.instructions.crossing import SLOTS as SLOTS
+from pytest_pafot.model.instructions.crossing import Act as Act
+from pytest_pafot.model.instructions.crossing import CrossingInstruction as CrossingInstruction
+from pytest_pafot.model.instructions.instruction import MAX_SPEED as MAX_SPEED
+from pytest_pafot.model.instructions.instruction import SPEED as SPEED
+from pytest_pafot.model.instructions.instruction import SPEED_BIN as SPEED_BIN
+from pytest_pafot.model.instructions.instruction import SPEED_STEPS_PER_MPS as SPEED_STEPS_PER_MPS
+from pytest_pafot.model.instructions.instruction import Choices as Choices
+from pytest_pafot.model.instructions.instruction import Instruction as Instruction
+from pytest_pafot.model.instructions.instruction import Key as Key
+from pytest_pafot.model.instructions.instruction import Nudge as Nudge
+from pytest_pafot.model.instructions.instruction import ScenarioError as ScenarioError
+from pytest_pafot.model.instructions.instruction import known as known
+from pytest_pafot.model.instructions.instruction import roughness as roughness
+from pytest_pafot.model.instructions.lane import LANE_STARTS as LANE_STARTS
+from pytest_pafot.model.instructions.lane import SHIFTS as SHIFTS
+from pytest_pafot.model.instructions.lane import LaneInstruction as LaneInstruction
+from pytest_pafot.model.instructions.lane import random_lanes as random_lanes
+from pytest_pafot.model.instructions.manoeuvre import MOST_STEPS as MOST_STEPS
+from pytest_pafot.model.instructions.manoeuvre import Manoeuvre as Manoeuvre
+from pytest_pafot.model.instructions.manoeuvre import Step as Step
+from pytest_pafot.model.instructions.manoeuvre import random_manoeuvre as random_manoeuvre
 
 KINDS: list[type[Instruction]] = [PositionInstruction, LaneInstruction, CrossingInstruction, Manoeuvre]
 """All kinds. A plain form is read by the last of them that has it."""

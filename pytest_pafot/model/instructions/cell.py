@@ -20,6 +20,7 @@ from pytest_pafot.model.instructions.instruction import (
     Space,
     TimedInstruction,
     checked_speed,
+    known,
 )
 from pytest_pafot.support.errors import plain_whole
 
@@ -61,10 +62,6 @@ class PositionInstruction(TimedInstruction):
         object.__setattr__(self, "speed", checked_speed(self.speed))
         self._prepare(int(self.cell), int(self.cell))
 
-    def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle as a cached constructor call, because runs travel between processes with dozens of equal genes."""
-        return known_position, (self.target, self.speed)
-
     @property
     def goal(self) -> str:
         """The target in words: ``2 front``."""
@@ -75,19 +72,10 @@ class PositionInstruction(TimedInstruction):
         """Return True, because every form that no other kind has is read as a cell and a speed."""
         return True
 
-    @classmethod
-    def read(cls, plain: Sequence[Any]) -> PositionInstruction:
-        """Return the instruction with a cell and a speed."""
-        return known_position(*plain)
-
     @property
     def remark(self) -> str:
         """The name of the cell."""
         return self.cell.label
-
-    def aimed(self, target: Any) -> PositionInstruction:
-        """Return the instruction for another cell."""
-        return known_position(target, self.speed)
 
     def is_drawn_in(self, space: Space) -> bool:
         """Return whether a search in a space has NPCs on the grid."""
@@ -128,16 +116,11 @@ class PositionInstruction(TimedInstruction):
         return {"requested": int(requested.cell), "cell": int(self.cell)}
 
 
-@lru_cache(maxsize=1 << 14, typed=True)
-def known_position(cell: Any, speed: Any) -> PositionInstruction:
-    """Return the instruction from a cache, because a search needs few of them many times."""
-    return PositionInstruction(cell, speed)
-
-
 def random_position(choices: Choices, rng: Generator) -> PositionInstruction:
     """Sample a Position-Instruction, uniform over the eight cells and the speeds up to the limit."""
     cell = int(rng.integers(1, 9))
-    return known_position(cell, choices.any_speed(rng))
+    gene: PositionInstruction = known(PositionInstruction, cell, choices.any_speed(rng))
+    return gene
 
 
 @lru_cache(maxsize=1 << 14)

@@ -12,6 +12,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from dataclasses import MISSING, Field, dataclass, fields, replace
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Protocol, Self, cast
 
 from pytest_pafot.model.grid import Cell
@@ -292,8 +293,8 @@ class Instruction(Pasteable, ABC):
 
     @property
     def place(self) -> str:
-        """The start in words, if the instruction says where the NPC starts; reports then show it and each step."""
-        return ""
+        """The start in words, which reports show above the steps; empty for genes of a table, and NPCs that cross."""
+        return self.goal if self.is_alone and not self.crosses else ""
 
     @property
     def steps(self) -> Sequence[Any]:
@@ -354,9 +355,28 @@ class TimedInstruction(Instruction):
         object.__setattr__(self, "code", CODES_PER_TARGET * number + self.speed)
         object.__setattr__(self, "text", encoded(self.plain()))
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle as a cached constructor call, because runs travel between processes with dozens of equal genes."""
+        return known, (type(self), self.target, self.speed)
+
     def plain(self) -> list[Any]:
         """Return the target and the speed."""
         return [self.target, self.speed]
+
+    @classmethod
+    def read(cls, plain: Sequence[Any]) -> Self:
+        """Return the instruction with a target and a speed."""
+        return cast("Self", known(cls, *plain))
+
+    def aimed(self, target: Any) -> Self:
+        """Return the instruction with another target."""
+        return cast("Self", known(type(self), target, self.speed))
+
+
+@lru_cache(maxsize=1 << 15, typed=True)
+def known(kind: Callable[[Any, Any], TimedInstruction], target: Any, speed: Any) -> Any:
+    """Return an instruction from a cache, because a search needs few of them many times."""
+    return kind(target, speed)
 
 
 def _fields(kind: Any) -> tuple[Field[Any], ...]:

@@ -21,6 +21,7 @@ from pytest_pafot.model.instructions.instruction import (
     Space,
     TimedInstruction,
     checked_speed,
+    known,
 )
 
 if TYPE_CHECKING:
@@ -64,10 +65,6 @@ class LaneInstruction(TimedInstruction):
         object.__setattr__(self, "speed", checked_speed(self.speed))
         self._prepare(self.lane, 9 + SHIFTS.index(self.lane))
 
-    def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle as a cached constructor call, because runs travel between processes with dozens of equal genes."""
-        return known_lane, (self.target, self.speed)
-
     @property
     def column(self) -> int:
         """The target lane as a number of lanes to the right of the NPC's own lane: -1, 0 or +1."""
@@ -82,15 +79,6 @@ class LaneInstruction(TimedInstruction):
     def reads(cls, first: Any, others: Sequence[Any]) -> bool:
         """Return whether the first value is a word."""
         return isinstance(first, str)
-
-    @classmethod
-    def read(cls, plain: Sequence[Any]) -> LaneInstruction:
-        """Return the instruction with a lane and a speed."""
-        return known_lane(*plain)
-
-    def aimed(self, target: Any) -> LaneInstruction:
-        """Return the instruction for another lane."""
-        return known_lane(target, self.speed)
 
     @property
     def afterwards(self) -> LaneInstruction:
@@ -166,18 +154,15 @@ class LaneInstruction(TimedInstruction):
         return {"lane": self.lane, "words": words}
 
 
-@lru_cache(maxsize=1 << 14, typed=True)
-def known_lane(lane: Any, speed: Any) -> LaneInstruction:
-    """Return the instruction from a cache, because a search needs few of them many times."""
-    return LaneInstruction(lane, speed)
-
-
 def random_lanes(choices: Choices, npcs: int, genes: int, rng: Generator) -> list[list[LaneInstruction]]:
     """Sample chains of Lane-Instructions, uniform over keep, left and right, and the speeds up to the limit."""
     shifts = rng.integers(len(SHIFTS), size=(npcs, genes)).tolist()
     speeds = rng.integers(choices.low, choices.top + 1, size=(npcs, genes)).tolist()
     return [
-        [known_lane(SHIFTS[shift], speed / SPEED_STEPS_PER_MPS) for shift, speed in zip(*chain, strict=True)]
+        [
+            known(LaneInstruction, SHIFTS[shift], speed / SPEED_STEPS_PER_MPS)
+            for shift, speed in zip(*chain, strict=True)
+        ]
         for chain in zip(shifts, speeds, strict=True)
     ]
 
