@@ -1,0 +1,436 @@
+"""Recorded tracks as values, in the coordinates of a trace, and the scenario whose NPCs drive as they do."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pytest_pafot import Highway, Manoeuvre, Scenario, Step, Trace
+from pytest_pafot.extending import ACCELERATION, HEADING, SPEED, FloatArray, Lane, RequestError, X, Y
+from pytest_pafot.support.errors import FieldError, sentence
+from pytest_pafot.support.text import meant
+
+LONGEST_GAP = 1.0
+"""The longest time for which a vehicle that was not seen is taken to have driven on evenly [s]."""
+STANDING = 0.5
+"""The speed below which a direction that was computed from movements is noise [m/s]."""
+LANE_WIDTH, WIDTH = 3.5, 4.0
+"""The width of the lanes of a recording that has none, and of those in which a scenario is driven [m]."""
+
+
+class RecordingError(FieldError):
+    """Error for a file that cannot be read as a recording, with the line (from 1) if it is known."""
+
+    def __init__(
+        self, path: Path, expected: str, received: str, fix: str, *, field: str = "", line: int | None = None
+    ) -> None:
+        place = f"{path}" if line is None else f"{path}:{line}"
+        text = f"{place}: {sentence(field, expected, received, fix)}"
+        super().__init__(text, field=field, expected=expected, received=received, fix=fix)
+        self.path, self.line = path, line
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class RecordedVehicle:
+    """One vehicle of a recording, from when it was first seen until it was last seen.
+
+    Attributes:
+        name: its name or number in the data. If it was not seen for more than a second, what came later is another
+            vehicle, with ``/2`` after its name.
+        kind: its class in the words of the data, such as ``car`` or ``truck``; empty if they do not say.
+        length, width: its size [m].
+        times: float64, read-only, shape [rows]: the times at which it was seen, on the clock of the data [s].
+        states: float64, read-only, shape [rows, 4], with the first columns of ``Trace.states``: x and y of its centre
+            [m], heading [rad], speed [m/s].
+    """
+
+    name: str
+    kind: str
+    length: float
+    width: float
+    times: FloatArray
+    states: FloatArray
+
+    def __post_init__(self) -> None:
+        for name in ("times", "states"):
+            array = np.array(getattr(self, name), dtype=np.float64)
+            array.flags.writeable = False
+            object.__setattr__(self, name, array)
+
+    def at(self, times: FloatArray | float) -> FloatArray:
+        """Return its states at some times, between rows by straight lines; shape [times, 4], NaN if it was not seen.
+
+        A heading turns the shorter way.
+        """
+        columns = [*self.states.T]
+        columns[HEADING] = np.unwrap(columns[HEADING])
+        asked = np.atleast_1d(times)
+        found = [np.interp(asked, self.times, column, left=math.nan, right=math.nan) for column in columns]
+        return np.stack(found, axis=-1)
+
+    def __repr__(self) -> str:
+        seen = f"{self.times[0]:g} to {self.times[-1]:g} s"
+        return f"<RecordedVehicle {self.name}: {self.kind or 'of unknown class'}, {seen}>"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Recording:
+    """Tracks of vehicles, in the coordinates of a trace: y and headings grow to the right.
+
+    :func:`pytest_pafot.recorded` reads one. Nothing drives along its tracks yet: :meth:`scenario` makes manoeuvres of
+    them, and the arrays can be plotted and measured.
+
+    Attributes:
+        vehicles: all vehicles, in the order of the data. Each has rows only for the time in which it was seen.
+        rate: rows per second of the data [1/s]. Of a vehicle that was not seen for up to a second, the missing rows
+            are on straight lines between its others.
+        lanes: the lanes that the data have, those in the direction of x first, from the left; empty if they have none.
+            A lane whose speed limit is not known has an infinite one.
+        ego: the name of the vehicle in whose place a policy drives; None if nobody has said.
+        source: the file, for messages.
+        notes: what was left out or estimated, in sentences.
+    """
+
+    vehicles: tuple[RecordedVehicle, ...]
+    rate: float
+    lanes: tuple[Lane, ...] = ()
+    ego: str | None = None
+    source: str = ""
+    notes: tuple[str, ...] = ()
+
+    def vehicle(self, name: object) -> RecordedVehicle:
+        """Return the vehicle with a name.
+
+        Raises:
+            RequestError: if there is none.
+        """
+        names = [vehicle.name for vehicle in self.vehicles]
+        if str(name) not in names:
+            some = ", ".join(names[:10]) + (f" and {len(names) - 10} more" if len(names) > 10 else "")
+            raise RequestError(
+                f"{self.source}: expected one of the vehicles {some}, received {name!r:.60}{meant(str(name), names)}"
+            )
+        return self.vehicles[names.index(str(name))]
+
+    def resampled(self, rate: float) -> Recording:
+        """Return the recording with ``rate`` rows per second, all at multiples of its inverse, on straight lines."""
+        vehicles = []
+        for vehicle in self.vehicles:
+            first, last = math.ceil(vehicle.times[0] * rate - 1e-6), math.floor(vehicle.times[-1] * rate + 1e-6)
+            if last >= first:
+                times = np.clip(np.arange(first, last + 1) / rate, vehicle.times[0], vehicle.times[-1])
+                vehicles.append(replace(vehicle, times=times, states=vehicle.at(times)))
+        return replace(self, vehicles=tuple(vehicles), rate=rate)
+
+    def seen_from(self, name: object) -> Recording:
+        """Return the recording with a vehicle as its ego, turned so that the road is along x in its direction.
+
+        The direction is that of the straight lane nearest to its first place, or else its own first one.
+        """
+        ego = self.vehicle(name)
+        x, y, heading, _ = ego.states[0].tolist()
+        along = [lane for lane in self.lanes if not lane.points and math.cos(lane.heading - heading) > 0]
+        if along:
+            heading = min(along, key=lambda each: abs(_aside(each, x, y))).heading
+        cos, sin = math.cos(heading), math.sin(heading)
+
+        def turned(places: FloatArray) -> FloatArray:
+            return np.stack([places @ (cos, sin), places @ (-sin, cos)], axis=-1)
+
+        def of_lane(lane: Lane) -> Lane:
+            (start,), points = turned(np.array([[lane.x, lane.y]])), turned(np.array(lane.points or [(0.0, 0.0)]))
+            angle = math.remainder(lane.heading - heading, math.tau)
+            line = tuple((x, y) for x, y in points.tolist()) if lane.points else ()
+            return replace(lane, x=float(start[0]), y=float(start[1]), heading=angle, points=line)
+
+        if heading == 0.0:
+            return replace(self, ego=ego.name)
+        vehicles = []
+        for vehicle in self.vehicles:
+            angles = (vehicle.states[:, [HEADING]] - heading + math.pi) % math.tau - math.pi
+            states = np.hstack([turned(vehicle.states[:, [X, Y]]), angles, vehicle.states[:, [SPEED]]])
+            vehicles.append(replace(vehicle, states=states))
+        lanes = sorted(map(of_lane, self.lanes), key=lambda lane: (math.cos(lane.heading) < 0, lane.y))
+        return replace(self, vehicles=tuple(vehicles), lanes=tuple(lanes), ego=ego.name)
+
+    def scenario(self, ego: object = None, at: float | None = None, seconds: float = 20.0) -> Scenario:
+        """Return a scenario that starts as the recording is at a time, and whose NPCs then drive as recorded.
+
+        The NPCs are the eight vehicles nearest to the ego that drive in its direction at that time. Each has a
+        manoeuvre: its place relative to the ego, and steps by time, of speeds and changes of lanes, which follow its
+        track whatever the policy does. They all are 5 m long, with the gaps of the recording between bumpers, and in
+        the middle of lanes of 4 m. A vehicle that comes later is not in the scenario. One that leaves the recording
+        keeps its lane and speed.
+
+        Args:
+            ego: the vehicle in whose place the policy drives; the recording's ego by default.
+            at: the time of the start on the clock of the data [s]; when the ego is first seen by default.
+            seconds: how long the NPCs follow their tracks [s].
+
+        Raises:
+            RequestError: if nothing drives near the ego at that time, or the road is not straight.
+        """
+        if ego is None and self.ego is None:
+            raise RequestError(f"{self.source}: expected a vehicle in whose place the policy drives; give it as ego=")
+        seen = self if ego is None else self.seen_from(ego)
+        own = seen.vehicle(seen.ego)
+        start = float(own.times[0] if at is None else at)
+        if not own.times[0] <= start <= own.times[-1] or not 0.0 < seconds <= LONGEST:
+            raise RequestError(
+                f"{self.source}: expected a time at which {own.name} was seen, from {own.times[0]:g} to "
+                f"{own.times[-1]:g} s, and at most {LONGEST:g} s, received at={start:g} and seconds={seconds:g}"
+            )
+        here = own.at(start)[0]
+        bent = np.abs(own.at(own.times[(own.times >= start) & (own.times <= start + seconds)])[:, HEADING])
+        if max(bent.max(initial=0.0), abs(here[HEADING])) > STRAIGHT:
+            raise RequestError(
+                f"{self.source}: expected an ego that drives along a straight road from {start:g} s on, received "
+                f"{own.name}, which turns by {math.degrees(bent.max(initial=0.0)):.0f} degrees; start at another time"
+            )
+        columns = _Columns(seen.lanes, float(here[Y]))
+        npcs: list[tuple[float, int, RecordedVehicle]] = []
+        for other in seen.vehicles:
+            state = other.at(start)[0]
+            if other is not own and abs(state[HEADING]) < STRAIGHT and abs(state[X] - here[X]) < FARTHEST:  # else NaN
+                npcs.append((abs(state[X] - here[X]), len(npcs), other))
+        if not npcs:
+            raise RequestError(
+                f"{self.source}: expected vehicles within {FARTHEST:g} m of {own.name} that drive in its direction at "
+                f"{start:g} s, received none; start at another time"
+            )
+        nearest = [other for *_, other in sorted(npcs)[:MOST_NPCS]]
+        lane, least = columns.of(here[Y]), 0
+        manoeuvres = []
+        for other in nearest:
+            first = other.at(start)[0]
+            room = (own.length + other.length) / 2
+            manoeuvre = Manoeuvre(
+                beside=columns.of(first[Y]) - lane,
+                ahead=_ahead(first[X] - here[X], room, columns.of(first[Y]) == lane),
+                speed=round(min(first[SPEED], FASTEST), 1),
+            )
+            manoeuvres.append(replace(manoeuvre, steps=_followed(other, start, seconds, columns)))
+            reached = np.cumsum([manoeuvre.beside, *(step.column for step in manoeuvres[-1].steps)])
+            least = min(least, int(reached.min()))
+        first_lane = lane if columns.are_known else max(1, -least)
+        return Scenario(npcs=tuple((each,) for each in manoeuvres), ego_lane=first_lane, ego_speed=float(here[SPEED]))
+
+    def __repr__(self) -> str:
+        ego = "" if self.ego is None else f", ego {self.ego}"
+        return f"<Recording {self.source}: {len(self.vehicles)} vehicles{ego}, {self.rate:g} rows a second>"
+
+
+# How a track becomes the steps of a manoeuvre.
+
+LONGEST, MOST_NPCS, MOST_STEPS, FARTHEST = 120.0, 8, 16, 200.0
+"""The longest manoeuvre [s], the most NPCs and steps that a scenario can have, and how far from the ego an NPC starts
+[m]."""
+STRAIGHT = 0.4
+"""The largest heading of a vehicle that drives along the road [rad]."""
+FASTEST = 36.3
+"""The highest speed of an NPC [m/s]: the highest limit that a highway can have."""
+SHORTEST, LEAST_CHANGE = 1.0, 0.15
+"""The shortest time for a change of speed [s], and the smallest change [m/s]."""
+NEAR = 0.25
+"""The distance to the track within which a change of speed is not worth a step [m]."""
+FAR = (0.25, 0.5, 1.0, 2.0)
+"""The distances from the track that steps may have; the one is taken with which the whole stays nearest [m]."""
+SPANS = (1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0)
+"""The durations of a step that are tried [s]."""
+RATES = (0.3, 0.5, 0.8, 1.2, 1.6, 2.0, 2.5, 3.0, 4.0, 5.0, 6.5, 8.0)
+"""The accelerations that are tried [m/s^2]."""
+JERK, MOST_ACCELERATION, MOST_BRAKING, TICKS = 10.0, 5.0, 8.0, 15
+"""What an NPC can do [m/s^3, m/s^2, m/s^2], and its ticks per second."""
+LEFT_LANE, SETTLED = 0.6, 0.12
+"""The share of a lane after which a vehicle has left it, and within which it still, or again, keeps to its middle."""
+ONSET = 0.16
+"""The time in which an NPC turns before it drives aside at its lateral speed, as measured [s]."""
+PACE, AHEAD = 10, 100.0
+"""The number of places per second at which a track is followed; how far from a standing ego the attempts are driven."""
+
+
+class _Columns:
+    """The lanes in the direction of x as columns from 0 at the left; between two middles, a share of a lane."""
+
+    def __init__(self, lanes: Sequence[Lane], y: float) -> None:
+        middles = sorted((lane.y, lane.width) for lane in lanes if not lane.points and math.cos(lane.heading) > 0.9)
+        self.are_known = bool(middles)
+        middles = [each for n, each in enumerate(middles) if not n or each[0] > middles[n - 1][0] + each[1] / 2]
+        middles = middles or [(y, LANE_WIDTH)]
+        (left, wide), (right, broad) = middles[0], middles[-1]
+        self._places = np.array([left - 20 * wide, *(place for place, _ in middles), right + 20 * broad])
+        self._columns = np.array([-20.0, *range(len(middles)), len(middles) + 19.0])
+
+    def shares(self, y: FloatArray) -> FloatArray:
+        found: FloatArray = np.interp(y, self._places, self._columns)
+        return found
+
+    def of(self, y: float) -> int:
+        return round(float(self.shares(np.array([y]))[0]))
+
+
+def _aside(lane: Lane, x: float, y: float) -> float:
+    return (y - lane.y) * math.cos(lane.heading) - (x - lane.x) * math.sin(lane.heading)
+
+
+def _ahead(distance: float, room: float, is_in_lane: bool) -> float:
+    """Return the distance between bumpers [m] for one between centres; a manoeuvre cannot start with an overlap."""
+    gap = max(round(abs(distance) - room, 1), 0.5 if is_in_lane else 0.1)
+    return 0.0 if not is_in_lane and abs(distance) < room / 2 else math.copysign(gap, distance)
+
+
+def _changes(shares: FloatArray) -> Iterator[tuple[float, int, float]]:
+    """Yield each change of lanes: its beginning [s], to which side, and the lateral speed in lanes of 4 m [m/s]."""
+    lane, before = round(float(shares[0])), 0
+    for row, share in enumerate(shares.tolist()):
+        if abs(share - lane) <= LEFT_LANE:
+            continue
+        side = 1 if share > lane else -1
+        away = side * (shares[before : row + 1] - lane)
+        crossed = int(np.flatnonzero(away < 0.5)[-1:].sum())
+        kept = np.flatnonzero(away[: crossed + 1] <= max(SETTLED, float(away.min())))
+        half = (crossed - (int(kept[-1]) if len(kept) else 0)) / PACE
+        lateral = round(min(max(2.0 / max(half - ONSET, 0.1), 0.4), 3.0), 1)
+        yield max((before + crossed) / PACE - ONSET - 2.0 / lateral, 0.0), side, lateral
+        lane, before = lane + side, before + crossed
+
+
+def _followed(vehicle: RecordedVehicle, start: float, seconds: float, columns: _Columns) -> tuple[Step, ...]:
+    """Return the steps that follow a track for some time, as near as they can within the steps of a manoeuvre."""
+    end = min(seconds, float(vehicle.times[-1]) - start)
+    states = vehicle.at(start + np.arange(math.floor(end * PACE + 1e-6) + 1) / PACE)
+    shares = columns.shares(states[:, Y])
+    tried = [_stepped(states, shares, far) for far in FAR]
+    return min(tried, key=lambda each: each[0])[1]
+
+
+def _stepped(states: FloatArray, shares: FloatArray, far: float) -> tuple[float, tuple[Step, ...]]:
+    """Return steps that stay near the places of a track, and how far they lead from it [m].
+
+    Each step is chosen from where the steps before it really lead: they are driven. It is the longest one that stays
+    within ``far`` of the track [m], or else the shortest.
+    """
+    times, wanted = np.arange(len(states)) / PACE, states[:, X] - states[0, X]
+    steps: list[Step] = []
+    changes = [*_changes(shares)]
+    left, skipped = [*changes], 0.0
+    trace = _driven(states[0, SPEED], steps, changes, times[-1])
+    while len(steps) < MOST_STEPS:
+        arrived = trace.arrivals[0][0] if steps else 0
+        if arrived is None:
+            break
+        ended = arrived / trace.physics_hz
+        due = left[0][0] if left else times[-1]
+        begin = _leaves(trace, max(ended, skipped), times, wanted, due)
+        side, lateral = 0, 1.5
+        if begin is None or begin > due - SHORTEST / 2:
+            if not left:
+                break
+            begin, side, lateral = left.pop(0)
+        after = max(math.ceil((begin - ended) * 10 - 1e-6) / 10, 0.0)
+        tick = min(arrived + round(after * trace.physics_hz), trace.ticks)
+        begin = tick / trace.physics_hz
+        spans = [begin + 0.3 + 4.0 / lateral] if side else [begin + each for each in SPANS if begin + each < due]
+        spans = [min(each, times[-1]) for each in spans] or [due]
+        lane: Any = {0: "keep", 1: "right", -1: "left"}[side]
+        step = Step(after=after, lane=lane, lateral_speed=lateral)
+        ahead = (times > begin) & (times <= spans[-1])
+        if ahead.any():
+            own = trace.states[tick, 1] - trace.states[0, 1] * (np.arange(7) == X)
+            speed, acceleration = _speed(own, begin, times[ahead], states[ahead], wanted[ahead], spans, far)
+            if abs(speed - own[SPEED]) < LEAST_CHANGE and not side:
+                skipped = begin + SHORTEST
+                continue
+            step = replace(step, speed=speed, acceleration=acceleration)
+        steps.append(step)
+        trace = _driven(states[0, SPEED], steps, changes, times[-1])
+    along, across = (
+        np.interp(times, trace.times, trace.states[:, 1, each] - trace.states[0, 1, each]) for each in (X, Y)
+    )
+    missed = np.hypot(along - wanted, across - WIDTH * (shares - round(float(shares[0]))))
+    return float(missed.max()), tuple(steps)
+
+
+def _leaves(trace: Trace, now: float, times: FloatArray, wanted: FloatArray, until: float) -> float | None:
+    """Return when a vehicle that keeps its speed from a time on is no more near the track; None if it stays near."""
+    tick = min(round(now * trace.physics_hz), trace.ticks)
+    span = (times >= now) & (times <= until)
+    places = trace.states[tick, 1, X] - trace.states[0, 1, X] + trace.states[tick, 1, SPEED] * (times[span] - now)
+    away = np.flatnonzero(np.abs(places - wanted[span]) > NEAR)
+    return float(times[span][max(away[0] - 5, 0)]) if len(away) else None
+
+
+def _driven(speed: float, steps: Iterable[Step], changes: Sequence[tuple[float, int, float]], seconds: float) -> Trace:
+    """Drive a vehicle with some steps far from a standing ego, on which steps by time do not depend."""
+    reached = np.cumsum([0, *(side for _, side, _ in changes)])
+    lanes = int(reached.max() - reached.min()) + 1
+    manoeuvre = Manoeuvre(beside=0, ahead=AHEAD, speed=round(min(speed, FASTEST), 1), steps=tuple(steps))
+    scenario = Scenario(npcs=((manoeuvre,),), ego_lane=-int(reached.min()), ego_speed=0.0)
+    world = Highway(lanes=min(max(lanes, 3), 6), speed_limit=FASTEST, duration=max(seconds, 1.0))
+    return world.rollout(scenario, lambda: lambda seen: (0.0, 0.0))
+
+
+def _speed(
+    own: FloatArray,
+    begin: float,
+    times: FloatArray,
+    states: FloatArray,
+    wanted: FloatArray,
+    spans: Sequence[float],
+    far: float,
+) -> tuple[float, float]:
+    """Return the speed of a step and the acceleration towards it: those that come nearest to places in time.
+
+    Of several ends of the step [s], the last one counts up to which they are within ``far`` of the track, or nearest.
+    """
+    times = times - begin
+    low, high = states[:, SPEED].min() - 2.0, states[:, SPEED].max() + 2.0
+    speeds = np.unique(np.round(np.clip(np.linspace(low, high, 20), 0.0, FASTEST), 1))
+    targets, rates = (each.ravel() for each in np.meshgrid(speeds, RATES))
+    places, reached, done = _predicted(own, targets, rates, times)
+    missed = places + own[X] - wanted[:, None]
+    best, least = 0, math.inf
+    for end in spans:
+        count = max(int((times <= end - begin + 1e-6).sum()), 1)
+        error = (missed[:count] ** 2).mean(axis=0) + missed[count - 1] ** 2
+        error += (reached[count - 1] - states[count - 1, SPEED]) ** 2 + 1e3 * (done > times[count - 1] + 0.2)
+        chosen = int(error.argmin())
+        off = max(float(np.abs(missed[count // 2 : count, chosen]).max()), far)  # at first it may still come nearer
+        if off <= least:
+            best, least = chosen, off
+    return float(targets[best]), float(rates[best])
+
+
+def _predicted(
+    own: FloatArray, targets: FloatArray, rates: FloatArray, times: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return how far NPCs drive and how fast, shape [times, targets], and when they are at their speed, as they do it.
+
+    It is the law by which an NPC changes its speed, for many speeds at once.
+    """
+    place, speed, asked = (
+        np.zeros(len(targets)),
+        np.full(len(targets), own[SPEED]),
+        np.full(len(targets), own[ACCELERATION]),
+    )
+    done, dt = np.full(len(targets), math.inf), 1 / TICKS
+    places, reached = [], []
+    for tick in range(math.ceil(times[-1] * TICKS) + 1):
+        places.append(place)
+        reached.append(speed)
+        missing = targets - speed
+        done = np.where((np.abs(missing) <= 0.2) & np.isinf(done), tick * dt, done)
+        soft = np.minimum(np.sqrt(1.6 * JERK * np.abs(missing)), 5.0 * np.abs(missing))
+        wanted = np.sign(missing) * np.where(targets > 0, np.minimum(rates, soft), rates)
+        asked = np.clip(
+            wanted, np.maximum(asked - JERK * dt, -MOST_BRAKING), np.minimum(asked + JERK * dt, MOST_ACCELERATION)
+        )
+        place, speed = place + speed * dt, np.maximum(speed + asked * dt, 0.0)
+    at = np.arange(len(places)) / TICKS
+    nearest = np.clip(np.searchsorted(at, times), 0, len(at) - 1)
+    return np.array(places)[nearest], np.array(reached)[nearest], done
