@@ -264,7 +264,7 @@ class _Reader:
     # Places
 
     def _position(self, position: Element) -> _Place:
-        (given,) = position.children or [position]
+        given = position.only()
         turned = given.find("Orientation")
         angle = 0.0 if turned is None else math.remainder(turned.number("h", 0.0), math.tau)
         number, wide = given.number, self.options.lane_width
@@ -399,7 +399,7 @@ class _Reader:
             raise condition.error("a condition that begins to hold", "falling", "turn its rule", "conditionEdge")
         value = condition.find("ByValueCondition")
         if value is not None:
-            (inner,) = value.children
+            inner = value.only()
             if inner.tag == "SimulationTimeCondition":
                 if inner.values.get("rule") == "lessThan":
                     raise inner.error("greaterThan or greaterOrEqual", "lessThan", "turn the rule", "rule")
@@ -408,7 +408,7 @@ class _Reader:
                 return self._state(condition, inner, event, npc, delay)
             raise _refused(inner)
         entities = condition.get("ByEntityCondition")
-        (inner,) = entities.get("EntityCondition").children
+        inner = entities.get("EntityCondition").only()
         if inner.tag not in ("RelativeDistanceCondition", "TimeHeadwayCondition"):
             raise _refused(inner)
         triggering = [each.values.get("entityRef", "") for each in entities.all("TriggeringEntities/EntityRef")]
@@ -479,19 +479,16 @@ class _Reader:
             raise self.root.get("Entities").error("vehicles beside the ego", "none", "add one")
         waiting = [*events]
         while waiting:
-            ready = []
-            for number, event in enumerate(waiting):
+            ready = {}
+            for event in waiting:
                 begins = self._begins(event, npcs[event.actor], ego)
                 if begins is not None:
-                    times = [each.time for each in begins if each.time is not None]
-                    known = max(times) if len(times) == len(begins) else math.inf
-                    after = 0 if any(each.after is not None for each in begins) else 1
-                    ready.append((after, known, number, event, begins))
+                    ready[event] = begins
             if not ready:
                 raise _refused(waiting[0].event, ", which waits for an event that never begins")
-            _, _, number, event, begins = min(ready, key=lambda each: each[:3])
-            del waiting[number]
-            self._perform(npcs[event.actor], event, begins, npcs, ego)
+            event = _next(ready)
+            waiting.remove(event)
+            self._perform(npcs[event.actor], event, ready[event], npcs, ego)
         for act in {id(each.act): each.act for each in events}.values():
             self._check_stop(act)
         least = min(
@@ -534,7 +531,7 @@ class _Reader:
         return 0.0
 
     def _target(self, action: Element, ego: str, ego_speed: float | None) -> float:
-        (given,) = action.get("SpeedActionTarget").children
+        given = action.get("SpeedActionTarget").only()
         if given.tag == "AbsoluteTargetSpeed":
             return given.number("value")
         if given.values.get("entityRef") != ego or ego_speed is None:
@@ -562,10 +559,10 @@ class _Reader:
         else:
             whens = [act, own]
         steps: list[Step] = []
-        for deed in _deeds(given):
-            steps = _merged(steps, self._steps(deed, npc, npcs, ego), deed)
-        steps = steps or [Step()]
         try:
+            for deed in _deeds(given):
+                steps = _merged(steps, self._steps(deed, npc, npcs, ego), deed)
+            steps = steps or [Step()]
             for when in whens[:-1]:
                 self._append(npc, when, [Step()])
             speed = steps[0].speed
@@ -650,7 +647,7 @@ class _Reader:
                 rate = value if dimension == "rate" else change / value
             return [Step(speed=speed, acceleration=min(max(round(rate, 1), 0.1), 20.0))]
         if action.tag == "LaneChangeAction":
-            (target,) = action.get("LaneChangeTarget").children
+            target = action.get("LaneChangeTarget").only()
             other = target.values.get("entityRef")
             if target.tag == "AbsoluteTargetLane":
                 own = self._start(ego, target)
@@ -669,7 +666,7 @@ class _Reader:
             lanes = [Step(lane=lane, lateral_speed=lateral)] * abs(shift)
             return [*lanes[:-1], *(replace(each, offset=offset) for each in lanes[-1:])]
         if action.tag == "LaneOffsetAction":
-            (target,) = action.get("LaneOffsetTarget").children
+            target = action.get("LaneOffsetTarget").only()
             if target.tag != "AbsoluteTargetLaneOffset":
                 raise _refused(target)
             return [Step(offset=-round(target.number("value"), 1))]
@@ -720,6 +717,23 @@ class _Reader:
         return Recording(vehicles=vehicles, rate=rate, ego=ego, source=str(self.root.path), notes=notes)
 
 
+def _next(ready: Mapping[_Event, tuple[_When, _When]]) -> _Event:
+    """Return the event of those that can begin that is first: after another one, at once, or by the order of the file.
+
+    The file's order is also that of an NPC's distances. Up to the first of them, times have their own order.
+    """
+    times = []
+    for event, begins in ready.items():
+        known = [each.time for each in begins if each.time is not None]
+        if any(each.after is not None for each in begins) or (len(known) == len(begins) and max(known) <= AT_ONCE):
+            return event
+        times.append(max(known) if len(known) == len(begins) else math.inf)
+    first, *_ = ready
+    until = next((number for number, time in enumerate(times) if math.isinf(time)), len(times))
+    own = [(time, number) for number, time in enumerate(times[:until])]
+    return [*ready][min(own)[1]] if own else first
+
+
 STATES = {
     "startTransition": "begin", "runningState": "begin",
     "endTransition": "end", "completeState": "end", "stopTransition": "end",
@@ -736,7 +750,7 @@ def _inner(element: Element) -> str:
     """Return what an element is about, for messages: the names within it."""
     names = []
     while len(element.children) == 1:
-        (element,) = element.children
+        element = element.only()
         names.append(element.tag)
     names += [child.tag for child in element.children[:1]] if not names else []
     return f" ({'/'.join(names)})" if names else ""

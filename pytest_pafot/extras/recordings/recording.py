@@ -238,9 +238,10 @@ SHORTEST, LEAST_CHANGE = 1.0, 0.15
 """The shortest time for a change of speed [s], and the smallest change [m/s]."""
 NEAR = 0.25
 """The distance to the track within which a change of speed is not worth a step [m]."""
-FAR = (0.25, 0.5, 1.0, 2.0)
-"""The distances from the track that steps may have; the one is taken with which the whole stays nearest [m]."""
-SPANS = (1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0)
+FAR, GOOD = (0.5, 0.25, 1.0, 2.0), 1.5
+"""The distances from the track that a step may have, tried until the whole stays within the second number [m]. The
+nearest one is taken."""
+SPANS = (1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0)
 """The durations of a step that are tried [s]."""
 RATES = (0.3, 0.5, 0.8, 1.2, 1.6, 2.0, 2.5, 3.0, 4.0, 5.0, 6.5, 8.0)
 """The accelerations that are tried [m/s^2]."""
@@ -305,7 +306,11 @@ def _followed(vehicle: RecordedVehicle, start: float, seconds: float, columns: _
     end = min(seconds, float(vehicle.times[-1]) - start)
     states = vehicle.at(start + np.arange(math.floor(end * PACE + 1e-6) + 1) / PACE)
     shares = columns.shares(states[:, Y])
-    tried = [_stepped(states, shares, far) for far in FAR]
+    tried: list[tuple[float, tuple[Step, ...]]] = []
+    for far in FAR:
+        tried.append(_stepped(states, shares, far))
+        if tried[-1][0] <= GOOD:
+            break
     return min(tried, key=lambda each: each[0])[1]
 
 

@@ -56,6 +56,17 @@ class Element:
             raise self.error(f"{way} in it", f"{within:.100}", "the file may be cut off")
         return found
 
+    def only(self) -> Element:
+        """Return the one element in this one.
+
+        Raises:
+            RecordingError: if there are none or several.
+        """
+        if len(self.children) != 1:
+            within = ", ".join(child.tag for child in self.children) or "nothing"
+            raise self.error("one element in it", f"{within:.100}", "leave one")
+        return self.children[0]
+
     def number(self, name: str, default: float | None = None) -> float:
         """Return a value as a finite number; ``default`` if the value is missing.
 
