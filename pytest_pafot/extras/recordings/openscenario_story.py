@@ -271,11 +271,11 @@ class _Reader:
         match given.tag:
             case "LanePosition":
                 lane, road = number("laneId"), given.values.get("roadId", "")
-                if abs(angle) > 0.4:
-                    raise given.error("a vehicle in the direction of its lane", f"h={angle:g}", "turn it")
-                way = -1 if lane < 0 else 1
-                frame = ("lane", road, "right" if lane < 0 else "left")
-                return _Place(frame, -way * number("s"), way * lane - number("offset", 0.0) / wide)
+                if abs(angle) > 0.4 or lane >= 0:
+                    # Where those with positive numbers lead depends on the road, which is not read.
+                    expected = "a vehicle in the direction of a lane with a negative number"
+                    raise given.error(expected, f"laneId {lane:g} and h={angle:g}", "place it on the other side")
+                return _Place(("lane", road), number("s"), -lane - number("offset", 0.0) / wide)
             case "RoadPosition":
                 return _Place(("road", given.values.get("roadId", "")), number("s"), -number("t") / wide)
             case "WorldPosition":
