@@ -33,6 +33,7 @@ from pytest_pafot.extras.episodes.rate import EpisodeRow
 from pytest_pafot.extras.episodes.rate_command import add_arguments as add_rate_arguments
 from pytest_pafot.extras.export.export_command import add_arguments as add_export_arguments
 from pytest_pafot.extras.revisions.bisect_command import add_arguments as add_bisect_arguments
+from pytest_pafot.extras.recordings.reading import recorded
 from pytest_pafot.extras.sweeps.entries import ENTRIES
 from pytest_pafot.extras.sweeps.map_command import add_arguments as add_map_arguments
 from pytest_pafot.extras.sweeps.maps import Sweep
@@ -210,6 +211,7 @@ def sections() -> dict[str, str]:
         "perception": _fields_table(Perception),
         "torch": _table(["Argument", "Meaning"], _arguments(policies.torch)),
         "program": _table(["Argument", "Meaning"], _arguments(policies.process)),
+        "recorded": _table(["Argument", "Meaning"], _arguments(recorded)),
         "training": _table(["Argument", "Meaning"], _arguments(training_env)),
         "baselines": _table(["Argument", "Meaning"], _arguments(policies.sb3)),
         "weights": _fields_table(Weights),

@@ -653,7 +653,7 @@ class _Reader:
                 own = self._start(ego, target)
                 if own.frame[0] != "lane":
                     raise _refused(target, ", while the ego's place does not name a lane")
-                column = abs(target.number("value")) - own.column
+                column = -target.number("value") - own.column
             elif other != ego and other not in npcs:
                 raise target.error("a vehicle of the file", f"{other!r:.60}", "correct the name", "entityRef")
             else:

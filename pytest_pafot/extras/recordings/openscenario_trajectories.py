@@ -66,7 +66,7 @@ def vertices(deed: Element, start: float) -> FloatArray:
     offset += start if timing.values.get("domainAbsoluteRelative") == "relative" else 0.0
     rows = []
     for vertex in shape.all("Polyline/Vertex"):
-        (place,) = vertex.get("Position").children
+        place = vertex.get("Position").only()
         if place.tag != "WorldPosition":
             raise place.error("WorldPosition in a trajectory", place.tag, "convert it to x, y and h")
         time = vertex.number("time") * scale + offset

@@ -193,10 +193,14 @@ class Recording:
                 f"{own.name}, which turns by {math.degrees(bent.max(initial=0.0)):.0f} degrees; start at another time"
             )
         columns = _Columns(seen.lanes, float(here[Y]))
+        lane, least = columns.of(here[Y]), 0
         npcs: list[tuple[float, int, RecordedVehicle]] = []
         for other in seen.vehicles:
             state = other.at(start)[0]
-            if other is not own and abs(state[HEADING]) < STRAIGHT and abs(state[X] - here[X]) < FARTHEST:  # else NaN
+            if np.isnan(state).any():  # not there at that time
+                continue
+            is_near = abs(state[X] - here[X]) < FARTHEST and abs(columns.of(state[Y]) - lane) <= MOST_BESIDE
+            if other is not own and is_near and abs(state[HEADING]) < STRAIGHT:
                 npcs.append((abs(state[X] - here[X]), len(npcs), other))
         if not npcs:
             raise RequestError(
@@ -204,7 +208,6 @@ class Recording:
                 f"{start:g} s, received none; start at another time"
             )
         nearest = [other for *_, other in sorted(npcs)[:MOST_NPCS]]
-        lane, least = columns.of(here[Y]), 0
         manoeuvres = []
         for other in nearest:
             first = other.at(start)[0]
@@ -212,13 +215,15 @@ class Recording:
             manoeuvre = Manoeuvre(
                 beside=columns.of(first[Y]) - lane,
                 ahead=_ahead(first[X] - here[X], room, columns.of(first[Y]) == lane),
-                speed=round(min(first[SPEED], FASTEST), 1),
+                speed=_first_speed(first),
             )
             manoeuvres.append(replace(manoeuvre, steps=_followed(other, start, seconds, columns)))
             reached = np.cumsum([manoeuvre.beside, *(step.column for step in manoeuvres[-1].steps)])
             least = min(least, int(reached.min()))
         first_lane = lane if columns.are_known else max(1, -least)
-        return Scenario(npcs=tuple((each,) for each in manoeuvres), ego_lane=first_lane, ego_speed=float(here[SPEED]))
+        return Scenario(
+            npcs=tuple((each,) for each in manoeuvres), ego_lane=first_lane, ego_speed=max(float(here[SPEED]), 0.0)
+        )
 
     def __repr__(self) -> str:
         ego = "" if self.ego is None else f", ego {self.ego}"
@@ -227,9 +232,9 @@ class Recording:
 
 # How a track becomes the steps of a manoeuvre.
 
-LONGEST, MOST_NPCS, MOST_STEPS, FARTHEST = 120.0, 8, 16, 200.0
+LONGEST, MOST_NPCS, MOST_STEPS, FARTHEST, MOST_BESIDE = 120.0, 8, 16, 200.0, 8
 """The longest manoeuvre [s], the most NPCs and steps that a scenario can have, and how far from the ego an NPC starts
-[m]."""
+[m, lanes]."""
 STRAIGHT = 0.4
 """The largest heading of a vehicle that drives along the road [rad]."""
 FASTEST = 36.3
@@ -251,6 +256,8 @@ LEFT_LANE, SETTLED = 0.6, 0.12
 """The share of a lane after which a vehicle has left it, and within which it still, or again, keeps to its middle."""
 ONSET = 0.16
 """The time in which an NPC turns before it drives aside at its lateral speed, as measured [s]."""
+MOST_LANES = 6
+"""The most lanes that a highway can have."""
 PACE, AHEAD = 10, 100.0
 """The number of places per second at which a track is followed; how far from a standing ego the attempts are driven."""
 
@@ -305,6 +312,8 @@ def _followed(vehicle: RecordedVehicle, start: float, seconds: float, columns: _
     """Return the steps that follow a track for some time, as near as they can within the steps of a manoeuvre."""
     end = min(seconds, float(vehicle.times[-1]) - start)
     states = vehicle.at(start + np.arange(math.floor(end * PACE + 1e-6) + 1) / PACE)
+    turned = np.abs(states[:, HEADING]) > STRAIGHT
+    states = states[: turned.argmax()] if turned.any() else states  # it leaves the road
     shares = columns.shares(states[:, Y])
     tried: list[tuple[float, tuple[Step, ...]]] = []
     for far in FAR:
@@ -323,8 +332,10 @@ def _stepped(states: FloatArray, shares: FloatArray, far: float) -> tuple[float,
     times, wanted = np.arange(len(states)) / PACE, states[:, X] - states[0, X]
     steps: list[Step] = []
     changes = [*_changes(shares)]
+    while np.ptp(np.cumsum([0, *(side for _, side, _ in changes)])) >= MOST_LANES:
+        changes.pop()
     left, skipped = [*changes], 0.0
-    trace = _driven(states[0, SPEED], steps, changes, times[-1])
+    trace = _driven(states[0], steps, changes, times[-1])
     while len(steps) < MOST_STEPS:
         arrived = trace.arrivals[0][0] if steps else 0
         if arrived is None:
@@ -353,7 +364,7 @@ def _stepped(states: FloatArray, shares: FloatArray, far: float) -> tuple[float,
                 continue
             step = replace(step, speed=speed, acceleration=acceleration)
         steps.append(step)
-        trace = _driven(states[0, SPEED], steps, changes, times[-1])
+        trace = _driven(states[0], steps, changes, times[-1])
     along, across = (
         np.interp(times, trace.times, trace.states[:, 1, each] - trace.states[0, 1, each]) for each in (X, Y)
     )
@@ -370,13 +381,19 @@ def _leaves(trace: Trace, now: float, times: FloatArray, wanted: FloatArray, unt
     return float(times[span][max(away[0] - 5, 0)]) if len(away) else None
 
 
-def _driven(speed: float, steps: Iterable[Step], changes: Sequence[tuple[float, int, float]], seconds: float) -> Trace:
+def _first_speed(state: FloatArray) -> float:
+    return round(min(max(float(state[SPEED]), 0.0), FASTEST), 1)
+
+
+def _driven(
+    first: FloatArray, steps: Iterable[Step], changes: Sequence[tuple[float, int, float]], seconds: float
+) -> Trace:
     """Drive a vehicle with some steps far from a standing ego, on which steps by time do not depend."""
     reached = np.cumsum([0, *(side for _, side, _ in changes)])
     lanes = int(reached.max() - reached.min()) + 1
-    manoeuvre = Manoeuvre(beside=0, ahead=AHEAD, speed=round(min(speed, FASTEST), 1), steps=tuple(steps))
+    manoeuvre = Manoeuvre(beside=0, ahead=AHEAD, speed=_first_speed(first), steps=tuple(steps))
     scenario = Scenario(npcs=((manoeuvre,),), ego_lane=-int(reached.min()), ego_speed=0.0)
-    world = Highway(lanes=min(max(lanes, 3), 6), speed_limit=FASTEST, duration=max(seconds, 1.0))
+    world = Highway(lanes=max(lanes, 3), speed_limit=FASTEST, duration=max(seconds, 1.0))
     return world.rollout(scenario, lambda: lambda seen: (0.0, 0.0))
 
 

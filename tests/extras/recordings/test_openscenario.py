@@ -361,7 +361,7 @@ def test_element_that_does_not_matter_can_be_left_out(read):
     [
         ({"more": '<ScenarioObject name="Ann"><Pedestrian name="Ann"/></ScenarioObject>'}, r"received Pedestrian;"),
         ({"more": '<EntitySelection name="all"/>'}, r"received EntitySelection"),
-        ({"car_place": in_lane(2, 100)}, r"a lane with a negative number, received laneId 2 and h=0; place it on the other"),
+        ({"car_place": in_lane(2, 100)}, r"a lane with a negative number, received laneId 2 and h=0; place it"),
         ({"car_place": in_lane(-2, 100, 1.0)}, r"start in the middle of a lane, received Car -0.29 lanes"),
         ({"car_place": in_lane(-3, 52)}, r"a start level with the ego, or clear of it, received 2.0 m ahead"),
         ({"car_place": in_lane(-2, 900)}, r"from -500 to 500 .*, received ahead 845.5; move it nearer"),

@@ -120,3 +120,17 @@ def test_ego_in_a_bend_is_refused():
         RequestError, match=r"a straight road from 0 s on, received 1, which turns by 46 degrees; start"
     ):
         recording(driven("2", 40.0, [(0, 25.0)]), ego=ego).scenario(1)
+
+
+def test_vehicle_that_turns_off_the_road_drives_on_in_its_lane():
+    other = driven("2", 40.0, [(0, 20.0)], [(0, 1.0), (5, 1.0), (7, 40.0)])
+    states = np.array(other.states)
+    states[50:, 2] = 1.4
+    turning = RecordedVehicle(name="2", kind="car", length=4.5, width=1.8, times=TIMES, states=states)
+    ((npc,),) = recording(turning).scenario(1).npcs
+    assert [step.lane for step in npc.steps if step.lane != "keep"] == []
+
+
+def test_vehicle_that_backs_up_stands():
+    ((npc,),) = recording(driven("2", 40.0, [(0, -1.0)])).scenario(1, seconds=1.0).npcs
+    assert npc.speed == 0.0
