@@ -32,8 +32,8 @@ from pytest_pafot.extras.episodes.progress_command import add_arguments as add_p
 from pytest_pafot.extras.episodes.rate import EpisodeRow
 from pytest_pafot.extras.episodes.rate_command import add_arguments as add_rate_arguments
 from pytest_pafot.extras.export.export_command import add_arguments as add_export_arguments
-from pytest_pafot.extras.revisions.bisect_command import add_arguments as add_bisect_arguments
 from pytest_pafot.extras.recordings.reading import recorded
+from pytest_pafot.extras.revisions.bisect_command import add_arguments as add_bisect_arguments
 from pytest_pafot.extras.sweeps.entries import ENTRIES
 from pytest_pafot.extras.sweeps.map_command import add_arguments as add_map_arguments
 from pytest_pafot.extras.sweeps.maps import Sweep

@@ -70,7 +70,7 @@ def read(root: Element, between: Between, options: Options) -> Recording | Scena
 def _refused(element: Element, what: str = "") -> Exception:
     """Return the error for an element that no manoeuvre can express."""
     if element.tag in WRAPPINGS and element.children:
-        element = element.children[0]
+        element, what = element.children[0], ""
     fix = f"take it out, or say without=[{element.tag!r}] if the scenario is the same without it"
     return element.error(CAN, f"{element.tag}{what}", fix)
 
@@ -126,7 +126,8 @@ class _Npc:
         side: 1 if it is ahead of the ego as far as is known, else -1.
         clock: the time at which its last step ends as far as is known [s]; None after a step by distance.
         began: the time at which its last step began [s]; None if a distance began it.
-        last: the event of the last step.
+        newest: the number of the first step of the last event.
+        last: the last event.
     """
 
     entity: _Entity
@@ -139,6 +140,7 @@ class _Npc:
     clock: float | None = 0.0
     began: float | None = None
     trigger: dict[str, float] = field(default_factory=dict)
+    newest: int = 0
     last: Element | None = None
     steps: list[Step] = field(default_factory=list)
     acts: set[int] = field(default_factory=set)
@@ -443,6 +445,10 @@ class _Reader:
             trigger = {"gap": round(side * metres, 1)}
             holds = abs(npc.gap) < metres if is_less else abs(npc.gap) > metres
         if not npc.steps and npc.clock == 0.0 and holds:
+            if condition.values.get("conditionEdge", "none") != "none":
+                raise condition.error(
+                    "a distance that is not there from the beginning", inner.tag, "write none", "conditionEdge"
+                )
             return _When(condition, time=delay)
         return _When(condition, trigger=trigger, delay=delay)
 
@@ -586,7 +592,7 @@ class _Reader:
         if trigger and trigger == npc.trigger and npc.steps:  # begins with the step before
             if when.delay:
                 raise _refused(when.place, " with a delay after a distance that has begun a step already")
-            npc.steps[-1:] = [*_merged(npc.steps[-1:], [first], when.place), *rest]
+            npc.steps[npc.newest :] = _merged(npc.steps[npc.newest :], steps, when.place)
             return None
         if trigger:
             if when.delay:
@@ -605,7 +611,7 @@ class _Reader:
                 fix = "let it begin at a distance, or after the event before it"
                 raise when.place.error("a time before all distances of the vehicle", f"{time:g} s", fix)
             if npc.steps and npc.began is not None and abs(time - npc.began) < AT_ONCE:
-                npc.steps[-1:] = [*_merged(npc.steps[-1:], [first], when.place), *rest]
+                npc.steps[npc.newest :] = _merged(npc.steps[npc.newest :], steps, when.place)
                 npc.clock = max(npc.clock, npc.began + self._seconds(npc, steps))
                 return npc.began
             if time < npc.clock - AT_ONCE:
@@ -615,7 +621,7 @@ class _Reader:
                 )
             first = replace(first, after=round(max(time - npc.clock, 0.0), 1))
             npc.began = time
-        npc.trigger = trigger
+        npc.trigger, npc.newest = trigger, len(npc.steps)
         npc.steps += [first, *rest]
         if npc.began is not None:
             npc.clock = npc.began + self._seconds(npc, steps)

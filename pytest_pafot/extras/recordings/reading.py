@@ -50,8 +50,9 @@ def recorded(
 
     Of OpenSCENARIO 1.x, speed actions, changes of lanes and lane offsets are read, which begin by simulation time, at
     a distance or headway between the ego and the vehicle, or after another event. What the file has the ego do later
-    is left out, because the policy drives it. Speeds relative to the ego's are relative to its first one. All else is
-    refused with its name and place. Roads are not read: places in lanes say enough, on the right side of the road.
+    is left out, because the policy drives it. Speeds and lanes relative to the ego's are relative to its first ones.
+    All else is refused with its name and place. Roads are not read: lanes with negative numbers are taken to lie side
+    by side on the right side of a straight road.
 
     Args:
         path: the file.

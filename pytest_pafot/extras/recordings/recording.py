@@ -89,8 +89,8 @@ class Recording:
         vehicles: all vehicles, in the order of the data. Each has rows only for the time in which it was seen.
         rate: rows per second of the data [1/s]. Of a vehicle that was not seen for up to a second, the missing rows
             are on straight lines between its others.
-        lanes: the lanes that the data have, those in the direction of x first, from the left; empty if they have none.
-            A lane whose speed limit is not known has an infinite one.
+        lanes: the lanes that the data have; empty if they have none. Once an ego is named, those in its direction come
+            first, from the left. A lane whose speed limit is not known has an infinite one.
         ego: the name of the vehicle in whose place a policy drives; None if nobody has said.
         source: the file, for messages.
         notes: what was left out or estimated, in sentences.

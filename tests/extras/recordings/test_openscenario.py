@@ -282,6 +282,14 @@ def test_change_over_two_lanes_is_two_steps(read):
     )
 
 
+def test_speed_joins_the_first_of_two_lane_changes(read):
+    events = event(to_lane('<AbsoluteTargetLane value="-4"/>', 4), at_gap(20)), event(to_speed(5), at_gap(20))
+    assert steps_of(read(*events)) == (
+        Step(gap=20.0, lane="right", lateral_speed=2.4, speed=5.0, acceleration=2.0),
+        Step(lane="right", lateral_speed=2.4),
+    )
+
+
 def test_ego_has_as_many_lanes_on_its_left_as_are_needed(read):
     scenario = read(
         event(to_lane('<RelativeTargetLane entityRef="Car" value="2"/>'), at_time(1)), car_place=in_lane(-1, 90)
@@ -386,6 +394,7 @@ def test_what_no_scenario_can_express_is_refused_by_its_place(read, parts, messa
     [
         (to_speed(5), at_gap(5, kind="lateral"), r"received RelativeDistanceCondition across the road"),
         (to_speed(5), near('<TimeToCollisionCondition value="2"/>'), r"received TimeToCollisionCondition"),
+        (to_speed(5), at_gap(60).replace("none", "rising"), r"a distance that is not there from the beginning"),
         (to_speed(5), near('<SpeedCondition value="2"/>'), r"EntityCondition/SpeedCondition: "),
         (to_speed(5), after("nobody"), r"ElementStateCondition for the event 'nobody', which is none"),
         (to_speed(5), at_time(1) + at_time(2), r"expected one ConditionGroup, received 2"),
