@@ -9,44 +9,30 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from pytest_pafot import Manoeuvre, Scenario, ScenarioError, Step
 from pytest_pafot.extending import FloatArray
+from pytest_pafot.extras.recordings.openscenario_cast import Cast, Entity, Options, inner_names, refused, removed
 from pytest_pafot.extras.recordings.openscenario_parameters import resolved
 from pytest_pafot.extras.recordings.openscenario_trajectories import followed, vertices
 from pytest_pafot.extras.recordings.recording import Recording
 from pytest_pafot.extras.recordings.tables import Between
-from pytest_pafot.extras.recordings.xml_data import Element, read_xml
+from pytest_pafot.extras.recordings.xml_data import Element
 
 ROOT = "OpenSCENARIO"
-EGO_NAMES = ("ego", "hero", "egovehicle", "ego_vehicle")
-"""The names, in lower case, by which the ego is found if nobody names it."""
 PARTS = ("FileHeader", "ParameterDeclarations", "CatalogLocations", "RoadNetwork", "Entities", "Storyboard", "Catalog")
 """The parts of a file that are read, or like the road network not needed: places in lanes say enough."""
-OF_VEHICLES = ("ParameterDeclarations", "BoundingBox", "Performance", "Axles", "Properties", "TrailerHitch")
 LANE_CHANGED = 4.0
 """The width of the lanes in which NPCs change lanes [m]."""
 SPEEDING_UP, BRAKING = 5.0, 8.0
 """What NPCs can do [m/s^2]."""
 AT_ONCE = 0.11
 """Up to this time a condition holds from the beginning [s]; authors write 0, 0.01 or 0.1."""
-BESIDE_MIDDLE = 0.15
-"""The largest distance from the middle of a lane, as a share of the lane, at which a vehicle is placed there."""
 MOST_OVERLAP = 1.0
 """The largest distance by which a start beside the ego may be moved, because NPCs start level with it or clear [m]."""
-
-
-class Options(NamedTuple):
-    """What a user says of a scenario; see :func:`pytest_pafot.recorded`."""
-
-    ego: str | None
-    vehicles: Sequence[str | Path]
-    without: Sequence[str]
-    lane_width: float
 
 
 def read(root: Element, between: Between, options: Options) -> Recording | Scenario:
@@ -62,57 +48,9 @@ def read(root: Element, between: Between, options: Options) -> Recording | Scena
     header = root.get("FileHeader")
     if header.values.get("revMajor") != "1":
         raise header.error("version 1", header.values.get("revMajor", "none"), "convert the file", "revMajor")
-    _removed(root, frozenset(options.without))
+    removed(root, frozenset(options.without))
     resolved(root, {})
     return _Reader(root, options).read(between)
-
-
-def _refused(element: Element, what: str = "") -> Exception:
-    """Return the error for an element that no manoeuvre can express."""
-    if element.tag in WRAPPINGS and element.children:
-        element, what = element.children[0], ""
-    fix = f"take it out, or say without=[{element.tag!r}] if the scenario is the same without it"
-    return element.error(CAN, f"{element.tag}{what}", fix)
-
-
-CAN = (
-    "what a manoeuvre can do: change speed, lane or offset, at a time or a distance to the ego, or follow a trajectory"
-)
-WRAPPINGS = ("GlobalAction", "PrivateAction", "LongitudinalAction", "LateralAction", "EntityCondition")
-"""The elements that only say of what kind their content is."""
-
-
-def _removed(element: Element, names: frozenset[str]) -> None:
-    """Remove all elements with some names, and what is empty without them."""
-    for child in [*element.children]:
-        had = bool(child.children)
-        _removed(child, names)
-        if child.tag in names or (had and not child.children):
-            element.children.remove(child)
-
-
-# Entities and their places.
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Entity:
-    """A vehicle: its size [m], and how far its centre is ahead of its place, which is that of the rear axle [m]."""
-
-    name: str
-    kind: str
-    length: float
-    width: float
-    centre: float
-    place: Element
-
-
-class _Place(NamedTuple):
-    """A place along a road, or on the plane with its heading; places with other frames cannot be compared."""
-
-    frame: tuple[str, ...]
-    along: float
-    column: float
-    heading: float = 0.0
 
 
 @dataclass(slots=True, kw_only=True)
@@ -130,7 +68,7 @@ class _Npc:
         last: the last event.
     """
 
-    entity: _Entity
+    entity: Entity
     first: Manoeuvre
     column: int
     gap: float
@@ -179,157 +117,18 @@ class _Event(NamedTuple):
 class _Reader:
     def __init__(self, root: Element, options: Options) -> None:
         self.root, self.options = root, options
-        self.entities = {each.name: each for each in map(self._entity, self._objects())}
+        self.cast = Cast(root, options)
         self.board = root.get("Storyboard")
         self.spans: dict[int, tuple[float | None, float | None]] = {}  # of events that have been read
 
     def read(self, between: Between) -> Recording | Scenario:
         events = [*self._events()]
         followed = [each for each in events if any(_deeds(each.event, "FollowTrajectoryAction"))]
-        ego = self._ego(is_needed=not followed)
+        ego = self.cast.named_ego(is_needed=not followed)
         if [each for each in followed if each.actor != ego]:
             return self._tracks(events, ego, between)
         assert ego is not None  # noqa: S101
         return self._scenario([each for each in events if each.actor != ego], ego)
-
-    # Entities
-
-    def _objects(self) -> Iterator[Element]:
-        for each in self.root.get("Entities").children:
-            if each.tag != "ScenarioObject":
-                raise _refused(each)
-            yield each
-
-    def _entity(self, given: Element) -> _Entity:
-        name, found = given.values.get("name", ""), given.find("Vehicle")
-        for child in given.children:
-            if child.tag not in ("Vehicle", "CatalogReference", "ObjectController"):
-                raise _refused(child)
-            if child.tag == "ObjectController" and child.children and name != self._ego_name:
-                raise _refused(child, f" of {name}, which is not the ego")
-        if found is None:
-            found = self._entry(given.get("CatalogReference"))
-        for child in found.children:
-            reference = child.find("TrailerRef")
-            is_none = reference is not None and not reference.values.get("entityRef")  # a default of esmini's cars
-            if child.tag not in OF_VEHICLES and not is_none:
-                raise _refused(child)
-        box = found.get("BoundingBox")
-        size = box.get("Dimensions")
-        length, width = size.number("length"), size.number("width")
-        if min(length, width) <= 0:
-            raise size.error("sizes above 0", f"{length:g} and {width:g}", "correct them")
-        kind, centre = found.values.get("vehicleCategory", ""), box.get("Center").number("x")
-        return _Entity(name=name, kind=kind, length=length, width=width, centre=centre, place=given)
-
-    def _entry(self, reference: Element) -> Element:
-        """Return the vehicle of a catalogue, from this file or from one that the user has given."""
-        for child in reference.children:
-            raise _refused(child)
-        wanted, catalogue = reference.values.get("entryName"), reference.values.get("catalogName")
-        known = [*self.root.all("Catalog/Vehicle")]
-        for path in self.options.vehicles:
-            catalog = read_xml(Path(path))
-            _removed(catalog, frozenset(self.options.without))
-            resolved(catalog, {})
-            known += catalog.all("Catalog/Vehicle")
-        for each in known:
-            if each.values.get("name") == wanted:
-                return each
-        raise reference.error(
-            f"a vehicle of one of {len(known)} known entries",
-            f"the entry {wanted} of {catalogue}",
-            "give the file of that catalogue, such as vehicles=['VehicleCatalog.xosc']; no other file is opened",
-        )
-
-    @property
-    def _ego_name(self) -> str | None:
-        """The name of the ego that was given, or the one that everybody gives it."""
-        names = [each.values.get("name", "") for each in self.root.get("Entities").children]
-        if self.options.ego is not None:
-            return self.options.ego
-        said = [each for each in self.root.all("Entities/ScenarioObject") if _says_ego(each)]
-        usual = [name for name in names if name.lower() in EGO_NAMES]
-        return usual[0] if usual else said[0].values.get("name") if said else None
-
-    def _ego(self, *, is_needed: bool) -> str | None:
-        name = self._ego_name
-        if name not in self.entities and (is_needed or name is not None):
-            expected = f"one of the vehicles {', '.join(self.entities)}"
-            received, fix = (
-                "no name" if name is None else f"{name!r:.60}",
-                "give the one that the policy drives as ego=",
-            )
-            raise self.root.get("Entities").error(expected, f"{received} for the ego", fix)
-        return name
-
-    # Places
-
-    def _position(self, position: Element) -> _Place:
-        given = position.only()
-        turned = given.find("Orientation")
-        angle = 0.0 if turned is None else math.remainder(turned.number("h", 0.0), math.tau)
-        number, wide = given.number, self.options.lane_width
-        match given.tag:
-            case "LanePosition":
-                lane, road = number("laneId"), given.values.get("roadId", "")
-                if abs(angle) > 0.4 or lane >= 0:
-                    # Where those with positive numbers lead depends on the road, which is not read.
-                    expected = "a vehicle in the direction of a lane with a negative number"
-                    raise given.error(expected, f"laneId {lane:g} and h={angle:g}", "place it on the other side")
-                return _Place(("lane", road), number("s"), -lane - number("offset", 0.0) / wide)
-            case "RoadPosition":
-                return _Place(("road", given.values.get("roadId", "")), number("s"), -number("t") / wide)
-            case "WorldPosition":
-                return _Place(("world",), number("x"), number("y"), number("h", 0.0))
-            case "RelativeLanePosition":
-                return self._shifted(given, number("ds"), number("dLane") + number("offset", 0.0) / wide)
-            case "RelativeRoadPosition":
-                return self._shifted(given, number("ds"), number("dt") / wide)
-            case "RelativeObjectPosition":
-                return self._shifted(given, number("dx"), number("dy") / wide)
-        raise _refused(given)
-
-    def _shifted(self, given: Element, ahead: float, lanes_left: float) -> _Place:
-        """Return the place ahead and to the left of another vehicle's start."""
-        other = self._start(given.values.get("entityRef", ""), given)
-        if other.frame != ("world",):
-            return other._replace(along=other.along + ahead, column=other.column - lanes_left)
-        cos, sin, left = math.cos(other.heading), math.sin(other.heading), lanes_left * self.options.lane_width
-        return other._replace(
-            along=other.along + ahead * cos - left * sin, column=other.column + ahead * sin + left * cos
-        )
-
-    def _start(self, name: str, asks: Element, depth: int = 0) -> _Place:
-        found = [deed for deed in self._initial(name) if deed.tag == "TeleportAction"]
-        if not found:
-            raise asks.error(f"a TeleportAction of {name} in Init", "none", "say where it starts")
-        return self._position(found[-1].get("Position"))
-
-    def _initial(self, name: str) -> Iterator[Element]:
-        """Yield what Init has a vehicle do."""
-        for private in self.board.all("Init/Actions/Private"):
-            if private.values.get("entityRef") == name:
-                for action in private.all("PrivateAction"):
-                    yield from action.children
-
-    def _relative(self, name: str, ego: str) -> tuple[float, int]:
-        """Return how far the centre of a vehicle is ahead of the ego's [m], and how many lanes to the right."""
-        place = self.entities[name].place
-        own, other = self._start(ego, place), self._start(name, place)
-        if own.frame != other.frame:
-            expected, received = f"places like the ego's ({' '.join(own.frame)})", " ".join(other.frame)
-            raise place.error(expected, f"{name} at {received}", "write all places by lanes of one road and direction")
-        ahead, column = other.along - own.along, other.column - own.column
-        if own.frame == ("world",):
-            if math.cos(other.heading - own.heading) < 0.9:
-                raise place.error("a vehicle in the ego's direction", f"h={other.heading:g}", "take it out")
-            cos, sin = math.cos(own.heading), math.sin(own.heading)
-            ahead, column = ahead * cos + column * sin, -(column * cos - ahead * sin) / self.options.lane_width
-        if abs(column - round(column)) > BESIDE_MIDDLE:
-            fix = "say how wide the lanes are as lane_width=, or move it"
-            raise place.error("a start in the middle of a lane", f"{name} {column:.2f} lanes right of the ego", fix)
-        return ahead + self.entities[name].centre - self.entities[ego].centre, round(column)
 
     # Events and triggers
 
@@ -337,12 +136,12 @@ class _Reader:
         """Yield the events of all vehicles in the order of the file, and refuse actions that are nobody's."""
         for child in self.board.get("Init/Actions").children:
             if child.tag != "Private":
-                raise _refused(child, _inner(child))
+                raise refused(child, inner_names(child))
         for story in self.board.all("Story"):
             for act in story.all("Act"):
                 for group in act.all("ManeuverGroup"):
                     for reference in group.all("CatalogReference"):
-                        raise _refused(reference)
+                        raise refused(reference)
                     actors, many = group.get("Actors"), group.number("maximumExecutionCount", 1)
                     if actors.values.get("selectTriggeringEntities") == "true":
                         raise actors.error("actors by name", "selectTriggeringEntities", "name them")
@@ -350,15 +149,15 @@ class _Reader:
                         raise group.error("to be done once", f"{many:g}", "write 1", "maximumExecutionCount")
                     names = [each.values.get("entityRef", "") for each in actors.all("EntityRef")]
                     for name in names:
-                        if name not in self.entities:
-                            expected = f"one of {', '.join(self.entities)}"
+                        if name not in self.cast.entities:
+                            expected = f"one of {', '.join(self.cast.entities)}"
                             raise actors.error(expected, f"{name!r:.60}", "correct the name")
                     for manoeuvre in group.all("Maneuver"):
                         for event in manoeuvre.all("Event"):
                             for action in event.all("Action"):
                                 for deed in action.children:
                                     if deed.tag != "PrivateAction":
-                                        raise _refused(deed, _inner(deed))
+                                        raise refused(deed, inner_names(deed))
                             yield from (_Event(name, (story, act, group, manoeuvre), event) for name in names)
 
     def _begins(self, event: _Event, npc: _Npc | None, ego: str | None) -> tuple[_When, _When] | None:
@@ -374,7 +173,7 @@ class _Reader:
         if own.is_from_act and act.time is not None:
             own = own._replace(time=act.time + (own.time or 0.0))
         elif own.is_from_act and not own.is_at_once:
-            raise _refused(own.place, " with a delay after the beginning of an act by distance")
+            raise refused(own.place, " with a delay after the beginning of an act by distance")
         return act, own
 
     def _when(self, trigger: Element, event: _Event, npc: _Npc | None, ego: str | None) -> _When | None:
@@ -391,7 +190,7 @@ class _Reader:
             found.append(when)
         later = [each for each in found if not each.is_at_once] or found[:1]
         if len(later) != 1:
-            names = ", ".join(_inner(each.place).strip(" ()") for each in later)
+            names = ", ".join(inner_names(each.place).strip(" ()") or each.place.tag for each in later)
             raise groups[0].error("one condition that does not hold at once", names, "leave one of them")
         return later[0]
 
@@ -408,15 +207,15 @@ class _Reader:
                 return _When(condition, time=max(inner.number("value"), 0.0) + delay)
             if inner.tag == "StoryboardElementStateCondition":
                 return self._state(condition, inner, event, npc, delay)
-            raise _refused(inner)
+            raise refused(inner)
         entities = condition.get("ByEntityCondition")
         inner = entities.get("EntityCondition").only()
         if inner.tag not in ("RelativeDistanceCondition", "TimeHeadwayCondition"):
-            raise _refused(inner)
+            raise refused(inner)
         triggering = [each.values.get("entityRef", "") for each in entities.all("TriggeringEntities/EntityRef")]
         if npc is None or {*triggering, inner.values.get("entityRef")} != {ego, event.actor}:
             between = f"between {' and '.join(triggering)} and {inner.values.get('entityRef')}"
-            raise _refused(inner, f" {between}, not between the ego and {event.actor}")
+            raise refused(inner, f" {between}, not between the ego and {event.actor}")
         return self._distance(condition, inner, npc, is_by_ego=triggering == [ego], delay=delay)
 
     def _distance(self, condition: Element, inner: Element, npc: _Npc, *, is_by_ego: bool, delay: float) -> _When:
@@ -436,7 +235,7 @@ class _Reader:
         else:
             kind = inner.values.get("relativeDistanceType", "longitudinal")
             if kind == "lateral":
-                raise _refused(inner, " across the road")
+                raise refused(inner, " across the road")
             if kind != "longitudinal":
                 value = math.sqrt(max(value**2 - (npc.column * self.options.lane_width) ** 2, 0.0))
             metres = value if is_free else max(value - npc.room, 0.0)
@@ -463,7 +262,7 @@ class _Reader:
             return _When(condition, time=delay, is_from_act=True)  # the act has begun before its events
         of = [each for each in self.known if _is_named(each, kind, name)]
         if not of:
-            raise _refused(inner, f" for the {kind} {name!r:.60}, which is none of what others than the ego do")
+            raise refused(inner, f" for the {kind} {name!r:.60}, which is none of what others than the ego do")
         if any(id(each.event) not in self.spans for each in of):
             return None
         times = [self.spans[id(each.event)][STATES[state] == "end"] for each in of]
@@ -474,13 +273,13 @@ class _Reader:
             return _When(condition, time=(min if STATES[state] == "begin" else max)(known) + delay)
         if npc is not None and npc.last is not None and STATES[state] == "begin" and of[0].event is npc.last:
             return _When(condition, trigger=npc.trigger, delay=delay)
-        raise _refused(inner, f" for {name}, whose time depends on a distance")
+        raise refused(inner, f" for {name}, whose time depends on a distance")
 
     # The scenario
 
     def _scenario(self, events: list[_Event], ego: str) -> Scenario:
-        self.known, self.ego_speed = events, round(self._speed_of(ego, ego), 6)
-        npcs = {name: self._npc(name, ego) for name in self.entities if name != ego}
+        self.known, self.ego_speed = events, round(self.cast.speed_of(ego, ego), 6)
+        npcs = {name: self._npc(name, ego) for name in self.cast.entities if name != ego}
         if not npcs:
             raise self.root.get("Entities").error("vehicles beside the ego", "none", "add one")
         waiting = [*events]
@@ -491,7 +290,7 @@ class _Reader:
                 if begins is not None:
                     ready[event] = begins
             if not ready:
-                raise _refused(waiting[0].event, ", which waits for an event that never begins")
+                raise refused(waiting[0].event, ", which waits for an event that never begins")
             event = _next(ready)
             waiting.remove(event)
             self._perform(npcs[event.actor], event, ready[event], npcs, ego)
@@ -507,9 +306,9 @@ class _Reader:
             raise self.board.error(error.expected, error.received, error.fix or "take some of it out") from None
 
     def _npc(self, name: str, ego: str) -> _Npc:
-        entity = self.entities[name]
-        distance, column = self._relative(name, ego)
-        room = (entity.length + self.entities[ego].length) / 2
+        entity = self.cast.entities[name]
+        distance, column = self.cast.relative(name, ego)
+        room = (entity.length + self.cast.entities[ego].length) / 2
         gap = max(round(abs(distance) - room, 1), 0.1)
         if column and abs(distance) < room:
             moved = min(abs(distance), room - abs(distance))
@@ -517,10 +316,10 @@ class _Reader:
                 fix = "move it ahead or behind, or level with the ego"
                 raise entity.place.error("a start level with the ego, or clear of it", f"{distance:.1f} m ahead", fix)
             gap = 0.0 if abs(distance) < room / 2 else gap
-        for deed in self._initial(name):
+        for deed in self.cast.initial(name):
             if deed.tag != "TeleportAction" and deed.find("SpeedAction") is None:
-                raise _refused(deed, _inner(deed))
-        speed = round(max(self._speed_of(name, ego), 0.0), 1)
+                raise refused(deed, inner_names(deed))
+        speed = round(max(self.cast.speed_of(name, ego), 0.0), 1)
         try:
             first = Manoeuvre(beside=column, ahead=math.copysign(gap, distance), speed=speed)
         except ScenarioError as error:
@@ -528,22 +327,6 @@ class _Reader:
         side = 1 if distance >= 0 else -1
         signed = math.copysign(abs(distance) - room, distance)
         return _Npc(entity=entity, first=first, column=column, gap=signed, room=room, speed=speed, side=side)
-
-    def _speed_of(self, name: str, ego: str) -> float:
-        for deed in self._initial(name):
-            action = deed.find("SpeedAction")
-            if action is not None:
-                return self._target(action, ego, None if name == ego else self.ego_speed)
-        return 0.0
-
-    def _target(self, action: Element, ego: str, ego_speed: float | None) -> float:
-        given = action.get("SpeedActionTarget").only()
-        if given.tag == "AbsoluteTargetSpeed":
-            return given.number("value")
-        if given.values.get("entityRef") != ego or ego_speed is None:
-            raise _refused(given, f" to {given.values.get('entityRef')}, which is not the ego")
-        value = given.number("value")  # the ego is taken to keep its first speed
-        return ego_speed * value if given.values.get("speedTargetValueType") == "factor" else ego_speed + value
 
     def _perform(
         self, npc: _Npc, event: _Event, begins: tuple[_When, _When], npcs: Mapping[str, _Npc], ego: str
@@ -591,7 +374,7 @@ class _Reader:
         trigger: dict[str, Any] = dict(when.trigger)
         if trigger and trigger == npc.trigger and npc.steps:  # begins with the step before
             if when.delay:
-                raise _refused(when.place, " with a delay after a distance that has begun a step already")
+                raise refused(when.place, " with a delay after a distance that has begun a step already")
             npc.steps[npc.newest :] = _merged(npc.steps[npc.newest :], steps, when.place)
             return None
         if trigger:
@@ -642,7 +425,7 @@ class _Reader:
         """Return the steps of an action; none if there is nothing to do."""
         action = deed.children[0] if deed.tag in ("LongitudinalAction", "LateralAction") and deed.children else deed
         if action.tag == "SpeedAction":
-            speed = round(max(self._target(action, ego, self.ego_speed), 0.0), 1)
+            speed = round(max(self.cast.speed_asked(action, ego, self.ego_speed), 0.0), 1)
             change, taken = abs(speed - npc.speed), action.get("SpeedActionDynamics")
             value, dimension = abs(taken.number("value", 0.0)), taken.values.get("dynamicsDimension")
             if taken.values.get("dynamicsShape") == "step" or value == 0:
@@ -656,9 +439,9 @@ class _Reader:
             target = action.get("LaneChangeTarget").only()
             other = target.values.get("entityRef")
             if target.tag == "AbsoluteTargetLane":
-                own = self._start(ego, target)
+                own = self.cast.start(ego, target)
                 if own.frame[0] != "lane":
-                    raise _refused(target, ", while the ego's place does not name a lane")
+                    raise refused(target, ", while the ego's place does not name a lane")
                 column = -target.number("value") - own.column
             elif other != ego and other not in npcs:
                 raise target.error("a vehicle of the file", f"{other!r:.60}", "correct the name", "entityRef")
@@ -674,9 +457,9 @@ class _Reader:
         if action.tag == "LaneOffsetAction":
             target = action.get("LaneOffsetTarget").only()
             if target.tag != "AbsoluteTargetLaneOffset":
-                raise _refused(target)
+                raise refused(target)
             return [Step(offset=-round(target.number("value"), 1))]
-        raise _refused(action)
+        raise refused(action)
 
     def _aside(self, taken: Element, npc: _Npc) -> float:
         """Return how long a change of lanes takes [s]."""
@@ -693,7 +476,7 @@ class _Reader:
         """Refuse an act that something else than a time ends; a run ends by itself."""
         for condition in act.all("StopTrigger/ConditionGroup/Condition"):
             if condition.find("ByValueCondition/SimulationTimeCondition") is None:
-                raise _refused(condition, _inner(condition))
+                raise refused(condition, inner_names(condition))
 
     # Tracks
 
@@ -703,18 +486,19 @@ class _Reader:
         for event in events:
             for deed in _deeds(event.event):
                 if not any(_deeds(event.event, "FollowTrajectoryAction")):
-                    raise _refused(deed, f"{_inner(deed)} of {event.actor} in a file with trajectories")
+                    raise refused(deed, f"{inner_names(deed)} of {event.actor} in a file with trajectories")
                 begins = self._begins(event, None, ego)
                 if begins is None or any(each.time is None for each in begins) or event.actor in driven:
-                    raise _refused(event.event, ", one of several of the vehicle, or not at a time")
+                    raise refused(event.event, ", one of several of the vehicle, or not at a time")
                 start = max(each.time or 0.0 for each in begins)
                 rows = vertices(deed, 0.0 if start <= AT_ONCE else start)
                 driven[event.actor] = rows[(rows[:, 0] >= first) & (rows[:, 0] <= last)]
-        for name, entity in self.entities.items():
+        for name, entity in self.cast.entities.items():
             if name not in driven:
                 raise entity.place.error("a trajectory of each vehicle", f"none of {name}", "take it out")
         boxes = [
-            (name, entity.kind, entity.length, entity.width, entity.centre) for name, entity in self.entities.items()
+            (name, entity.kind, entity.length, entity.width, entity.centre)
+            for name, entity in self.cast.entities.items()
         ]
         vehicles, rate = followed(driven, boxes)
         if not vehicles:
@@ -750,24 +534,6 @@ STATES = {
 def _at_once(speed: float | None) -> Step:
     """Return the step that reaches a speed as soon as an NPC can; at the beginning, it is the first speed."""
     return Step(speed=speed, acceleration=20.0)
-
-
-def _inner(element: Element) -> str:
-    """Return what an element is about, for messages: the names within it."""
-    names = []
-    while len(element.children) == 1:
-        element = element.only()
-        names.append(element.tag)
-    names += [child.tag for child in element.children[:1]] if not names else []
-    return f" ({'/'.join(names)})" if names else ""
-
-
-def _says_ego(given: Element) -> bool:
-    """Return whether a property of a vehicle says that it is the ego, as scenario_runner reads it."""
-    return any(
-        (each.values.get("name"), each.values.get("value")) == ("type", "ego_vehicle")
-        for each in given.all("Vehicle/Properties/Property")
-    )
 
 
 def _is_named(event: _Event, kind: str, name: str) -> bool:

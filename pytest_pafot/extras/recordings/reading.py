@@ -10,6 +10,7 @@ from typing import NamedTuple
 from pytest_pafot import Scenario
 from pytest_pafot.extending import RequestError
 from pytest_pafot.extras.recordings import commonroad_scenario, highd, levelx, ngsim, openscenario_story, own_csv
+from pytest_pafot.extras.recordings.openscenario_cast import Options
 from pytest_pafot.extras.recordings.recording import LANE_WIDTH, Recording, RecordingError
 from pytest_pafot.extras.recordings.tables import Between, Table
 from pytest_pafot.extras.recordings.xml_data import read_xml
@@ -78,7 +79,7 @@ def recorded(
             root = read_xml(file)
             if root.tag == openscenario_story.ROOT:
                 name = None if ego is None else str(ego)
-                options = openscenario_story.Options(name, vehicles, without, lane_width)
+                options = Options(name, vehicles, without, lane_width)
                 found = openscenario_story.read(root, between, options)
                 if isinstance(found, Scenario):
                     return found

@@ -349,9 +349,7 @@ def test_vehicle_of_a_catalogue_is_found_in_the_files_that_are_given(read, tmp_p
     )
     scenario = read(car=REFERENCE, options={"vehicles": [tmp_path / "cars.xosc"]})
     assert scenario == read()
-    with pytest.raises(
-        RecordingError, match=r"CatalogReference: expected a vehicle of one of 0 known entries, received"
-    ):
+    with pytest.raises(RecordingError, match=r"CatalogReference: expected a vehicle of one of 0 known entries"):
         read(car=REFERENCE)
 
 
@@ -373,6 +371,8 @@ def test_element_that_does_not_matter_can_be_left_out(read):
         ({"car_place": in_lane(-2, 100, 1.0)}, r"start in the middle of a lane, received Car -0.29 lanes"),
         ({"car_place": in_lane(-3, 52)}, r"a start level with the ego, or clear of it, received 2.0 m ahead"),
         ({"car_place": in_lane(-2, 900)}, r"from -500 to 500 .*, received ahead 845.5; move it nearer"),
+        ({"car_place": start('<RelativeRoadPosition entityRef="Car" ds="1" dt="0"/>')}, r"places that do not refer"),
+        ({"car_place": start('<RoadPosition roadId="1" s="9" t="2"/>')}, r"right side of the road, received t=2"),
         ({"car_place": ""}, r"expected a TeleportAction of Car in Init, received none"),
         ({"car_place": start('<GeoPosition latitude="1"/>')}, r"xosc:17: .*Position/GeoPosition: .* GeoPosition"),
         ({"ego_speed": at_speed("$Speed")}, r"one of the parameters EgoSpeed, Owner, received \$Speed;"),
