@@ -43,7 +43,7 @@ def read(root: Element, between: Between, options: Options) -> Recording | Scena
     """
     for child in root.children:
         if child.tag not in PARTS:
-            expected, fix = f"a scenario with {', '.join(PARTS)}", "give the file of the scenario itself"
+            expected, fix = f"a scenario of {', '.join(PARTS)} alone", "give the file of such a scenario"
             raise child.error(expected, child.tag, fix)
     header = root.get("FileHeader")
     if header.values.get("revMajor") != "1":
