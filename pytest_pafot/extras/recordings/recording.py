@@ -22,7 +22,7 @@ STANDING = 0.5
 LANE_WIDTH = 3.5
 """The width of the lanes of a recording that has none [m]."""
 LONGEST, MOST_NPCS, FARTHEST, MOST_BESIDE = 120.0, 8, 200.0, 8
-"""The longest scenario of a recording [s], the most NPCs that it can have, how far from the ego one starts [m, lanes]."""
+"""The longest scenario [s], the most NPCs that it can have, and how far from the ego one can start [m, lanes]."""
 STRAIGHT = 0.4
 """The largest heading of a vehicle that drives along the road [rad]."""
 
