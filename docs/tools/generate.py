@@ -32,6 +32,7 @@ from pytest_pafot.extras.episodes.progress_command import add_arguments as add_p
 from pytest_pafot.extras.episodes.rate import EpisodeRow
 from pytest_pafot.extras.episodes.rate_command import add_arguments as add_rate_arguments
 from pytest_pafot.extras.export.export_command import add_arguments as add_export_arguments
+from pytest_pafot.extras.recordings.reading import recorded
 from pytest_pafot.extras.revisions.bisect_command import add_arguments as add_bisect_arguments
 from pytest_pafot.extras.sweeps.entries import ENTRIES
 from pytest_pafot.extras.sweeps.map_command import add_arguments as add_map_arguments
@@ -204,6 +205,7 @@ def sections() -> dict[str, str]:
         "perception": _fields_table(Perception),
         "torch": _table(["Argument", "Meaning"], _arguments(policies.torch)),
         "program": _table(["Argument", "Meaning"], _arguments(policies.process)),
+        "recorded": _table(["Argument", "Meaning"], _arguments(recorded)),
         "training": _table(["Argument", "Meaning"], _arguments(training_env)),
         "baselines": _table(["Argument", "Meaning"], _arguments(policies.sb3)),
         "weights": _fields_table(Weights),

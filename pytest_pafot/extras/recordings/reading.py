@@ -1,0 +1,103 @@
+"""``pafot.recorded``: what others recorded or wrote, by the columns or the outermost element of the file."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+from pytest_pafot import Scenario
+from pytest_pafot.extending import RequestError
+from pytest_pafot.extras.recordings import commonroad_scenario, highd, levelx, ngsim, openscenario_story, own_csv
+from pytest_pafot.extras.recordings.openscenario_cast import Options
+from pytest_pafot.extras.recordings.recording import LANE_WIDTH, Recording, RecordingError
+from pytest_pafot.extras.recordings.tables import Between, Table
+from pytest_pafot.extras.recordings.xml_data import read_xml
+
+
+class TableFormat(NamedTuple):
+    """A format of tables: its name, the columns by which it is recognised, and its reader."""
+
+    name: str
+    columns: Sequence[str]
+    read: Callable[[Path, Between], Recording]
+
+
+TABLES = (
+    TableFormat("export --to csv", own_csv.COLUMNS, own_csv.read),
+    TableFormat("highD", highd.COLUMNS, highd.read),
+    TableFormat("inD, rounD, exiD", levelx.COLUMNS, levelx.read),
+    TableFormat("NGSIM", ngsim.COLUMNS, ngsim.read),
+)
+"""All formats of tables. The first one whose columns a file has reads it."""
+
+
+def recorded(
+    path: str | os.PathLike[str],
+    ego: object = None,
+    *,
+    between: tuple[float, float] | None = None,
+    vehicles: Sequence[str | Path] = (),
+    without: Sequence[str] = (),
+    lane_width: float = LANE_WIDTH,
+) -> Recording | Scenario:
+    """Read what others recorded or wrote: tracks as a ``Recording``, and manoeuvres of OpenSCENARIO as a ``Scenario``.
+
+    The file is data: it is read within limits, and no other file that it names is opened. Tracks are tables of
+    ``python -m pytest_pafot export --to csv``, highD, inD, rounD, exiD (their ``..tracks.csv``, next to the other two
+    files of the recording) or NGSIM, scenarios of CommonRoad, and trajectories of OpenSCENARIO.
+    ``recorded(...).scenario(at=...)`` makes a scenario of them.
+
+    Of OpenSCENARIO 1.x, speed actions, changes of lanes and lane offsets are read, which begin by simulation time, at
+    a distance or headway between the ego and the vehicle, or after another event. What the file has the ego do later
+    is left out, because the policy drives it. Speeds and lanes relative to the ego's are relative to its first ones.
+    All else is refused with its name and place. Roads are not read: lanes with negative numbers are taken to lie side
+    by side on the right side of a straight road.
+
+    Args:
+        path: the file.
+        ego: the name of the vehicle in whose place the policy drives. A recording is turned so that the road is along
+            x in its direction. By default, the vehicle with a name like ``ego``, if there is one.
+        between: the first and the last time of the rows to read, on the clock of the data [s]; all by default.
+        vehicles: for OpenSCENARIO, the files of catalogues with the vehicles that the file refers to.
+        without: for OpenSCENARIO, the names of elements that are left out, such as ``EnvironmentAction``, because the
+            scenario is the same without them.
+        lane_width: for OpenSCENARIO, the width of lanes in places and distances that are in metres [m].
+
+    Raises:
+        RecordingError: if the file cannot be read; the message names the place, what was expected, and the way out.
+        RequestError: if there is no such vehicle.
+    """
+    file = Path(path)
+    if not file.is_file():
+        raise RequestError(f"recorded: expected a file, received {str(file)!r:.200}; correct the path")
+    try:
+        with file.open("rb") as content:
+            is_xml = content.read(200).lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"<")
+        if is_xml:
+            root = read_xml(file)
+            if root.tag == openscenario_story.ROOT:
+                name = None if ego is None else str(ego)
+                options = Options(name, vehicles, without, lane_width)
+                found = openscenario_story.read(root, between, options)
+                if isinstance(found, Scenario):
+                    return found
+            elif root.tag == commonroad_scenario.ROOT:
+                found = commonroad_scenario.read(root, between)
+            else:
+                expected = f"{openscenario_story.ROOT} or {commonroad_scenario.ROOT}"
+                raise root.error(expected, root.tag[:60], "convert the file to one of them")
+        else:
+            table = Table(file)
+            known = [each for each in TABLES if all(name.lower() in table.columns for name in each.columns)]
+            if not known:
+                expected = "the columns of " + ", or ".join(
+                    f"{each.name} ({', '.join(each.columns)})" for each in TABLES
+                )
+                fix = "rename the columns to those of one of them"
+                raise RecordingError(file, expected, ", ".join(table.columns)[:200] or "none", fix, line=1)
+            found = known[0].read(file, between)
+    except OSError as error:
+        raise RequestError(f"recorded: expected a file that can be read, received {file}: {error.strerror}") from None
+    return found if ego is None else found.seen_from(ego)

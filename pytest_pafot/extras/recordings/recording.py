@@ -1,0 +1,273 @@
+"""Recorded tracks as values, in the coordinates of a trace, and the scenario whose NPCs drive as they do."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from pytest_pafot import Manoeuvre, Scenario, Step
+from pytest_pafot.extending import HEADING, SPEED, FloatArray, Lane, RequestError, X, Y
+from pytest_pafot.extras.recordings.following import PACE, first_speed, followed
+from pytest_pafot.support.errors import FieldError, sentence
+from pytest_pafot.support.text import meant
+
+LONGEST_GAP = 1.0
+"""The longest time for which a vehicle that was not seen is taken to have driven on evenly [s]."""
+STANDING = 0.5
+"""The speed below which a direction that was computed from movements is noise [m/s]."""
+LANE_WIDTH = 3.5
+"""The width of the lanes of a recording that has none [m]."""
+LONGEST, MOST_NPCS, FARTHEST, MOST_BESIDE = 120.0, 8, 200.0, 8
+"""The longest scenario [s], the most NPCs that it can have, and how far from the ego one can start [m, lanes]."""
+STRAIGHT = 0.4
+"""The largest heading of a vehicle that drives along the road [rad]."""
+
+
+class RecordingError(FieldError):
+    """Error for a file that cannot be read as a recording, with the line (from 1) if it is known."""
+
+    def __init__(
+        self, path: Path, expected: str, received: str, fix: str, *, field: str = "", line: int | None = None
+    ) -> None:
+        place = f"{path}" if line is None else f"{path}:{line}"
+        text = f"{place}: {sentence(field, expected, received, fix)}"
+        super().__init__(text, field=field, expected=expected, received=received, fix=fix)
+        self.path, self.line = path, line
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class RecordedVehicle:
+    """One vehicle of a recording, from when it was first seen until it was last seen.
+
+    Attributes:
+        name: its name or number in the data. If it was not seen for more than a second, what came later is another
+            vehicle, with ``/2`` after its name.
+        kind: its class in the words of the data, such as ``car`` or ``truck``; empty if they do not say.
+        length, width: its size [m].
+        times: float64, read-only, shape [rows]: the times at which it was seen, on the clock of the data [s].
+        states: float64, read-only, shape [rows, 4], with the first columns of ``Trace.states``: x and y of its centre
+            [m], heading [rad], speed [m/s].
+    """
+
+    name: str
+    kind: str
+    length: float
+    width: float
+    times: FloatArray
+    states: FloatArray
+
+    def __post_init__(self) -> None:
+        for name in ("times", "states"):
+            array = np.array(getattr(self, name), dtype=np.float64)
+            array.flags.writeable = False
+            object.__setattr__(self, name, array)
+
+    def at(self, times: FloatArray | float) -> FloatArray:
+        """Return its states at some times, between rows by straight lines; shape [times, 4], NaN if it was not seen.
+
+        A heading turns the shorter way.
+        """
+        columns = [*self.states.T]
+        columns[HEADING] = np.unwrap(columns[HEADING])
+        asked = np.atleast_1d(times)
+        found = [np.interp(asked, self.times, column, left=math.nan, right=math.nan) for column in columns]
+        return np.stack(found, axis=-1)
+
+    def __repr__(self) -> str:
+        seen = f"{self.times[0]:g} to {self.times[-1]:g} s"
+        return f"<RecordedVehicle {self.name}: {self.kind or 'of unknown class'}, {seen}>"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Recording:
+    """Tracks of vehicles, in the coordinates of a trace: y and headings grow to the right.
+
+    :func:`pytest_pafot.recorded` reads one. Nothing drives along its tracks yet: :meth:`scenario` makes manoeuvres of
+    them, and the arrays can be plotted and measured.
+
+    Attributes:
+        vehicles: all vehicles, in the order of the data. Each has rows only for the time in which it was seen.
+        rate: rows per second of the data [1/s]. Of a vehicle that was not seen for up to a second, the missing rows
+            are on straight lines between its others.
+        lanes: the lanes that the data have; empty if they have none. Once an ego is named, those in its direction come
+            first, from the left. A lane whose speed limit is not known has an infinite one.
+        ego: the name of the vehicle in whose place a policy drives; None if nobody has said.
+        source: the file, for messages.
+        notes: what was left out or estimated, in sentences.
+    """
+
+    vehicles: tuple[RecordedVehicle, ...]
+    rate: float
+    lanes: tuple[Lane, ...] = ()
+    ego: str | None = None
+    source: str = ""
+    notes: tuple[str, ...] = ()
+
+    def vehicle(self, name: object) -> RecordedVehicle:
+        """Return the vehicle with a name.
+
+        Raises:
+            RequestError: if there is none.
+        """
+        names = [vehicle.name for vehicle in self.vehicles]
+        if str(name) not in names:
+            some = ", ".join(names[:10]) + (f" and {len(names) - 10} more" if len(names) > 10 else "")
+            raise RequestError(
+                f"{self.source}: expected one of the vehicles {some}, received {name!r:.60}{meant(str(name), names)}"
+            )
+        return self.vehicles[names.index(str(name))]
+
+    def resampled(self, rate: float) -> Recording:
+        """Return the recording with ``rate`` rows per second, all at multiples of its inverse, on straight lines."""
+        vehicles = []
+        for vehicle in self.vehicles:
+            first, last = math.ceil(vehicle.times[0] * rate - 1e-6), math.floor(vehicle.times[-1] * rate + 1e-6)
+            if last >= first:
+                times = np.clip(np.arange(first, last + 1) / rate, vehicle.times[0], vehicle.times[-1])
+                vehicles.append(replace(vehicle, times=times, states=vehicle.at(times)))
+        return replace(self, vehicles=tuple(vehicles), rate=rate)
+
+    def seen_from(self, name: object) -> Recording:
+        """Return the recording with a vehicle as its ego, turned so that the road is along x in its direction.
+
+        The direction is that of the straight lane nearest to its first place, or else its own first one.
+        """
+        ego = self.vehicle(name)
+        x, y, heading, _ = ego.states[0].tolist()
+        along = [lane for lane in self.lanes if not lane.points and math.cos(lane.heading - heading) > 0]
+        if along:
+            heading = min(along, key=lambda each: abs(_aside(each, x, y))).heading
+        cos, sin = math.cos(heading), math.sin(heading)
+
+        def turned(places: FloatArray) -> FloatArray:
+            return np.stack([places @ (cos, sin), places @ (-sin, cos)], axis=-1)
+
+        def of_lane(lane: Lane) -> Lane:
+            (start,), points = turned(np.array([[lane.x, lane.y]])), turned(np.array(lane.points or [(0.0, 0.0)]))
+            angle = math.remainder(lane.heading - heading, math.tau)
+            line = tuple((x, y) for x, y in points.tolist()) if lane.points else ()
+            return replace(lane, x=float(start[0]), y=float(start[1]), heading=angle, points=line)
+
+        if heading == 0.0:
+            return replace(self, ego=ego.name)
+        vehicles = []
+        for vehicle in self.vehicles:
+            angles = (vehicle.states[:, [HEADING]] - heading + math.pi) % math.tau - math.pi
+            states = np.hstack([turned(vehicle.states[:, [X, Y]]), angles, vehicle.states[:, [SPEED]]])
+            vehicles.append(replace(vehicle, states=states))
+        lanes = sorted(map(of_lane, self.lanes), key=lambda lane: (math.cos(lane.heading) < 0, lane.y))
+        return replace(self, vehicles=tuple(vehicles), lanes=tuple(lanes), ego=ego.name)
+
+    def scenario(self, ego: object = None, at: float | None = None, seconds: float = 20.0) -> Scenario:
+        """Return a scenario that starts as the recording is at a time, and whose NPCs then drive as recorded.
+
+        The NPCs are the eight vehicles nearest to the ego that drive in its direction at that time. Each has a
+        manoeuvre: its place relative to the ego, and steps by time, of speeds and changes of lanes, which follow its
+        track whatever the policy does. They all are 5 m long, with the gaps of the recording between bumpers, and in
+        the middle of lanes of 4 m. A vehicle that comes later is not in the scenario. One that leaves the recording
+        keeps its lane and speed.
+
+        Args:
+            ego: the vehicle in whose place the policy drives; the recording's ego by default.
+            at: the time of the start on the clock of the data [s]; when the ego is first seen by default.
+            seconds: how long the NPCs follow their tracks [s].
+
+        Raises:
+            RequestError: if nothing drives near the ego at that time, or the road is not straight.
+        """
+        if ego is None and self.ego is None:
+            raise RequestError(f"{self.source}: expected a vehicle in whose place the policy drives; give it as ego=")
+        seen = self if ego is None else self.seen_from(ego)
+        own = seen.vehicle(seen.ego)
+        start = float(own.times[0] if at is None else at)
+        if not own.times[0] <= start <= own.times[-1] or not 0.0 < seconds <= LONGEST:
+            raise RequestError(
+                f"{self.source}: expected a time at which {own.name} was seen, from {own.times[0]:g} to "
+                f"{own.times[-1]:g} s, and at most {LONGEST:g} s, received at={start:g} and seconds={seconds:g}"
+            )
+        here = own.at(start)[0]
+        bent = np.abs(own.at(own.times[(own.times >= start) & (own.times <= start + seconds)])[:, HEADING])
+        if max(bent.max(initial=0.0), abs(here[HEADING])) > STRAIGHT:
+            raise RequestError(
+                f"{self.source}: expected an ego that drives along a straight road from {start:g} s on, received "
+                f"{own.name}, which turns by {math.degrees(bent.max(initial=0.0)):.0f} degrees; start at another time"
+            )
+        columns = _Columns(seen.lanes, float(here[Y]))
+        lane, least = columns.of(here[Y]), 0
+        npcs: list[tuple[float, int, RecordedVehicle]] = []
+        for other in seen.vehicles:
+            state = other.at(start)[0]
+            if np.isnan(state).any():  # not there at that time
+                continue
+            is_near = abs(state[X] - here[X]) < FARTHEST and abs(columns.of(state[Y]) - lane) <= MOST_BESIDE
+            if other is not own and is_near and abs(state[HEADING]) < STRAIGHT:
+                npcs.append((abs(state[X] - here[X]), len(npcs), other))
+        if not npcs:
+            raise RequestError(
+                f"{self.source}: expected vehicles within {FARTHEST:g} m of {own.name} that drive in its direction at "
+                f"{start:g} s, received none; start at another time"
+            )
+        nearest = [other for *_, other in sorted(npcs)[:MOST_NPCS]]
+        manoeuvres = []
+        for other in nearest:
+            first = other.at(start)[0]
+            room = (own.length + other.length) / 2
+            manoeuvre = Manoeuvre(
+                beside=columns.of(first[Y]) - lane,
+                ahead=_ahead(first[X] - here[X], room, columns.of(first[Y]) == lane),
+                speed=first_speed(first),
+            )
+            manoeuvres.append(replace(manoeuvre, steps=_steps(other, start, seconds, columns)))
+            reached = np.cumsum([manoeuvre.beside, *(step.column for step in manoeuvres[-1].steps)])
+            least = min(least, int(reached.min()))
+        first_lane = lane if columns.are_known else max(1, -least)
+        return Scenario(
+            npcs=tuple((each,) for each in manoeuvres), ego_lane=first_lane, ego_speed=max(float(here[SPEED]), 0.0)
+        )
+
+    def __repr__(self) -> str:
+        ego = "" if self.ego is None else f", ego {self.ego}"
+        return f"<Recording {self.source}: {len(self.vehicles)} vehicles{ego}, {self.rate:g} rows a second>"
+
+
+class _Columns:
+    """The lanes in the direction of x as columns from 0 at the left; between two middles, a share of a lane."""
+
+    def __init__(self, lanes: Sequence[Lane], y: float) -> None:
+        middles = sorted((lane.y, lane.width) for lane in lanes if not lane.points and math.cos(lane.heading) > 0.9)
+        self.are_known = bool(middles)
+        middles = [each for n, each in enumerate(middles) if not n or each[0] > middles[n - 1][0] + each[1] / 2]
+        middles = middles or [(y, LANE_WIDTH)]
+        (left, wide), (right, broad) = middles[0], middles[-1]
+        self._places = np.array([left - 20 * wide, *(place for place, _ in middles), right + 20 * broad])
+        self._columns = np.array([-20.0, *range(len(middles)), len(middles) + 19.0])
+
+    def shares(self, y: FloatArray) -> FloatArray:
+        found: FloatArray = np.interp(y, self._places, self._columns)
+        return found
+
+    def of(self, y: float) -> int:
+        return round(float(self.shares(np.array([y]))[0]))
+
+
+def _aside(lane: Lane, x: float, y: float) -> float:
+    return (y - lane.y) * math.cos(lane.heading) - (x - lane.x) * math.sin(lane.heading)
+
+
+def _ahead(distance: float, room: float, is_in_lane: bool) -> float:
+    """Return the distance between bumpers [m] for one between centres; a manoeuvre cannot start with an overlap."""
+    gap = max(round(abs(distance) - room, 1), 0.5 if is_in_lane else 0.1)
+    return 0.0 if not is_in_lane and abs(distance) < room / 2 else math.copysign(gap, distance)
+
+
+def _steps(vehicle: RecordedVehicle, start: float, seconds: float, columns: _Columns) -> tuple[Step, ...]:
+    """Return the steps that follow a vehicle from a time on until it leaves the recording or the road."""
+    end = min(seconds, float(vehicle.times[-1]) - start)
+    states = vehicle.at(start + np.arange(math.floor(end * PACE + 1e-6) + 1) / PACE)
+    turned = np.abs(states[:, HEADING]) > STRAIGHT
+    states = states[: turned.argmax()] if turned.any() else states
+    return followed(states, columns.shares(states[:, Y]))

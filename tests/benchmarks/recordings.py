@@ -1,0 +1,91 @@
+"""How near do manoeuvres come to recorded tracks, and how many OpenSCENARIO files of others are read?
+
+    python -m tests.benchmarks.recordings [--recordings 8] [--scenarios FOLDER] [--vehicles FILE ...]
+
+Records highway-env's own traffic of IDM and MOBIL vehicles, makes a scenario of each recording, and drives each of its
+manoeuvres for 20 s where nothing disturbs it. Prints how far the NPCs are from the tracks. With ``--scenarios``, also
+reads all ``.xosc`` files of a folder, with the catalogues of ``--vehicles``, and prints why the others are refused.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import re
+import sys
+import tempfile
+from collections import Counter
+from dataclasses import replace
+from pathlib import Path
+
+import gymnasium
+import highway_env  # noqa: F401  (registers highway-v0)
+import numpy as np
+
+import pytest_pafot as pafot
+from pytest_pafot.extras.recordings.recording import RecordingError
+from pytest_pafot.model.trace import X, Y
+
+HZ, SECONDS, BEGIN = 15, 20, 2.0
+ROAD = {"lanes_count": 4, "vehicles_count": 14, "vehicles_density": 1.2, "simulation_frequency": HZ}
+HERE = ("time", "vehicle", "x", "y", "heading", "speed", "lane", "length", "width")
+
+
+def recorded_traffic(seed: int, path: Path) -> pafot.Recording:
+    """Let the traffic of an environment drive, its ego with constant speed, and return the recording."""
+    environment = gymnasium.make("highway-v0", config=ROAD)
+    environment.reset(seed=seed)
+    road = environment.unwrapped.road
+    with path.open("w", newline="") as file:
+        table = csv.writer(file)
+        table.writerow(HERE)
+        for tick in range(HZ * (SECONDS + 5)):
+            for number, car in enumerate(road.vehicles):
+                name, (x, y) = f"npc{number - 1}" if number else "ego", car.position.tolist()
+                row = [tick / HZ, name, x, -y, -car.heading, car.speed, car.lane_index[2], car.LENGTH, car.WIDTH]
+                table.writerow(row)
+            road.act()
+            road.step(1 / HZ)
+    return pafot.recorded(path)
+
+
+def distances(recording: pafot.Recording) -> list[float]:
+    """Return how far each NPC of a recording's scenario is from its track at most [m]."""
+    scenario, ego = recording.scenario(at=BEGIN, seconds=SECONDS), recording.vehicle("ego").at(BEGIN)[0]
+    nearest = sorted(recording.vehicles, key=lambda each: abs(each.at(BEGIN)[0, X] - ego[X]))[1:]
+    times, found = np.arange(SECONDS * 10) / 10, []
+    world = pafot.Highway(lanes=6, speed_limit=36.3, duration=float(SECONDS))
+    for (manoeuvre,), vehicle in zip(scenario.npcs, nearest, strict=False):
+        alone = replace(scenario, npcs=[[replace(manoeuvre, ahead=400.0)]], ego_speed=0.0)
+        trace = world.rollout(alone, lambda: lambda seen: (0.0, 0.0))
+        track = vehicle.at(BEGIN + times) - vehicle.at(BEGIN)
+        x, y = (np.interp(times, trace.times, trace.states[:, 1, each] - trace.states[0, 1, each]) for each in (X, Y))
+        found.append(float(np.hypot(x - track[:, X], y - track[:, Y]).max()))
+    return found
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--recordings", type=int, default=8)
+    parser.add_argument("--scenarios", type=Path)
+    parser.add_argument("--vehicles", type=Path, nargs="*", default=[])
+    arguments = parser.parse_args()
+    with tempfile.TemporaryDirectory() as folder:
+        paths = [(seed, Path(folder) / f"{seed}.csv") for seed in range(arguments.recordings)]
+        found = [each for seed, path in paths for each in distances(recorded_traffic(seed, path))]
+    shares = ", ".join(f"{share:.0%}: {np.quantile(found, share):.2f} m" for share in (0.5, 0.75, 0.9, 1.0))
+    sys.stdout.write(f"{len(found)} tracks, farthest at any moment: {shares}\n")
+    reasons: Counter[str] = Counter()
+    for path in sorted(arguments.scenarios.rglob("*.xosc")) if arguments.scenarios else ():
+        try:
+            pafot.recorded(path, vehicles=arguments.vehicles)
+            reasons["read"] += 1
+        except RecordingError as error:
+            reasons[re.sub(r"-?\d[\d.]*|'.*'", "..", error.received)[:80]] += 1
+    for reason, count in reasons.most_common():
+        sys.stdout.write(f"{count:4} {reason}\n")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,136 @@
+"""A recording as a scenario: who is in it, where they start, and how near their manoeuvres come to the tracks."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import pytest_pafot as pafot
+from pytest_pafot.extras.recordings.recording import RecordedVehicle, Recording
+from pytest_pafot.model.trace import Lane, X, Y
+from pytest_pafot.support.errors import RequestError
+from tests.helpers.tables import table
+
+TIMES = np.arange(0.0, 25.01, 0.1)
+LANES = tuple(Lane(x=0.0, y=3.75 * n, heading=0.0, length=1e4, width=3.75, speed_limit=math.inf) for n in range(3))
+
+
+def driven(name, x, speeds, lanes=((0.0, 1.0),), *, length=4.5, width_of_lane=3.75, heading=0.0, first=0.0, last=25.0):
+    """Return a vehicle with speeds and lanes at some times, and straight lines between them."""
+    speed = np.interp(TIMES, *zip(*speeds, strict=True))
+    y = width_of_lane * np.interp(TIMES, *zip(*lanes, strict=True))
+    along = x + np.concatenate([[0.0], np.cumsum((speed[1:] + speed[:-1]) / 2 * 0.1)])
+    states = np.stack([along, y, np.full_like(along, heading), speed], axis=-1)
+    seen = (first - 1e-6 <= TIMES) & (last + 1e-6 >= TIMES)
+    return RecordedVehicle(name=name, kind="car", length=length, width=1.8, times=TIMES[seen], states=states[seen])
+
+
+EGO = driven("1", 0.0, [(0, 25.0)])
+
+
+def recording(*others, lanes=LANES, ego=EGO):
+    return Recording(vehicles=(ego, *others), rate=10.0, lanes=lanes, source="tracks.csv")
+
+
+def test_npcs_start_where_they_are_relative_to_the_ego():
+    scenario = recording(
+        driven("2", 40.0, [(0, 20.0)], length=12.0),
+        driven("3", -30.0, [(0, 30.0)], [(0, 0.0)]),
+        driven("4", 1.0, [(0, 25.0)], [(0, 2.0)]),
+    ).scenario(1, seconds=2.0)
+    beside, ahead, behind = (chain[0] for chain in scenario.npcs)  # the nearest one first
+    assert (beside.beside, beside.ahead, beside.speed) == (1, 0.0, 25.0)
+    assert (ahead.beside, ahead.ahead, ahead.speed) == (-1, -25.5, 30.0)
+    assert (behind.beside, behind.ahead, behind.speed) == (0, round(40.0 - 8.25, 1), 20.0)
+    assert (scenario.ego_lane, scenario.ego_speed) == (1, 25.0)
+
+
+def test_vehicles_that_are_not_there_or_come_towards_the_ego_are_not_in_the_scenario():
+    tracks = recording(
+        driven("2", 40.0, [(0, 25.0)]),
+        driven("later", 60.0, [(0, 25.0)], first=3.0),
+        driven("oncoming", 300.0, [(0, 25.0)], heading=math.pi),
+        driven("far", 500.0, [(0, 25.0)]),
+    )
+    assert [chain[0].ahead for chain in tracks.scenario(1).npcs] == [35.5]
+    assert [chain[0].ahead for chain in tracks.scenario(1, at=5.0).npcs] == [35.5, 55.5]
+
+
+def test_without_lanes_those_beside_the_ego_are_as_wide_as_usual():
+    tracks = recording(
+        driven("2", 40.0, [(0, 25.0)], [(0, 0.0)], width_of_lane=3.5),
+        lanes=(),
+        ego=driven("1", 0.0, [(0, 25.0)], width_of_lane=3.5),
+    )
+    ((npc,),) = tracks.scenario(1).npcs
+    assert (npc.beside, npc.ahead, npc.steps) == (-1, 35.5, ())
+
+
+@table(
+    "other",
+    [
+        driven("constant", 40.0, [(0, 25.0)]),
+        driven("brakes", 60.0, [(0, 25.0), (5, 25.0), (9, 13.0), (25, 13.0)]),
+        driven("stops", 60.0, [(0, 20.0), (4, 20.0), (10, 0.0), (25, 0.0)]),
+        driven("goes", 60.0, [(0, 0.0), (6, 0.0), (16, 20.0), (25, 20.0)]),
+        driven("wavers", 40.0, [(0, 22.0), (4, 25.0), (8, 21.0), (12, 24.0), (16, 22.0), (25, 25.0)]),
+        driven("cuts in", 30.0, [(0, 22.0)], [(0, 0.0), (6, 0.0), (11, 1.0)]),
+        driven("cuts in and brakes", 40.0, [(0, 25.0), (10, 25.0), (14, 15.0)], [(0, 2.0), (5, 2.0), (9, 1.0)]),
+        driven("passes", -40.0, [(0, 30.0), (8, 32.0), (25, 30.0)], [(0, 1), (3, 1), (7, 0), (15, 0), (20, 1)]),
+        driven("crosses all lanes", 20.0, [(0, 25.0)], [(0, 0.0), (4, 0.0), (8, 1.0), (12, 1.0), (16, 2.0)]),
+        driven("leaves early", 20.0, [(0, 25.0), (6, 20.0)], last=8.0),
+    ],
+)  # fmt: skip
+def test_manoeuvre_stays_within_two_metres_of_the_track(other):
+    scenario = recording(other).scenario(1)
+    far = pafot.Scenario(  # where neither the ego nor a collision disturbs it
+        npcs=[[replace(each, ahead=400.0)] for (each,) in scenario.npcs],
+        ego_lane=scenario.ego_lane, ego_speed=0.0,
+    )  # fmt: skip
+    trace = pafot.Highway(lanes=4, speed_limit=36.3, duration=20.0).rollout(far, lambda: lambda seen: (0.0, 0.0))
+    times = TIMES[min(20.0, other.times[-1]) >= TIMES]
+    x, y = (np.interp(times, trace.times, trace.states[:, 1, each] - trace.states[0, 1, each]) for each in (X, Y))
+    track = other.at(times) - other.at(0.0)
+    missed = np.hypot(x - track[:, X], y - track[:, Y] * 4.0 / 3.75)
+    assert missed.max() < 2.0, (missed.max(), scenario)
+
+
+@table(
+    "arguments, message",
+    [
+        ({}, r"tracks.csv: expected a vehicle in whose place the policy drives; give it as ego="),
+        ({"ego": 1, "at": 30.0}, r"a time at which 1 was seen, from 0 to 25 s, and at most 120 s, received at=30 and"),
+        (
+            {"ego": 1},
+            r"expected vehicles within 200 m of 1 that drive in its direction at 0 s, received none; start at",
+        ),
+    ],
+)
+def test_recording_without_a_scenario_is_refused(arguments, message):
+    with pytest.raises(RequestError, match=message):
+        recording().scenario(**arguments)
+
+
+def test_ego_in_a_bend_is_refused():
+    bent = np.array(EGO.states)
+    bent[:, 2] = np.linspace(0.0, 1.0, len(bent))
+    ego = RecordedVehicle(name="1", kind="car", length=4.5, width=1.8, times=TIMES, states=bent)
+    with pytest.raises(
+        RequestError, match=r"a straight road from 0 s on, received 1, which turns by 46 degrees; start"
+    ):
+        recording(driven("2", 40.0, [(0, 25.0)]), ego=ego).scenario(1)
+
+
+def test_vehicle_that_turns_off_the_road_drives_on_in_its_lane():
+    other = driven("2", 40.0, [(0, 20.0)], [(0, 1.0), (5, 1.0), (7, 40.0)])
+    states = np.array(other.states)
+    states[50:, 2] = 1.4
+    turning = RecordedVehicle(name="2", kind="car", length=4.5, width=1.8, times=TIMES, states=states)
+    ((npc,),) = recording(turning).scenario(1).npcs
+    assert [step.lane for step in npc.steps if step.lane != "keep"] == []
+
+
+def test_vehicle_that_backs_up_stands():
+    ((npc,),) = recording(driven("2", 40.0, [(0, -1.0)])).scenario(1, seconds=1.0).npcs
+    assert npc.speed == 0.0

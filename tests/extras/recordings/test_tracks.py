@@ -1,0 +1,333 @@
+"""Tables and scenarios of others as tracks: units, sides, gaps, and what is refused with its line and column."""
+
+import csv
+import importlib.util
+import math
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import pytest_pafot as pafot
+from pytest_pafot.extras.export.exporter import exporter
+from pytest_pafot.extras.recordings.recording import RecordedVehicle, RecordingError
+from pytest_pafot.model.trace import HEADING, SPEED, X, Y
+from pytest_pafot.support.errors import RequestError
+from tests.helpers.tables import table
+from tests.helpers.traces import trace_of, vehicle
+
+FINDING = SimpleNamespace(id="run")
+NUMBERS = st.floats(-1e6, 1e6, width=64)
+
+
+def written(folder, name, rows, columns=None):
+    path = folder / name
+    with path.open("w", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(columns or rows[0])
+        writer.writerows([row.values() for row in rows])
+    return path
+
+
+@st.composite
+def traces(draw):
+    vehicles = [
+        np.array(draw(st.lists(st.tuples(*[NUMBERS] * 6), min_size=3, max_size=3)))
+        for _ in range(draw(st.integers(1, 3)))
+    ]
+    lanes = draw(st.integers(-1, 3))
+    return trace_of(*(np.hstack([rows, np.full((3, 1), lanes)]) for rows in vehicles))
+
+
+@given(trace=traces())
+def test_table_of_a_run_is_read_back_to_the_last_bit(trace, tmp_path_factory):
+    path = tmp_path_factory.mktemp("run") / "run.csv"
+    path.write_bytes(exporter("csv")(FINDING, trace)["run.csv"])
+    read = pafot.recorded(path)
+    assert np.array_equal(np.stack([each.states for each in read.vehicles], axis=1), trace.states[..., :4])
+    assert [each.times.tolist() for each in read.vehicles] == [trace.times.tolist()] * len(trace.sizes)
+    assert [(each.length, each.width) for each in read.vehicles] == [tuple(size) for size in trace.sizes.tolist()]
+    assert (read.ego, read.rate) == ("ego", 15.0)
+
+
+def test_lanes_of_a_run_are_those_of_vehicles_that_keep_theirs(tmp_path):
+    trace = trace_of(vehicle(0.0, 4.0, speed=20.0, ticks=30), vehicle(30.0, 8.0, speed=20.0, ticks=30))
+    (tmp_path / "run.csv").write_bytes(exporter("csv")(FINDING, trace)["run.csv"])
+    read = pafot.recorded(tmp_path / "run.csv")
+    assert [(lane.y, lane.width, lane.heading) for lane in read.lanes] == [(4.0, 4.0, 0.0), (8.0, 4.0, 0.0)]
+
+
+HIGHD = {"width": 4.0, "height": 2.0, "xVelocity": 30.0, "yVelocity": 0.0}
+
+
+@pytest.fixture
+def highd(tmp_path):
+    """Two vehicles of highD side by side in opposite directions, 25 rows per second, the second one with a gap."""
+    rows = []
+    for frame in range(1, 27):
+        rows.append({"frame": frame, "id": 1, "x": 100 + 1.2 * frame, "y": 20.0, **HIGHD})
+        if frame not in (5, 6):
+            rows.append({"frame": frame, "id": 2, "x": 300 - 1.2 * frame, "y": 9.5, **HIGHD, "xVelocity": -30.0})
+    about = [
+        {"id": 1, "class": "Car", "drivingDirection": 2},
+        {"id": 2, "class": "Truck", "drivingDirection": 1},
+    ]
+    marks = {"upperLaneMarkings": "8.5;12.5;16.5", "lowerLaneMarkings": "19.0;23.0"}
+    written(tmp_path, "01_tracksMeta.csv", about)
+    written(tmp_path, "01_recordingMeta.csv", [{"frameRate": 25, "speedLimit": -1, **marks}])
+    return written(tmp_path, "01_tracks.csv", rows)
+
+
+def test_highd_has_centres_classes_and_lanes_of_both_directions(highd):
+    read = pafot.recorded(highd)
+    right, left = read.vehicles
+    assert (right.kind, left.kind, read.rate, read.ego) == ("car", "truck", 25.0, None)
+    assert right.states[0].tolist() == [103.2, 21.0, 0.0, 30.0]
+    assert left.states[0, [X, Y, SPEED]].tolist() == pytest.approx([300.8, 10.5, 30.0])
+    assert abs(left.states[0, HEADING]) == pytest.approx(math.pi)
+    assert [(lane.y, lane.width, lane.heading) for lane in read.lanes] == [
+        (21.0, 4.0, 0.0),
+        (10.5, 4.0, math.pi),
+        (14.5, 4.0, math.pi),
+    ]
+    assert {lane.speed_limit for lane in read.lanes} == {math.inf}
+
+
+def test_short_gap_is_filled_by_straight_lines(highd):
+    left = pafot.recorded(highd).vehicle(2)
+    assert len(left.times) == 26
+    assert np.diff(left.times) == pytest.approx(np.full(25, 0.04))
+    assert np.diff(left.states[:, X]) == pytest.approx(np.full(25, -1.2))
+
+
+def test_recording_is_turned_so_that_its_ego_drives_along_x(highd):
+    read = pafot.recorded(highd, ego=2)
+    ego, other = read.vehicle(2), read.vehicle(1)
+    assert np.diff(ego.states[:, X]) == pytest.approx(np.full(25, 1.2))
+    assert ego.states[:, HEADING] == pytest.approx(np.zeros(26), abs=1e-12)
+    assert np.cos(other.states[:, HEADING]) == pytest.approx(np.full(26, -1.0))
+    # From the left, as the ego sees its lanes: the one next to the other direction, then its own one.
+    assert [(round(lane.y, 6), round(math.cos(lane.heading), 6)) for lane in read.lanes] == [
+        (-14.5, 1.0),
+        (-10.5, 1.0),
+        (-21.0, -1.0),
+    ]
+    assert ego.states[0, Y] == pytest.approx(-10.5)
+
+
+def test_highd_needs_the_other_files_of_the_recording(highd):
+    (highd.parent / "01_recordingMeta.csv").unlink()
+    with pytest.raises(RecordingError, match=r"01_tracks.csv: expected the file 01_recordingMeta.csv next to it"):
+        pafot.recorded(highd)
+
+
+@table(
+    "column, value, message",
+    [
+        (
+            "xVelocity",
+            "fast",
+            r"01_tracks.csv:2: xVelocity: expected a finite number, received 'fast'; correct the cell",
+        ),
+        ("x", "nan", r"01_tracks.csv:2: x: expected a finite number, received 'nan'"),
+        ("y", "1_0", r"expected a finite number, received '1_0'"),
+        ("y", "1e300", r"expected a finite number"),
+        ("id", "7", r"01_tracks.csv:2: id: expected a vehicle of 01_tracksMeta.csv, received 7"),
+    ],
+)
+def test_wrong_cell_is_refused_with_line_and_column(highd, column, value, message):
+    before = highd.read_text()
+    lines = before.splitlines()
+    cells = lines[1].split(",")
+    cells[lines[0].split(",").index(column)] = value
+    highd.write_text("\n".join([lines[0], ",".join(cells), *lines[2:]]))
+    with pytest.raises(RecordingError, match=message):
+        pafot.recorded(highd)
+    highd.write_text(before)
+
+
+def test_row_that_is_cut_off_is_refused(highd):
+    highd.write_text(highd.read_text()[:-40])
+    with pytest.raises(RecordingError, match=r"01_tracks.csv:50: expected 8 cells, received"):
+        pafot.recorded(highd)
+
+
+def test_only_rows_between_two_times_are_read(highd):
+    read = pafot.recorded(highd, between=(0.5, 0.8))
+    assert read.vehicle(1).times == pytest.approx(np.arange(13, 21) / 25)
+    with pytest.raises(RecordingError, match=r"expected rows at that time, received none; give another time"):
+        pafot.recorded(highd, between=(50.0, 60.0))
+
+
+@pytest.fixture
+def ind(tmp_path):
+    """A car and a pedestrian of inD."""
+    rows = [
+        {
+            "trackId": track, "frame": frame, "xCenter": 10.0, "yCenter": frame / 25 * 5, "heading": 90.0,
+            "width": 1.8 * (track == 0), "length": 4.5 * (track == 0), "xVelocity": 0.0, "yVelocity": 5.0,
+        }
+        for track in (0, 1) for frame in range(3)
+    ]  # fmt: skip
+    written(tmp_path, "00_tracksMeta.csv", [{"trackId": 0, "class": "car"}, {"trackId": 1, "class": "pedestrian"}])
+    written(tmp_path, "00_recordingMeta.csv", [{"frameRate": 25.0}])
+    return written(tmp_path, "00_tracks.csv", rows)
+
+
+def test_ind_has_left_as_negative_and_headings_clockwise(ind):
+    read = pafot.recorded(ind)
+    (car,) = read.vehicles
+    assert car.states[2].tolist() == pytest.approx([10.0, -0.4, -math.pi / 2, 5.0])
+    assert (car.kind, car.length, car.width, read.lanes) == ("car", 4.5, 1.8, ())
+    assert read.notes == ("the data have no lanes", "1 pedestrian or cyclist without a size left out")
+    turned = pafot.recorded(ind, ego=0).vehicle(0)
+    assert np.diff(turned.states[:, X]) == pytest.approx([0.2, 0.2])
+    assert turned.states[:, HEADING] == pytest.approx(np.zeros(3))
+
+
+def ngsim(folder, **changes):
+    """A car of NGSIM that drives at 30 feet a second, stands for two seconds, and drives on; and one next to it."""
+    rows, along = [], 0.0
+    for frame in range(60):
+        speed = 0.0 if 20 <= frame < 40 else 30.0
+        for number, across in ((1, 6.0), (2, 18.0)):
+            jump = 0.3 * (frame % 2) if speed == 0.0 else 0.0
+            rows.append({
+                "Vehicle_ID": number, "Frame_ID": 100 + frame, "Local_X": across + jump, "Local_Y": along,
+                "v_Length": 16.0, "v_Width": 6.0, "v_Class": 2, "v_Vel": speed, "Lane_ID": number, **changes,
+            })  # fmt: skip
+        along += speed / 10
+    return written(folder, "trajectories.csv", rows)
+
+
+def test_ngsim_is_in_metres_of_centres_with_lanes_where_vehicles_drove(tmp_path):
+    read = pafot.recorded(ngsim(tmp_path))
+    car = read.vehicle(1)
+    assert car.times[0] == 10.0
+    assert car.states[1].tolist() == pytest.approx([(3.0 - 8.0) * 0.3048, 6 * 0.3048, 0.0, 30 * 0.3048])
+    assert (car.kind, round(car.length, 3), round(car.width, 3)) == ("car", 4.877, 1.829)
+    assert [lane.width for lane in read.lanes] == pytest.approx([12 * 0.3048] * 2)
+    assert read.notes == ("lanes are estimated from what drove in them",)
+
+
+def test_standing_vehicle_keeps_the_direction_in_which_it_moved(tmp_path):
+    car = pafot.recorded(ngsim(tmp_path)).vehicle(1)
+    assert np.abs(car.states[22:38, HEADING]).max() < 0.1
+
+
+def test_ngsim_of_several_places_is_refused(tmp_path):
+    path = ngsim(tmp_path, Location="us-101")
+    path.write_text(path.read_text().rpartition(",")[0] + ",i-80\n")
+    with pytest.raises(RecordingError, match=r"csv:121: Location: expected one place, us-101, received i-80; split"):
+        pafot.recorded(path)
+
+
+def test_vehicle_that_was_away_for_long_is_another_one(tmp_path):
+    path = ngsim(tmp_path)
+    lines = path.read_text().splitlines()
+    path.write_text("\n".join([lines[0], *(line for line in lines[1:] if not 110 <= int(line.split(",")[1]) < 125)]))
+    assert [(each.name, len(each.times)) for each in pafot.recorded(path).vehicles] == [
+        ("1", 10), ("1/2", 35), ("2", 10), ("2/2", 35),
+    ]  # fmt: skip
+
+
+def test_two_rows_of_a_vehicle_at_one_time_are_refused(tmp_path):
+    path = ngsim(tmp_path)
+    path.write_text(path.read_text() + path.read_text().splitlines()[-1] + "\n")
+    with pytest.raises(RecordingError, match=r"expected one row of a vehicle at 15.9 s, received two of vehicle 2"):
+        pafot.recorded(path)
+
+
+def test_resampled_recording_has_rows_at_multiples_of_the_tick(tmp_path):
+    read = pafot.recorded(ngsim(tmp_path)).resampled(15)
+    assert read.vehicle(1).times == pytest.approx(np.arange(150, 239) / 15)
+    assert read.vehicle(1).states[:15, X] == pytest.approx(-8 * 0.3048 + 9.144 * np.arange(15) / 15)
+
+
+def test_heading_turns_the_shorter_way_between_rows():
+    headings = np.array([3.1, -3.1])
+    states = np.stack([np.zeros(2), np.zeros(2), headings, np.ones(2)], axis=-1)
+    car = RecordedVehicle(name="1", kind="", length=4.0, width=2.0, times=[0.0, 1.0], states=states)
+    assert car.at(0.5)[0, HEADING] == pytest.approx(math.pi)
+    assert np.isnan(car.at(1.5)).all()
+
+
+COMMONROAD = """<?xml version='1.0' encoding='UTF-8'?>
+<commonRoad timeStepSize="0.1" commonRoadVersion="{version}">
+  <lanelet id="1">
+    <leftBound><point><x>0.0</x><y>2.0</y></point><point><x>50.0</x><y>2.0</y></point></leftBound>
+    <rightBound><point><x>0.0</x><y>-2.0</y></point><point><x>50.0</x><y>-2.0</y></point></rightBound>
+  </lanelet>
+  <{obstacle} id="7">{role}<type>car</type>
+    <shape>{shape}</shape>
+    <initialState><position><point><x>1.0</x><y>0.5</y></point></position><orientation><exact>0.1</exact></orientation>
+      <time><exact>0</exact></time><velocity><exact>10.0</exact></velocity></initialState>
+    <trajectory>
+      <state><position><point><x>2.0</x><y>0.6</y></point></position><orientation><exact>0.1</exact></orientation>
+      <time><exact>1</exact></time><velocity><intervalStart>9.0</intervalStart><intervalEnd>11.0</intervalEnd></velocity>
+      </state>
+    </trajectory>
+  </{obstacle}>
+</commonRoad>
+"""
+RECTANGLE = "<rectangle><length>4.5</length><width>1.8</width></rectangle>"
+
+
+@pytest.mark.parametrize(
+    ("version", "obstacle", "role"), [("2020a", "dynamicObstacle", ""), ("2018b", "obstacle", "<role>dynamic</role>")]
+)
+def test_commonroad_has_obstacles_with_trajectories_and_lanelets(tmp_path, version, obstacle, role):
+    path = tmp_path / "scenario.xml"
+    path.write_text(COMMONROAD.format(version=version, obstacle=obstacle, role=role, shape=RECTANGLE))
+    read = pafot.recorded(path)
+    (car,) = read.vehicles
+    assert car.states.tolist() == [[1.0, -0.5, -0.1, 10.0], [2.0, -0.6, -0.1, 10.0]]
+    assert (car.name, car.kind, car.times.tolist(), read.rate) == ("7", "car", [0.0, 0.1], 10.0)
+    (lane,) = read.lanes
+    assert (lane.y, lane.heading, lane.length, lane.width, lane.points) == (0.0, 0.0, 50.0, 4.0, ())
+
+
+def test_commonroad_obstacle_that_is_no_box_is_refused_with_its_line(tmp_path):
+    path = tmp_path / "scenario.xml"
+    circle = "<circle><radius>1.0</radius></circle>"
+    path.write_text(COMMONROAD.format(version="2020a", obstacle="dynamicObstacle", role="", shape=circle))
+    with pytest.raises(RecordingError, match=r"xml:8: commonRoad/dynamicObstacle/shape: expected its shape as a recta"):
+        pafot.recorded(path)
+
+
+@pytest.mark.skipif(importlib.util.find_spec("commonroad") is None, reason="needs commonroad-io")
+@pytest.mark.filterwarnings("ignore:Call to deprecated create function:DeprecationWarning")
+def test_run_that_commonroads_library_has_written_is_read_as_driven(tmp_path):
+    trace = trace_of(vehicle(0.0, 4.0, speed=20.0, ticks=30), vehicle(30.0, 8.0, speed=15.0, ticks=30))
+    (tmp_path / "run.xml").write_bytes(exporter("commonroad")(FINDING, trace)["run.xml"])
+    read = pafot.recorded(tmp_path / "run.xml")
+    states = np.stack([each.states for each in read.vehicles], axis=1)
+    assert states == pytest.approx(trace.states[..., :4], abs=1e-8)
+    assert [lane.y for lane in read.lanes] == pytest.approx([0.0, 4.0, 8.0, 12.0])
+
+
+@table(
+    "content, message",
+    [
+        ("<!DOCTYPE a [<!ENTITY b 'c'>]><commonRoad/>", r":1: expected no document type, received <!DOCTYPE a; remove"),
+        ("<commonRoad><a></commonRoad>", r":1: expected XML, received mismatched tag; the file may be cut off"),
+        ("<other/>", r"other: expected OpenSCENARIO or commonRoad, received other"),
+        ("a,b\n1,2\n", r":1: expected the columns of export --to csv \(time, vehicle, .* received a, b; rename"),
+        ("<a>" * 70, r"expected at most 5000000 elements, 60 deep, received more"),
+        ("", r"received none"),
+    ],
+)
+def test_other_files_are_refused(tmp_path, content, message):
+    path = tmp_path / "file"
+    path.write_text(content)
+    with pytest.raises(RecordingError, match=message):
+        pafot.recorded(path)
+
+
+def test_file_that_is_not_there_and_vehicle_that_is_not_in_it_are_refused(highd):
+    with pytest.raises(RequestError, match=r"recorded: expected a file, received 'nothing.csv'; correct the path"):
+        pafot.recorded("nothing.csv")
+    with pytest.raises(RequestError, match=r"expected one of the vehicles 1, 2, received 3"):
+        pafot.recorded(highd, ego=3)
