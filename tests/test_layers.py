@@ -77,6 +77,7 @@ QUESTIONS = {
     "criticality/asked.py": 1,  # a lateral speed is measured only across straight lanes
     "criticality/zones.py": 1,  # places on two ways are of use only together
     "extras/algorithms/map_elites.py": 1,  # the archive has places for zones only if there are any
+    "extras/recordings/commonroad_scenario.py": 1,  # whether a lane has points
     "extras/testing/__init__.py": 3,  # promises of a user's world that hold only on straight lanes
     "extras/testing/traces.py": 11,  # the same
     "findings/decisions.py": 1,  # a motion across begins at a decision only if lanes do not bend
