@@ -15,6 +15,7 @@ from pytest_pafot.campaign.options import BY_NAME, Settings
 from pytest_pafot.model.driving_style import PAPERS, Traffic
 from pytest_pafot.model.scenario import EGO_LANE, EGO_SPEED, Manoeuvre, Scenario, ScenarioError
 from pytest_pafot.model.trace import Trace
+from pytest_pafot.model.vehicle_type import CAR, READY, VehicleType, named_vehicles
 from pytest_pafot.searching import asked_traffic
 from pytest_pafot.searching.algorithms.catalogue import AlgorithmClass, resolve_algorithm
 from pytest_pafot.searching.ask_tell import Algorithm
@@ -30,7 +31,17 @@ from pytest_pafot.world.guard.own_worlds import base_world
 from pytest_pafot.world.validation import OTHER_KIND
 
 ROAD_ARGUMENTS = ("lanes", "speed_limit", "clearance")
-SPACE_ARGUMENTS = ("npcs", "genes", "gene_seconds", "ego_lane", "ego_speed", "traffic", "acts", "instructions")
+SPACE_ARGUMENTS = (
+    "npcs",
+    "genes",
+    "gene_seconds",
+    "ego_lane",
+    "ego_speed",
+    "traffic",
+    "acts",
+    "instructions",
+    "vehicles",
+)
 NPCS = 4
 """The default number of NPCs in a scenario. Four NPCs fit around the ego in any lane of a Highway."""
 MOST_NPCS = 6
@@ -73,6 +84,7 @@ class SearchArguments(TypedDict, total=False):
     traffic: str | Traffic
     acts: Sequence[str]
     instructions: str
+    vehicles: str | VehicleType | Sequence[str | VehicleType]
     ads: Any
     arg: str
     fitness: str | Weights | Callable[[Trace], float]
@@ -285,8 +297,17 @@ def build_space(request: Request, world: Any) -> SearchSpace:
                 f"expected a world whose NPCs have styles, received {world!r:.100}, which declares none; leave traffic "
                 "out, or write has_traffic_styles = True in its class if its NPCs keep to scenario.traffic",
             )
+        vehicles = named_vehicles(request.space.get("vehicles", (CAR,)))
+        if odd := next((each for each in vehicles if not world.can_drive(each)), None):
+            raise request.error(
+                "vehicles=...",
+                f"expected vehicles that NPCs can be in {world!r:.100}, received {odd.described}; a long one cannot "
+                "follow tight bends, and a world of your own has to declare has_vehicles = True in its class",
+            )
         # The paper's algorithms keep the paper's space; the others fill in what the mark leaves open.
         drawn = {} if request.algorithm.is_papers else drawn_space(world, {"instructions": kinds[-1], **request.space})
+        if request.algorithm.draws_vehicles and request.space.get("instructions") != "manoeuvres":
+            drawn["vehicles"] = tuple(filter(world.can_drive, READY.values()))
         space: SearchSpace = world.space({**drawn, **request.space})
         if space.instructions == "manoeuvres":
             space = _with_room(space, world, "npcs" in request.space)

@@ -17,6 +17,8 @@ from pytest_pafot.model.scenario import MOST_BESIDE, SHIFTS, Chromosome, Manoeuv
 
 FIRST_GAP, SPACING, SPREAD = 12.0, 24.0, 12.0
 """The gap between the ego and the nearest start, from one start to the next, and the part of it that is sampled [m]."""
+LONGEST = SPACING - SPREAD - 1.0
+"""The length of the longest vehicle for which there is room between two starts [m]."""
 MOST_ROOM = 20 * SPACING
 """The farthest start that is looked for [m]."""
 AHEAD = 0.65

@@ -24,6 +24,7 @@ from pytest_pafot.model.scenario import (
     Scenario,
     retimed,
 )
+from pytest_pafot.model.vehicle_type import VehicleType
 from pytest_pafot.searching import asked_traffic
 from pytest_pafot.searching.crossing_traffic import CrossingTraffic, mixed
 from pytest_pafot.searching.evaluation import Evaluation
@@ -41,6 +42,8 @@ STARTS, PATTERNS = 0.1, 0.35
 """Share of mutations that sample a new start, if the space has several, and that insert a pattern, if it has any."""
 SPEEDS = 0.7
 """Share of the new starts that differ in the first speed; the others differ in the ego's first lane."""
+VEHICLES = 0.05
+"""Share of the mutations that make an NPC another vehicle, if NPCs can be several."""
 SIZES = 0.1
 """Share of the mutations that add or remove an NPC, or change the duration of genes, if the space varies this."""
 
@@ -51,30 +54,43 @@ def crossover(a: Scenario, b: Scenario, rng: Generator) -> tuple[Scenario, Scena
     If both NPCs cross in the same zone, slot, speed and act are each swapped or not at random instead. Afterwards NPCs
     may conflict in a zone; :func:`mutate` and :func:`varied` resolve such conflicts, because they know the ways.
     """
-    (in_a, for_a), (in_b, for_b) = _swapped(a, b, rng)
-    return _child(a, with_chain(a.npcs, in_a, for_a), rng), _child(b, with_chain(b.npcs, in_b, for_b), rng)
+    first, second = _swapped(a, b, rng)
+    return _with_npc(a, *first, rng), _with_npc(b, *second, rng)
 
 
 def first_crossed(a: Scenario, b: Scenario, rng: Generator) -> Scenario:
     """Return the first child of :func:`crossover`, for the same random numbers, without repairing the second child."""
-    (in_a, for_a), _ = _swapped(a, b, rng)
-    child = _child(a, with_chain(a.npcs, in_a, for_a), rng)
+    first, _ = _swapped(a, b, rng)
+    child = _with_npc(a, *first, rng)
     fresh_seed(rng)
     return child
 
 
-def _swapped(a: Scenario, b: Scenario, rng: Generator) -> tuple[tuple[int, Chromosome], tuple[int, Chromosome]]:
-    """Return the index of a random NPC of each scenario, with the chain that a crossover gives to this NPC."""
+Swapped = tuple[int, Chromosome, VehicleType]
+"""The index of an NPC, and the chain and the vehicle that a crossover gives to it."""
+
+
+def _with_npc(scenario: Scenario, npc: int, chain: Chromosome, vehicle: VehicleType, rng: Generator) -> Scenario:
+    vehicles = scenario.vehicles
+    if vehicle != scenario.vehicle_of(npc):
+        vehicles = (*scenario.all_vehicles[:npc], vehicle, *scenario.all_vehicles[npc + 1 :])
+    return repaired(with_chain(scenario.npcs, npc, chain), fresh_seed(rng), scenario, vehicles)
+
+
+def _swapped(a: Scenario, b: Scenario, rng: Generator) -> tuple[Swapped, Swapped]:
+    """Return the index of a random NPC of each scenario, with the chain and the vehicle that it gets."""
     in_a, in_b = int(rng.integers(len(a.npcs))), int(rng.integers(len(b.npcs)))
     one, other = a.npcs[in_a][0], b.npcs[in_b][0]
+    kind, its_kind = a.vehicle_of(in_a), b.vehicle_of(in_b)
     if isinstance(one, CrossingInstruction) and isinstance(other, CrossingInstruction) and one.zone == other.zone:
         first, second = mixed(one, other, rng)
-        return (in_a, (first,)), (in_b, (second,))
+        return (in_a, (first,), kind), (in_b, (second,), its_kind)
     if isinstance(one, Manoeuvre) or isinstance(other, Manoeuvre):  # starts stay, so that no two NPCs touch there
         if not (isinstance(one, Manoeuvre) and isinstance(other, Manoeuvre)):
-            return (in_a, a.npcs[in_a]), (in_b, b.npcs[in_b])
-        return (in_a, (replace(one, steps=other.steps),)), (in_b, (replace(other, steps=one.steps),))
-    return (in_a, _taken(b, in_b, a)), (in_b, _taken(a, in_a, b))
+            return (in_a, a.npcs[in_a], kind), (in_b, b.npcs[in_b], its_kind)
+        mine, theirs = replace(one, steps=other.steps), replace(other, steps=one.steps)
+        return (in_a, (mine,), kind), (in_b, (theirs,), its_kind)
+    return (in_a, _taken(b, in_b, a), its_kind), (in_b, _taken(a, in_a, b), kind)
 
 
 def _taken(scenario: Scenario, npc: int, other: Scenario) -> Chromosome:
@@ -92,11 +108,12 @@ def mutate(scenario: Scenario, space: SearchSpace, rng: Generator) -> Scenario:
     instead would rewrite the rest of the chain and lose what the parent was selected for.
 
     If the space has several starts, a tenth of the mutations sample a new start. If it has patterns, a third insert a
-    pattern into a chain on the grid. NPCs that cross are mutated as often as all others: half of the time the slot is
-    moved, otherwise the speed, the act or the whole instruction changes. If two NPCs conflict, one is sampled again.
+    pattern into a chain on the grid. If NPCs can be several vehicles, a twentieth makes an NPC another one. NPCs that
+    cross are mutated as often as all others: half of the time the slot is moved, otherwise the speed, the act or the
+    whole instruction changes. If two NPCs conflict, one is sampled again.
     """
     child, crossing = _mutated(scenario, space, rng), space.crossing_traffic
-    return child if crossing is None else _cleared(child, crossing, rng)
+    return child if crossing is None else space.with_fitting_vehicles(_cleared(child, crossing, rng))
 
 
 def _cleared(scenario: Scenario, crossing: CrossingTraffic, rng: Generator) -> Scenario:
@@ -107,11 +124,16 @@ def _cleared(scenario: Scenario, crossing: CrossingTraffic, rng: Generator) -> S
 def _mutated(scenario: Scenario, space: SearchSpace, rng: Generator) -> Scenario:
     starts = STARTS if len(space.ego_lanes) > 1 or space.has_speeds else 0.0
     sizes = SIZES if space.most_npcs or len(space.gene_durations) > 1 else 0.0
-    draw = rng.random() if starts or sizes or space.patterns else 1.0
+    vehicles = VEHICLES if len(space.vehicles) > 1 else 0.0
+    draw = rng.random() if starts or sizes or vehicles or space.patterns else 1.0
     if draw < starts:
         return _started_anew(scenario, space, rng)
     if draw < starts + sizes:
         return _of_another_size(scenario, space, rng)
+    if draw < starts + sizes + vehicles:
+        npc = int(rng.integers(len(scenario.npcs)))
+        others = [vehicle for vehicle in space.vehicles if vehicle != scenario.vehicle_of(npc)]
+        return scenario.with_vehicle(npc, others[int(rng.integers(len(others)))])
     numbers = [npc for npc, chain in enumerate(scenario.npcs) if not isinstance(chain[0], ALONE)]
     asked = [npc for npc, chain in enumerate(scenario.npcs) if isinstance(chain[0], Manoeuvre)]
     crossing = space.crossing_traffic
@@ -122,7 +144,7 @@ def _mutated(scenario: Scenario, space: SearchSpace, rng: Generator) -> Scenario
         here = space.fixed(scenario.ego_lane, scenario.ego_speed, 1, scenario.genes, scenario.gene_seconds)
         new_one = asked_traffic.varied(cast("Manoeuvre", scenario.npcs[npc][0]), here, rng)
         return _child(scenario, with_chain(scenario.npcs, npc, (new_one,)), rng)
-    if draw < starts + sizes + PATTERNS and space.patterns and scenario.positions:
+    if draw < starts + sizes + vehicles + PATTERNS and space.patterns and scenario.positions:
         return _with_pattern(scenario, space, rng)
     places = [(npc, gene) for npc in numbers for gene in range(len(scenario.npcs[npc]))]
     npc, gene = places[int(rng.integers(len(places)))]
@@ -159,7 +181,7 @@ def _started_anew(scenario: Scenario, space: SearchSpace, rng: Generator) -> Sce
     among = roomy or lanes
     lane = among[int(rng.integers(len(among)))]
     kept = asked_traffic.in_lane(npcs[: space.most_on(lane)], scenario.ego_lane, lane)
-    return replace(scenario, ego_lane=lane, npcs=kept)
+    return replace(scenario, ego_lane=lane, npcs=kept, vehicles=scenario.vehicles[: len(kept)])
 
 
 def _of_another_size(scenario: Scenario, space: SearchSpace, rng: Generator) -> Scenario:
@@ -173,14 +195,16 @@ def _of_another_size(scenario: Scenario, space: SearchSpace, rng: Generator) -> 
         return repaired(chains, fresh_seed(rng), replace(scenario, gene_seconds=seconds))
     if len(npcs) > 1 and (len(npcs) >= most or rng.integers(2)):
         gone = int(rng.integers(len(npcs)))
-        return replace(scenario, npcs=npcs[:gone] + npcs[gone + 1 :])
+        return scenario.of_npcs(npc for npc in range(len(npcs)) if npc != gone)
     if len(npcs) >= most:
         return scenario
     alone = space.fixed(scenario.ego_lane, scenario.ego_speed, 1, scenario.genes, scenario.gene_seconds)
-    added = sample(alone, rng).npcs
+    one = sample(alone, rng)
+    added = one.npcs
     if isinstance(added[0][0], Manoeuvre):  # it starts beside the others, not as if it were alone
         added = ((asked_traffic.drawn(alone, npcs, rng),),)
-    return _child(scenario, (*npcs, *added), rng)
+    vehicles = (*scenario.all_vehicles, one.vehicle_of(0))
+    return repaired((*npcs, *added), fresh_seed(rng), scenario, vehicles)
 
 
 def _with_pattern(scenario: Scenario, space: SearchSpace, rng: Generator) -> Scenario:
@@ -270,7 +294,7 @@ def varied(
     if rng.random() < crossover_rate:
         a, b = crossover(a, b, rng)
         if (crossing := space.crossing_traffic) is not None:
-            a, b = (_cleared(child, crossing, rng) for child in (a, b))
+            a, b = (space.with_fitting_vehicles(_cleared(child, crossing, rng)) for child in (a, b))
     first, second = (mutate(child, space, rng) if rng.random() < mutation_rate else child for child in (a, b))
     return first, second
 

@@ -17,7 +17,8 @@ from pytest_pafot.model.scenario import (
     Scenario,
     ScenarioError,
 )
-from pytest_pafot.world.kernel.bodies import NPC_LENGTH, NPC_WIDTH, Box, overlap
+from pytest_pafot.model.vehicle_type import CAR, TIGHTEST, VehicleType
+from pytest_pafot.world.kernel.bodies import Box, overlap
 from pytest_pafot.world.kernel.director import Director
 from pytest_pafot.world.kernel.road_directors import JunctionDirector, NetworkDirector
 from pytest_pafot.world.limits import BEND_SHARE, TOP_SPEED, NpcLimits
@@ -66,7 +67,10 @@ class Rules:
     def ways(self, scenario: Scenario) -> list[CrossingWay | None]:
         """Return the way of each crossing NPC, None for each other NPC; empty if no NPC crosses."""
         known = {} if self.junction is None else self.junction.ways
-        return [None if each is None else known[each.zone] for each in scenario.crossings]
+        return [
+            None if each is None else known[each.zone].of(scenario.vehicle_of(npc), self.limits)
+            for npc, each in enumerate(scenario.crossings)
+        ]
 
     @property
     def ego_start(self) -> float:
@@ -86,11 +90,13 @@ class Rules:
             raise TypeError(f"road: expected a straight road, received {type(self.road).__name__}")
         return self.road
 
-    def start_distance(self, scenario: Scenario, ego_length: float = NPC_LENGTH) -> float:
-        """Return the distance between the centres of the ego and of NPCs that start ahead or behind [m]."""
-        return float(ego_length + NPC_LENGTH) / 2 + max(self.headway * scenario.ego_speed, self.clearance)
+    def start_distance(
+        self, scenario: Scenario, ego_length: float = CAR.length, npc_length: float = CAR.length
+    ) -> float:
+        """Return the distance between the centres of the ego and of an NPC that starts ahead or behind [m]."""
+        return float(ego_length + npc_length) / 2 + max(self.headway * scenario.ego_speed, self.clearance)
 
-    def start_cells(self, scenario: Scenario, ego_length: float = NPC_LENGTH) -> frozenset[Cell]:
+    def start_cells(self, scenario: Scenario, ego_length: float = CAR.length) -> frozenset[Cell]:
         """Return the cells in which an NPC may start."""
         if isinstance(self.road, NetworkRoad):
             return self.road.cells(self.road.start, scenario.ego_lane, self.start_distance(scenario, ego_length))
@@ -99,15 +105,14 @@ class Rules:
     def director(self, scenario: Scenario, ego_length: float) -> Director | JunctionDirector:
         """Make the director of the NPCs for one run around an ego of the given length [m]."""
         common: dict[str, Any] = {"clearance": self.clearance, "physics_hz": self.physics_hz}
-        common |= {"ego_length": ego_length, "length": NPC_LENGTH, "width": NPC_WIDTH}
+        common["ego_length"] = ego_length
         if isinstance(self.road, StraightRoad):
             return Director(scenario, self.road, self.limits, **common)
         grid, cells = None, self.start_cells(scenario, ego_length)
         if not scenario.crossings or self.junction is None:
             return NetworkDirector(scenario, self.road, self.limits, start_cells=cells, **common)
         if None in scenario.crossings:
-            pairs = zip(scenario.npcs, scenario.crossings, strict=True)
-            others = replace(scenario, npcs=tuple(npc for npc, crossing in pairs if crossing is None))
+            others = scenario.of_npcs(npc for npc, crossing in enumerate(scenario.crossings) if crossing is None)
             grid = NetworkDirector(others, self.road, self.limits, start_cells=cells, **common)
         del common["clearance"], common["ego_length"]
         return JunctionDirector(scenario, self.road, self.junction, self.limits, grid=grid, **common)
@@ -128,6 +133,7 @@ class Rules:
             expected = f"at most {len(cells)} NPCs{kind}, one per cell that exists around lane {scenario.ego_lane}"
             raise ScenarioError(field="npcs", expected=expected, received=str(on_grid))
         self._check_speeds(scenario)
+        self._check_vehicles(scenario)
         if near := self._at_start(scenario.ego_lane, scenario.ego_speed):
             self.refuse_start(scenario, near)
         self._check_manoeuvres(scenario)
@@ -139,6 +145,22 @@ class Rules:
             expected = f"a whole number of ticks of 1/{self.physics_hz} s"
             fix, received = f"the nearest is {max(round(ticks), 1) / self.physics_hz!r}", f"{scenario.gene_seconds:g}"
             raise ScenarioError(field="gene_seconds", expected=expected, received=received, fix=fix)
+
+    def can_drive(self, vehicle: VehicleType) -> bool:
+        """Return whether a vehicle can follow all bends along the ego's way."""
+        columns = self.road.columns if isinstance(self.road, NetworkRoad) else ()
+        return all(vehicle.can_follow(max(column.sharpest)) for column in columns)
+
+    def _check_vehicles(self, scenario: Scenario) -> None:
+        """Refuse a vehicle that is too long for the bends of its way."""
+        ways = self.ways(scenario)
+        for npc, vehicle in enumerate(scenario.vehicles):
+            way = ways[npc] if ways else None
+            if not (self.can_drive(vehicle) if way is None else vehicle.can_follow(way.way.sharpest)):
+                expected = f"a vehicle that can follow the bends of {'the road' if way is None else way.way.zone.way}"
+                least = vehicle.length / (TIGHTEST * CAR.length)
+                fix = f"it needs a radius of {least:.1f} m; give the NPC a shorter vehicle, or another way"
+                raise ScenarioError(field=f"vehicles[{npc}]", expected=expected, received=vehicle.described, fix=fix)
 
     def _check_lane(self, lane: int) -> None:
         road = self.road
@@ -157,7 +179,7 @@ class Rules:
         gap = max(self.headway * speed, self.clearance) if isinstance(self.road, StraightRoad) else 0.0
         x, y, heading = self.road.position(self.ego_start, lane)
         x, y = x + gap / 2 * math.cos(heading), y + gap / 2 * math.sin(heading)
-        place = Box(x, y, heading, NPC_LENGTH + gap, NPC_WIDTH)
+        place = Box(x, y, heading, CAR.length + gap, CAR.width)
         return next((each for each in self.obstacles if overlap(place, Box(*each))), None)
 
     def refuse_start(self, scenario: Scenario, near: tuple[float, ...]) -> NoReturn:
@@ -206,27 +228,34 @@ class Rules:
             for number, step in enumerate(manoeuvre.steps):
                 if step.speed is not None and step.speed > self.road.speed_limit + 1e-9:
                     self._refuse_speed(f"npcs[{npc}][0].steps[{number}]", step.speed)
-            lane, along = scenario.ego_lane + manoeuvre.beside, self.along_at(manoeuvre, scenario)
-            if not self._has_lane(lane, along):
+            lane, along = (
+                scenario.ego_lane + manoeuvre.beside,
+                self.along_at(manoeuvre, scenario, vehicle=scenario.vehicle_of(npc)),
+            )
+            if not self.has_lane(lane, along):
                 expected = f"a lane that exists {along - self.ego_start:.0f} m from the ego's start"
                 place, fix = f"npcs[{npc}][0].beside", "lanes are counted from 0 at the left"
                 raise ScenarioError(field=place, expected=expected, received=f"lane {lane}", fix=fix)
         if not asked:
             return
         numbers = [npc for npc, _ in _not_crossing(scenario)]
-        places = start_places(self, scenario, self.director(scenario, NPC_LENGTH).first_cells())
+        places = start_places(self, scenario, self.director(scenario, CAR.length).first_cells())
+        lengths = {npc: scenario.vehicle_of(npc).length for npc in numbers} | {-1: CAR.length}
         taken: list[tuple[int, float, int]] = []
         for npc, (own, its_lane) in zip((-1, *numbers), places, strict=True):
             for other, along, lane in taken:
-                if lane == its_lane and abs(along - own) < NPC_LENGTH + LEAST_START_GAP:
+                room = (lengths[npc] + lengths[other]) / 2
+                if lane == its_lane and abs(along - own) < room + LEAST_START_GAP:
                     who = "the ego" if other < 0 else f"npcs[{other}]"
                     expected = f"a start at least {LEAST_START_GAP:g} m from {who}"
-                    received = f"{abs(along - own) - NPC_LENGTH:.1f} m in the same lane"
+                    received = f"{abs(along - own) - room:.1f} m in the same lane"
                     fix = "give the manoeuvre another place or lane"
                     raise ScenarioError(field=f"npcs[{npc}]", expected=expected, received=received, fix=fix)
             taken.append((npc, own, its_lane))
 
-    def along_at(self, manoeuvre: Manoeuvre, scenario: Scenario, ego_length: float = NPC_LENGTH) -> float:
+    def along_at(
+        self, manoeuvre: Manoeuvre, scenario: Scenario, ego_length: float = CAR.length, vehicle: VehicleType = CAR
+    ) -> float:
         """Return the place along the road at which an NPC with a manoeuvre starts [m]."""
         if manoeuvre.ahead == 0:
             return self.ego_start
@@ -234,14 +263,14 @@ class Rules:
         if isinstance(self.road, NetworkRoad):
             bends = self.road.bends
             stretch = bends.stretch(self.ego_start, bends.across_at(scenario.ego_lane, self.ego_start))
-        room = math.copysign((ego_length + NPC_LENGTH) / 2, manoeuvre.ahead)
+        room = math.copysign((ego_length + vehicle.length) / 2, manoeuvre.ahead)
         return self.ego_start + (manoeuvre.ahead + room) / stretch
 
-    def _has_lane(self, lane: int, along: float) -> bool:
+    def has_lane(self, lane: int, along: float) -> bool:
         """Return whether a lane exists at a place along the road [m]."""
         road = self.road
         if isinstance(road, StraightRoad):
-            return 0 <= lane < road.lane_count and NPC_LENGTH < along < road.lanes[0].length - NPC_LENGTH
+            return 0 <= lane < road.lane_count and CAR.length < along < road.lanes[0].length - CAR.length
         return bool(road.bends.exists(lane, along))
 
     def _check_speeds(self, scenario: Scenario) -> None:
@@ -278,7 +307,7 @@ def _not_crossing(scenario: Scenario) -> list[tuple[int, Gene]]:
 
 
 def start_places(
-    rules: Rules, scenario: Scenario, cells: tuple[Cell, ...], ego_length: float = NPC_LENGTH
+    rules: Rules, scenario: Scenario, cells: tuple[Cell, ...], ego_length: float = CAR.length
 ) -> list[tuple[float, int]]:
     """Return the place along the road [m] and the lane of the ego and of each NPC that does not cross, at tick 0.
 
@@ -286,32 +315,44 @@ def start_places(
     headway. So there is no danger at the start, and all danger results from driving. NPCs with manoeuvres start where
     these say.
     """
-    far = rules.start_distance(scenario, ego_length)
-    beside = [(rules.ego_start + cell.row * far, scenario.ego_lane + cell.column) for cell in cells]
-    for number, (_, first) in enumerate(_not_crossing(scenario)):
+    beside = []
+    for cell, (npc, first) in zip(cells, _not_crossing(scenario), strict=True):
+        vehicle = scenario.vehicle_of(npc)
         if isinstance(first, Manoeuvre):
-            along = rules.along_at(first, scenario, ego_length)
-            beside[number] = along, scenario.ego_lane + first.beside
+            along = rules.along_at(first, scenario, ego_length, vehicle)
+            beside.append((along, scenario.ego_lane + first.beside))
+        else:
+            lane, far = scenario.ego_lane + cell.column, rules.start_distance(scenario, ego_length, vehicle.length)
+            if vehicle.length > CAR.length and not rules.has_lane(lane, rules.ego_start + cell.row * far):
+                far = rules.start_distance(scenario, ego_length)  # where the lane ends, a car has room to start
+            beside.append((rules.ego_start + cell.row * far, lane))
     return [(rules.ego_start, scenario.ego_lane), *beside]
 
 
 def start_speeds(rules: Rules, scenario: Scenario, cells: tuple[Cell, ...], ego_length: float) -> list[float]:
     """Return the start speed of each NPC [m/s]: the ego's or its manoeuvre's, or less in and just after a bend.
 
+    No vehicle starts faster than its own top speed.
+
     Just after a bend, an NPC's heading still differs from its course, so the NPC turns, and at a higher speed faster.
     """
     road = rules.road
     firsts = _not_crossing(scenario)
-    wanted = [first.speed if isinstance(first, Manoeuvre) else scenario.ego_speed for _, first in firsts]
+    kinds = [scenario.vehicle_of(npc) for npc, _ in firsts]
+    wanted = [
+        min(first.speed if isinstance(first, Manoeuvre) else scenario.ego_speed, kind.top_speed)
+        for (_, first), kind in zip(firsts, kinds, strict=True)
+    ]
     if isinstance(road, StraightRoad):
         return wanted
     _, *places = start_places(rules, scenario, cells, ego_length)
-    most = BEND_SHARE * rules.limits.lateral_acceleration * NPC_LENGTH / 2
-    turning = [math.sqrt(most / max(math.sin(abs(road.lane_at(lane, along)[2])), 1e-9)) for along, lane in places]
-    return [
-        min(speed, road.speed_at(lane, along), fastest)
-        for speed, (along, lane), fastest in zip(wanted, places, turning, strict=True)
-    ]
+    speeds = []
+    for speed, (along, lane), kind in zip(wanted, places, kinds, strict=True):
+        bends = road.bends_of(kind, rules.limits)
+        most = BEND_SHARE * rules.limits.of(kind).lateral_acceleration * kind.length / 2
+        turning = math.sqrt(most / max(math.sin(abs(bends.lean_at(lane, along))), 1e-9))
+        speeds.append(min(speed, bends.speed_at(lane, along), turning))
+    return speeds
 
 
 def starts_of(
@@ -324,7 +365,14 @@ def starts_of(
     cells = director.first_cells()
     in_lanes = start_places(rules, scenario, cells, ego_length)
     places = [along for along, _ in in_lanes]
-    _, *poses = (rules.road.position(along, lane) for along, lane in in_lanes)
+    road = rules.road
+    kinds = [scenario.vehicle_of(npc) for npc, _ in _not_crossing(scenario)]
+    poses = [
+        road.position(along, lane, road.bends_of(kind, rules.limits))
+        if isinstance(road, NetworkRoad)
+        else road.position(along, lane)
+        for (along, lane), kind in zip(in_lanes[1:], kinds, strict=True)
+    ]
     speeds = start_speeds(rules, scenario, cells, ego_length)
     starts = [(*pose, speed) for pose, speed in zip(poses, speeds, strict=True)]
     if isinstance(director, JunctionDirector):

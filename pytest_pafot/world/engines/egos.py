@@ -9,13 +9,14 @@ import numpy as np
 
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.sight import Sight
+from pytest_pafot.model.vehicle_type import CAR
 from pytest_pafot.world.driving.ads import give_route
 from pytest_pafot.world.driving.idm_model import idm_model
 from pytest_pafot.world.driving.perception import ads_and_sight
 from pytest_pafot.world.driving.seeing import ImperfectRoadSensor, ImperfectSensor
 from pytest_pafot.world.engines.run import SteppedRun, VehiclesOfRun
 from pytest_pafot.world.guard.hang_guard import HangGuard
-from pytest_pafot.world.kernel.bodies import NPC_LENGTH, NPC_WIDTH, Body
+from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.kernel.idm import GoalVehicle
 from pytest_pafot.world.kernel.loop import GivenDriver, ModelDriver, PlannerDriver
 from pytest_pafot.world.kernel.observation import Observer, Sensor
@@ -49,7 +50,7 @@ def planner_run(
     """
     if ads is not None:
         ads, sight = ads_and_sight(ads)
-    ego, road = body or Body(NPC_LENGTH, NPC_WIDTH), rules.road
+    ego, road = body or Body(CAR.length, CAR.width), rules.road
     ego.place(*rules.ego_position(scenario), scenario.ego_speed)
     is_straight = isinstance(road, StraightRoad)
     vehicles = VehiclesOfRun(rules, scenario, ego, None if is_straight else network())
@@ -76,6 +77,7 @@ def planner_driver(
             cast("RoadPlaces", vehicles.places),
             vehicles.rows,
             road.bends,
+            [road.bends, *(road.bends_of(kind, rules.limits) for kind in scenario.all_vehicles)],
             [None if way is None else way.way.zone for way in rules.ways(scenario)],
             (road.lane_count, road.lane_width, road.speed_limit, road.end),
             rules.physics_hz,

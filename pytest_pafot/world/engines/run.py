@@ -56,8 +56,8 @@ class VehiclesOfRun:
             x, y, _ = road.position(0.0, 0)
             self.places = Places(self.vehicles, bodies, road.grid, x, y)
         else:
-            own_ways = {} if rules.junction is None else rules.junction.own_ways
-            ways = [None if each is None else own_ways[each.zone] for each in scenario.crossings]
+            junction: Any = rules.junction
+            ways = [None if each is None else junction.own_way(each) for each in rules.ways(scenario)]
             self.places = RoadPlaces(
                 self.vehicles,
                 bodies,
@@ -137,8 +137,7 @@ class VehiclesOfRun:
     def _zones(self) -> tuple[Zone | None, ...]:
         if self.rules.crossings is None:
             return ()
-        ways = self.rules.crossings.ways
-        return tuple(None if each is None else ways[each.zone].zone for each in self.scenario.crossings)
+        return tuple(None if way is None else way.way.zone for way in self.rules.ways(self.scenario))
 
     def _collision(self, states: FloatArray, track: FloatArray | None) -> Collision:
         now = self._boxes(states[-1])

@@ -11,6 +11,7 @@ wherever the lane really is.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Literal, NamedTuple
@@ -20,6 +21,7 @@ import numpy.typing as npt
 
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.trace import ALONG, STRETCH, FloatArray, Lane, Outcome
+from pytest_pafot.model.vehicle_type import CAR, VehicleType
 from pytest_pafot.world.kernel.bends import Bends
 from pytest_pafot.world.limits import BEND_SHARE, NpcLimits
 from pytest_pafot.world.roads.route import STEP, LaneIndex, Line
@@ -125,13 +127,18 @@ class Column:
     part: list[int]
 
 
+Shaped = Callable[..., tuple[tuple[Column, ...], list[Lane]]]
+"""A function that returns lanes for driving and for a trace, by the limits of an NPC and its length [m]."""
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class NetworkRoad:
     """The lanes along the ego's way through a network.
 
     Attributes:
         lanes: all lanes in the form of a trace: first the lanes of the way from the left, then the network's others.
-        columns: the lanes of the way, from the left.
+        columns: the lanes of the way, from the left, for cars.
+        shaped: returns the lanes for NPCs with given limits and a given length [m].
         sections: the way's sections, as pairs of highway-env's nodes.
         route: the lanes of the way in driving order; ``line.piece`` has indices of this tuple.
         line: the line of the way.
@@ -143,6 +150,7 @@ class NetworkRoad:
 
     lanes: tuple[Lane, ...]
     columns: tuple[Column, ...]
+    shaped: Shaped
     sections: frozenset[tuple[str, str]]
     route: tuple[LaneIndex, ...]
     others: tuple[LaneIndex, ...]
@@ -175,7 +183,26 @@ class NetworkRoad:
     @cached_property
     def bends(self) -> Bends:
         """The same road in plain numbers, for the kernel."""
-        line, columns = self.line, self.columns
+        return self._bends(self.columns)
+
+    @cached_property
+    def _of_others(self) -> dict[tuple[NpcLimits, float], Bends]:
+        return {}
+
+    def bends_of(self, vehicle: VehicleType, limits: NpcLimits) -> Bends:
+        """Return the road with the speeds and the leans of an NPC that is a given vehicle; of a car, :attr:`bends`.
+
+        ``limits`` are those of all NPCs.
+        """
+        if vehicle == CAR:
+            return self.bends
+        key = limits.of(vehicle), vehicle.length
+        if key not in self._of_others:
+            self._of_others[key] = self._bends(self.shaped(*key)[0])
+        return self._of_others[key]
+
+    def _bends(self, columns: Sequence[Column]) -> Bends:
+        line = self.line
         exists = [flag for each in columns for flag in each.exists]
         part = [number for each in columns for number in each.part]
         across = [place for each in columns for place in each.across]
@@ -194,10 +221,10 @@ class NetworkRoad:
         """Return the cells around an ego whose centres are on lanes; ``rows`` is the distance between rows [m]."""
         return frozenset(cell for cell in Cell if self.exists(ego_lane + cell.column, along + cell.row * rows))
 
-    def position(self, longitudinal: float, lane: int) -> tuple[float, float, float]:
-        """Return world x [m], y [m] and heading [rad] of a vehicle on the centre of a lane."""
+    def position(self, longitudinal: float, lane: int, bends: Bends | None = None) -> tuple[float, float, float]:
+        """Return world x [m], y [m] and heading [rad] of a vehicle on the centre of a lane; by default, of a car."""
         x, y, heading = self.reference(longitudinal)
-        across, direction, lean = self.lane_at(lane, longitudinal)
+        across, direction, lean = (bends or self.bends).lane_at(lane, longitudinal)
         return x - math.sin(heading) * across, y + math.cos(heading) * across, direction + lean
 
     def seen_at(self, x: float, y: float, ego: FloatArray) -> tuple[float, float]:
