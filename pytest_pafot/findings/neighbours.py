@@ -44,7 +44,7 @@ DISTANCE = 0.1
 """The largest step of a distance that begins a step of a manoeuvre, as a share of the distance."""
 LEAST_SPEED = 0.1
 """The lowest speed of an NPC that crosses [m/s]."""
-STAYING = ("seed", "ego_lane", "ego_speed", "gene_seconds", "traffic")
+STAYING = ("seed", "ego_lane", "ego_speed", "gene_seconds", "traffic", "vehicles")
 """The fields of a scenario beside its chains. They stay, unless a neighbour differs in one of them."""
 WIDE = 3.0
 """The share of the steps below for the neighbours of a replay, because a policy that was changed fails elsewhere: with
