@@ -117,8 +117,11 @@ def mutate(scenario: Scenario, space: SearchSpace, rng: Generator) -> Scenario:
 
 
 def _cleared(scenario: Scenario, crossing: CrossingTraffic, rng: Generator) -> Scenario:
-    npcs = crossing.cleared(scenario.npcs, rng)
-    return scenario if npcs == scenario.npcs else replace(scenario, npcs=npcs)
+    kept = crossing.numbered(scenario.npcs, rng)
+    npcs = tuple(chain for _, chain in kept)
+    if npcs == scenario.npcs:
+        return scenario
+    return replace(scenario, npcs=npcs, vehicles=tuple(scenario.vehicle_of(npc) for npc, _ in kept))
 
 
 def _mutated(scenario: Scenario, space: SearchSpace, rng: Generator) -> Scenario:

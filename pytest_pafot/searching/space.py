@@ -213,7 +213,8 @@ class SearchSpace:
         ways = f", most of them on {count} ways that meet the ego's" if count else ""
         kinds = {"cells": "", "lanes": " with Lane-Instructions", "both": " with Position- or Lane-Instructions"}
         kinds["manoeuvres"] = " with manoeuvres"
-        others = " or ".join(vehicle.name for vehicle in self.other_vehicles)
+        names = [vehicle.name for vehicle in self.other_vehicles]
+        others = " or ".join(filter(None, [", ".join(names[:-1]), *names[-1:]]))
         others = f"; {'one NPC in six' if CAR in self.vehicles else 'each NPC'} is a {others}" if others else ""
         return f"{npcs}{kinds[self.instructions]}{traffic}{ways}; the ego starts at {speed} m/s in {lane}{others}"
 
