@@ -6,8 +6,8 @@ Sources of the numbers:
   classes ``delivery`` and ``motorcycle``; ``accel`` and ``emergencyDecel`` of all classes.
 - Directive 96/53/EC, Annex I: the largest length and width of a motor vehicle without a trailer, 12.00 m and 2.55 m.
 - Directive 92/6/EEC: a speed limitation device keeps a heavy goods vehicle to 90 km/h.
-- Land Transport Rule 41001, New Zealand: a static rollover threshold of at least 0.35 g, beyond which a loaded truck
-  tips over.
+- New Zealand's rule on vehicle dimensions and mass: a static rollover threshold of at least 0.35 g, beyond which a
+  loaded truck tips over.
 - UN Regulation 13: the brakes of a heavy vehicle decelerate it by at least 5 m/s^2.
 """
 
