@@ -92,6 +92,10 @@ class VehicleType(Pasteable):
             expected, fix = f"a name other than {', '.join(READY)}", f"write pafot.{self.name.upper()}, or another name"
             raise FieldError(field="name", expected=expected, received=repr(self.name), fix=fix)
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle so that a ready vehicle is the same object in every process, which is compared in no time."""
+        return VehicleType.of, (self.plain(),)
+
     def __repr__(self) -> str:
         # Not super(), which a dataclass with slots does not have.
         return self.name.upper() if self.name in READY else Pasteable.__repr__(self)

@@ -24,7 +24,7 @@ from pytest_pafot.model.scenario import (
     Scenario,
     retimed,
 )
-from pytest_pafot.model.vehicle_type import VehicleType
+from pytest_pafot.model.vehicle_type import CAR, VehicleType
 from pytest_pafot.searching import asked_traffic
 from pytest_pafot.searching.crossing_traffic import CrossingTraffic, mixed
 from pytest_pafot.searching.evaluation import Evaluation
@@ -72,7 +72,7 @@ Swapped = tuple[int, Chromosome, VehicleType]
 
 def _with_npc(scenario: Scenario, npc: int, chain: Chromosome, vehicle: VehicleType, rng: Generator) -> Scenario:
     vehicles = scenario.vehicles
-    if vehicle != scenario.vehicle_of(npc):
+    if vehicle is not CAR or vehicles:
         vehicles = (*scenario.all_vehicles[:npc], vehicle, *scenario.all_vehicles[npc + 1 :])
     return repaired(with_chain(scenario.npcs, npc, chain), fresh_seed(rng), scenario, vehicles)
 

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 
-from pytest_pafot.model.vehicle_type import VehicleType
+from pytest_pafot.model.vehicle_type import CAR, VehicleType
 from pytest_pafot.support.errors import WorldError
 from pytest_pafot.world.validation import number_within
 
@@ -62,6 +62,8 @@ class NpcLimits:
 
     def of(self, vehicle: VehicleType) -> NpcLimits:
         """Return the limits of an NPC that is a given vehicle: of each limit, the lower one."""
+        if vehicle is CAR:
+            return self  # as below, in no time
         own = {name: getattr(vehicle, name) for name in OF_VEHICLES if getattr(vehicle, name) < getattr(self, name)}
         return replace(self, **own) if own else self
 

@@ -90,11 +90,9 @@ class Rules:
             raise TypeError(f"road: expected a straight road, received {type(self.road).__name__}")
         return self.road
 
-    def start_distance(
-        self, scenario: Scenario, ego_length: float = CAR.length, npc_length: float = CAR.length
-    ) -> float:
-        """Return the distance between the centres of the ego and of an NPC that starts ahead or behind [m]."""
-        return float(ego_length + npc_length) / 2 + max(self.headway * scenario.ego_speed, self.clearance)
+    def start_distance(self, scenario: Scenario, ego_length: float = CAR.length) -> float:
+        """Return the distance between the centres of the ego and of cars that start ahead or behind [m]."""
+        return float(ego_length + CAR.length) / 2 + max(self.headway * scenario.ego_speed, self.clearance)
 
     def start_cells(self, scenario: Scenario, ego_length: float = CAR.length) -> frozenset[Cell]:
         """Return the cells in which an NPC may start."""
@@ -153,7 +151,7 @@ class Rules:
 
     def _check_vehicles(self, scenario: Scenario) -> None:
         """Refuse a vehicle that is too long for the bends of its way."""
-        ways = self.ways(scenario)
+        ways = self.ways(scenario) if scenario.vehicles else []
         for npc, vehicle in enumerate(scenario.vehicles):
             way = ways[npc] if ways else None
             if not (self.can_drive(vehicle) if way is None else vehicle.can_follow(way.way.sharpest)):
@@ -238,7 +236,7 @@ class Rules:
                 raise ScenarioError(field=place, expected=expected, received=f"lane {lane}", fix=fix)
         if not asked:
             return
-        numbers = [npc for npc, _ in _not_crossing(scenario)]
+        numbers = [npc for npc, *_ in _not_crossing(scenario)]
         places = start_places(self, scenario, self.director(scenario, CAR.length).first_cells())
         lengths = {npc: scenario.vehicle_of(npc).length for npc in numbers} | {-1: CAR.length}
         taken: list[tuple[int, float, int]] = []
@@ -300,10 +298,11 @@ def ego_start(headway: float, clearance: float) -> float:
     return max(200.0, 50.0 + headway * TOP_SPEED + clearance)
 
 
-def _not_crossing(scenario: Scenario) -> list[tuple[int, Gene]]:
-    """Return the NPCs that start around the ego and not on a way that crosses, each with its first gene."""
-    firsts = [(npc, chain[0]) for npc, chain in enumerate(scenario.npcs)]
-    return [(npc, first) for npc, first in firsts if not isinstance(first, CrossingInstruction)]
+def _not_crossing(scenario: Scenario) -> list[tuple[int, Gene, VehicleType]]:
+    """Return the NPCs that start around the ego and not on a way that crosses, each with its first gene and vehicle."""
+    kinds = scenario.all_vehicles
+    firsts = [(npc, chain[0], kinds[npc]) for npc, chain in enumerate(scenario.npcs)]
+    return [each for each in firsts if not isinstance(each[1], CrossingInstruction)]
 
 
 def start_places(
@@ -315,18 +314,17 @@ def start_places(
     headway. So there is no danger at the start, and all danger results from driving. NPCs with manoeuvres start where
     these say.
     """
-    beside = []
-    for cell, (npc, first) in zip(cells, _not_crossing(scenario), strict=True):
-        vehicle = scenario.vehicle_of(npc)
+    start, apart, beside = rules.ego_start, rules.start_distance(scenario, ego_length), []
+    for cell, (_, first, vehicle) in zip(cells, _not_crossing(scenario), strict=True):
         if isinstance(first, Manoeuvre):
             along = rules.along_at(first, scenario, ego_length, vehicle)
             beside.append((along, scenario.ego_lane + first.beside))
-        else:
-            lane, far = scenario.ego_lane + cell.column, rules.start_distance(scenario, ego_length, vehicle.length)
-            if vehicle.length > CAR.length and not rules.has_lane(lane, rules.ego_start + cell.row * far):
-                far = rules.start_distance(scenario, ego_length)  # where the lane ends, a car has room to start
-            beside.append((rules.ego_start + cell.row * far, lane))
-    return [(rules.ego_start, scenario.ego_lane), *beside]
+            continue
+        lane, far = scenario.ego_lane + cell.column, apart + (vehicle.length - CAR.length) / 2
+        if vehicle.length > CAR.length and not rules.has_lane(lane, start + cell.row * far):
+            far = apart  # where the lane ends, a car has room to start
+        beside.append((start + cell.row * far, lane))
+    return [(start, scenario.ego_lane), *beside]
 
 
 def start_speeds(rules: Rules, scenario: Scenario, cells: tuple[Cell, ...], ego_length: float) -> list[float]:
@@ -338,16 +336,15 @@ def start_speeds(rules: Rules, scenario: Scenario, cells: tuple[Cell, ...], ego_
     """
     road = rules.road
     firsts = _not_crossing(scenario)
-    kinds = [scenario.vehicle_of(npc) for npc, _ in firsts]
     wanted = [
         min(first.speed if isinstance(first, Manoeuvre) else scenario.ego_speed, kind.top_speed)
-        for (_, first), kind in zip(firsts, kinds, strict=True)
+        for _, first, kind in firsts
     ]
     if isinstance(road, StraightRoad):
         return wanted
     _, *places = start_places(rules, scenario, cells, ego_length)
     speeds = []
-    for speed, (along, lane), kind in zip(wanted, places, kinds, strict=True):
+    for speed, (along, lane), (*_, kind) in zip(wanted, places, firsts, strict=True):
         bends = road.bends_of(kind, rules.limits)
         most = BEND_SHARE * rules.limits.of(kind).lateral_acceleration * kind.length / 2
         turning = math.sqrt(most / max(math.sin(abs(bends.lean_at(lane, along))), 1e-9))
@@ -366,13 +363,12 @@ def starts_of(
     in_lanes = start_places(rules, scenario, cells, ego_length)
     places = [along for along, _ in in_lanes]
     road = rules.road
-    kinds = [scenario.vehicle_of(npc) for npc, _ in _not_crossing(scenario)]
-    poses = [
-        road.position(along, lane, road.bends_of(kind, rules.limits))
-        if isinstance(road, NetworkRoad)
-        else road.position(along, lane)
-        for (along, lane), kind in zip(in_lanes[1:], kinds, strict=True)
-    ]
+    if isinstance(road, NetworkRoad):
+        kinds = [kind for *_, kind in _not_crossing(scenario)]
+        bends = [road.bends_of(kind, rules.limits) for kind in kinds]
+        poses = [road.position(*place, own) for place, own in zip(in_lanes[1:], bends, strict=True)]
+    else:
+        poses = [road.position(*place) for place in in_lanes[1:]]
     speeds = start_speeds(rules, scenario, cells, ego_length)
     starts = [(*pose, speed) for pose, speed in zip(poses, speeds, strict=True)]
     if isinstance(director, JunctionDirector):

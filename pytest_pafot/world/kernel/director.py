@@ -21,7 +21,7 @@ from pytest_pafot.model.scenario import (
     Scenario,
     with_targets,
 )
-from pytest_pafot.model.vehicle_type import CAR, VehicleType
+from pytest_pafot.model.vehicle_type import CAR
 from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.kernel.driver import (
     NpcDriver,
@@ -211,18 +211,18 @@ class Director(BaseDirector):
         self._genes = scenario.genes
         self._gene_ticks = round(scenario.gene_seconds * physics_hz)
         traffic = scenario.traffic
-        drivers: dict[VehicleType, NpcDriver] = {}  # equal vehicles share one, which keeps nothing between two calls
         self._row = self._far = 0.0  # of the longest NPC
+        before: Any = None
         for npc, kind in zip(self.npcs, kinds, strict=True):
-            npc.limits = limits.of(kind)
-            npc.top_speed = min(limits.overspeed * road.speed_limit, kind.top_speed)
-            npc.half_lengths = (ego_length + npc.length) / 2.0
-            npc.longer = max(npc.length - CAR.length, 0.0) / 2.0
-            if kind not in drivers:
-                drivers[kind] = NpcDriver(npc.limits, npc.top_speed, npc.length, 1 / physics_hz, traffic.lateral_speed)
-            npc.driver = drivers[kind]
-            self._row = max(self._row, npc.half_lengths)
-            self._far = max(self._far, npc.length + stopping_room(npc.top_speed))
+            if kind is not before:  # else it shares the controller, which keeps nothing between two calls
+                before, own = kind, limits.of(kind)
+                top_speed = min(limits.overspeed * road.speed_limit, kind.top_speed)
+                driver = NpcDriver(own, top_speed, npc.length, 1 / physics_hz, traffic.lateral_speed)
+                half_lengths, longer = (ego_length + npc.length) / 2.0, max(npc.length - CAR.length, 0.0) / 2.0
+                self._row = max(self._row, half_lengths)
+                self._far = max(self._far, npc.length + stopping_room(top_speed))
+            npc.limits, npc.driver, npc.top_speed = own, driver, top_speed
+            npc.half_lengths, npc.longer = half_lengths, longer
         self._attentive = traffic.is_attentive
         self._least_share = traffic.least_speed_share
         self._speed_limit = road.speed_limit
