@@ -29,6 +29,7 @@ from pytest_pafot.extras.testing.traces import limits
 from pytest_pafot.findings.finding import disagreement
 from pytest_pafot.model.trace import SPEED, Outcome, X
 from pytest_pafot.oracle.run import Run
+from pytest_pafot.report.views import run_view
 from pytest_pafot.searching import sample
 from pytest_pafot.world import Highway, World
 from tests.helpers.road_cases import ROADS, space_of, violations, world_of
@@ -173,3 +174,20 @@ def test_starts_that_would_touch_are_refused():
     Highway().check_fits(Scenario(npcs=ahead, vehicles=("van",)))
     with pytest.raises(ScenarioError, match=r"npcs\[1\]: expected a start at least 0.5 m from npcs\[0\]"):
         Highway().check_fits(Scenario(npcs=ahead, vehicles=("truck",)))
+
+
+def test_explanation_and_picture_say_what_a_vehicle_is():
+    scenario = Scenario(npcs=[[PositionInstruction(2, 10.0)] * 2, [PositionInstruction(1, 22.0)] * 2], vehicles=[TRUCK])
+    trace = Highway().rollout(scenario, keeping)
+    assert "\n  NPC 0 is a truck, 12 x 2.55 m\n" in Run(trace).explain()
+    assert [each.name for each in run_view(trace).vehicles] == ["ego", "NPC 0, truck", "NPC 1"]
+    assert str(scenario).endswith(": truck 2@10 2@10; 1@22 1@22>")
+    assert " is a " not in Run(Highway().rollout(replace(scenario, vehicles=()), keeping)).explain()
+
+
+def test_a_planner_sees_how_large_a_vehicle_is():
+    seen = []
+    scenario = Scenario(npcs=[[PositionInstruction(2, 10.0)]], vehicles=["truck"])
+    for world in (Highway(), World("merge-v0", planner_hz=5)):
+        world.rollout(scenario, lambda: lambda observation: (seen.append(observation), (0.0, 0.0))[1])
+    assert {(each.others[0].length, each.others[0].width) for each in seen} == {(12.0, 2.55)}
