@@ -43,6 +43,8 @@ LEAST_GENES = 3
 """Smallest number of genes of an NPC on a bent road, even in short runs: to approach, to cut in, and to brake."""
 CROSSING = 0.75
 """Share of the NPCs that cross the ego's way, turn across it or join it, if the world has ways that do so."""
+CARS = (CAR,)
+"""The vehicles of a search in which all NPCs are cars."""
 OTHERS = 1 / 6
 """Share of the NPCs that are no cars, if NPCs can be other vehicles."""
 MOST_ON_GRID = 2
@@ -113,7 +115,7 @@ class SearchSpace:
     instructions: Instructions = "cells"
     lanes: int = 0
     room: tuple[float, float] = (math.inf, math.inf)
-    vehicles: tuple[VehicleType, ...] = (CAR,)
+    vehicles: tuple[VehicleType, ...] = CARS
     first: tuple[Scenario, ...] = ()
 
     def __post_init__(self) -> None:
@@ -130,11 +132,8 @@ class SearchSpace:
         if not acts or not set(acts) <= set(ACTS):
             raise ValueError(f"acts: expected one or more of {', '.join(ACTS)}, received {self.acts!r}")
         object.__setattr__(self, "acts", acts)
-        object.__setattr__(self, "vehicles", named_vehicles(self.vehicles))
-        longest = max(self.vehicles, key=lambda each: each.length)
-        if self.instructions == "manoeuvres" and longest.length > asked_traffic.LONGEST:
-            expected = f"vehicles of at most {asked_traffic.LONGEST:g} m with manoeuvres, so that they do not touch"
-            raise ValueError(f"vehicles: expected {expected}, received {longest.described}")
+        if self.vehicles != CARS:  # by identity, since each sampled start makes a space
+            self._check_vehicles()
         if self.instructions not in LANE_SHARES:
             expected = f"one of {', '.join(LANE_SHARES)}"
             raise ValueError(f"instructions: expected {expected}, received {self.instructions!r:.100}")
@@ -142,6 +141,13 @@ class SearchSpace:
             raise ValueError(
                 f"ego_speeds: expected the lowest and the highest speed in m/s, received {self.ego_speeds!r}"
             )
+
+    def _check_vehicles(self) -> None:
+        object.__setattr__(self, "vehicles", named_vehicles(self.vehicles))
+        longest = max(self.vehicles, key=lambda each: each.length)
+        if self.instructions == "manoeuvres" and longest.length > asked_traffic.LONGEST:
+            expected = f"vehicles of at most {asked_traffic.LONGEST:g} m with manoeuvres, so that they do not touch"
+            raise ValueError(f"vehicles: expected {expected}, received {longest.described}")
 
     def sliced(self, slices: int) -> SearchSpace:
         """Return the space with ``slices`` genes per NPC, which together last as long as the genes of this space."""
@@ -170,6 +176,8 @@ class SearchSpace:
     @property
     def other_vehicles(self) -> tuple[VehicleType, ...]:
         """The vehicles other than cars."""
+        if self.vehicles == CARS:
+            return ()
         return tuple(vehicle for vehicle in self.vehicles if vehicle != CAR)
 
     def drawn_vehicle(self, rng: Generator) -> VehicleType:

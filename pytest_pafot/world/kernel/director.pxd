@@ -35,13 +35,13 @@ cdef class BaseDirector:
 
 cdef class Director(BaseDirector):
     cdef public bint skips
-    cdef bint _is_bent
+    cdef bint _is_bent, _is_mixed
     cdef readonly object _scenario, _road
     cdef readonly list _on_grid, _in_lanes, _asked
     cdef double _release
     cdef int _hz
     cdef readonly double _clearance, _row
-    cdef double _lane_width, _far
+    cdef double _lane_width, _far, _aside
     cdef readonly int _tick
     cdef int _last_lane, _genes, _gene_ticks, _gene, _left
     cdef readonly bint _attentive

@@ -212,6 +212,8 @@ class Director(BaseDirector):
         self._gene_ticks = round(scenario.gene_seconds * physics_hz)
         traffic = scenario.traffic
         self._row = self._far = 0.0  # of the longest NPC
+        self._is_mixed = bool(scenario.vehicles)
+        self._aside = CAR.width + BESIDE
         before: Any = None
         for npc, kind in zip(self.npcs, kinds, strict=True):
             if kind is not before:  # else it shares the controller, which keeps nothing between two calls
@@ -614,8 +616,9 @@ class Director(BaseDirector):
                 continue
             if distance == 0.0 and theirs.index > mine.index:
                 continue
-            aside = (mine.width + theirs.width) / 2.0 + BESIDE
-            if mine.longer > 0.0 or theirs.longer > 0.0:
+            aside = self._aside
+            if self._is_mixed:
+                aside = (mine.width + theirs.width) / 2.0 + BESIDE
                 aside += mine.longer * abs(mine.heading) + theirs.longer * abs(theirs.heading)
             is_beside = abs(theirs.y - mine.y) < aside
             crosses = (
