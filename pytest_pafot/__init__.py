@@ -38,6 +38,11 @@ if TYPE_CHECKING:
     from pytest_pafot.model.trace import Collision as Collision
     from pytest_pafot.model.trace import Outcome as Outcome
     from pytest_pafot.model.trace import Trace as Trace
+    from pytest_pafot.model.vehicle_type import CAR as CAR
+    from pytest_pafot.model.vehicle_type import MOTORCYCLE as MOTORCYCLE
+    from pytest_pafot.model.vehicle_type import TRUCK as TRUCK
+    from pytest_pafot.model.vehicle_type import VAN as VAN
+    from pytest_pafot.model.vehicle_type import VehicleType as VehicleType
     from pytest_pafot.oracle.checks import CheckFailed as CheckFailed
     from pytest_pafot.oracle.checks import check as check
     from pytest_pafot.oracle.checks import reject as reject
@@ -59,6 +64,7 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 _HOMES = {
+    "CAR": "model.vehicle_type",
     "Cell": "model.grid",
     "CheckFailed": "oracle.checks",
     "Chromosome": "model.scenario",
@@ -69,6 +75,7 @@ _HOMES = {
     "Exploration": "campaign.explore",
     "Highway": "world",
     "LaneInstruction": "model.instructions",
+    "MOTORCYCLE": "model.vehicle_type",
     "Manoeuvre": "model.instructions",
     "Measure": "criticality.signals",
     "NpcLimits": "world",
@@ -83,8 +90,11 @@ _HOMES = {
     "ScenarioError": "model.instructions",
     "Signal": "criticality.signals",
     "Step": "model.instructions",
+    "TRUCK": "model.vehicle_type",
     "Trace": "model.trace",
     "Traffic": "model.driving_style",
+    "VAN": "model.vehicle_type",
+    "VehicleType": "model.vehicle_type",
     "Weights": "searching.fitness",
     "World": "world",
     "WorldError": "world",

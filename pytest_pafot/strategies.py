@@ -13,7 +13,7 @@ speeds; crossing NPCs shrink towards a slot of 0.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 from pytest_pafot.model.driving_style import Traffic
@@ -32,6 +32,7 @@ from pytest_pafot.model.instructions import (
     Step,
 )
 from pytest_pafot.model.scenario import EGO_SPEED, GENE_SECONDS, PAPER_SPEED_LIMIT, Chromosome, Scenario
+from pytest_pafot.model.vehicle_type import CAR, VehicleType, named_vehicles
 
 
 def _register() -> None:
@@ -202,6 +203,7 @@ def scenarios(
     gene_seconds: float = GENE_SECONDS,
     traffic: str | Traffic = "hostile",
     instructions: str = "both",
+    vehicles: Iterable[str | VehicleType] = (CAR,),
 ) -> SearchStrategy[Scenario]:
     """Return a strategy for whole scenarios on a straight road, in which NPCs never share a cell in the same gene.
 
@@ -219,10 +221,12 @@ def scenarios(
             least its ``least_speed_share`` times ``max_speed``.
         instructions: ``"cells"`` if all NPCs have Position-Instructions, ``"lanes"`` if all have Lane-Instructions,
             ``"both"`` if each NPC has either kind.
+        vehicles: what vehicles NPCs can be: names of ready ones, or vehicles. Examples shrink to the first one.
 
     Raises:
         ValueError: if no scenario is within the bounds.
     """
+    kinds = named_vehicles(tuple(vehicles))
     style = Traffic.of(traffic)
     allowed, speeds = _cells(cells), _speeds(max(min_speed, style.least_speed(max_speed)), max_speed)
     lengths, counts = _bounds("genes", min_genes, max_genes), _bounds("npcs", min_npcs, max_npcs, 8)
@@ -248,7 +252,7 @@ def scenarios(
         npcs = _chains(draw, draw(counts), draw(lengths), **cells, speeds=speeds, in_lanes=in_lanes)
         seed = draw(st.integers(0, 2**16 - 1))
         start: dict[str, Any] = {"ego_lane": lane, "ego_speed": ego_speed, "gene_seconds": gene_seconds}
-        return Scenario(npcs=npcs, seed=seed, traffic=style, **start)
+        return Scenario(npcs=npcs, seed=seed, traffic=style, vehicles=_drawn_kinds(draw, [kinds] * len(npcs)), **start)
 
     return build()
 
@@ -263,6 +267,7 @@ def scenarios_in(
     acts: Iterable[Act] | None = None,
     traffic: str | Traffic = "hostile",
     instructions: str | None = None,
+    vehicles: Iterable[str | VehicleType] = (CAR,),
 ) -> SearchStrategy[Scenario]:
     """Return a strategy for whole scenarios that fit a world: its lanes, its speeds, and NPCs on its crossing ways.
 
@@ -276,6 +281,8 @@ def scenarios_in(
         traffic: the driving style of the NPCs, as its name or as a :class:`~pytest_pafot.Traffic`.
         instructions: the instructions of NPCs that do not cross, ``"cells"``, ``"lanes"`` or ``"both"``, as for
             :func:`scenarios`; by default both kinds, if the world's NPCs can have Lane-Instructions.
+        vehicles: what vehicles NPCs can be, as for :func:`scenarios`. An NPC whose way has bends that none of them can
+            follow is a car.
 
     Raises:
         ValueError: if no scenario is within the bounds, or if the world's NPCs cannot have the instructions.
@@ -283,7 +290,8 @@ def scenarios_in(
     """
     from pytest_pafot.world.guard.own_worlds import base_world  # noqa: PLC0415  (slow to import)
 
-    world = base_world(world)
+    world, kinds = base_world(world), named_vehicles(tuple(vehicles))
+    along = [kind for kind in kinds if world.can_drive(kind)]
     given: dict[str, Any] = {"traffic": traffic, "crossings": world.crossings}
     if acts is not None:
         if given["crossings"] is None:
@@ -315,6 +323,8 @@ def scenarios_in(
         else [(zone, at) for zone in sorted(crossing.crossings.ways) if (at := crossing.speeds(zone))]
     )
 
+    ways_of = {} if crossing is None else crossing.crossings.ways
+
     @st.composite
     def build(draw: st.DrawFn) -> Scenario:
         lane, count = draw(st.sampled_from(usable)), draw(counts)
@@ -333,9 +343,17 @@ def scenarios_in(
         npcs = _chains(draw, on_grid, genes, **cells, speeds=speeds, in_lanes=in_lanes)
         start: dict[str, Any] = {"ego_lane": lane, "ego_speed": min(space.ego_speed, space.speed_limit)}
         start |= {"gene_seconds": space.gene_seconds, "traffic": space.traffic}
-        return Scenario(npcs=(*npcs, *((each,) for each in told)), seed=draw(st.integers(0, 2**16 - 1)), **start)
+        seed = draw(st.integers(0, 2**16 - 1))
+        own = [[kind for kind in kinds if kind.can_follow(ways_of[each.zone].sharpest)] for each in told]
+        start["vehicles"] = _drawn_kinds(draw, [*[along] * len(npcs), *own])
+        return Scenario(npcs=(*npcs, *((each,) for each in told)), seed=seed, **start)
 
     return build()
+
+
+def _drawn_kinds(draw: st.DrawFn, kinds: Iterable[Sequence[VehicleType]]) -> tuple[VehicleType, ...]:
+    """Return what vehicle each NPC is, one of its kinds; a car without any. A single kind needs no drawing."""
+    return tuple(draw(st.sampled_from(each)) if len(each) > 1 else (*each, CAR)[0] for each in kinds)
 
 
 def _starts(world: Any, ego_lane: int) -> dict[int, list[Cell]]:

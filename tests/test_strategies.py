@@ -11,7 +11,7 @@ from hypothesis import Phase, find, given, settings
 from hypothesis import strategies as st
 
 import pytest_pafot
-from pytest_pafot import Highway, World, strategies
+from pytest_pafot import CAR, TRUCK, Highway, World, strategies
 from pytest_pafot.door import NAMES
 from pytest_pafot.model.driving_style import Traffic
 from pytest_pafot.model.grid import Cell, is_adjacent
@@ -278,3 +278,17 @@ def test_too_many_npcs_without_crossings_are_refused():
         match=r"max_npcs: expected no more NPCs than cells .* can start, received 8; use fewer",
     ):
         strategies.scenarios_in(World("merge-v0"), max_npcs=8)
+
+
+def test_vehicles_are_drawn_that_fit_and_shrink_to_the_first():
+    drawn = strategies.scenarios(vehicles=["car", "truck"], min_npcs=2)
+    found = find(drawn, lambda scenario: bool(scenario.vehicles))
+    assert (len(found.npcs), found.vehicles) in ((2, (TRUCK,)), (2, (CAR, TRUCK)))
+    assert find(drawn, lambda scenario: True).vehicles == ()
+    assert find(strategies.scenarios(), lambda scenario: True).vehicles == ()
+
+
+@given(strategies.scenarios_in(World("intersection-v0"), vehicles=["truck", "motorcycle"], max_npcs=3))
+def test_vehicles_fit_the_ways_of_a_world(scenario):
+    World("intersection-v0").check_fits(scenario)
+    assert CAR not in scenario.all_vehicles

@@ -8,6 +8,7 @@ from __future__ import annotations
 import argparse
 import ast
 import inspect
+import math
 import re
 import textwrap
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -47,6 +48,7 @@ from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.instructions import CrossingInstruction, LaneInstruction, Manoeuvre, PositionInstruction, Step
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Collision, Outcome
+from pytest_pafot.model.vehicle_type import READY, VehicleType
 from pytest_pafot.oracle.checks import check
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.plugin import fixtures
@@ -90,6 +92,8 @@ MARKER_TEXTS: Mapping[str, str] = {
     "instructions": "[The kind of instructions](../explanation/default-search.md#why-both-kinds) of NPCs that do not "
     'cross: `"cells"` (Position-Instructions), `"lanes"` (Lane-Instructions), `"manoeuvres"`, or `"both"` (one of '
     "the first two with equal probability).",
+    "vehicles": "[What vehicles](scenarios.md#vehicles) NPCs can be: names, or `pafot.VehicleType(...)`. If cars are "
+    'among them, one NPC in six is another one of them. `"car"`: all are cars.',
     "requirement": "[The requirement](../guide/requirements.md) that the test checks, as an id or a list of ids.",
     "title": "What the requirement asks for; by default the first line of the docstring.",
     "owner": "Who answers for the test.",
@@ -105,6 +109,7 @@ MARKER_DEFAULTS: Mapping[str, str] = {
     "gene_seconds": "sampled",
     "traffic": '`"hostile"`, or `"paper"`',
     "instructions": '`"both"`, or `"cells"`',
+    "vehicles": "all that fit the road; cars for the other algorithms and manoeuvres",
     "ego_lane": "sampled",
     "ego_speed": "sampled",
     "requirement": "none",
@@ -125,6 +130,8 @@ FILE_TEXTS: Mapping[str, str] = {
     "scenario.gene_seconds": "Duration of one gene [s]; `10.0` if it is not given.",
     "scenario.traffic": "[The style](../explanation/traffic.md) in which the NPCs drive, or a mapping with changed "
     "parts, `{style: everyday, least_gap: 4.0}`. If it is not given, they drive as in the paper.",
+    "scenario.vehicles": "What [vehicle](scenarios.md#vehicles) each NPC is: the name of a ready one, or a mapping "
+    "`{name, length, width, ...}`. All NPCs after the last one are cars; without it, all are.",
     "scenario.npcs": "One list of [instructions](scenarios.md) per NPC: Position-Instructions `{cell, speed}`, "
     "Lane-Instructions `{lane, speed}`, one Crossing-Instruction `{zone, slot, speed, act}`, or one manoeuvre "
     "`{beside, ahead, speed, steps}`. Speeds are in m/s.",
@@ -189,6 +196,8 @@ def sections() -> dict[str, str]:
         "outcomes": _outcomes_table(),
         "scenario": _fields_table(Scenario),
         "traffic": _traffic_table(),
+        "vehicle-type": _fields_table(VehicleType),
+        "vehicles": _vehicles_table(),
         "instruction": _fields_table(PositionInstruction),
         "crossing-instruction": _fields_table(CrossingInstruction),
         "lane-instruction": _fields_table(LaneInstruction),
@@ -275,6 +284,16 @@ def _traffic_table() -> str:
         for name, text in _attributes(Traffic)
     ]
     return _table(["Name", *map(_code, styles), "Meaning"], rows)
+
+
+def _vehicles_table() -> str:
+    names = ("length", "width", "acceleration", "braking", "lateral_acceleration", "top_speed")
+    rows = [
+        [f"`pafot.{name.upper()}`", _code(name)]
+        + ["the world's" if getattr(each, one) == math.inf else f"{getattr(each, one):g}" for one in names]
+        for name, each in READY.items()
+    ]
+    return _table(["Vehicle", "Name", *map(_code, names)], rows)
 
 
 def _catalogue_table() -> str:

@@ -17,6 +17,7 @@ from pytest_pafot.model.instructions import Manoeuvre, ScenarioError
 from pytest_pafot.model.instructions.manoeuvre import MOST_ROOM, SPACING, places
 from pytest_pafot.model.scenario import EGO_LANE, EGO_SPEED, Scenario
 from pytest_pafot.model.trace import Trace
+from pytest_pafot.model.vehicle_type import CAR, READY, VehicleType, named_vehicles
 from pytest_pafot.searching.algorithms.catalogue import AlgorithmClass, resolve_algorithm
 from pytest_pafot.searching.ask_tell import Algorithm
 from pytest_pafot.searching.fitness import Weights
@@ -31,7 +32,17 @@ from pytest_pafot.world.guard.own_worlds import base_world
 from pytest_pafot.world.validation import OTHER_KIND
 
 ROAD_ARGUMENTS = ("lanes", "speed_limit", "clearance")
-SPACE_ARGUMENTS = ("npcs", "genes", "gene_seconds", "ego_lane", "ego_speed", "traffic", "acts", "instructions")
+SPACE_ARGUMENTS = (
+    "npcs",
+    "genes",
+    "gene_seconds",
+    "ego_lane",
+    "ego_speed",
+    "traffic",
+    "acts",
+    "instructions",
+    "vehicles",
+)
 NPCS = 4
 """The default number of NPCs in a scenario. Four NPCs fit around the ego in any lane of a Highway."""
 MOST_NPCS = 6
@@ -74,6 +85,7 @@ class SearchArguments(TypedDict, total=False):
     traffic: str | Traffic
     acts: Sequence[str]
     instructions: str
+    vehicles: str | VehicleType | Sequence[str | VehicleType]
     ads: Any
     arg: str
     fitness: str | Weights | Callable[[Trace], float]
@@ -287,8 +299,17 @@ def build_space(request: Request, world: Any) -> SearchSpace:
                 f"expected a world whose NPCs have styles, received {world!r:.100}, which declares none; leave traffic "
                 "out, or write has_traffic_styles = True in its class if its NPCs keep to scenario.traffic",
             )
+        vehicles = named_vehicles(request.space.get("vehicles", (CAR,)))
+        if odd := next((each for each in vehicles if not world.can_drive(each)), None):
+            raise request.error(
+                "vehicles=...",
+                f"expected vehicles that NPCs can be in {world!r:.100}, received {odd.described}; a long one cannot "
+                "follow tight bends, and a world of your own has to declare has_vehicles = True in its class",
+            )
         # The paper's algorithms keep the paper's space; the others fill in what the mark leaves open.
         drawn = {} if request.algorithm.is_papers else drawn_space(world, {"instructions": kinds[-1], **request.space})
+        if request.algorithm.draws_vehicles and request.space.get("instructions") != "manoeuvres":
+            drawn["vehicles"] = tuple(filter(world.can_drive, READY.values()))
         # What the user gives goes before what is drawn, and the world fills in the rest, such as the crossings.
         space: SearchSpace = world.space({**drawn, **request.space})
         if space.instructions == "manoeuvres":

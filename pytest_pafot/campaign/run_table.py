@@ -33,6 +33,7 @@ COLUMNS: Mapping[str, str] = {
     "gene_seconds": "duration of an instruction [s]",
     "traffic": "style of the traffic; `paper` in a world without styles",
     "traffic_parts": "JSON: the parts of the traffic that differ from its style",
+    "vehicles": "JSON: what vehicle each NPC is, up to the last one that is no car",
     "genes": "JSON: each NPC's instructions: cell or lane and speed [m/s], or zone, speed, slot [s], act; or "
     "`manoeuvre`, speed, lanes beside the ego, gap to it [m], steps",
     "outcome": "how the run ended, such as `collision`",
@@ -119,6 +120,7 @@ def row_of(evaluation: Evaluation, generation: int, local_generation: int = 0, *
         "gene_seconds": scenario.gene_seconds,
         "traffic": scenario.traffic.style,
         "traffic_parts": json.dumps(scenario.traffic.own, separators=(",", ":")),
+        "vehicles": json.dumps([each.plain() for each in scenario.vehicles], separators=(",", ":")),
         "genes": scenario.chains_text,
         "outcome": str(evaluation.outcome),
         "failing": evaluation.failing,

@@ -45,6 +45,7 @@ from pytest_pafot.model.instructions import (
 from pytest_pafot.model.scenario import REPAIR, Chromosome, Scenario
 from pytest_pafot.model.sight import Sight
 from pytest_pafot.model.trace import Outcome
+from pytest_pafot.model.vehicle_type import READY, VehicleType
 from pytest_pafot.support.errors import CorpusError, FieldError
 from pytest_pafot.support.files import open_regular
 
@@ -69,7 +70,7 @@ WORLDS: Mapping[str, Keys] = MappingProxyType(
 LIMITS = Keys(("acceleration", "braking", "jerk", "lateral_acceleration", "overspeed", "heading"))
 """The keys of ``limits`` in a world."""
 
-SCENARIO = Keys(("seed", "ego", "npcs"), ("gene_seconds", "traffic"))
+SCENARIO = Keys(("seed", "ego", "npcs"), ("gene_seconds", "traffic", "vehicles"))
 """The keys of ``scenario`` and ``original``. ``npcs`` holds a list of genes for each NPC."""
 
 EGO = Keys(("lane", "speed"))
@@ -343,6 +344,7 @@ def _scenario(field: Field) -> Scenario:
         "ego_speed": ego["speed"].number(),
         "gene_seconds": _given(fields, "gene_seconds", Field.number, DEFAULT_GENE_SECONDS),
         "traffic": _given(fields, "traffic", _traffic, PAPERS),
+        "vehicles": _given(fields, "vehicles", lambda inner: tuple(map(_vehicle, inner.items())), ()),
     }
     return _made(field, Scenario, values)
 
@@ -354,6 +356,15 @@ def _traffic(field: Field) -> Traffic:
         expected = f"{one_of(STYLES)}, or a mapping with a style and parts"
         raise field.error(expected, "write such as `everyday`, or `{style: everyday, least_gap: 4.0}`")
     return _record(field, Traffic)
+
+
+def _vehicle(field: Field) -> VehicleType:
+    if isinstance(field.value, str):
+        return READY[field.choice(tuple(READY))]
+    if not isinstance(field.value, dict):
+        expected = f"{one_of(tuple(READY))}, or a mapping with a name and a size"
+        raise field.error(expected, "write such as `truck`, or `{name: bus, length: 12.0, width: 2.5}`")
+    return _record(field, VehicleType)
 
 
 def _rule_broken(field: Field, error: Exception) -> CorpusError:

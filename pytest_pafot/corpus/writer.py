@@ -153,6 +153,8 @@ def scenario_lines(key: str, scenario: Scenario) -> Iterator[str]:
         yield f"  gene_seconds: {_number(scenario.gene_seconds)}"
     if scenario.traffic != PAPERS:
         yield f"  traffic: {_flow(scenario.traffic.plain())}"
+    if scenario.vehicles:
+        yield from _filled("  vehicles: ", [each.plain() for each in scenario.vehicles])
     yield "  npcs:"
     for chain in scenario.npcs:
         for gene, each in enumerate(chain):

@@ -376,7 +376,15 @@ class DecisionCache:
 
 def _key(scenario: Scenario, chains: Chains, genes: int, seed: int | None) -> _Key:
     shared = tuple([chain[:genes] for chain in chains])
-    return scenario.ego_lane, scenario.ego_speed, scenario.gene_seconds, scenario.traffic, seed, shared
+    return (
+        scenario.ego_lane,
+        scenario.ego_speed,
+        scenario.gene_seconds,
+        scenario.traffic,
+        scenario.vehicles,
+        seed,
+        shared,
+    )
 
 
 class Copies:

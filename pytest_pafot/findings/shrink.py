@@ -39,6 +39,7 @@ from pytest_pafot.model.scenario import (
     continues,
     retimed,
 )
+from pytest_pafot.model.vehicle_type import CAR, VehicleType
 from pytest_pafot.support.text import plural
 
 Start = tuple[int, float]
@@ -165,16 +166,17 @@ def sort_key(scenario: Scenario) -> tuple[int, ...]:
        holds or stops, because passing is simpler. Each step of a manoeuvre is an instruction.
     4. The number of NPCs in lanes, because a cell says where an NPC is, whereas the start of an NPC in lanes depends on
        the other NPCs.
-    5. The number of genes of the longest chain, which decides the length of the run; then the number of all genes.
-    6. The ego's start: lane 1 and 22 m/s are simplest, then round speeds. Genes of 10 s are simpler than genes of any
+    5. The number of NPCs that are no cars.
+    6. The number of genes of the longest chain, which decides the length of the run; then the number of all genes.
+    7. The ego's start: lane 1 and 22 m/s are simplest, then round speeds. Genes of 10 s are simpler than genes of any
        other duration.
-    7. The roughness of the speeds: multiples of 5 m/s are simpler than whole numbers, and whole numbers are simpler
+    8. The roughness of the speeds: multiples of 5 m/s are simpler than whole numbers, and whole numbers are simpler
        than tenths. For slots, whole seconds are simpler than halves, and halves are simpler than tenths. The distances
        of manoeuvres are as speeds, and a step's other numbers are simplest at their defaults.
-    8. The sum of the instructions' speeds, because slower is simpler. For an NPC that crosses, the distance of its slot
+    9. The sum of the instructions' speeds, because slower is simpler. For an NPC that crosses, the distance of its slot
        from 0 instead of its speed; nothing for a manoeuvre.
-    9. The traffic: the paper's is simplest, because it adds no rules.
-    10. The seed of the repair: 0 is simplest.
+    10. The traffic: the paper's is simplest, because it adds no rules.
+    11. The seed of the repair: 0 is simplest.
 
     Every part is a non-negative integer, so every chain of simplifications ends.
     """
@@ -185,6 +187,7 @@ def sort_key(scenario: Scenario) -> tuple[int, ...]:
         sum(each.size for each in parts),
         sum(map(_moves, scenario.npcs)),
         sum(chain[0].in_free_cell for chain in scenario.npcs),
+        sum(vehicle != CAR for vehicle in scenario.vehicles),
         scenario.genes,
         sum(map(len, scenario.npcs)),
         (scenario.ego_lane != EGO_LANE)
@@ -250,6 +253,7 @@ def shrink(
     with suppress(OutOfBudget):
         yield from gate.exhausts(_ending)  # first, because a run that does not fail lasts as long as its scenario
         yield from gate.exhausts(_alone)
+        yield from gate.exhausts(_cars)
     small = partial(
         _small, found=gate.best, plain=plain or (scenario.ego_lane, scenario.ego_speed), is_limited=asks_likely
     )
@@ -391,16 +395,25 @@ def _on_grid(scenario: Scenario) -> Candidates:
 
 def _alone(scenario: Scenario) -> Candidates:
     """Try each NPC without the others."""
-    for npc in scenario.npcs if len(scenario.npcs) > 1 else ():
-        yield replace(scenario, npcs=(npc,))
+    for npc in range(len(scenario.npcs)) if len(scenario.npcs) > 1 else ():
+        yield scenario.of_npcs([npc])
 
 
 def _fewer_npcs(scenario: Scenario) -> Candidates:
     """Try each NPC without the others, then remove several NPCs with consecutive indices, the most first."""
-    npcs = scenario.npcs
+    npcs = range(len(scenario.npcs))
     yield from _alone(scenario)
     for start, end in _slices(len(npcs), len(npcs) - 1):
-        yield replace(scenario, npcs=npcs[:start] + npcs[end:])
+        yield scenario.of_npcs([*npcs[:start], *npcs[end:]])
+
+
+def _cars(scenario: Scenario) -> Candidates:
+    """Let all NPCs be cars, then each of them that is something else."""
+    if scenario.vehicles:
+        yield replace(scenario, vehicles=())
+    for npc, vehicle in enumerate(scenario.vehicles):
+        if vehicle != CAR:
+            yield scenario.with_vehicle(npc, CAR)
 
 
 def _ending(scenario: Scenario) -> Candidates:
@@ -421,8 +434,9 @@ def _shorter(scenario: Scenario) -> Candidates:
 def _later(scenario: Scenario, starts: Mapping[Scenario, Sequence[Start]]) -> Candidates:
     """Start at a later gene, with the ego's lane and speed at the start of that gene; the latest gene first."""
     for gene, (lane, speed) in reversed(list(enumerate(starts.get(scenario, ())))[1:]):
-        npcs = tuple(chain[gene:] for chain in scenario.npcs if len(chain) > gene)
-        yield _valid(replace(scenario, ego_lane=lane, ego_speed=speed), npcs)
+        left = scenario.of_npcs(npc for npc, chain in enumerate(scenario.npcs) if len(chain) > gene)
+        npcs = tuple(chain[gene:] for chain in left.npcs)
+        yield _valid(replace(left, ego_lane=lane, ego_speed=speed), npcs)
 
 
 def _plainer_start(scenario: Scenario, plain: Start | None) -> Candidates:
@@ -523,7 +537,7 @@ def _papers_traffic(scenario: Scenario) -> Candidates:
         yield replace(scenario, traffic=PAPERS)
 
 
-STRUCTURE: tuple[Pass, ...] = (_on_grid, _fewer_npcs, _shorter, _merged, _staying, _shorter_chains, _passing)
+STRUCTURE: tuple[Pass, ...] = (_on_grid, _fewer_npcs, _cars, _shorter, _merged, _staying, _shorter_chains, _passing)
 
 
 def passes() -> tuple[Pass, ...]:
@@ -539,13 +553,16 @@ def _small(scenario: Scenario, found: Scenario, plain: Start, *, is_limited: boo
     There are thousands of them, of which very few fail. With ``is_limited``, only some of those are tried that have
     fewer NPCs or instructions than the scenario: the passes find those of the same size, too.
 
-    They are on the grid, in turn with those of other kinds of instructions that the scenario has. If it has NPCs that
-    cross, try only one NPC that crosses in a zone of the scenario.
+    Their NPCs are cars; if the scenario has another vehicle, also all of them are the first other one. They are on the
+    grid, in turn with those of other kinds of instructions that the scenario has. If it has NPCs that cross, try only
+    one NPC that crosses in a zone of the scenario.
     """
     size = len(scenario.npcs), instructions(scenario)
     length = scenario.genes if size <= (1, 2) else found.genes  # longer chains fail more often
     starts = dict.fromkeys((plain, (scenario.ego_lane, scenario.ego_speed)))
-    begins = [replace(scenario, seed=0, ego_lane=lane, ego_speed=speed) for lane, speed in starts]
+    cars = replace(scenario, seed=0, vehicles=())
+    begins = [replace(cars, ego_lane=lane, ego_speed=speed) for lane, speed in starts]
+    kinds = [(), *((vehicle,) for vehicle in scenario.vehicles if vehicle != CAR)][:2]
     by_kind: dict[type[Instruction], list[Instruction]] = {}
     for each in sorted((chain[0] for chain in found.npcs), key=lambda each: each.on_grid):
         by_kind.setdefault(type(each), []).append(each)
@@ -558,9 +575,17 @@ def _small(scenario: Scenario, found: Scenario, plain: Start, *, is_limited: boo
     ]
     small = (each for several in zip_longest(*of_kinds) for each in several if each)
     if not is_limited:
-        yield from (_valid(begin, npcs) for (its_size, npcs), begin in product(small, begins) if its_size <= size)
+        yield from (
+            _valid(begin, npcs, kind * len(npcs))
+            for (its_size, npcs), begin, kind in product(small, begins, kinds)
+            if its_size <= size
+        )
         return
-    fewer = (_valid(begin, npcs) for (its_size, npcs), begin in product(small, begins) if its_size < size)
+    fewer = (
+        _valid(begin, npcs, kind * len(npcs))
+        for (its_size, npcs), begin, kind in product(small, begins, kinds)
+        if its_size < size
+    )
     yield from islice(fewer, MOST_SMALL)
 
 
@@ -658,10 +683,12 @@ def _with_chain(scenario: Scenario, npc: int, chain: Chromosome) -> Scenario | N
     return _valid(scenario, (*scenario.npcs[:npc], chain, *scenario.npcs[npc + 1 :]))
 
 
-def _valid(scenario: Scenario, npcs: tuple[Chromosome, ...]) -> Scenario | None:
-    """Return the scenario with other chains, or None if they break a rule."""
+def _valid(
+    scenario: Scenario, npcs: tuple[Chromosome, ...], vehicles: tuple[VehicleType, ...] | None = None
+) -> Scenario | None:
+    """Return the scenario with other chains, and with other vehicles if given; or None if they break a rule."""
     try:
-        return replace(scenario, npcs=npcs)
+        return replace(scenario, npcs=npcs, vehicles=scenario.vehicles if vehicles is None else vehicles)
     except ScenarioError:  # for an empty chain, a leap across the ring, or two NPCs in one cell
         return None
 

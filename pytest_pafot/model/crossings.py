@@ -55,6 +55,11 @@ SETTING_OFF = 2.0
 """The acceleration with which a waiting vehicle is expected to set off [m/s^2]."""
 
 
+def longer(stretch: Stretch, by: float) -> Stretch:
+    """Return the stretch of a way in which a vehicle is that is longer than a car [m], as measured at its centre."""
+    return stretch[0] - by / 2, stretch[1] + by / 2
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Zone:
     """The zone where an NPC's way first meets the ego's.
@@ -132,10 +137,12 @@ class Way:
     Attributes:
         zone: the zone where this way first meets the ego's way.
         speeds: the highest speed that speed limits and bends allow, at every half metre from the entry on [m/s].
+        sharpest: the largest curvature of the way [1/m].
     """
 
     zone: Zone
     speeds: FloatArray
+    sharpest: float = 0.0
 
     @property
     def length(self) -> float:

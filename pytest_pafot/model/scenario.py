@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import pairwise, zip_longest
@@ -29,7 +29,8 @@ from pytest_pafot.model.instructions import (
     instruction_of,
 )
 from pytest_pafot.model.instructions.instruction import checked_number, encoded
-from pytest_pafot.support.errors import checked_whole
+from pytest_pafot.model.vehicle_type import CAR, VehicleType, without_last_cars
+from pytest_pafot.support.errors import FieldError, checked_whole
 from pytest_pafot.support.shown import Pasteable
 
 PAPER_SPEED_LIMIT = 26.8
@@ -74,6 +75,8 @@ class Scenario(_Hashed):
             them slower [m/s].
         gene_seconds: duration of one gene [s].
         traffic: driving style of the NPCs; the paper's by default.
+        vehicles: what vehicle each NPC is, in the order of the NPCs: a ``VehicleType``, or the name of a ready one. All
+            NPCs after the last one are cars.
 
     Raises:
         ScenarioError: if a rule is broken. For example, a cell is no ring neighbour of the previous cell, or two NPCs
@@ -86,9 +89,12 @@ class Scenario(_Hashed):
     ego_speed: float = EGO_SPEED
     gene_seconds: float = GENE_SECONDS
     traffic: Traffic = PAPERS
+    vehicles: tuple[VehicleType, ...] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "npcs", _checked_chains(self.npcs))
+        if self.vehicles != ():
+            object.__setattr__(self, "vehicles", _checked_vehicles(self.vehicles, len(self.npcs)))
         object.__setattr__(self, "seed", _checked_whole("seed", self.seed, MAX_SEED))
         object.__setattr__(self, "ego_lane", _checked_whole("ego_lane", self.ego_lane, 1000))
         object.__setattr__(self, "ego_speed", checked_number("ego_speed", self.ego_speed))
@@ -115,6 +121,7 @@ class Scenario(_Hashed):
         ego_speed: float = EGO_SPEED,
         gene_seconds: float = GENE_SECONDS,
         traffic: Traffic = PAPERS,
+        vehicles: Sequence[VehicleType | str] = (),
     ) -> Scenario:
         """Make a scenario from chains whose cells may be invalid; cells are repaired, speeds stay.
 
@@ -128,6 +135,7 @@ class Scenario(_Hashed):
             ego_speed=ego_speed,
             gene_seconds=gene_seconds,
             traffic=traffic,
+            vehicles=_checked_vehicles(vehicles, len(npcs)),
         )
 
     @classmethod
@@ -183,8 +191,9 @@ class Scenario(_Hashed):
 
     @property
     def _beside_chains(self) -> list[Any]:
-        traffic = [] if self.traffic == PAPERS else [self.traffic.plain()]
-        return [self.seed, self.ego_lane, self.ego_speed, self.gene_seconds, *traffic]
+        traffic: list[Any] = [] if self.traffic == PAPERS else [self.traffic.plain()]
+        vehicles = [[each.plain() for each in self.vehicles]] if self.vehicles else []  # a list, as no traffic is
+        return [self.seed, self.ego_lane, self.ego_speed, self.gene_seconds, *traffic, *vehicles]
 
     @property
     def chains_text(self) -> str:
@@ -199,7 +208,9 @@ class Scenario(_Hashed):
         Raises:
             ScenarioError, TypeError, ValueError: if ``fields`` is anything else.
         """
-        npcs, seed, ego_lane, ego_speed, gene_seconds, *traffic = fields
+        npcs, seed, ego_lane, ego_speed, gene_seconds, *others = fields
+        vehicles = others.pop() if others and isinstance(others[-1], list) else ()
+        (traffic,) = others or [PAPERS]
         chains = tuple(tuple(map(instruction_of, chain)) for chain in npcs)
         return cls(
             npcs=chains,
@@ -207,7 +218,8 @@ class Scenario(_Hashed):
             ego_lane=ego_lane,
             ego_speed=ego_speed,
             gene_seconds=gene_seconds,
-            traffic=Traffic.of(*traffic) if traffic else PAPERS,
+            traffic=Traffic.of(traffic),
+            vehicles=tuple(vehicles),
         )
 
     def rechained(self, npcs: Sequence[Sequence[Instruction]], gene_seconds: float | None = None) -> Scenario:
@@ -222,14 +234,38 @@ class Scenario(_Hashed):
             ego_speed=self.ego_speed,
             gene_seconds=self.gene_seconds,
             traffic=self.traffic,
+            vehicles=self.vehicles,
         )
+
+    def vehicle_of(self, npc: int) -> VehicleType:
+        """Return what vehicle an NPC is."""
+        return self.vehicles[npc] if npc < len(self.vehicles) else CAR
+
+    @property
+    def all_vehicles(self) -> tuple[VehicleType, ...]:
+        """What vehicle each NPC is, also those after the last one that is no car."""
+        return self.vehicles + (CAR,) * (len(self.npcs) - len(self.vehicles))
+
+    def of_npcs(self, npcs: Iterable[int], **changes: Any) -> Scenario:
+        """Return this scenario with only the NPCs of these indices, in their order, and with other fields changed."""
+        kept = tuple(npcs)
+        vehicles = tuple(map(self.vehicle_of, kept)) if self.vehicles else ()
+        return replace(self, npcs=tuple(self.npcs[npc] for npc in kept), vehicles=vehicles, **changes)
+
+    def with_vehicle(self, npc: int, vehicle: VehicleType) -> Scenario:
+        """Return this scenario with another vehicle for one NPC."""
+        others = self.all_vehicles
+        return replace(self, vehicles=(*others[:npc], vehicle, *others[npc + 1 :]))
 
     def truncated(self, genes: int) -> Scenario:
         """Return this scenario with only the first ``genes`` genes of each NPC."""
         return replace(self, npcs=tuple(chain[:genes] for chain in self.npcs))
 
     def __str__(self) -> str:
-        chains = "; ".join(" ".join(gene.short for gene in chain) for chain in self.npcs)
+        kinds = ["" if kind == CAR else f"{kind.name} " for kind in self.all_vehicles]
+        chains = "; ".join(
+            kind + " ".join(gene.short for gene in chain) for kind, chain in zip(kinds, self.npcs, strict=True)
+        )
         return f"<Scenario {self.id}: {chains}>"
 
 
@@ -274,6 +310,25 @@ def _checked_chains(npcs: object) -> tuple[Chromosome, ...]:
                 continue
             raise ScenarioError(field=f"npcs[{npc}][{gene}]", expected=expected, received=repr(each), fix=fix)
     return chains
+
+
+def _checked_vehicles(vehicles: object, npcs: int) -> tuple[VehicleType, ...]:
+    if isinstance(vehicles, (str, Mapping)) or not isinstance(vehicles, Iterable):
+        fix = 'write vehicles=("truck",) for NPC 0'
+        raise ScenarioError(field="vehicles", expected="a vehicle per NPC", received=f"{vehicles!r:.100}", fix=fix)
+    found = []
+    for npc, each in enumerate(vehicles):
+        try:
+            found.append(VehicleType.of(each))
+        except FieldError as error:
+            name = "" if error.field == "vehicle" else f".{error.field}"
+            raise ScenarioError(
+                field=f"vehicles[{npc}]{name}", expected=error.expected, received=error.received, fix=error.fix
+            ) from None
+    if len(found) > npcs:
+        expected = f"at most {npcs}, one per NPC"
+        raise ScenarioError(field="vehicles", expected=expected, received=str(len(found)))
+    return without_last_cars(found)
 
 
 def _repaired(npcs: Sequence[Sequence[Instruction]], seed: int) -> tuple[Chromosome, ...]:

@@ -46,6 +46,7 @@ from pytest_pafot.model.trace import (
     X,
     Y,
 )
+from pytest_pafot.model.vehicle_type import CAR
 from pytest_pafot.support.errors import driven_by, install
 from pytest_pafot.support.shown import Shown
 from pytest_pafot.support.text import ascii_text
@@ -537,6 +538,12 @@ class Run(Shown):
             names = [f"scenario {self.scenario.id}", f"repair seed {self.scenario.seed}"]
             names += [f"position rule: {self.second_opinion}"] if self.second_opinion != self.responsibility else []
             names += filter(None, [self.scenario.traffic.described])
+            others = [
+                f"NPC {npc} is a {vehicle.described}"
+                for npc, vehicle in enumerate(self.scenario.vehicles)
+                if vehicle != CAR
+            ]
+            lines += [f"  {'; '.join(others)}"] if others else []
             crossing = [*_crossing_lines(self.trace), *_manoeuvre_lines(self.trace, self.asked)]
             lines += [*crossing, *_gene_table(self.trace, MAX_GENE_ROWS - len(crossing)), f"  {', '.join(names)}"]
         texts = (ascii_text(" ".join(line.splitlines())) for line in lines)

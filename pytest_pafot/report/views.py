@@ -24,6 +24,7 @@ from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.instructions import Instruction
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import ACCELERATION, ALONG, LANE, SPEED, FloatArray, Lane, Trace, X, Y
+from pytest_pafot.model.vehicle_type import CAR
 from pytest_pafot.oracle.checks import Check
 from pytest_pafot.oracle.run import Run, arrival, lanes_apart
 from pytest_pafot.report.page_data import (
@@ -106,7 +107,7 @@ def grid_poses(trace: Trace, ticks: Sequence[int], road: RoadView) -> tuple[tupl
 
     The pose is None for a cell in which there is no lane.
     """
-    other = float(trace.sizes[min(1, len(trace.sizes) - 1), 0])
+    other = float(trace.sizes[min(1, len(trace.sizes) - 1) :, 0].min())  # a longer NPC's cell begins at the same gap
     row = (float(trace.sizes[0, 0]) + other) / 2
     parts = []
     for number, lane in enumerate(trace.lanes):
@@ -372,7 +373,7 @@ def _vehicles(trace: Trace, ticks: Sequence[int]) -> tuple[VehicleView, ...]:
         spans = [changes[vehicle][before + 1 : tick + 1] for before, tick in pairwise([-1, *ticks])]
         peaks = np.array([span[np.argmax(np.abs(span))] for span in spans])
         view = VehicleView(
-            name=f"NPC {vehicle - 1}" if vehicle else "ego",
+            name=_name_of(trace, vehicle),
             length=float(trace.sizes[vehicle, 0]),
             width=float(trace.sizes[vehicle, 1]),
             along=_numbers(along[ticks, vehicle], 2),
@@ -423,6 +424,13 @@ def zone_view(passage: Passage, length: float, width: float) -> ZoneView:
     places = np.linspace(first, max(last, first), max(round(last - first), 1) + 1)
     area = np.stack([np.interp(places, along, line[:, column]) for column in (0, 1)], axis=-1)
     return replace(view, way=_points(line), area=_points(area), width=float(width))
+
+
+def _name_of(trace: Trace, vehicle: int) -> str:
+    if not vehicle:
+        return "ego"
+    kind = trace.scenario.vehicle_of(vehicle - 1)
+    return f"NPC {vehicle - 1}" if kind == CAR else f"NPC {vehicle - 1}, {kind.name}"
 
 
 def _points(line: FloatArray) -> tuple[tuple[float, float], ...]:

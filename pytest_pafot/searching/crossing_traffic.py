@@ -107,19 +107,23 @@ class CrossingTraffic:
         If that does not help, the NPC arrives as long after the ego as possible. If that conflicts as well, the NPC is
         left out. An NPC without a cell to start in crosses instead. No random number is used if everything fits.
         """
-        kept: list[Chromosome] = []
+        return tuple(chain for _, chain in self.numbered(npcs, rng))
+
+    def numbered(self, npcs: Sequence[Chromosome], rng: Generator) -> list[tuple[int, Chromosome]]:
+        """Return the chains of :meth:`cleared`, each with its index before some were left out."""
+        kept: list[tuple[int, Chromosome]] = []
         told: list[CrossingInstruction] = []
-        for chain in npcs:
+        for npc, chain in enumerate(npcs):
             first = chain[0]
             if not first.crosses and len(kept) - len(told) < self.most_on_grid:
-                kept.append(chain)
+                kept.append((npc, chain))
                 continue
             wanted = cast("CrossingInstruction", first) if first.crosses else self.drawn(rng)
             found = self._room_for(wanted, told, rng)
             if found is not None:
                 told.append(found)
-                kept.append((found,))
-        return tuple(kept)
+                kept.append((npc, (found,)))
+        return kept
 
     def _room_for(
         self, instruction: CrossingInstruction, others: Sequence[CrossingInstruction], rng: Generator

@@ -15,6 +15,7 @@ from numpy.random import Generator
 from pytest_pafot.model.grid import is_adjacent
 from pytest_pafot.model.instructions import Instruction
 from pytest_pafot.model.scenario import Chromosome, Scenario, retimed
+from pytest_pafot.model.vehicle_type import CAR, VehicleType
 from pytest_pafot.searching.crossing_traffic import CrossingTraffic
 from pytest_pafot.searching.evaluation import Evaluation
 from pytest_pafot.searching.patterns import followed_by_pattern
@@ -29,6 +30,8 @@ STARTS, PATTERNS = 0.1, 0.35
 """Share of mutations that sample a new start, if the space has several, and that insert a pattern, if it has any."""
 SPEEDS = 0.7
 """Share of the new starts that differ in the first speed; the others differ in the ego's first lane."""
+VEHICLES = 0.05
+"""Share of the mutations that make an NPC another vehicle, if NPCs can be several."""
 SIZES = 0.1
 """Share of the mutations that add or remove an NPC, or change the duration of genes, if the space varies this."""
 
@@ -39,28 +42,40 @@ def crossover(a: Scenario, b: Scenario, rng: Generator) -> tuple[Scenario, Scena
     If both NPCs cross in the same zone, slot, speed and act are each swapped or not at random instead. Afterwards NPCs
     may conflict in a zone; :func:`mutate` and :func:`varied` resolve such conflicts, because they know the ways.
     """
-    (in_a, for_a), (in_b, for_b) = _swapped(a, b, rng)
-    return _child(a, with_chain(a.npcs, in_a, for_a), rng), _child(b, with_chain(b.npcs, in_b, for_b), rng)
+    first, second = _swapped(a, b, rng)
+    return _with_npc(a, *first, rng), _with_npc(b, *second, rng)
 
 
 def first_crossed(a: Scenario, b: Scenario, rng: Generator) -> Scenario:
     """Return the first child of :func:`crossover`, for the same random numbers, without repairing the second child."""
-    (in_a, for_a), _ = _swapped(a, b, rng)
-    child = _child(a, with_chain(a.npcs, in_a, for_a), rng)
+    first, _ = _swapped(a, b, rng)
+    child = _with_npc(a, *first, rng)
     fresh_seed(rng)
     return child
 
 
-def _swapped(a: Scenario, b: Scenario, rng: Generator) -> tuple[tuple[int, Chromosome], tuple[int, Chromosome]]:
-    """Return the index of a random NPC of each scenario, with the chain that a crossover gives to this NPC."""
+Swapped = tuple[int, Chromosome, VehicleType]
+"""The index of an NPC, and the chain and the vehicle that a crossover gives to it."""
+
+
+def _with_npc(scenario: Scenario, npc: int, chain: Chromosome, vehicle: VehicleType, rng: Generator) -> Scenario:
+    vehicles = scenario.vehicles
+    if vehicle is not CAR or vehicles:
+        vehicles = (*scenario.all_vehicles[:npc], vehicle, *scenario.all_vehicles[npc + 1 :])
+    return repaired(with_chain(scenario.npcs, npc, chain), fresh_seed(rng), scenario, vehicles)
+
+
+def _swapped(a: Scenario, b: Scenario, rng: Generator) -> tuple[Swapped, Swapped]:
+    """Return the index of a random NPC of each scenario, with the chain and the vehicle that it gets."""
     in_a, in_b = int(rng.integers(len(a.npcs))), int(rng.integers(len(b.npcs)))
     one, other = a.npcs[in_a][0], b.npcs[in_b][0]
+    kind, its_kind = a.vehicle_of(in_a), b.vehicle_of(in_b)
     if (children := one.mixed(other, rng)) is not None:
         first, second = children
-        return (in_a, (first,)), (in_b, (second,))
+        return (in_a, (first,), kind), (in_b, (second,), its_kind)
     if one.keeps_start or other.keeps_start:  # so that no two NPCs touch there
-        return (in_a, a.npcs[in_a]), (in_b, b.npcs[in_b])
-    return (in_a, _taken(b, in_b, a)), (in_b, _taken(a, in_a, b))
+        return (in_a, a.npcs[in_a], kind), (in_b, b.npcs[in_b], its_kind)
+    return (in_a, _taken(b, in_b, a), its_kind), (in_b, _taken(a, in_a, b), kind)
 
 
 def _taken(scenario: Scenario, npc: int, other: Scenario) -> Chromosome:
@@ -78,26 +93,35 @@ def mutate(scenario: Scenario, space: SearchSpace, rng: Generator) -> Scenario:
     instead would rewrite the rest of the chain and lose what the parent was selected for.
 
     If the space has several starts, a tenth of the mutations sample a new start. If it has patterns, a third insert a
-    pattern into a chain on the grid. NPCs that cross are mutated as often as all others: half of the time the slot is
-    moved, otherwise the speed, the act or the whole instruction changes. If two NPCs conflict, one is sampled again.
+    pattern into a chain on the grid. If NPCs can be several vehicles, a twentieth makes an NPC another one. NPCs that
+    cross are mutated as often as all others: half of the time the slot is moved, otherwise the speed, the act or the
+    whole instruction changes. If two NPCs conflict, one is sampled again.
     """
     child, crossing = _mutated(scenario, space, rng), space.crossing_traffic
-    return child if crossing is None else _cleared(child, crossing, rng)
+    return child if crossing is None else space.with_fitting_vehicles(_cleared(child, crossing, rng))
 
 
 def _cleared(scenario: Scenario, crossing: CrossingTraffic, rng: Generator) -> Scenario:
-    npcs = crossing.cleared(scenario.npcs, rng)
-    return scenario if npcs == scenario.npcs else replace(scenario, npcs=npcs)
+    kept = crossing.numbered(scenario.npcs, rng)
+    npcs = tuple(chain for _, chain in kept)
+    if npcs == scenario.npcs:
+        return scenario
+    return replace(scenario, npcs=npcs, vehicles=tuple(scenario.vehicle_of(npc) for npc, _ in kept))
 
 
 def _mutated(scenario: Scenario, space: SearchSpace, rng: Generator) -> Scenario:
     starts = STARTS if len(space.ego_lanes) > 1 or space.has_speeds else 0.0
     sizes = SIZES if space.most_npcs or len(space.gene_durations) > 1 else 0.0
-    draw = rng.random() if starts or sizes or space.patterns else 1.0
+    vehicles = VEHICLES if len(space.vehicles) > 1 else 0.0
+    draw = rng.random() if starts or sizes or vehicles or space.patterns else 1.0
     if draw < starts:
         return _started_anew(scenario, space, rng)
     if draw < starts + sizes:
         return _of_another_size(scenario, space, rng)
+    if draw < starts + sizes + vehicles:
+        npc = int(rng.integers(len(scenario.npcs)))
+        others = [vehicle for vehicle in space.vehicles if vehicle != scenario.vehicle_of(npc)]
+        return scenario.with_vehicle(npc, others[int(rng.integers(len(others)))])
     numbers = [npc for npc, chain in enumerate(scenario.npcs) if not chain[0].is_alone]
     asked = [npc for npc, chain in enumerate(scenario.npcs) if chain[0].is_alone and not chain[0].crosses]
     crossing = space.crossing_traffic
@@ -108,7 +132,7 @@ def _mutated(scenario: Scenario, space: SearchSpace, rng: Generator) -> Scenario
         here = space.choices._replace(ego_lane=scenario.ego_lane, ego_speed=scenario.ego_speed)
         new_one = scenario.npcs[npc][0].varied(here, rng)
         return _child(scenario, with_chain(scenario.npcs, npc, (new_one,)), rng)
-    if draw < starts + sizes + PATTERNS and space.patterns and scenario.positions:
+    if draw < starts + sizes + vehicles + PATTERNS and space.patterns and scenario.positions:
         return _with_pattern(scenario, space, rng)
     places = [(npc, gene) for npc in numbers for gene in range(len(scenario.npcs[npc]))]
     npc, gene = places[int(rng.integers(len(places)))]
@@ -145,7 +169,7 @@ def _started_anew(scenario: Scenario, space: SearchSpace, rng: Generator) -> Sce
     lane = among[int(rng.integers(len(among)))]
     kept = npcs[: space.most_on(lane)]
     there = tuple(tuple(gene.for_lane(scenario.ego_lane, lane) for gene in chain) for chain in kept)
-    return replace(scenario, ego_lane=lane, npcs=there)
+    return replace(scenario, ego_lane=lane, npcs=there, vehicles=scenario.vehicles[: len(there)])
 
 
 def _of_another_size(scenario: Scenario, space: SearchSpace, rng: Generator) -> Scenario:
@@ -159,12 +183,14 @@ def _of_another_size(scenario: Scenario, space: SearchSpace, rng: Generator) -> 
         return repaired(chains, fresh_seed(rng), replace(scenario, gene_seconds=seconds))
     if len(npcs) > 1 and (len(npcs) >= most or rng.integers(2)):
         gone = int(rng.integers(len(npcs)))
-        return replace(scenario, npcs=npcs[:gone] + npcs[gone + 1 :])
+        return scenario.of_npcs(npc for npc in range(len(npcs)) if npc != gone)
     if len(npcs) >= most:
         return scenario
     alone = space.fixed(scenario.ego_lane, scenario.ego_speed, 1, scenario.genes, scenario.gene_seconds)
-    added = ((chain[0].beside_others(alone.choices, npcs, rng), *chain[1:]) for chain in sample(alone, rng).npcs)
-    return _child(scenario, (*npcs, *added), rng)
+    one = sample(alone, rng)
+    added = (one.npcs[0][0].beside_others(alone.choices, npcs, rng), *one.npcs[0][1:])
+    vehicles = (*scenario.all_vehicles, one.vehicle_of(0))
+    return repaired((*npcs, added), fresh_seed(rng), scenario, vehicles)
 
 
 def _with_pattern(scenario: Scenario, space: SearchSpace, rng: Generator) -> Scenario:
@@ -254,7 +280,7 @@ def varied(
     if rng.random() < crossover_rate:
         a, b = crossover(a, b, rng)
         if (crossing := space.crossing_traffic) is not None:
-            a, b = (_cleared(child, crossing, rng) for child in (a, b))
+            a, b = (space.with_fitting_vehicles(_cleared(child, crossing, rng)) for child in (a, b))
     first, second = (mutate(child, space, rng) if rng.random() < mutation_rate else child for child in (a, b))
     return first, second
 

@@ -25,6 +25,7 @@ from pytest_pafot.model.instructions import (
     random_lanes,
     random_manoeuvre,
 )
+from pytest_pafot.model.instructions.manoeuvre import LONGEST_VEHICLE
 from pytest_pafot.model.scenario import (
     EGO_LANE,
     EGO_SPEED,
@@ -35,6 +36,7 @@ from pytest_pafot.model.scenario import (
     Scenario,
     positions_of,
 )
+from pytest_pafot.model.vehicle_type import CAR, VehicleType, named_vehicles, without_last_cars
 from pytest_pafot.searching import crossing_traffic
 from pytest_pafot.searching.crossing_traffic import CrossingTraffic
 from pytest_pafot.searching.patterns import chain_of_patterns
@@ -45,6 +47,10 @@ LEAST_GENES = 3
 """Smallest number of genes of an NPC on a bent road, even in short runs: to approach, to cut in, and to brake."""
 CROSSING = 0.75
 """Share of the NPCs that cross the ego's way, turn across it or join it, if the world has ways that do so."""
+CARS = (CAR,)
+"""The vehicles of a search in which all NPCs are cars."""
+OTHERS = 1 / 6
+"""Share of the NPCs that are no cars, if NPCs can be other vehicles."""
 MOST_ON_GRID = 2
 """Largest number of NPCs next to those that cross: one ahead of the ego and one behind it in one lane."""
 
@@ -89,6 +95,7 @@ class SearchSpace:
             (Lane-Instructions), ``"manoeuvres"``, or ``"both"``, in which each NPC has one of the first two kinds with
             equal probability.
         lanes: number of lanes of a straight road, for manoeuvres; 0 if it is unknown, and NPCs keep their lanes.
+        vehicles: what vehicles NPCs can be. If cars are among them, one NPC in six is another one of them.
         room: the largest gap between the ego and the start of an NPC with a manoeuvre, behind and ahead [m].
         first: scenarios that a search drives before those that it samples.
     """
@@ -112,6 +119,7 @@ class SearchSpace:
     instructions: Instructions = "cells"
     lanes: int = 0
     room: tuple[float, float] = (math.inf, math.inf)
+    vehicles: tuple[VehicleType, ...] = CARS
     first: tuple[Scenario, ...] = ()
 
     def __post_init__(self) -> None:
@@ -128,6 +136,8 @@ class SearchSpace:
         if not acts or not set(acts) <= set(ACTS):
             raise ValueError(f"acts: expected one or more of {', '.join(ACTS)}, received {self.acts!r}")
         object.__setattr__(self, "acts", acts)
+        if self.vehicles != CARS:  # by identity, since each sampled start makes a space
+            self._check_vehicles()
         if self.instructions not in LANE_SHARES:
             expected = f"one of {', '.join(LANE_SHARES)}"
             raise ValueError(f"instructions: expected {expected}, received {self.instructions!r:.100}")
@@ -135,6 +145,13 @@ class SearchSpace:
             raise ValueError(
                 f"ego_speeds: expected the lowest and the highest speed in m/s, received {self.ego_speeds!r}"
             )
+
+    def _check_vehicles(self) -> None:
+        object.__setattr__(self, "vehicles", named_vehicles(self.vehicles))
+        longest = max(self.vehicles, key=lambda each: each.length)
+        if self.instructions == "manoeuvres" and longest.length > LONGEST_VEHICLE:
+            expected = f"vehicles of at most {LONGEST_VEHICLE:g} m with manoeuvres, so that they do not touch"
+            raise ValueError(f"vehicles: expected {expected}, received {longest.described}")
 
     def sliced(self, slices: int) -> SearchSpace:
         """Return the space with ``slices`` genes per NPC, which together last as long as the genes of this space."""
@@ -146,6 +163,7 @@ class SearchSpace:
         data = asdict(replace(self, crossings=None, first=()))
         if self.first:
             data["begin_with"] = [scenario.id for scenario in self.first]
+        data["vehicles"] = [vehicle.plain() for vehicle in self.vehicles]
         usual = {
             "crossings": None,
             "acts": crossing_traffic.ACTS,
@@ -154,9 +172,34 @@ class SearchSpace:
             "least_npcs": 1,
             "lanes": 0,
             "room": (math.inf, math.inf),
+            "vehicles": [CAR.plain()],
             "first": (),
         }
         return {name: value for name, value in data.items() if name not in usual or value != usual[name]}
+
+    @property
+    def other_vehicles(self) -> tuple[VehicleType, ...]:
+        """The vehicles other than cars."""
+        if self.vehicles == CARS:
+            return ()
+        return tuple(vehicle for vehicle in self.vehicles if vehicle != CAR)
+
+    def drawn_vehicle(self, rng: Generator) -> VehicleType:
+        """Sample what vehicle an NPC is; without a random number if all are cars."""
+        others = self.other_vehicles
+        if not others or (CAR in self.vehicles and rng.random() >= OTHERS):
+            return CAR
+        return others[int(rng.integers(len(others)))]
+
+    def with_fitting_vehicles(self, scenario: Scenario) -> Scenario:
+        """Return a scenario in which no vehicle is too long for the bends of a way that meets the ego's."""
+        if not scenario.vehicles or self.crossings is None:
+            return scenario
+        vehicles = tuple(
+            vehicle if each is None or vehicle.can_follow(self.crossings.ways[each.zone].sharpest) else CAR
+            for vehicle, each in zip(scenario.vehicles, scenario.crossings, strict=False)
+        )
+        return scenario if not scenario.crossings else replace(scenario, vehicles=vehicles)
 
     @property
     def top_step(self) -> int:
@@ -187,7 +230,10 @@ class SearchSpace:
         ways = f", most of them on {count} ways that meet the ego's" if count else ""
         kinds = {"cells": "", "lanes": " with Lane-Instructions", "both": " with Position- or Lane-Instructions"}
         kinds["manoeuvres"] = " with manoeuvres"
-        return f"{npcs}{kinds[self.instructions]}{traffic}{ways}; the ego starts at {speed} m/s in {lane}"
+        names = [vehicle.name for vehicle in self.other_vehicles]
+        others = " or ".join(filter(None, [", ".join(names[:-1]), *names[-1:]]))
+        others = f"; {'one NPC in six' if CAR in self.vehicles else 'each NPC'} is a {others}" if others else ""
+        return f"{npcs}{kinds[self.instructions]}{traffic}{ways}; the ego starts at {speed} m/s in {lane}{others}"
 
     @property
     def zones(self) -> tuple[str, ...]:
@@ -290,7 +336,17 @@ def sample(space: SearchSpace, rng: Generator) -> Scenario:
     with equal probability. Speeds are uniform over the steps of 0.1 m/s up to the limit.
 
     If ways cross the ego's, most NPCs have a Crossing-Instruction instead; conflicting instructions are sampled again.
+
+    In a space with other vehicles than cars, what each NPC is is sampled last.
     """
+    scenario = _sample_cars(space, rng)
+    if not space.other_vehicles:
+        return scenario
+    vehicles = tuple(space.drawn_vehicle(rng) for _ in scenario.npcs)
+    return space.with_fitting_vehicles(replace(scenario, vehicles=vehicles))
+
+
+def _sample_cars(space: SearchSpace, rng: Generator) -> Scenario:
     space = space.drawn(rng)
     crossing = space.crossing_traffic
     if crossing is not None:
@@ -341,13 +397,21 @@ def sample_manoeuvres(space: SearchSpace, rng: Generator) -> Scenario:
     return repaired(random_lanes(space.choices, space.npcs, space.genes, rng), 0, space)
 
 
-def repaired(chains: Sequence[Sequence[Instruction]], seed: int, start: Scenario | SearchSpace) -> Scenario:
+def repaired(
+    chains: Sequence[Sequence[Instruction]],
+    seed: int,
+    start: Scenario | SearchSpace,
+    vehicles: tuple[VehicleType, ...] | None = None,
+) -> Scenario:
     """Make a valid scenario from chains that were sampled or varied (section 2.1 of the paper).
 
     The result equals that of :meth:`Scenario.repaired`. This function is much faster, as a search calls it for every
     child: it skips the repair of chains that are valid already. ``start`` gives the ego's lane, the first speed of all
-    vehicles, the duration of a gene and the traffic.
+    vehicles, the duration of a gene and the traffic; if it is a scenario, also what vehicles the NPCs are, unless these
+    are given.
     """
+    if vehicles is None:
+        vehicles = start.vehicles if isinstance(start, Scenario) else ()
     positions = positions_of(chains)
     cells = [[gene.cell for gene in chain] for chain in positions]
     npcs = tuple(map(tuple, chains))
@@ -368,6 +432,7 @@ def repaired(chains: Sequence[Sequence[Instruction]], seed: int, start: Scenario
         ego_speed=start.ego_speed,
         gene_seconds=start.gene_seconds,
         traffic=start.traffic,
+        vehicles=without_last_cars(vehicles),
     )
 
 

@@ -21,6 +21,7 @@ from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.instructions import PositionInstruction, ScenarioError
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Trace
+from pytest_pafot.model.vehicle_type import CAR, VehicleType
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.support.errors import driven_by, plain_number
 from pytest_pafot.world.driving.ads import AdsFactory
@@ -202,6 +203,10 @@ class BaseWorld(ABC):
     def has_manoeuvres(self) -> bool:
         """True if NPCs can have manoeuvres."""
         return False
+
+    def can_drive(self, vehicle: VehicleType) -> bool:
+        """Return whether an NPC that does not cross can be a given vehicle; without more knowledge, only a car."""
+        return vehicle == CAR
 
     # How runs can be made, in addition to ``rollout``.
 

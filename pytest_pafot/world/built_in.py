@@ -12,6 +12,7 @@ from pytest_pafot.model.crossings import Crossings
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.sight import Sight
 from pytest_pafot.model.trace import Trace
+from pytest_pafot.model.vehicle_type import VehicleType
 from pytest_pafot.support.errors import WorldError
 from pytest_pafot.world.base_world import BaseWorld, FirstDecision, decision_asked
 from pytest_pafot.world.driving.ads import AdsFactory
@@ -138,6 +139,10 @@ class BuiltInWorld(BaseWorld):
     def has_manoeuvres(self) -> bool:
         """True, because NPCs can have manoeuvres."""
         return True
+
+    def can_drive(self, vehicle: VehicleType) -> bool:
+        """Return whether an NPC that does not cross can be a given vehicle: it follows all bends of the road."""
+        return self.rules.road.can_drive(vehicle)
 
     @property
     def has_lock_step(self) -> bool:

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 
+from pytest_pafot.model.vehicle_type import CAR, VehicleType
 from pytest_pafot.support.errors import WorldError
 from pytest_pafot.world.validation import number_within
 
@@ -30,10 +31,13 @@ BOUNDS: Mapping[str, tuple[float, float, str]] = MappingProxyType(
 """The smallest and the largest accepted value of each limit, and a reason for the error message. With other values,
 the computation of an NPC's controls is not reliable."""
 
+OF_VEHICLES = ("acceleration", "braking", "lateral_acceleration")
+"""The limits that a vehicle may have itself."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NpcLimits:
-    """Hard limits of every NPC; they hold at every tick of every trace.
+    """Hard limits of every NPC; they hold at every tick of every trace. A vehicle may have lower ones of its own.
 
     Attributes:
         acceleration: strongest acceleration [m/s^2].
@@ -55,6 +59,13 @@ class NpcLimits:
     def __post_init__(self) -> None:
         for name, bounds in BOUNDS.items():
             object.__setattr__(self, name, number_within(f"limits.{name}", getattr(self, name), *bounds))
+
+    def of(self, vehicle: VehicleType) -> NpcLimits:
+        """Return the limits of an NPC that is a given vehicle: of each limit, the lower one."""
+        if vehicle is CAR:
+            return self  # as below, in no time
+        own = {name: getattr(vehicle, name) for name in OF_VEHICLES if getattr(vehicle, name) < getattr(self, name)}
+        return replace(self, **own) if own else self
 
     def top_speed(self, speed_limit: float) -> float:
         """Return the highest speed of NPCs on a road with a speed limit [m/s].

@@ -18,7 +18,8 @@ from pytest_pafot.model.instructions import (
     ScenarioError,
 )
 from pytest_pafot.model.scenario import Scenario
-from pytest_pafot.world.kernel.bodies import NPC_LENGTH, NPC_WIDTH, Box, overlap
+from pytest_pafot.model.vehicle_type import CAR, TIGHTEST, VehicleType
+from pytest_pafot.world.kernel.bodies import Box, overlap
 from pytest_pafot.world.kernel.director import Director
 from pytest_pafot.world.kernel.road_directors import JunctionDirector
 from pytest_pafot.world.limits import NpcLimits
@@ -69,11 +70,11 @@ class Rules:
         """Return world x [m], y [m] and heading [rad] of the ego at tick 0."""
         return self.road.position(self.ego_start, scenario.ego_lane)
 
-    def start_distance(self, scenario: Scenario, ego_length: float = NPC_LENGTH) -> float:
-        """Return the distance between the centres of the ego and of NPCs that start ahead or behind [m]."""
-        return float(ego_length + NPC_LENGTH) / 2 + max(self.headway * scenario.ego_speed, self.clearance)
+    def start_distance(self, scenario: Scenario, ego_length: float = CAR.length) -> float:
+        """Return the distance between the centres of the ego and of cars that start ahead or behind [m]."""
+        return float(ego_length + CAR.length) / 2 + max(self.headway * scenario.ego_speed, self.clearance)
 
-    def start_cells(self, scenario: Scenario, ego_length: float = NPC_LENGTH) -> frozenset[Cell]:
+    def start_cells(self, scenario: Scenario, ego_length: float = CAR.length) -> frozenset[Cell]:
         """Return the cells in which an NPC may start."""
         return self.road.start_cells(scenario.ego_lane, self.start_distance(scenario, ego_length))
 
@@ -85,8 +86,6 @@ class Rules:
             self.start_cells(scenario, ego_length),
             clearance=self.clearance,
             ego_length=ego_length,
-            length=NPC_LENGTH,
-            width=NPC_WIDTH,
             physics_hz=self.physics_hz,
         )
 
@@ -112,11 +111,26 @@ class Rules:
         for npc, instruction in enumerate(crossings):
             if instruction is not None:
                 self._check_crossing(f"npcs[{npc}][0]", instruction)
+        self._check_vehicles(scenario)
         ticks = scenario.gene_seconds * self.physics_hz
         if abs(ticks - round(ticks)) > 1e-6 or round(ticks) < 1:
             expected = f"a whole number of ticks of 1/{self.physics_hz} s"
             fix, received = f"the nearest is {max(round(ticks), 1) / self.physics_hz!r}", f"{scenario.gene_seconds:g}"
             raise ScenarioError(field="gene_seconds", expected=expected, received=received, fix=fix)
+
+    def _check_vehicles(self, scenario: Scenario) -> None:
+        """Refuse a vehicle that is too long for the bends of its way."""
+        for npc, vehicle in enumerate(scenario.vehicles):
+            crossing = scenario.crossings[npc] if scenario.crossings else None
+            if crossing is None or self.crossings is None:
+                where, does_fit = "the road", self.road.can_drive(vehicle)
+            else:
+                where, does_fit = crossing.zone, vehicle.can_follow(self.crossings.ways[crossing.zone].sharpest)
+            if not does_fit:
+                expected = f"a vehicle that can follow the bends of {where}"
+                least = vehicle.length / (TIGHTEST * CAR.length)
+                fix = f"it needs a radius of {least:.1f} m; give the NPC a shorter vehicle, or another way"
+                raise ScenarioError(field=f"vehicles[{npc}]", expected=expected, received=vehicle.described, fix=fix)
 
     def _check_lane(self, lane: int) -> None:
         if lane not in self.road.start_lanes:
@@ -128,7 +142,7 @@ class Rules:
         gap = max(self.headway * speed, self.clearance) if self.road.prescribed is None else 0.0
         x, y, heading = self.road.position(self.ego_start, lane)
         x, y = x + gap / 2 * math.cos(heading), y + gap / 2 * math.sin(heading)
-        place = Box(x, y, heading, NPC_LENGTH + gap, NPC_WIDTH)
+        place = Box(x, y, heading, CAR.length + gap, CAR.width)
         return next((each for each in self.obstacles if overlap(place, Box(*each))), None)
 
     def refuse_start(self, scenario: Scenario, near: tuple[float, ...]) -> NoReturn:
@@ -177,32 +191,37 @@ class Rules:
             for number, step in enumerate(manoeuvre.steps):
                 if step.speed is not None and step.speed > self.road.speed_limit + 1e-9:
                     self._refuse_speed(f"npcs[{npc}][0].steps[{number}]", step.speed)
-            lane, along = scenario.ego_lane + manoeuvre.beside, self.along_at(manoeuvre, scenario)
+            lane, vehicle = scenario.ego_lane + manoeuvre.beside, scenario.vehicle_of(npc)
+            along = self.along_at(manoeuvre, scenario, vehicle=vehicle)
             if not self.road.has_lane(lane, along):
                 expected = f"a lane that exists {along - self.ego_start:.0f} m from the ego's start"
                 place, fix = f"npcs[{npc}][0].beside", "lanes are counted from 0 at the left"
                 raise ScenarioError(field=place, expected=expected, received=f"lane {lane}", fix=fix)
         if not asked:
             return
-        numbers = [npc for npc, _ in _not_crossing(scenario)]
-        places = start_places(self, scenario, self.director(scenario, NPC_LENGTH).first_cells())
+        numbers = [npc for npc, *_ in _not_crossing(scenario)]
+        places = start_places(self, scenario, self.director(scenario, CAR.length).first_cells())
+        lengths = {npc: scenario.vehicle_of(npc).length for npc in numbers} | {-1: CAR.length}
         taken: list[tuple[int, float, int]] = []
         for npc, (own, its_lane) in zip((-1, *numbers), places, strict=True):
             for other, along, lane in taken:
-                if lane == its_lane and abs(along - own) < NPC_LENGTH + LEAST_START_GAP:
+                room = (lengths[npc] + lengths[other]) / 2
+                if lane == its_lane and abs(along - own) < room + LEAST_START_GAP:
                     who = "the ego" if other < 0 else f"npcs[{other}]"
                     expected = f"a start at least {LEAST_START_GAP:g} m from {who}"
-                    received = f"{abs(along - own) - NPC_LENGTH:.1f} m in the same lane"
+                    received = f"{abs(along - own) - room:.1f} m in the same lane"
                     fix = "give the manoeuvre another place or lane"
                     raise ScenarioError(field=f"npcs[{npc}]", expected=expected, received=received, fix=fix)
             taken.append((npc, own, its_lane))
 
-    def along_at(self, manoeuvre: Manoeuvre, scenario: Scenario, ego_length: float = NPC_LENGTH) -> float:
+    def along_at(
+        self, manoeuvre: Manoeuvre, scenario: Scenario, ego_length: float = CAR.length, vehicle: VehicleType = CAR
+    ) -> float:
         """Return the place along the road at which an NPC with a manoeuvre starts [m]."""
         if manoeuvre.ahead == 0:
             return self.ego_start
         stretch = self.road.stretch(scenario.ego_lane, self.ego_start)
-        room = math.copysign((ego_length + NPC_LENGTH) / 2, manoeuvre.ahead)
+        room = math.copysign((ego_length + vehicle.length) / 2, manoeuvre.ahead)
         return self.ego_start + (manoeuvre.ahead + room) / stretch
 
     def _check_speeds(self, scenario: Scenario) -> None:
@@ -227,14 +246,15 @@ class Rules:
         return int(seconds * self.physics_hz + 1e-9)  # rounding must not lose a tick
 
 
-def _not_crossing(scenario: Scenario) -> list[tuple[int, Instruction]]:
-    """Return the NPCs that start around the ego and not on a way that crosses, each with its first gene."""
-    firsts = [(npc, chain[0]) for npc, chain in enumerate(scenario.npcs)]
-    return [(npc, first) for npc, first in firsts if not isinstance(first, CrossingInstruction)]
+def _not_crossing(scenario: Scenario) -> list[tuple[int, Instruction, VehicleType]]:
+    """Return the NPCs that start around the ego and not on a way that crosses, each with its first gene and vehicle."""
+    kinds = scenario.all_vehicles
+    firsts = [(npc, chain[0], kinds[npc]) for npc, chain in enumerate(scenario.npcs)]
+    return [each for each in firsts if not isinstance(each[1], CrossingInstruction)]
 
 
 def start_places(
-    rules: Rules, scenario: Scenario, cells: tuple[Cell, ...], ego_length: float = NPC_LENGTH
+    rules: Rules, scenario: Scenario, cells: tuple[Cell, ...], ego_length: float = CAR.length
 ) -> list[tuple[float, int]]:
     """Return the place along the road [m] and the lane of the ego and of each NPC that does not cross, at tick 0.
 
@@ -242,25 +262,31 @@ def start_places(
     headway. So there is no danger at the start, and all danger results from driving. NPCs with manoeuvres start where
     these say.
     """
-    far = rules.start_distance(scenario, ego_length)
-    beside = [(rules.ego_start + cell.row * far, scenario.ego_lane + cell.column) for cell in cells]
-    for number, (_, first) in enumerate(_not_crossing(scenario)):
+    start, apart, beside = rules.ego_start, rules.start_distance(scenario, ego_length), []
+    for cell, (_, first, vehicle) in zip(cells, _not_crossing(scenario), strict=True):
         if isinstance(first, Manoeuvre):
-            along = rules.along_at(first, scenario, ego_length)
-            beside[number] = along, scenario.ego_lane + first.beside
-    return [(rules.ego_start, scenario.ego_lane), *beside]
+            along = rules.along_at(first, scenario, ego_length, vehicle)
+            beside.append((along, scenario.ego_lane + first.beside))
+            continue
+        lane, far = scenario.ego_lane + cell.column, apart + (vehicle.length - CAR.length) / 2
+        if vehicle.length > CAR.length and not rules.road.has_lane(lane, start + cell.row * far):
+            far = apart  # where the lane ends, a car has room to start
+        beside.append((start + cell.row * far, lane))
+    return [(start, scenario.ego_lane), *beside]
 
 
 def start_speeds(rules: Rules, scenario: Scenario, places: Sequence[tuple[float, int]]) -> list[float]:
     """Return the speed of each NPC that starts at one of the places, which are along the road [m] and in a lane [m/s].
 
-    It is the ego's speed or that of its manoeuvre, or less where the road requires it.
+    It is the ego's speed or that of its manoeuvre, or less where the road requires it. No vehicle starts faster than
+    its own top speed.
     """
     firsts = _not_crossing(scenario)
-    wanted = [first.speed if isinstance(first, Manoeuvre) else scenario.ego_speed for _, first in firsts]
     return [
-        rules.road.start_speed(speed, lane, along, rules.limits)
-        for speed, (along, lane) in zip(wanted, places, strict=True)
+        rules.road.start_speed(
+            min(first.speed if isinstance(first, Manoeuvre) else scenario.ego_speed, kind.top_speed), lane, along, kind
+        )
+        for (_, first, kind), (along, lane) in zip(firsts, places, strict=True)
     ]
 
 
@@ -274,7 +300,10 @@ def starts_of(
     cells = director.first_cells()
     in_lanes = start_places(rules, scenario, cells, ego_length)
     places = [along for along, _ in in_lanes]
-    _, *poses = (rules.road.position(along, lane) for along, lane in in_lanes)
+    _, *poses = (
+        rules.road.position(along, lane, kind)
+        for (along, lane), kind in zip(in_lanes, [CAR, *(kind for *_, kind in _not_crossing(scenario))], strict=True)
+    )
     speeds = start_speeds(rules, scenario, in_lanes[1:])
     starts = [(*pose, speed) for pose, speed in zip(poses, speeds, strict=True)]
     own, *others = places

@@ -38,8 +38,6 @@ def crowd(count: int) -> tuple[Loop, PlannerDriver, int]:
         frozenset(),
         clearance=3.0,
         ego_length=5.0,
-        length=5.0,
-        width=2.0,
         physics_hz=HZ,
     )
     ego = Body(5.0, 2.0)

@@ -75,7 +75,7 @@ def test_candidates_that_outlast_the_simplest_failing_run_are_not_driven_to_thei
         asked[0] += 1
         return 0.0, 0.0
 
-    given = SHORT | {"gene_seconds": 30, "shrink_rollouts": 40, "seed": 6}
+    given = SHORT | {"gene_seconds": 30, "shrink_rollouts": 40, "seed": 6, "vehicles": "car"}
     cut = pafot.explore(lambda: keeps_speed, holds=never_collides, **given)
     assert cut.summary.decisions + cut.summary.confirm_decisions + cut.summary.shrink_decisions == asked[0]
     monkeypatch.setattr(simplest, "LATER", 1000.0)
@@ -503,7 +503,7 @@ def mistakes(tmp_path_factory):
 def mistakes_of_one_who_changes_blindly(**settings):
     return pafot.explore(
         ChangesLanesBlindly, holds=never_collides, world=SHORT_ROAD, blame="ego", instructions="cells", genes=2, npcs=2,
-        ego_lane=1, ego_speed=22, runs=32, population=4, shrink_rollouts=20, **settings,
+        ego_lane=1, ego_speed=22, runs=32, population=4, shrink_rollouts=20, vehicles="car", **settings,
     )  # fmt: skip
 
 

@@ -10,8 +10,10 @@ from pytest_pafot import Highway, World
 from pytest_pafot.campaign.explore import request_of
 from pytest_pafot.campaign.request import build_space, drawn_space
 from pytest_pafot.model.trace import Outcome
+from pytest_pafot.model.vehicle_type import CAR, MOTORCYCLE, TRUCK, VAN
+from pytest_pafot.searching.algorithms.catalogue import ALGORITHMS
 from pytest_pafot.searching.algorithms.random_search import RandomSearch
-from pytest_pafot.searching.operators import mutate
+from pytest_pafot.searching.operators import mutate, varied
 from pytest_pafot.searching.space import SearchSpace, sample
 from pytest_pafot.support.errors import RequestError
 from tests.helpers.tables import table
@@ -105,6 +107,44 @@ def test_own_algorithm_gets_instructions_that_it_can_sample(kinds, drawn):
     for refused in {"cells", "lanes", "both"}.difference(kinds):
         with pytest.raises(RequestError, match=f"instructions=.*: expected .* algorithm own, received '{refused}'"):
             space_of(Highway(), algorithm=own, instructions=refused)
+
+
+def test_default_search_draws_vehicles_that_fit_the_road():
+    assert space_of(Highway()).vehicles == (CAR, VAN, TRUCK, MOTORCYCLE)
+    assert space_of(Highway()).described.endswith("; one NPC in six is a van, truck or motorcycle")
+    assert space_of(World("racetrack-v1")).vehicles == (CAR, VAN, MOTORCYCLE)
+    assert space_of(Highway(), vehicles=["car"]).vehicles == space_of(Highway(), vehicles="car").vehicles == (CAR,)
+    assert space_of(Highway(), instructions="manoeuvres").vehicles == (CAR,)
+
+
+@table("algorithm", [name for name in ALGORITHMS if name != "distinct"])
+def test_all_other_algorithms_draw_cars(algorithm):
+    assert space_of(Highway(), algorithm=algorithm).vehicles == (CAR,)
+
+
+def test_drawn_and_varied_vehicles_fit_all_ways():
+    world, rng, kinds = World("intersection-v0"), np.random.default_rng(2), set()
+    space = space_of(world)
+    for _ in range(100):
+        pair = sample(space, rng), sample(space, rng)
+        for child in (*pair, mutate(pair[0], space, rng), *varied(pair, space, 1.0, 1.0, rng)):
+            world.check_fits(child)
+            kinds |= set(child.all_vehicles)
+    assert kinds == {CAR, VAN, MOTORCYCLE}
+
+
+@table(
+    ("world", "given", "words"),
+    [
+        (Highway(), {"vehicles": "lorry"}, "vehicle: expected one of car, van, truck, motorcycle, or"),
+        (Highway(), {"vehicles": []}, "vehicles: expected one or more of car, van, truck, motorcycle"),
+        (World("racetrack-v1"), {"vehicles": "truck"}, r"\(vehicles=...\): expected vehicles that NPCs can be in"),
+        (Highway(), {"vehicles": "truck", "instructions": "manoeuvres"}, "vehicles: expected vehicles of at most 11 m"),
+    ],
+)
+def test_vehicles_that_cannot_be_drawn_are_refused(world, given, words):
+    with pytest.raises(RequestError, match=words):
+        space_of(world, **given)
 
 
 def test_drawn_genes_fill_a_run_on_a_bent_road():

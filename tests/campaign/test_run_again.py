@@ -29,7 +29,7 @@ def scenario_of(row):
     """Make the scenario of a row, as the reference of the table says."""
     traffic = pafot.Traffic(row["traffic"], **json.loads(row["traffic_parts"]))
     start = [row["scenario_seed"], row["ego_lane"], row["ego_speed"], row["gene_seconds"]]
-    return pafot.Scenario.from_canonical([json.loads(row["genes"]), *start, traffic])
+    return pafot.Scenario.from_canonical([json.loads(row["genes"]), *start, traffic, json.loads(row["vehicles"])])
 
 
 def number(text):

@@ -643,6 +643,26 @@ def test_file_contains_original_perception_shrinking_and_flakiness(path):
 
 
 @pytest.mark.parametrize(
+    ("given", "field", "expected"),
+    [
+        ("[lorry]", "vehicles[0]", "one of car, van, truck, motorcycle"),
+        ("[3]", "vehicles[0]", "one of car, van, truck, motorcycle, or a mapping with a name and a size"),
+        ("truck", "vehicles", "a list"),
+        ("[car, truck]", "vehicles", "at most 1, one per NPC"),
+        ("[{name: bus, length: 12.0}]", "vehicles[0]", "the key 'width'"),
+        ("[{name: bus, length: 30.0, width: 2.5}]", "vehicles[0].length", "a number from 1 to 20"),
+        ("[{name: truck, length: 9.0, width: 2.5}]", "vehicles[0].name", "a name other than car, van, truck, "),
+        ("[{name: bus, length: 9.0, width: 2.5, height: 3.0}]", "vehicles[0].height", "one of name, length, width"),
+        ("[{name: bus, length: 9.0, width: 2.5, braking: .inf}]", "vehicles[0].braking", "a finite number"),
+    ],
+)
+def test_vehicles_are_read_strictly(path, given, field, expected):
+    error = fault(path, swapped("\n  npcs:", f"\n  vehicles: {given}\n  npcs:"))
+    assert error.field == f"scenario.{field}"
+    assert error.expected.startswith(expected)
+
+
+@pytest.mark.parametrize(
     ("old", "new", "field"),
     [
         ("seed: 9", "seed: -9", "original.seed"),

@@ -12,6 +12,7 @@ from pytest_pafot.corpus.writer import CorpusWriteError, free_path, rewrite, tex
 from pytest_pafot.findings.finding import Bounded
 from pytest_pafot.model.instructions import PositionInstruction
 from pytest_pafot.model.scenario import Scenario
+from pytest_pafot.model.vehicle_type import VehicleType
 from pytest_pafot.support.errors import CorpusError
 from tests.findings.builders import plain_finding
 
@@ -35,6 +36,20 @@ def test_check_is_read_back_with_its_bounds(path):
     expect = replace(plain_finding().expect, check=Bounded(value=4.0, at_most=3.0, at_least=1.0, unit="m"))
     write(path, plain_finding(expect=expect))
     assert load(path).expect == expect
+
+
+def test_vehicles_are_one_readable_line_and_read_back(path):
+    bus = VehicleType(name="bus", length=12.0, width=2.5, acceleration=1.2)
+    scenario = Scenario(npcs=[[PositionInstruction(cell, 25.0)] for cell in (1, 2, 3)], vehicles=("car", bus, "truck"))
+    write(path, plain_finding(scenario=scenario))
+    line = "  vehicles: [car, {name: bus, length: 12.0, width: 2.5, acceleration: 1.2}, truck]"
+    assert line in path.read_text().splitlines()
+    assert load(path).scenario == scenario
+
+
+def test_file_with_cars_alone_says_nothing_of_vehicles(path):
+    write(path, plain_finding())
+    assert "vehicles" not in path.read_text()
 
 
 def test_who_comes_second_changes_nothing(path):

@@ -56,6 +56,7 @@ def circle():
     return NetworkRoad(
         lanes=lanes,
         columns=columns,
+        shaped=lambda *_: (columns, list(lanes)),
         sections=frozenset(),
         route=(),
         others=(),

@@ -27,6 +27,13 @@ EVERY_GENE = 15
 """The number of decisions in a gene of 3 s."""
 
 
+def test_decisions_among_other_vehicles_are_not_reused():
+    cache = DecisionCache()
+    cache.remember(driven(PARENT)[0])
+    assert cache.recall(PARENT)[0]
+    assert cache.recall(replace(PARENT, vehicles=("truck",))) == ((), None)
+
+
 class Counting:
     """A pure policy that follows vehicles ahead, weaves with vehicles alongside, and counts its decisions."""
 

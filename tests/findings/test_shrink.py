@@ -11,6 +11,7 @@ from pytest_pafot.model.driving_style import PAPERS, Traffic
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.instructions import SHIFTS, instruction_of
 from pytest_pafot.model.scenario import Scenario
+from pytest_pafot.model.vehicle_type import MOTORCYCLE, TRUCK
 from pytest_pafot.strategies import scenarios
 from tests.helpers.shrinking import shrink
 from tests.helpers.tables import table
@@ -188,6 +189,30 @@ def test_first_attempts_are_short_because_a_run_that_does_not_fail_lasts_to_its_
     shrink(long, attempt, rollouts=100)
     assert all(each.genes == 1 for each in attempts)
     assert sum(len(each.npcs) for each in attempts[:20]) < 2 * 20
+
+
+def test_vehicles_become_cars_unless_the_failure_needs_them():
+    given = replace(BUSY, vehicles=("truck", "motorcycle"))
+    simplest, how = shrunk(given, has(2))
+    assert (simplest.vehicles, len(simplest.npcs), how.is_minimal) == ((), 1, True)
+
+    def needs_a_truck(candidate):
+        return TRUCK in candidate.vehicles
+
+    simplest, how = shrunk(given, needs_a_truck)
+    assert (simplest.vehicles, written(simplest), how.is_minimal) == ((TRUCK,), ("1@0",), True)
+
+
+def test_an_npc_is_left_out_together_with_its_vehicle():
+    given = replace(BUSY, vehicles=("truck", "motorcycle"))
+    simplest, _ = shrunk(given, lambda each: any(map(MOTORCYCLE.__eq__, each.vehicles)))
+    assert (len(simplest.npcs), simplest.vehicles) == (1, (MOTORCYCLE,))
+
+
+def test_a_car_is_tried_before_most_other_changes():
+    asked = []
+    shrink(replace(BUSY, vehicles=("truck",)), asked.append, rollouts=100)
+    assert next(number for number, each in enumerate(asked) if not each.vehicles and len(each.npcs) == 2) < 10
 
 
 def test_without_rollouts_nothing_is_tried():

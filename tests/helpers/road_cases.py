@@ -11,7 +11,7 @@ from highway_env.envs.common.abstract import AbstractEnv
 from pytest_pafot import World
 from pytest_pafot.model.trace import ACCELERATION, ALONG, HEADING, SPEED, STEERING, X, Y
 from pytest_pafot.searching.space import space_on
-from tests.helpers.world_cases import LENGTH, STANDING, WIDTH, beyond
+from tests.helpers.world_cases import STANDING, beyond, own_limits
 
 
 class OwnEnvironment(AbstractEnv):
@@ -71,10 +71,12 @@ def wrapped(angle):
 
 def off_lanes(network, trace):
     """Return the largest distance of the NPCs' corners beyond the edges of all lanes of a network [m]."""
-    states = trace.npcs[:: max(1, trace.physics_hz // 5)].reshape(-1, 7)
+    some = trace.npcs[:: max(1, trace.physics_hz // 5)]
+    states = some.reshape(-1, 7)
+    length, width = np.tile(trace.sizes[1:], (len(some), 1)).T[..., None]
     heading, centre = states[:, HEADING], states[:, [X, Y]]
-    forward = np.stack([np.cos(heading), np.sin(heading)], axis=-1) * LENGTH / 2
-    right = np.stack([-np.sin(heading), np.cos(heading)], axis=-1) * WIDTH / 2
+    forward = np.stack([np.cos(heading), np.sin(heading)], axis=-1) * length / 2
+    right = np.stack([-np.sin(heading), np.cos(heading)], axis=-1) * width / 2
     worst = 0.0
     for a in (-1, 1):
         for b in (-1, 1):
@@ -102,15 +104,16 @@ def violations(trace, world):
     course = heading[:-1] + slip
     standing = (speed[1:] <= STANDING) | (speed[:-1] <= STANDING)
     jerk = np.where(standing, 0.0, np.diff(acceleration, axis=0) / dt)
-    lateral = limits.lateral_acceleration
+    top, own = own_limits(trace, limits, world.speed_limit)
+    lateral = own["lateral_acceleration"]
     turning = speed[1:-1] * wrapped(np.diff(course, axis=0)) / dt
     ticks = range(0, trace.ticks + 1, 3)
     direction, fastest = lanes_of(trace, world.road, ticks)
     beside = IN_A_GAP_MARGIN if world.env_id in WITH_GAPS else ON_LANE_MARGIN
     bounds = {
-        "acceleration": (acceleration, -limits.braking, limits.acceleration),
+        "acceleration": (acceleration, -own["braking"], own["acceleration"]),
         "jerk": (jerk, -limits.jerk, limits.jerk),
-        "speed": (speed, 0.0, limits.overspeed * world.speed_limit),
+        "speed": (speed, 0.0, top),
         "speed in the bend": (speed[ticks] - fastest, -np.inf, 0.0),
         "angle to the lane": (wrapped(heading[ticks] - direction), -limits.heading, limits.heading),
         "turning of the heading": (speed[:-1] * wrapped(np.diff(heading, axis=0)) / dt, -lateral, lateral),
@@ -139,5 +142,6 @@ def lanes_of(trace, road, ticks):
         x, y, _ = zip(*(road.position(along + step, lane) for step in (-1.5, 0.0, 1.5)), strict=True)
         turn = math.atan2(y[2] - y[1], x[2] - x[1]) - math.atan2(y[1] - y[0], x[1] - x[0])
         bend = abs((turn + math.pi) % (2 * math.pi) - math.pi) / math.hypot(x[2] - x[1], y[2] - y[1])
-        fastest[row, npc] = math.sqrt(4 / max(bend, 1e-9))
+        lateral = min(4.0, trace.scenario.vehicle_of(npc).lateral_acceleration)
+        fastest[row, npc] = math.sqrt(lateral / max(bend, 1e-9))
     return direction, fastest

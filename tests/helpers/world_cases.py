@@ -99,23 +99,26 @@ def violations(trace, limits, speed_limit):
     course = np.concatenate([np.zeros_like(heading[:1]), heading[:-1] + slip])
     standing = (speed[1:] <= STANDING) | (speed[:-1] <= STANDING)
     jerk = np.where(standing, 0.0, np.diff(acceleration, axis=0) / dt)
-    half_width = (LENGTH * np.abs(np.sin(heading)) + WIDTH * np.abs(np.cos(heading))) / 2
+    length, width = trace.sizes[1:].T
+    half_width = (length * np.abs(np.sin(heading)) + width * np.abs(np.cos(heading))) / 2
+    top, own = own_limits(trace, limits, speed_limit)
+    lateral = own["lateral_acceleration"]
     road_right = (len(trace.lanes) - 0.5) * LANE_WIDTH
     bounds = {
-        "acceleration": (acceleration, -limits.braking, limits.acceleration),
+        "acceleration": (acceleration, -own["braking"], own["acceleration"]),
         "jerk": (jerk, -limits.jerk, limits.jerk),
-        "speed": (speed, 0.0, limits.overspeed * speed_limit),
+        "speed": (speed, 0.0, top),
         "heading": (heading, -limits.heading, limits.heading),
         "course": (course, -limits.heading, limits.heading),
         "lateral acceleration of the heading": (
             speed[:-1] * np.diff(heading, axis=0) / dt,
-            -limits.lateral_acceleration,
-            limits.lateral_acceleration,
+            -lateral,
+            lateral,
         ),
         "lateral acceleration of the course": (
             speed[:-1] * np.diff(course, axis=0) / dt,
-            -limits.lateral_acceleration,
-            limits.lateral_acceleration,
+            -lateral,
+            lateral,
         ),
         "forward motion": (np.diff(x, axis=0), 0.0, np.inf),
         "left corner on the road": (y - half_width, -LANE_WIDTH / 2, np.inf),
@@ -127,11 +130,19 @@ def violations(trace, limits, speed_limit):
     return beyond(bounds)
 
 
+def own_limits(trace, limits, speed_limit):
+    """Return the top speed of each NPC [m/s], and by name each limit that a vehicle may have itself."""
+    kinds = trace.scenario.all_vehicles
+    top = np.array([min(limits.overspeed * speed_limit, kind.top_speed) for kind in kinds])
+    names = ("acceleration", "braking", "lateral_acceleration")
+    return top, {name: np.array([min(getattr(limits, name), getattr(kind, name)) for kind in kinds]) for name in names}
+
+
 def beyond(bounds):
     """Return the out-of-bounds values as texts with the worst; ``bounds`` has values, least and greatest by name."""
     broken = []
     for name, (values, low, high) in bounds.items():
         worst = max(np.max(values - high, initial=-1.0), np.max(low - values, initial=-1.0))
         if not worst <= 1e-6:  # also NaN
-            broken.append(f"{name}: {worst:.3g} beyond [{low:g}, {high:g}]")
+            broken.append(f"{name}: {worst:.3g} beyond [{low}, {high}]")
     return broken

@@ -111,7 +111,9 @@ def test_saved_scenario_label_compares_policy_and_reference(changed):
 
 
 CRASHES = """
-@pafot.search(npcs=1, genes=2, gene_seconds=10, blame="ego", ads=planner.make, shrink_rollouts=0, stop_after=1)
+@pafot.search(
+    npcs=1, genes=2, gene_seconds=10, blame="ego", ads=planner.make, shrink_rollouts=0, stop_after=1, vehicles="car"
+)
 def test_never_collides(run):
     assert not run.collision
 """

@@ -32,7 +32,7 @@ BUGGY = PLANNER.replace("WANTED", "-8.0 if gap < 5.0 + 0.1 * ego.speed + more / 
 FIXED = PLANNER.replace("WANTED", "0.5 * (gap - 4.0 - 1.2 * ego.speed - more / 8)").replace("STEP", "2.0")
 
 PROPERTY = """
-@pafot.search
+@pafot.search(vehicles="car")
 def test_drives_well(run):
     regained = pafot.eventually(pafot.above(run.headway, 0.0), within=(0, 4))
     pafot.check(pafot.Signal(regained[:-60], hz=15, unit="s"), name="headway", at_least=0.5)

@@ -91,7 +91,7 @@ class Stateful(Pure):
             raise LookupError("my first decision, and not at the start")
         return (0.0, 0.0)
 
-@pafot.search(genes=4, gene_seconds=3, ads=Stateful)
+@pafot.search(genes=4, gene_seconds=3, ads=Stateful, vehicles="car")
 def test_drives(run):
     pass
 """

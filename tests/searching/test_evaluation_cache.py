@@ -52,6 +52,13 @@ def test_driven_scenario_is_known_with_any_seed(cheap_world, seed):
     assert memory.recall(other) == replace(run, scenario=other, executed=other)
 
 
+def test_run_of_other_vehicles_is_another_run(cheap_world):
+    run = cheap_world()(sample(SearchSpace(), np.random.default_rng(0)))
+    memory = remembered(run)
+    assert memory.recall(replace(run.scenario, vehicles=("truck",))) is None
+    assert memory.recall(replace(run.scenario, vehicles=("car",))) == run
+
+
 @given(st.integers(0, 2**32))
 def test_run_with_relevant_seed_matches_its_own_only(cheap_world, seed):
     run = cheap_world()(sample(SearchSpace(), np.random.default_rng(seed)))

@@ -13,9 +13,18 @@ from pytest_pafot.model.instructions import PositionInstruction
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.searching import operators
-from pytest_pafot.searching.operators import best_of, crossover, elites, first_crossed, improves, mutate, parents
+from pytest_pafot.searching.operators import (
+    VEHICLES,
+    best_of,
+    crossover,
+    elites,
+    first_crossed,
+    improves,
+    mutate,
+    parents,
+)
 from pytest_pafot.searching.operators import tournament as binary_tournament
-from pytest_pafot.searching.space import SearchSpace, sample
+from pytest_pafot.searching.space import OTHERS, SearchSpace, sample
 from tests.helpers.tables import table
 
 seeds = st.integers(0, 2**32)
@@ -28,6 +37,45 @@ def speeds(scenario):
 
 def swapped(a, b, in_a, in_b):
     return [*a[:in_a], b[in_b], *a[in_a + 1 :]], [*b[:in_b], a[in_a], *b[in_b + 1 :]]
+
+
+KINDS = st.sampled_from([("car", "truck"), ("car", "van", "truck", "motorcycle"), ("truck",)])
+
+
+@given(st.builds(SearchSpace, npcs=st.integers(1, 4), genes=st.integers(1, 3), vehicles=KINDS), seeds)
+def test_a_child_has_the_vehicle_of_the_npc_that_it_gets(space, seed):
+    rng = np.random.default_rng(seed)
+    a, b = sample(space, rng), sample(space, rng)
+    pairs = {
+        (gene, kind)
+        for each in (a, b)
+        for chain, kind in zip(each.npcs, each.all_vehicles, strict=True)
+        for gene in chain[:1]
+    }
+    for child in crossover(a, b, rng):
+        chains = zip(child.npcs, child.all_vehicles, strict=True)
+        assert {(chain[0].speed, kind) for chain, kind in chains} <= {(gene.speed, kind) for gene, kind in pairs}
+        assert set(mutate(child, space, rng).all_vehicles) <= set(space.vehicles)
+        assert child.vehicles == replace(child, vehicles=child.all_vehicles).vehicles
+
+
+def test_some_npcs_are_other_vehicles_and_mutations_change_them():
+    rng = np.random.default_rng(1)
+    space = SearchSpace(npcs=3, genes=2, vehicles=("car", "van", "truck"))
+    drawn = [sample(space, rng) for _ in range(600)]
+    others = sum(kind.name != "car" for each in drawn for kind in each.all_vehicles)
+    assert others / 1800 == pytest.approx(OTHERS, abs=0.03)
+    changed = [mutate(each, space, rng).vehicles != each.vehicles for each in drawn]
+    assert sum(changed) / 600 == pytest.approx(VEHICLES, abs=0.03)
+
+
+def test_without_other_vehicles_random_numbers_are_those_of_before():
+    cars, as_usual = SearchSpace(vehicles="car", patterns=True), SearchSpace(patterns=True)
+    one, other = np.random.default_rng(3), np.random.default_rng(3)
+    for _ in range(5):
+        assert mutate(sample(cars, one), cars, one) == mutate(sample(as_usual, other), as_usual, other)
+    assert one.bit_generator.state == other.bit_generator.state
+    assert "vehicles" not in cars.plain
 
 
 @given(spaces, spaces, seeds)

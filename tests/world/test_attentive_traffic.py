@@ -36,9 +36,8 @@ class Scene:
         genes = [instruction.split("@") for *_, instruction in npcs]
         chains = [[LaneInstruction(lane, float(speed))] for lane, speed in genes]
         scenario = Scenario(npcs=chains, gene_seconds=60.0, traffic=Traffic(traffic))
-        sizes = {"ego_length": LENGTH, "length": LENGTH, "width": WIDTH}
-        limits, cells = NpcLimits(), frozenset()
-        self.director = world.road.director(scenario, limits, cells, clearance=3.0, physics_hz=HZ, **sizes)
+        common = {"clearance": 3.0, "ego_length": LENGTH, "physics_hz": HZ}
+        self.director = world.road.director(scenario, NpcLimits(), frozenset(), **common)
         self.ego = Body(LENGTH, WIDTH)
         self.put(self.ego, 500.0, 1, ego_speed)
         for npc, (lane, gap, speed, _) in zip(self.director.npcs, npcs, strict=True):

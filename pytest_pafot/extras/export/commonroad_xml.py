@@ -28,6 +28,8 @@ DECIMALS = 9
 """The number of decimal places in a file. With 4, commonroad-io's default, positions would be up to 0.1 mm off."""
 PROBLEM, FIRST_LANELET = 1000, 1001
 """Ids of the planning problem and of the first lanelet. Ids are unique in a file: the ego has 1, NPC 0 has 2."""
+TYPES = {"truck": ObstacleType.TRUCK, "motorcycle": ObstacleType.MOTORCYCLE}
+"""The types of vehicles by their names; CommonRoad has none for vans, which are cars there."""
 NO_DATE = b"2000-01-01"
 """The date in every file instead of today's, so that equal runs give equal files."""
 
@@ -45,7 +47,9 @@ def export(finding: Finding, trace: Trace) -> Mapping[str, bytes]:
         shape, first, later = Rectangle(length, width), _first(states[0, vehicle]), enumerate(states[1:, vehicle], 1)
         rest = [ExtendedPMState(time_step=tick, **_plain(state)) for tick, state in later]
         driven = TrajectoryPrediction(Trajectory(1, rest), shape) if rest else None
-        scenario.add_objects(DynamicObstacle(vehicle + 1, ObstacleType.CAR, shape, first, driven))
+        kind = trace.scenario.vehicle_of(vehicle - 1).name if vehicle else ""
+        obstacle = TYPES.get(kind, ObstacleType.CAR)
+        scenario.add_objects(DynamicObstacle(vehicle + 1, obstacle, shape, first, driven))
     end = max(trace.ticks, 1)
     goal = GoalRegion([CustomState(time_step=Interval(end, end))])
     writer = CommonRoadFileWriter(

@@ -83,6 +83,12 @@ def _geometries(lane: Lane) -> Iterator[tuple[xodr.Line | xodr.ParamPoly3, Float
 
 REAR_AXLE = 0.3
 """Distance of the rear axle behind the centre, as a share of the length. OpenSCENARIO uses the axle's position."""
+CATEGORIES = {
+    "van": xosc.VehicleCategory.van,
+    "truck": xosc.VehicleCategory.truck,
+    "motorcycle": xosc.VehicleCategory.motorbike,
+}
+"""The categories of vehicles by their names; any other vehicle is a car there, too, with its own size."""
 ANY_SPEED, ANY_ACCELERATION = 100.0, 20.0
 """A vehicle's limits of speed [m/s] and acceleration [m/s^2]: so high that every trajectory can be followed."""
 
@@ -97,7 +103,8 @@ def export(finding: Finding, trace: Trace, minor: int = 2) -> Mapping[str, bytes
         name = name_of(vehicle)
         states = states_of(trace)[:, vehicle]
         positions = _rear_axles(states, size[0])
-        box = _vehicle(name, *size)
+        kind = trace.scenario.vehicle_of(vehicle - 1).name if vehicle else ""
+        box = _vehicle(name, size[0], size[1], CATEGORIES.get(kind, xosc.VehicleCategory.car))
         if minor == 0:  # CARLA's scenario_runner, the reader of this version, looks there for the ego
             box.add_property("type", "simulation" if vehicle else "ego_vehicle")
         entities.add_scenario_object(name, box)
@@ -137,10 +144,9 @@ def _rear_axles(states: FloatArray, length: float) -> list[xosc.WorldPosition]:
     return [xosc.WorldPosition(x, y, 0, h) for (x, y), h in zip(places.tolist(), heading.tolist(), strict=True)]
 
 
-def _vehicle(name: str, length: float, width: float) -> xosc.Vehicle:
+def _vehicle(name: str, length: float, width: float, category: xosc.VehicleCategory) -> xosc.Vehicle:
     box = xosc.BoundingBox(width, length, 1.5, REAR_AXLE * length, 0, 0.75)
     front, rear = (xosc.Axle(0.5, 0.6, 0.8 * width, place, 0.3) for place in (2 * REAR_AXLE * length, 0))
-    category = xosc.VehicleCategory.car
     return xosc.Vehicle(name, category, box, front, rear, ANY_SPEED, ANY_ACCELERATION, ANY_ACCELERATION)
 
 

@@ -18,6 +18,7 @@ from types import MappingProxyType
 from typing import Any
 
 from pytest_pafot import (
+    CAR,
     Cell,
     CrossingInstruction,
     Highway,
@@ -42,8 +43,6 @@ LANE = 4.0
 """The width of the lane that a vehicle crosses when it changes lanes [m]."""
 EGO_LANE = 1
 """The lane in which the ego starts in a world that does not say."""
-NPC_LENGTH = 5.0
-"""The length of the vehicles of highway-env [m]."""
 NEAR = 0.05
 """The difference up to which a value is that of a range, since scenarios have numbers in steps of 0.1."""
 ALKS = "UN R157, after ASAM OSC-ALKS"
@@ -197,7 +196,7 @@ def _cut_out(v: Mapping[str, float], world: Any) -> Scenario:
     aside: Any = "right" if v["side"] > 0 else "left"
     leader = _leading(v, Step(lane=aside, lateral_speed=_tenths(v["lateral_speed"])))
     distance = v["front_distance"] if "front_distance" in v else v["ttc"] * v["ego_speed"]
-    standing = _tenths(leader.ahead + NPC_LENGTH + distance)
+    standing = _tenths(leader.ahead + CAR.length + distance)
     return _highway(world, v["ego_speed"], leader, Manoeuvre(beside=0, ahead=standing, speed=0.0))
 
 

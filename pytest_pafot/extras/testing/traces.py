@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from pytest_pafot import Cell, Collision, NpcLimits, Outcome, Scenario, Trace
+from pytest_pafot import CAR, Cell, Collision, NpcLimits, Outcome, Scenario, Trace
 from pytest_pafot.extending import ACCELERATION, HEADING, LANE, SPEED, STEERING, Encounters, FloatArray, Lane, X, Y
 from pytest_pafot.support.errors import plain_whole
 
@@ -56,10 +56,12 @@ def form(world: Any, scenario: Scenario, trace: Trace) -> Promises:
     yield all(rate is not None and rate > 0 for rate in rates), "physics_hz and ads_hz are whole numbers", f"{rates}"
     yield len(trace.lanes) > 0, "lanes has the lanes of the road", "none"
     for vehicle in range(states.shape[1] if is_straight(trace) else 1):
-        speed, allowed = start[vehicle, SPEED], 10 * AT_START if vehicle else AT_START
+        speed, allowed, asked = start[vehicle, SPEED], 10 * AT_START if vehicle else AT_START, scenario.ego_speed
+        if vehicle:
+            asked = min(asked, scenario.vehicle_of(vehicle - 1).top_speed)
         promise = f"starts as fast as the scenario says, states[0, {vehicle}, SPEED] at scenario.ego_speed"
-        received = f"{speed:.2f} m/s for {scenario.ego_speed:g} m/s"
-        yield abs(speed - scenario.ego_speed) <= allowed, f"{_name(vehicle)} {promise}", received
+        received = f"{speed:.2f} m/s for {asked:g} m/s"
+        yield abs(speed - asked) <= allowed, f"{_name(vehicle)} {promise}", received
     ways = [None if told is None else told.zone for told in scenario.crossings]
     crossing = np.array([chain[0].crosses for chain in scenario.npcs])
     on_way = np.full((len(states), len(scenario.npcs)), np.nan) if trace.on_way is None else trace.on_way
@@ -69,6 +71,10 @@ def form(world: Any, scenario: Scenario, trace: Trace) -> Promises:
         "trace.scenario is the requested scenario": trace.scenario == scenario,
         "trace.executed has a chain for each NPC": len(trace.executed.npcs) == len(scenario.npcs),
         "states are finite": np.isfinite(states).all(),
+        "sizes has those of scenario.vehicles": all(
+            vehicle == CAR or np.allclose(size, (vehicle.length, vehicle.width))
+            for vehicle, size in zip(scenario.vehicles, trace.sizes[1:], strict=False)
+        ),
         "vehicles have a length and a width": (trace.sizes > 0).all(),
         "sizes has the length before the width": (trace.sizes[:, 0] >= trace.sizes[:, 1]).all(),
         "the column lane is an index of lanes, or -1": np.isin(states[..., LANE], range(-1, len(trace.lanes))).all(),
@@ -111,17 +117,21 @@ def limits(world: Any, trace: Trace) -> Promises:
     jerk = np.where(is_standing, 0.0, np.diff(acceleration, axis=0) / dt)
     turns = _wrapped(np.diff(npcs[..., HEADING], axis=0))
     angle = trace.angles[:, 1:]
-    angle = angle[..., [zone is None for zone in trace.zones] if trace.zones else slice(None)]
-    for name, values, low, high in (
-        ("speed", speed, 0.0, stated.overspeed * world.speed_limit),
-        ("acceleration", acceleration, -stated.braking, stated.acceleration),
-        ("jerk", jerk, -stated.jerk, stated.jerk),
-        ("heading", angle, -stated.heading, stated.heading),
-        ("lateral acceleration", speed[:-1] * turns / dt, -stated.lateral_acceleration, stated.lateral_acceleration),
-    ):
-        least, most = float(np.min(values, initial=0.0)), float(np.max(values, initial=0.0))
-        is_kept = low - ROUNDING <= least and most <= high + ROUNDING
-        yield is_kept, f"the {name} of NPCs is from {low:g} to {high:g}", f"{least:g} to {most:g}"
+    angle = np.where([zone is None for zone in trace.zones or [None] * npcs.shape[1]], angle, 0.0)
+    aside = speed[:-1] * turns / dt
+    for npc, vehicle in enumerate(trace.scenario.all_vehicles):
+        own = stated.of(vehicle)
+        who = "NPCs" if vehicle == CAR else f"a {vehicle.name}"
+        for name, values, low, high in (
+            ("speed", speed, 0.0, min(own.overspeed * world.speed_limit, vehicle.top_speed)),
+            ("acceleration", acceleration, -own.braking, own.acceleration),
+            ("jerk", jerk, -own.jerk, own.jerk),
+            ("heading", angle, -own.heading, own.heading),
+            ("lateral acceleration", aside, -own.lateral_acceleration, own.lateral_acceleration),
+        ):
+            least, most = float(np.min(values[:, npc], initial=0.0)), float(np.max(values[:, npc], initial=0.0))
+            is_kept = low - ROUNDING <= least and most <= high + ROUNDING
+            yield is_kept, f"the {name} of {who} is from {low:g} to {high:g}", f"{least:g} to {most:g}"
 
 
 def road(world: Any, trace: Trace) -> Promises:

@@ -57,6 +57,8 @@ PLAIN_OF_STEPS = ("lane", "lateral_speed", "offset", "speed", "acceleration")
 
 FIRST_GAP, SPACING, SPREAD = 12.0, 24.0, 12.0
 """The gap between the ego and the nearest start, from one start to the next, and the part of it that is sampled [m]."""
+LONGEST_VEHICLE = SPACING - SPREAD - 1.0
+"""The length of the longest vehicle for which there is room between two starts [m]."""
 MOST_ROOM = 20 * SPACING
 """The farthest start that is looked for [m]."""
 AHEAD = 0.65

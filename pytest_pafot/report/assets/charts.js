@@ -49,7 +49,7 @@ class Charts {
     this.heading(`instructions: cell${laned ? ", lane" : ""} or ${zoned ? "zone" : "lane"}, speed`, "m/s", zoned && this.width >= 600 ? ", coloured: the NPC is in the zone, grey: the ego is" : "");
     this.y += 2;
     this.finding.vehicles.slice(1).forEach((vehicle, npc) => {
-      this.parts.push(svg("text", { x: CHART.left - 6, y: px(this.y + 15), class: "small", "text-anchor": "end" }, vehicle.name));
+      this.parts.push(svg("text", { x: CHART.left - 6, y: px(this.y + 15), class: "small", "text-anchor": "end" }, vehicle.name.split(",")[0]));
       for (const row of this.finding.instructions) if (row.npc === npc && row.started) this.block(row, npc);
       this.y += CHART.timeline;
     });
@@ -116,7 +116,7 @@ class Charts {
       if (!values.length) return;
       this.track(values, index, (value) => y(Math.min(value, top)), curve.top ? top : Infinity);
       const last = values[values.length - 1];
-      if (last !== null && last <= top) ends.push({ y: y(last), index, name: vehicle.name });
+      if (last !== null && last <= top) ends.push({ y: y(last), index, name: vehicle.name.split(",")[0] });
     });
     this.ends(ends);
     this.y = y0 + CHART.gap;

@@ -42,6 +42,7 @@ class AlgorithmClass:
     instructions: Sequence[str] = tuple(LANE_SHARES)  # the kinds of instructions that it can sample, last the default
     begins_with_given: bool = False  # whether it begins with the scenarios in ``space.first``
     is_papers: bool = False  # whether its scenarios are the paper's: two NPCs, one start, no patterns
+    draws_vehicles: bool = False  # whether NPCs are all vehicles that fit the world, if the mark does not name some
     batch_population: int | None = None  # scenarios in a generation if the ADS decides for many runs at once
     library: str | None = None  # the library that it needs besides this package, by its import name
 

@@ -121,6 +121,7 @@ class DistinctSearch(NicheSearch[DistinctState]):
     """
 
     name: ClassVar[str] = "distinct"
+    draws_vehicles: ClassVar[bool] = True
     batch_population: ClassVar[int] = 64
     block_runs: ClassVar[int] = 64  # as good as one population of all runs, also where a margin has to be climbed
 

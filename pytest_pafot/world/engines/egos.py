@@ -9,12 +9,13 @@ import numpy as np
 
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.sight import Sight
+from pytest_pafot.model.vehicle_type import CAR
 from pytest_pafot.world.driving.ads import give_route
 from pytest_pafot.world.driving.idm_model import idm_model
 from pytest_pafot.world.driving.perception import ads_and_sight
 from pytest_pafot.world.engines.run import SteppedRun, VehiclesOfRun
 from pytest_pafot.world.guard.hang_guard import HangGuard
-from pytest_pafot.world.kernel.bodies import NPC_LENGTH, NPC_WIDTH, Body
+from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.kernel.idm import GoalVehicle
 from pytest_pafot.world.kernel.loop import GivenDriver, ModelDriver, PlannerDriver
 from pytest_pafot.world.roads.straight import StraightRoad
@@ -45,7 +46,7 @@ def planner_run(
     """
     if ads is not None:
         ads, sight = ads_and_sight(ads)
-    ego = body or Body(NPC_LENGTH, NPC_WIDTH)
+    ego = body or Body(CAR.length, CAR.width)
     ego.place(*rules.ego_position(scenario), scenario.ego_speed)
     vehicles = VehiclesOfRun(rules, scenario, ego, network)
     return SteppedRun(vehicles, planner_driver(vehicles, ads, guard, sight, decisions), guard)

@@ -309,6 +309,8 @@ class _Loop:
         for body in self._bodies[1:]:
             npc = StockVehicle(env.road, [body.x, body.y], body.heading, body.speed)
             npc.check_collisions = False
+            npc.LENGTH, npc.WIDTH = body.length, body.width
+            npc.diagonal = np.hypot(body.length, body.width)
             self._vehicles.append(npc)
         self._find_contacts_alone()
         foresee(self._vehicles[1:], vehicles.places, vehicles.rules.road)

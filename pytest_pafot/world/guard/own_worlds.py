@@ -14,6 +14,7 @@ from typing import Any
 from pytest_pafot.model.crossings import Crossings
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import AdsError, Outcome, Trace
+from pytest_pafot.model.vehicle_type import CAR, VehicleType
 from pytest_pafot.support.errors import OutOfTime
 from pytest_pafot.world.base_world import REQUIRED, BaseWorld, FirstDecision, RoadStart
 from pytest_pafot.world.built_in import BuiltInWorld
@@ -240,6 +241,10 @@ class OwnWorld(BaseWorld):
     def has_manoeuvres(self) -> bool:
         """True if the world declares that NPCs can have manoeuvres."""
         return getattr(self.world, "has_manoeuvres", False) is True
+
+    def can_drive(self, vehicle: VehicleType) -> bool:
+        """Return whether the world declares that NPCs can be any vehicle; if it does not, they are cars."""
+        return vehicle == CAR or getattr(self.world, "has_vehicles", False) is True
 
     @property
     def is_resumable(self) -> bool:

@@ -11,8 +11,6 @@ import math
 from pytest_pafot.model.trace import Side
 from pytest_pafot.world.limits import TOP_SPEED
 
-NPC_LENGTH, NPC_WIDTH = 5.0, 2.0
-"""The size of highway-env's vehicles, which is also the size of NPCs and of egos in SI units [m]."""
 MAX_SPEED = TOP_SPEED
 """The highest speed, forwards and backwards [m/s]; unlike ``TOP_SPEED``, it is a C number in compiled code."""
 

@@ -42,7 +42,8 @@ cdef class CrossingNpc(Body):
     cdef readonly Track track
     cdef readonly double enters, leaves, ego_enters, ego_leaves, middle, wanted
     cdef readonly int act, entered
-    cdef public double slot, begins, entry, asked, course
+    cdef public double slot, begins, entry, asked, course, turning
+    cdef readonly NpcDriver driver
     cdef readonly double stands_at
     cdef readonly double[::1] speeds, times
     cdef bint is_frozen, is_released
@@ -62,7 +63,6 @@ cpdef bint can_stop(double room, double speed) except -1
 @cython.final
 cdef class Crosser:
     cdef list _npcs, _vehicles
-    cdef NpcDriver _driver
     cdef double _jerk, _ego_lane, _dt
     cdef int _response, _tick
 

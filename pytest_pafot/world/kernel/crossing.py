@@ -163,11 +163,13 @@ class CrossingNpc(Body):
         act: its act at the zone.
         middle: the place at which it stops if it stops in its zone [m].
         size: its length and width [m].
+        driver: its controller of acceleration and steering.
 
     Attributes:
         index: its index in the scenario.
         slot: the slot of its instruction [s].
         begins: its start along its way [m].
+        turning: its largest lateral acceleration at the start [m/s^2].
         asked: the acceleration in the previous tick [m/s^2].
         course: the direction of motion after the previous tick's steering [rad].
         wanted: the speed of its instruction [m/s].
@@ -188,10 +190,12 @@ class CrossingNpc(Body):
         act: int,
         middle: float,
         size: tuple[float, float],
+        driver: NpcDriver,
     ) -> None:
         super().__init__(size[0], size[1])
+        self.driver = driver
         self.index = 0
-        self.slot = self.begins = 0.0
+        self.slot = self.begins = self.turning = 0.0
         self.track = track
         self.enters, self.leaves = zone
         self.ego_enters, self.ego_leaves = ego_zone
@@ -245,7 +249,6 @@ class Crosser:
     Args:
         npcs: the crossing NPCs.
         vehicles: all vehicles of the run, the ego first; each body has its place along its own way.
-        driver: the controller of acceleration and steering.
         jerk: the NPCs' limit of jerk [m/s^3].
         ego_lane: the nominal position across the road of the ego's lane [m].
         dt: physics tick [s].
@@ -255,14 +258,12 @@ class Crosser:
         self,
         npcs: list[CrossingNpc],
         vehicles: list[Body],
-        driver: NpcDriver,
         jerk: float,
         ego_lane: float,
         dt: float,
     ) -> None:
         self._npcs = npcs
         self._vehicles = vehicles
-        self._driver = driver
         self._jerk = jerk
         self._ego_lane = ego_lane
         self._dt = dt
@@ -281,7 +282,7 @@ class Crosser:
             wanted = self._wanted(npc, ego)
             wanted = self._giving_way(npc, npc.index, npc.conflicts, wanted)
             wanted = self._following(npc, npc.leaders, wanted)
-            npc.asked = self._driver.acceleration(wanted, npc.asked, npc.speed)
+            npc.asked = npc.driver.acceleration(wanted, npc.asked, npc.speed)
             npc.acceleration = npc.asked
             self._steer(npc)
         self._tick += 1
@@ -410,7 +411,7 @@ class Crosser:
         direction, lean = track.value(track.heading, npc.x), track.value(track.lean, npc.x)
         later = npc.x + npc.speed * self._dt
         turn = track.value(track.heading, later) + track.value(track.lean, later) - direction - lean
-        npc.steering = self._driver.steering_in_bend(
+        npc.steering = npc.driver.steering_in_bend(
             npc.y,
             npc.heading,
             npc.course - direction if self._tick else 0.0,
@@ -419,4 +420,4 @@ class Crosser:
             turn,
             track.sharpest[track.point(npc.x)],
         )
-        npc.course = self._driver.course + direction
+        npc.course = npc.driver.course + direction

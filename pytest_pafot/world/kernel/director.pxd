@@ -1,5 +1,6 @@
 cimport cython
 from libc cimport math
+from pytest_pafot.world.kernel.bends cimport Bends
 from pytest_pafot.world.kernel.bodies cimport Body
 from pytest_pafot.world.kernel.driver cimport (
     NpcDriver, clear_to_enter, closing_room, following_gap, following_speed, gap_speed, speed_asking_for, stopping_room,
@@ -22,6 +23,10 @@ cdef class Npc(Body):
     cdef public double trigger_at, offset, ramp
     cdef public NpcDriver pilot
     cdef public bint has_missed
+    cdef public NpcDriver driver
+    cdef public object limits
+    cdef public double top_speed, half_lengths, longer, lateral
+    cdef public Bends bends
 
 cdef class BaseDirector:
     cdef readonly list npcs
@@ -30,17 +35,16 @@ cdef class BaseDirector:
 
 cdef class Director(BaseDirector):
     cdef public bint skips
+    cdef bint _is_mixed
     cdef readonly object _scenario
     cdef object _cells
     cdef readonly list _on_grid, _in_lanes, _asked
-    cdef object _limits
-    cdef double _top_speed, _release
+    cdef double _release
     cdef int _hz
-    cdef readonly double _clearance, _row, _length
-    cdef double _width, _lane_width, _far
+    cdef readonly double _clearance, _row
+    cdef double _lane_width, _far, _aside
     cdef readonly int _tick
     cdef int _last_lane, _genes, _gene_ticks, _gene, _left
-    cdef readonly NpcDriver _driver
     cdef readonly bint _attentive
     cdef double _least_share, _speed_limit, _least_gap, _time_gap, _ample, _easing, _delay
     cdef int _reaction, _kept
@@ -115,6 +119,6 @@ cdef class Director(BaseDirector):
 
     cdef double _gap(self, Npc front, Npc rear) except? -1
 
-    @cython.locals(theirs=Npc, lane=int, goal=int, distance=double, gap=double, safe=double,
+    @cython.locals(theirs=Npc, lane=int, goal=int, distance=double, gap=double, safe=double, aside=double,
                    is_beside=bint, crosses=bint)
     cpdef double _following(self, Npc mine, double speed) except? -1

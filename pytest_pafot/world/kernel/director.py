@@ -15,6 +15,7 @@ from pytest_pafot.model.driving_style import AMPLE
 from pytest_pafot.model.grid import Cell, longitudinal_target, repair_gene, toss
 from pytest_pafot.model.instructions import LANE_STARTS, Instruction, LaneInstruction, Manoeuvre, PositionInstruction
 from pytest_pafot.model.scenario import Chromosome, Scenario, with_targets
+from pytest_pafot.model.vehicle_type import CAR
 from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.kernel.driver import (
     NpcDriver,
@@ -104,10 +105,21 @@ class Npc(Body):
         ramp: the acceleration towards the kept speed [m/s^2].
         pilot: the controller with the lateral speed of the step; None without a manoeuvre.
         has_missed: whether a step was for a lane that does not exist.
+        driver: its controller.
+        limits: its limits; None until the director has set them.
+        top_speed: its highest speed [m/s].
+        half_lengths: half of the lengths of the ego and the NPC together [m].
+        longer: by how much half of its length is more than that of a car [m]; its ends swing out when it turns.
+        bends: the road with its own speeds and leans; None on a straight road.
+        lateral: on such a road, its largest lateral acceleration [m/s^2].
     """
 
     def __init__(self, index: int, chain: Chromosome, length: float, width: float) -> None:
         super().__init__(length, width)
+        self.driver: Any = None
+        self.limits: Any = None
+        self.bends: Any = None
+        self.top_speed = self.half_lengths = self.longer = self.lateral = 0.0
         self.index = index
         self.chain: tuple[Any, ...] = chain
         self.executed: list[Any] = []
@@ -172,7 +184,6 @@ class Director(BaseDirector):
         cells: for each lane the cells that exist around an ego in it.
         clearance: gap between the ego and the cells ahead and behind [m].
         ego_length: the ego's length [m].
-        length, width: the size of each NPC [m].
         physics_hz: ticks per second.
 
     Attributes:
@@ -189,34 +200,44 @@ class Director(BaseDirector):
         cells: Sequence[frozenset[Cell]],
         clearance: float,
         ego_length: float,
-        length: float,
-        width: float,
         physics_hz: int,
     ) -> None:
-        top_speed = limits.overspeed * speed_limit
-        super().__init__([Npc(index, chain, length, width) for index, chain in enumerate(scenario.npcs)])
+        kinds = scenario.all_vehicles
+        super().__init__(
+            [
+                Npc(index, chain, kind.length, kind.width)
+                for index, (chain, kind) in enumerate(zip(scenario.npcs, kinds, strict=True))
+            ]
+        )
         self._scenario = scenario
         drives = [DRIVES[type(npc.chain[0])] for npc in self.npcs]
         self._on_grid = [npc for npc, drive in zip(self.npcs, drives, strict=True) if drive == ON_GRID]
         self._in_lanes = [npc for npc, drive in zip(self.npcs, drives, strict=True) if drive == IN_LANES]
         self._asked = [npc for npc, drive in zip(self.npcs, drives, strict=True) if drive == BY_STEPS]
-        self._limits = limits
         self._release = RELEASE_SHARE * limits.jerk
-        self._top_speed = top_speed
         self._hz = physics_hz
         self.skips = False
         self._cells = cells
         self._clearance = clearance
-        self._row = (ego_length + length) / 2.0
-        self._length = length
-        self._width = width
         self._lane_width = lanes.width
         self._last_lane = lanes.count - 1
         self._genes = scenario.genes
         self._gene_ticks = round(scenario.gene_seconds * physics_hz)
-        self._far = length + stopping_room(top_speed)
         traffic = scenario.traffic
-        self._driver = NpcDriver(limits, top_speed, length, 1 / physics_hz, traffic.lateral_speed)
+        self._row = self._far = 0.0  # of the longest NPC
+        self._is_mixed = bool(scenario.vehicles)
+        self._aside = CAR.width + BESIDE
+        before: Any = None
+        for npc, kind in zip(self.npcs, kinds, strict=True):
+            if kind is not before:  # else it shares the controller, which keeps nothing between two calls
+                before, own = kind, limits.of(kind)
+                top_speed = min(limits.overspeed * speed_limit, kind.top_speed)
+                driver = NpcDriver(own, top_speed, npc.length, 1 / physics_hz, traffic.lateral_speed)
+                half_lengths, longer = (ego_length + npc.length) / 2.0, max(npc.length - CAR.length, 0.0) / 2.0
+                self._row = max(self._row, half_lengths)
+                self._far = max(self._far, npc.length + stopping_room(top_speed))
+            npc.limits, npc.driver, npc.top_speed = own, driver, top_speed
+            npc.half_lengths, npc.longer = half_lengths, longer
         self._attentive = traffic.is_attentive
         self._least_share = traffic.least_speed_share
         self._speed_limit = speed_limit
@@ -329,14 +350,14 @@ class Director(BaseDirector):
                 npc.executed.append(npc.chain[0].target)
                 npc.kept_lane = npc.lane
                 npc.kept_speed = npc.chain[0].speed
-                npc.pilot = self._driver
-                npc.ramp = self._limits.braking
+                npc.pilot = npc.driver
+                npc.ramp = npc.limits.braking
                 self._await(npc)
         for npc, cell in zip(active, cells, strict=True):
             npc.executed.append(cell)
             npc.arrivals.append(None)
             npc.row, npc.column = cell.row, cell.column
-            npc.target = longitudinal_target(cell, self._row, self._clearance)
+            npc.target = longitudinal_target(cell, npc.half_lengths, self._clearance)
             npc.target_speed = npc.chain[gene].speed
             npc.kept_lane = NO_LANE
         for npc in self._in_lanes:
@@ -398,7 +419,7 @@ class Director(BaseDirector):
         if self._attentive:
             wanted_speed = self._attending(npc, ego, wanted_speed)
         wanted_speed = self._following(npc, wanted_speed)
-        driver = self._driver
+        driver = npc.driver
         npc.asked = driver.acceleration(wanted_speed, npc.asked, npc.speed)
         npc.acceleration = npc.asked
         npc.steering = driver.steering(npc.y - goal * self._lane_width, npc.heading, npc.course, npc.speed)
@@ -424,7 +445,7 @@ class Director(BaseDirector):
         if npc.trigger == AFTER:
             return npc.ended >= 0 and self._tick - npc.ended >= npc.trigger_at
         distance = (npc.x - ego.x) * self._stretch(ego)
-        value = math.copysign(max(abs(distance) - self._row, 0.0), distance)
+        value = math.copysign(max(abs(distance) - npc.half_lengths, 0.0), distance)
         if npc.trigger == AT_HEADWAY:
             value /= max(ego.speed if distance > 0.0 else npc.speed, 0.1)
         missing = value - npc.trigger_at
@@ -440,7 +461,7 @@ class Director(BaseDirector):
             npc.begun.append(self._tick)
             npc.ended = -1
             if step.column != 0 or step.offset != npc.offset:  # else an earlier change goes on as it was asked for
-                npc.pilot = NpcDriver(self._limits, self._top_speed, self._length, 1.0 / self._hz, step.lateral_speed)
+                npc.pilot = NpcDriver(npc.limits, npc.top_speed, npc.length, 1.0 / self._hz, step.lateral_speed)
             npc.offset = step.offset
             if self._has_lane(npc, npc.kept_lane + step.column):
                 npc.kept_lane += step.column
@@ -480,8 +501,8 @@ class Director(BaseDirector):
         if npc.row == 0 or npc.column != 0:
             return npc.target
         if npc.row < 0:
-            return -(self._row + max(self._clearance, following_gap(ego.speed)))
-        return self._row + max(self._clearance, self._ahead(ego) + self._ample)
+            return -(npc.half_lengths + max(self._clearance, following_gap(ego.speed)))
+        return npc.half_lengths + max(self._clearance, self._ahead(ego) + self._ample)
 
     def _ahead(self, ego: Body) -> float:
         """Return the gap that this traffic requires for moving in ahead of an ego of the same speed [m]."""
@@ -521,7 +542,7 @@ class Director(BaseDirector):
             seconds = ego_speed / braking if 0.0 < ego_speed < braking * self._delay else self._delay
             ahead = (ego_speed - braking * seconds / 2.0) * seconds
             ego_speed -= braking * seconds
-        gap = (x - npc.x) * self._stretch(npc) + ahead - self._row
+        gap = (x - npc.x) * self._stretch(npc) + ahead - npc.half_lengths
         safe = following_speed(gap, max(ego_speed, 0.0), npc.speed)  # a reversing ego counts as standing
         if not is_led:
             safe = max(safe, speed_asking_for(ANSWER, npc.speed))
@@ -529,7 +550,7 @@ class Director(BaseDirector):
 
     def _may_enter(self, npc: Npc, ego: Body) -> bool:
         """Return whether there is room for an NPC in the ego's lane, ahead of the ego or behind it."""
-        gap = abs(npc.x - ego.x) * self._stretch(ego) - self._row
+        gap = abs(npc.x - ego.x) * self._stretch(ego) - npc.half_lengths
         if npc.x > ego.x:
             # An NPC in lanes brakes to its target speed while it moves in; one on the grid first reaches its cell.
             speed = npc.speed if npc.shift_lane == NO_LANE else min(npc.speed, npc.kept_speed)
@@ -553,7 +574,7 @@ class Director(BaseDirector):
             npc.kept_speed = npc.target_speed
             return
         beside = abs(npc.y - target_lane * self._lane_width) <= ARRIVED_LATERAL
-        if beside and abs(distance) <= self._length / 2.0:
+        if beside and abs(distance) <= npc.length / 2.0:
             npc.kept_lane = target_lane
             npc.kept_speed = npc.target_speed
             npc.arrivals[-1] = self._tick
@@ -570,7 +591,7 @@ class Director(BaseDirector):
         if lane == target_lane:
             return lane
         step = lane + 1 if target_lane > lane else lane - 1
-        beside_ego = abs(npc.x - ego.x) < self._row + self._clearance / 2.0
+        beside_ego = abs(npc.x - ego.x) < npc.half_lengths + self._clearance / 2.0
         if step == ego.lane and (beside_ego or (self._attentive and not self._may_enter(npc, ego))):
             return lane  # an NPC cuts in ahead or behind; it does not steer into the ego's side
         for other in self.npcs:
@@ -580,7 +601,7 @@ class Director(BaseDirector):
 
     def _clear_of(self, mine: Npc, theirs: Npc, lane: int) -> bool:
         """Return whether the NPC ``theirs`` leaves room for the NPC ``mine`` to enter a lane."""
-        reach = (self._lane_width + self._width) / 2.0
+        reach = (self._lane_width + theirs.width) / 2.0 + theirs.longer * abs(theirs.heading)
         in_lane = abs(theirs.y - lane * self._lane_width) < reach
         claims = theirs.heading_for == lane and theirs.index < mine.index
         if not (in_lane or claims):
@@ -592,7 +613,7 @@ class Director(BaseDirector):
 
     def _gap(self, front: Npc, rear: Npc) -> float:
         """Return the gap between two NPCs in one lane [m]."""
-        return front.x - rear.x - self._length
+        return front.x - rear.x - (front.length + rear.length) / 2.0
 
     def _following(self, mine: Npc, speed: float) -> float:
         """Limit a desired speed to what leaves room behind the NPCs ahead [m/s]."""
@@ -603,14 +624,18 @@ class Director(BaseDirector):
                 continue
             if distance == 0.0 and theirs.index > mine.index:
                 continue
-            is_beside = abs(theirs.y - mine.y) < self._width + BESIDE
+            aside = self._aside
+            if self._is_mixed:
+                aside = (mine.width + theirs.width) / 2.0 + BESIDE
+                aside += mine.longer * abs(mine.heading) + theirs.longer * abs(theirs.heading)
+            is_beside = abs(theirs.y - mine.y) < aside
             crosses = (
                 theirs.lane == lane or theirs.lane == goal or theirs.heading_for == lane or theirs.heading_for == goal
             )
             if not (is_beside or crosses):
                 continue
             gap = self._gap(theirs, mine)
-            if is_beside or gap > -self._length / 2.0:
+            if is_beside or gap > -(mine.length + theirs.length) / 4.0:
                 safe = following_speed(gap, theirs.speed, mine.speed)
                 speed = safe if safe < speed else speed
         return speed

@@ -3,7 +3,7 @@ from libc cimport math
 
 cdef double SPEED_GAIN, GAP_GAIN, GAP_BRAKING, LATERAL_GAIN, HEADING_GAIN, LATERAL_SHARE
 cdef double TURNED_SHARE, MARGIN, FOLLOWING_GAP, FOLLOWING_TIME, FOLLOWING_BRAKING, MAX_SLIP, LEAST_SPARE
-cdef double LANE_ANGLE, TRACKING_SHARE, TRACKING_GAIN, CLOSEST_GAIN, SPEEDING_UP, USEFUL_WIDTH, HALF_TURN
+cdef double CAR_LENGTH, LANE_ANGLE, TRACKING_SHARE, TRACKING_GAIN, CLOSEST_GAIN, SPEEDING_UP, USEFUL_WIDTH, HALF_TURN
 
 cpdef double gap_speed(double distance) except? -1
 cpdef double following_speed(double gap, double leader_speed, double own_speed) except? -1
@@ -18,8 +18,9 @@ cpdef double clamped(double value, double bound) except? -1
 @cython.final
 cdef class NpcDriver:
     cdef public double course
-    cdef double _dt, _lateral_speed, _top_speed, _acceleration, _braking, _jerk_step, _jerk_twice, _half_length, _lateral_limit
-    cdef double _slow, _tightest, _most, _heading_gain
+    cdef readonly double top_speed
+    cdef double _dt, _lateral_speed, _acceleration, _braking, _jerk_step, _jerk_twice, _half_length, _lateral_limit
+    cdef double _slow, _tightest, _most, _swing, _heading_gain
 
     @cython.locals(before=double, acceleration=double, lowest=double, highest=double)
     cpdef double acceleration(self, double wanted_speed, double previous, double speed) except? -1

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 
+from pytest_pafot.model.vehicle_type import CAR
 from pytest_pafot.world.limits import NpcLimits
 
 SPEED_GAIN = 1.5
@@ -34,6 +35,8 @@ FOLLOWING_TIME = 0.4
 """The time in which braking builds up [s]."""
 FOLLOWING_BRAKING = 5.0
 """The braking that an NPC assumes for its leader and for itself [m/s^2]."""
+CAR_LENGTH = CAR.length
+"""The length of a car [m]; unlike ``CAR.length``, it is a C number in compiled code."""
 MAX_SLIP = 0.4
 """The largest slip angle, to which the wheels' steering is limited [rad]."""
 LEAST_SPARE = 0.15
@@ -124,6 +127,7 @@ class NpcDriver:
 
     Attributes:
         course: the direction of motion after the last steering, relative to the lane [rad].
+        top_speed: the highest speed [m/s].
     """
 
     def __init__(
@@ -132,7 +136,7 @@ class NpcDriver:
         lateral = limits.lateral_acceleration
         self._dt = dt
         self._lateral_speed = lateral_speed
-        self._top_speed = top_speed
+        self.top_speed = top_speed
         self._acceleration = limits.acceleration
         self._braking = limits.braking
         self._jerk_step = limits.jerk * dt
@@ -142,6 +146,10 @@ class NpcDriver:
         self._slow = min(0.1, MARGIN * lateral * dt / MAX_SLIP)
         self._tightest = 2.0 * math.sin(MAX_SLIP) / length  # curvature of the tightest turn [1/m]
         self._most = min(limits.heading, TURNED_SHARE * lateral / limits.acceleration)
+        # The ends of a long vehicle that is turned swing out no farther than those of a car.
+        self._swing = math.inf
+        if length > CAR_LENGTH:
+            self._swing = math.asin(math.sin(limits.heading) * CAR_LENGTH / length)
         self._heading_gain = min(HEADING_GAIN, 0.8 / dt)
         self.course = 0.0
 
@@ -169,8 +177,8 @@ class NpcDriver:
     def _released(self, acceleration: float, speed: float) -> float:
         """Limit an acceleration to what the NPC's limit and the top speed allow [m/s^2]."""
         release = 0.0
-        if speed < self._top_speed:
-            release = math.sqrt(self._jerk_twice * (self._top_speed - speed)) - self._jerk_step / 2.0
+        if speed < self.top_speed:
+            release = math.sqrt(self._jerk_twice * (self.top_speed - speed)) - self._jerk_step / 2.0
             release = max(release, 0.0)
         acceleration = min(acceleration, self._acceleration)
         return release if acceleration > release else acceleration
@@ -218,7 +226,7 @@ class NpcDriver:
         planned = LATERAL_SHARE * max(planned, LEAST_SPARE * self._lateral_limit)
         lateral_speed = min(LATERAL_GAIN * distance, math.sqrt(2.0 * planned * distance), self._lateral_speed)
         bound = min(MARGIN * self._most - abs(lean), math.sqrt(2.0 * LATERAL_SHARE * distance * self._tightest))
-        bound = max(bound, 0.0)
+        bound = max(min(bound, self._swing), 0.0)
         wanted = math.asin(lateral_speed / speed) if lateral_speed < speed else bound
         wanted = math.copysign(min(wanted, bound), -offset)
         fastest = self._lateral_limit / speed

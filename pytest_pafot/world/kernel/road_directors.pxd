@@ -12,7 +12,7 @@ cdef class NetworkDirector(Director):
     cdef public JunctionDirector others
     cdef Bends _bends
     cdef object _start_cells, _road
-    cdef double _width_of_lanes, _jerk, _lateral, _dt
+    cdef double _width_of_lanes, _jerk, _dt
 
     cpdef object _first_existing(self)
 
@@ -52,7 +52,8 @@ cdef class JunctionDirector(BaseDirector):
     cdef object _scenario, _junction
     cdef NetworkDirector _grid
     cdef int _ego_lane
-    cdef double _turning
+    cdef object _limits
+    cdef double _top_speed, _dt
     cdef list _crossing, _vehicles, _relations, _numbers
     cdef Crosser _crosser
 

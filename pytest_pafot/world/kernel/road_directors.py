@@ -6,10 +6,11 @@ import math
 from dataclasses import replace
 from typing import Any
 
-from pytest_pafot.model.crossings import EGOS
+from pytest_pafot.model.crossings import EGOS, longer
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.instructions import ACTS, CrossingInstruction
 from pytest_pafot.model.scenario import Scenario, on_grid
+from pytest_pafot.model.vehicle_type import CAR
 from pytest_pafot.world.kernel.bends import Bends
 from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.kernel.crossing import Crosser, CrossingNpc, LeaderAhead, SharedPlace
@@ -56,8 +57,10 @@ class NetworkDirector(Director):
         self._width_of_lanes: float = road.lane_width
         self._start_cells = start_cells
         self._jerk = limits.jerk
-        self._lateral = limits.lateral_acceleration
         self._dt = 1 / common["physics_hz"]
+        for npc in self.npcs:
+            npc.bends = road.bends_of(scenario.vehicle_of(npc.index))
+            npc.lateral = npc.limits.lateral_acceleration
 
     @property
     def executed(self) -> Scenario:
@@ -99,7 +102,7 @@ class NetworkDirector(Director):
         """Return the gap between two NPCs in one lane [m]; in a bend, that on the side on which it is shorter."""
         distance = front.x - rear.x
         distance *= min(self._stretch(front), self._stretch(rear))
-        return distance - self._length
+        return distance - (front.length + rear.length) / 2.0
 
     def _control(self, npc: Npc, ego: Body) -> None:
         if npc.pilot is not None:
@@ -125,12 +128,12 @@ class NetworkDirector(Director):
             wanted = min(wanted, self.others.ceiling(npc))
         asked = max(npc.asked, 0.0)
         gained = asked * asked / (2.0 * self._jerk)  # speed gained while the accelerator is released
-        wanted = min(wanted, self._bends.speed_at(npc.lane, npc.x) - gained)
-        wanted = min(wanted, self._bends.speed_at(goal, npc.x) - gained)
+        wanted = min(wanted, npc.bends.speed_at(npc.lane, npc.x) - gained)
+        wanted = min(wanted, npc.bends.speed_at(goal, npc.x) - gained)
         if abs(npc.y - goal * self._width_of_lanes) > BETWEEN_LANES:  # so that it can turn back if turned outwards
-            changing = math.sqrt(CHANGING_SHARE * self._lateral / max(self._sharpest(npc, goal), 1e-9))
+            changing = math.sqrt(CHANGING_SHARE * npc.lateral / max(self._sharpest(npc, goal), 1e-9))
             wanted = min(wanted, max(npc.speed, changing))
-        npc.asked = self._driver.acceleration(wanted, npc.asked, npc.speed)
+        npc.asked = npc.driver.acceleration(wanted, npc.asked, npc.speed)
         npc.acceleration = npc.asked
         self._steer(npc, goal)
 
@@ -156,10 +159,10 @@ class NetworkDirector(Director):
         goal = self._next_lane(npc, target_lane, ego)
         wanted = ego.speed * stretch / ego_stretch + gap_speed(distance)
         if goal != npc.lane:
-            wanted = min(wanted, self._bends.speed_at(goal, npc.x))
+            wanted = min(wanted, npc.bends.speed_at(goal, npc.x))
         wanted = self._creeping(npc, goal, wanted)
         if npc.lane == goal == ego.lane and npc.x < ego.x < target:
-            gap = (ego.x - npc.x) * stretch - self._row
+            gap = (ego.x - npc.x) * stretch - npc.half_lengths
             wanted = min(wanted, following_speed(gap, ego.speed, npc.speed))
         return goal, wanted
 
@@ -177,17 +180,17 @@ class NetworkDirector(Director):
 
     def _step(self, npc: Npc, target_lane: int, ego: Body) -> int:
         step = Director._next_lane(self, npc, target_lane, ego)  # C methods have no super()
-        is_slow_enough = npc.speed <= self._bends.speed_at(step, npc.x)
+        is_slow_enough = npc.speed <= npc.bends.speed_at(step, npc.x)
         has_room = step == npc.lane or self.others is None or self.others.leaves_room(npc, step)
         return step if self._goes_on(step, npc) and is_slow_enough and has_room else npc.lane
 
     def _goes_on(self, lane: int, npc: Npc) -> bool:
         """Return whether a lane exists from an NPC's rear to its place :data:`LOOK_AHEAD` seconds later."""
-        rear, later = npc.x - self._length, npc.x + self._length + LOOK_AHEAD * npc.speed
+        rear, later = npc.x - npc.length, npc.x + npc.length + LOOK_AHEAD * npc.speed
         return self._bends.continues(lane, max(rear, 0.0), later)
 
     def _steer(self, npc: Npc, goal: int) -> None:
-        bends, driver = self._bends, self._driver if npc.pilot is None else npc.pilot
+        bends, driver = npc.bends, npc.driver if npc.pilot is None else npc.pilot
         direction, lean = bends.direction_at(goal, npc.x), bends.lean_at(goal, npc.x)
         later = npc.x + npc.speed * self._dt / bends.stretch(npc.x, bends.across_at(goal, npc.x))
         later_direction, later_lean = bends.direction_at(goal, later), bends.lean_at(goal, later)
@@ -212,7 +215,6 @@ class JunctionDirector(BaseDirector):
         junction: the ways of other traffic.
         limits: the limits of every NPC.
         grid: the director of the NPCs on the grid; None without them.
-        length, width: the size of each NPC [m].
         physics_hz: ticks per second.
 
     Attributes:
@@ -227,27 +229,24 @@ class JunctionDirector(BaseDirector):
         limits: NpcLimits,
         *,
         grid: NetworkDirector | None,
-        length: float,
-        width: float,
         physics_hz: int,
     ) -> None:
         self._scenario = scenario
         self._junction = junction
         self._grid = grid
         self._ego_lane = road.ego_lane
-        self._turning = BEND_SHARE * limits.lateral_acceleration
+        self._limits = limits
+        self._top_speed = limits.top_speed(road.speed_limit)
+        self._dt = 1 / physics_hz
         others = iter(grid.npcs if grid else ())
         npcs: list[Body] = [
-            next(others) if each is None else self._npc(index, each, length, width)
-            for index, each in enumerate(scenario.crossings)
+            next(others) if each is None else self._npc(index, each) for index, each in enumerate(scenario.crossings)
         ]
         super().__init__(npcs)
         self._crossing = [npc for npc in self.npcs if isinstance(npc, CrossingNpc)]
-        self._vehicles = [Body(length, width), *self.npcs]
-        dt, top_speed = 1 / physics_hz, limits.top_speed(road.speed_limit)
-        driver = NpcDriver(limits, top_speed, length, dt)
+        self._vehicles = [Body(CAR.length, CAR.width), *self.npcs]  # the ego is put there by the first command
         ego_lane = road.centre(road.ego_lane)
-        self._crosser = Crosser(self._crossing, self._vehicles, driver, limits.jerk, ego_lane, dt)
+        self._crosser = Crosser(self._crossing, self._vehicles, limits.jerk, ego_lane, self._dt)
         self._relations = [self._related(number) for number in range(len(self._vehicles))]
         for npc in self._crossing:
             npc.conflicts, npc.leaders = self._relations[npc.index + 1]
@@ -255,13 +254,17 @@ class JunctionDirector(BaseDirector):
         if grid is not None:
             grid.others = self
 
-    def _npc(self, index: int, instruction: CrossingInstruction, length: float, width: float) -> CrossingNpc:
-        way = self._junction.ways[instruction.zone]
+    def _npc(self, index: int, instruction: CrossingInstruction) -> CrossingNpc:
+        kind = self._scenario.vehicle_of(index)
+        way, limits = self._junction.ways[instruction.zone].of(kind, self._limits), self._limits.of(kind)
         zone = way.way.zone
         act, speeds = ACTS.index(instruction.act), way.way.speeds.tolist()
-        size = length, width
-        npc = CrossingNpc(way.track, instruction.speed, speeds, zone.npc, zone.ego, act, way.middle, size)
+        driver = NpcDriver(limits, min(self._top_speed, kind.top_speed), kind.length, self._dt)
+        npc = CrossingNpc(
+            way.track, instruction.speed, speeds, zone.npc, zone.ego, act, way.middle, (kind.length, kind.width), driver
+        )
         npc.index, npc.slot = index, instruction.slot
+        npc.turning = BEND_SHARE * limits.lateral_acceleration
         npc.begins = self._junction.crossings.start(instruction)
         return npc
 
@@ -276,7 +279,11 @@ class JunctionDirector(BaseDirector):
             if other == number or mine == theirs == EGOS:
                 continue
             if other > 0:
-                conflicts += [SharedPlace(other, *stretches) for stretches in self._junction.stretches(mine, theirs)]
+                sizes = [self._vehicles[each].length - CAR.length for each in (number, other)]
+                conflicts += [
+                    SharedPlace(other, *(longer(*each) for each in zip(stretches, sizes, strict=True)))
+                    for stretches in self._junction.stretches(mine, theirs)
+                ]
             if (places := self._junction.places(mine, theirs)) is not None:
                 leaders.append(LeaderAhead(other, places))
         return conflicts, leaders
@@ -329,8 +336,8 @@ class JunctionDirector(BaseDirector):
     def _start(self, npc: CrossingNpc) -> Start:
         track, along = npc.track, npc.begins
         turn = math.sin(abs(track.value(track.lean, along))) * 2 / npc.length  # by the slip left from a bend behind it
-        fastest = math.sqrt(self._turning / max(turn, 1e-9))
-        return along, (*track.pose(along), min(track.value(npc.speeds, along), fastest))
+        fastest = math.sqrt(npc.turning / max(turn, 1e-9))
+        return along, (*track.pose(along), min(track.value(npc.speeds, along), fastest, npc.driver.top_speed))
 
     def command(self, ego: Body) -> None:
         """Set acceleration and steering of each NPC for the coming tick."""
@@ -355,6 +362,6 @@ class JunctionDirector(BaseDirector):
             if math.isnan(along):
                 continue
             front, rear = (theirs, npc) if along > npc.x else (npc, theirs)
-            if not clear_to_enter(abs(along - npc.x) - npc.length, rear.speed - front.speed):
+            if not clear_to_enter(abs(along - npc.x) - (npc.length + theirs.length) / 2.0, rear.speed - front.speed):
                 return False
         return True

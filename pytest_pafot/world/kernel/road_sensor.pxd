@@ -11,7 +11,7 @@ cdef class RoadSensor(Sensor):
     cdef RoadPlaces _places
     cdef double[::1] _record
     cdef Bends _bends
-    cdef list _zones, _sizes
+    cdef list _leaning, _zones, _sizes
     cdef tuple _common
     cdef int _physics_hz, _every
     cdef object _sight, _seed
@@ -26,5 +26,5 @@ cdef class RoadSensor(Sensor):
                    way=OwnWay, dx=double, dy=double, turned=double)
     cpdef observation(self, int tick)
 
-    @cython.locals(bends=Bends, along=double, lane=int, driven=double, to_lane=double, y=double, leaning=double)
+    @cython.locals(bends=Bends, own_bends=Bends, along=double, lane=int, driven=double, to_lane=double, y=double, leaning=double)
     cdef _state(self, Py_ssize_t number, double speed, double steering, double own, double stretch)

@@ -31,6 +31,7 @@ class RoadSensor(Sensor):
         places: the vehicles and their places on the road.
         record: rows of :data:`COLUMNS` numbers for each vehicle at each tick.
         bends: the ego's way.
+        leaning: for each vehicle, the ego first, the same way with the leans of a vehicle of its length.
         zones: the zone of each crossing NPC, None for each other NPC.
         common: the lanes' number, their width [m], the speed limit [m/s] and the length of the road [m].
         physics_hz, every: ticks per second, and the number of ticks between decisions.
@@ -42,6 +43,7 @@ class RoadSensor(Sensor):
         places: RoadPlaces,
         record: array[float],
         bends: Bends,
+        leaning: Sequence[Bends],
         zones: Sequence[Any],
         common: tuple[int, float, float, float],
         physics_hz: int,
@@ -53,6 +55,7 @@ class RoadSensor(Sensor):
         self._places = places
         self._record = record
         self._bends = bends
+        self._leaning = list(leaning)
         self._zones = list(zones)
         self._common = common
         self._physics_hz = physics_hz
@@ -140,12 +143,12 @@ class RoadSensor(Sensor):
         Its velocity across its lane [m/s] is stored for the observation's ``lateral_velocities``. The ego's place and
         the stretch there are ``own`` [m] and ``stretch``.
         """
-        bends, (length, width) = self._bends, self._sizes[number]
+        bends, own_bends, (length, width) = self._bends, self._leaning[number], self._sizes[number]
         along, lane = bends.along, bends.lane
         driven = (along - own) * (stretch + bends.stretch(along, bends.across)) / 2.0
         to_lane = bends.angle + bends.heading_at(along) - bends.direction_at(lane, along)
         self._drift = lateral_velocity(to_lane, speed, steering)
-        y, leaning = bends.in_lanes(lane, along, bends.offset), to_lane - bends.lean_at(lane, along)
+        y, leaning = bends.in_lanes(lane, along, bends.offset), to_lane - own_bends.lean_at(lane, along)
         return VehicleState(own + driven, y, leaning, speed, lane, length, width)
 
     def _states(self, row: int) -> FloatArray:

@@ -18,21 +18,22 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from pytest_pafot.model.crossings import EGOS, NOT_ON_WAY, Crossings, Holder, Kind, Origin, Stretch, Way, Zone
+from pytest_pafot.model.crossings import EGOS, NOT_ON_WAY, Crossings, Holder, Kind, Origin, Stretch, Way, Zone, longer
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import FloatArray
-from pytest_pafot.world.kernel.bodies import NPC_LENGTH, NPC_WIDTH, Body
+from pytest_pafot.model.vehicle_type import CAR, TIGHTEST, VehicleType
+from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.kernel.crossing import CrossingNpc, Track
 from pytest_pafot.world.kernel.director import Director
 from pytest_pafot.world.kernel.places import OwnWay
 from pytest_pafot.world.kernel.road_directors import JunctionDirector, NetworkDirector
 from pytest_pafot.world.limits import NpcLimits
-from pytest_pafot.world.roads.network import SPEED_LAG, Column, NetworkRoad
+from pytest_pafot.world.roads.network import SPEED_LAG, Column, NetworkRoad, Shaped
 from pytest_pafot.world.roads.road import Pose
 from pytest_pafot.world.roads.route import STEP, LaneIndex, Line, Piece, is_drivable, line_of, wrapped
 from pytest_pafot.world.roads.route import way as way_of
-from pytest_pafot.world.roads.survey import TIGHTEST, curvature_of, lone_column
+from pytest_pafot.world.roads.survey import curvature_of, lone_column
 
 IntArray = npt.NDArray[np.intp]
 Flags = npt.NDArray[np.bool_]
@@ -85,12 +86,35 @@ class CrossingWay:
         column: its lane at each point; ``part`` is the index of the lane in ``Trace.lanes``.
         middle: the place in its zone at which it is nearest to the ego's way, or enters the ego's lane if it merges
             [m].
+        shaped: returns the lane for NPCs with given limits and a given length [m].
     """
 
     way: Way
     line: Line
     column: Column
     middle: float
+    shaped: Shaped
+
+    def of(self, vehicle: VehicleType, limits: NpcLimits) -> CrossingWay:
+        """Return the way for an NPC that is a given vehicle; ``limits`` are those of all NPCs.
+
+        A long vehicle enters its zone earlier and leaves it later, as measured at its centre.
+        """
+        if vehicle == CAR:
+            return self
+        own = limits.of(vehicle)
+        if (own, vehicle.length) in self._of_others:
+            return self._of_others[own, vehicle.length]
+        ((lane,), _) = self.shaped(own, vehicle.length)
+        zone = replace(self.way.zone, npc=longer(self.way.zone.npc, vehicle.length - CAR.length))
+        way = replace(self.way, zone=zone, speeds=_driven(np.array(lane.speed), own))
+        made = replace(self, way=way, column=replace(lane, part=self.column.part))
+        self._of_others[own, vehicle.length] = made
+        return made
+
+    @cached_property
+    def _of_others(self) -> dict[tuple[NpcLimits, float], CrossingWay]:
+        return {}
 
     @cached_property
     def track(self) -> Track:
@@ -123,13 +147,16 @@ class Junction:
         """Return itself, because it is immutable and highway-env deep-copies the road to predict vehicles."""
         return self
 
+    def own_way(self, way: CrossingWay) -> OwnWay:
+        """Return a way in plain numbers, for the kernel."""
+        if way not in self._own_ways:
+            zone = way.way.zone
+            self._own_ways[way] = OwnWay(way.track, way.column.part, zone.npc[0], self.along_ego[zone.way])
+        return self._own_ways[way]
+
     @cached_property
-    def own_ways(self) -> dict[str, OwnWay]:
-        """The ways by name in plain numbers, for the kernel."""
-        return {
-            name: OwnWay(each.track, each.column.part, each.way.zone.npc[0], self.along_ego[name])
-            for name, each in self.ways.items()
-        }
+    def _own_ways(self) -> dict[CrossingWay, OwnWay]:
+        return {}
 
     def stretches(self, mine: str, theirs: str) -> list[tuple[Stretch, Stretch]]:
         """Return the stretches in which two ways meet; either may be the ego's way."""
@@ -159,14 +186,20 @@ class JunctionRoad(NetworkRoad):
         """The zones and ways from which a search samples."""
         return self.junction.crossings
 
+    def ways(self, scenario: Scenario) -> list[CrossingWay | None]:
+        """Return the way of each NPC that crosses, as its vehicle drives there, None for each other NPC."""
+        return [
+            None if each is None else self.junction.ways[each.zone].of(scenario.vehicle_of(npc), self.limits)
+            for npc, each in enumerate(scenario.crossings)
+        ]
+
     def zones(self, scenario: Scenario) -> tuple[Zone | None, ...]:
         """Return the zone of each NPC that crosses, None for each other NPC; empty if no NPC crosses."""
-        ways = self.crossings.ways
-        return tuple(None if each is None else ways[each.zone].zone for each in scenario.crossings)
+        return tuple(None if way is None else way.way.zone for way in self.ways(scenario))
 
     def own_ways(self, scenario: Scenario) -> list[OwnWay | None]:
         """Return the own way of each NPC that crosses, None for each other NPC."""
-        ways = [None if each is None else self.junction.own_ways[each.zone] for each in scenario.crossings]
+        ways = [None if each is None else self.junction.own_way(each) for each in self.ways(scenario)]
         return ways or super().own_ways(scenario)
 
     def director(
@@ -177,8 +210,7 @@ class JunctionRoad(NetworkRoad):
             return super().director(scenario, limits, cells, **common)
         grid = None
         if None in scenario.crossings:
-            pairs = zip(scenario.npcs, scenario.crossings, strict=True)
-            others = replace(scenario, npcs=tuple(npc for npc, crossing in pairs if crossing is None))
+            others = scenario.of_npcs(npc for npc, crossing in enumerate(scenario.crossings) if crossing is None)
             grid = NetworkDirector(others, self, limits, start_cells=cells, **common)
         del common["clearance"], common["ego_length"]
         return JunctionDirector(scenario, self, self.junction, limits, grid=grid, **common)
@@ -244,13 +276,15 @@ def _ways(network: Any, road: NetworkRoad, own: Course, limits: NpcLimits) -> di
         line = line_of(pieces)
         if np.abs(curvature_of(line)).max() > TIGHTEST:
             continue  # a jump from lane to lane, such as that of the ramp of merge-v0
-        column = lone_column(line, pieces, limits, road.ego_speed, _parts(road, pieces, line))
+        shaped, parts = lone_column(line, pieces, road.ego_speed), _parts(road, pieces, line)
+        ((lane,), _) = shaped(limits)
+        column = replace(lane, part=parts)
         course = _course(line, column)
         met = next(meetings_of(own, course, near_pairs(own, course)), None)
         if met is not None and met.stretches[0][0] > road.start:
             zone = _zone(name, road, line, [piece.index for piece in pieces], network, met)
-            way = Way(zone=zone, speeds=_driven(np.array(column.speed), limits))
-            ways[name] = CrossingWay(way=way, line=line, column=column, middle=met.closest[1] * STEP)
+            way = Way(zone=zone, speeds=_driven(np.array(column.speed), limits), sharpest=max(column.sharpest))
+            ways[name] = CrossingWay(way=way, line=line, column=column, middle=met.closest[1] * STEP, shaped=shaped)
     return ways
 
 
@@ -313,7 +347,7 @@ def _course(line: Line, column: Column) -> Course:
 
 def near_pairs(a: Course, b: Course) -> tuple[IntArray, IntArray]:
     """Return all pairs of points of two courses at which widened boxes might touch, in the order of course ``b``."""
-    reach = math.hypot(NPC_LENGTH, NPC_WIDTH + WIDER)
+    reach = math.hypot(CAR.length, CAR.width + WIDER)
     wide = reach + 2 * STEP * COARSE
     x = a.x[::COARSE, None] - b.x[::COARSE]
     y = a.y[::COARSE, None] - b.y[::COARSE]
@@ -333,7 +367,7 @@ def near_pairs(a: Course, b: Course) -> tuple[IntArray, IntArray]:
 def boxes_touch(a: Course, b: Course, pairs: tuple[IntArray, IntArray], wider: float) -> Flags:
     """Return for each pair of points whether two vehicles there touch, with boxes widened by ``wider`` [m]."""
     i, j = pairs
-    length, width = NPC_LENGTH, NPC_WIDTH + wider
+    length, width = CAR.length, CAR.width + wider
     x, y = b.x[j] - a.x[i], b.y[j] - a.y[i]
     cos_a, sin_a, cos_b, sin_b = a.cos[i], a.sin[i], b.cos[j], b.sin[j]
     cos, sin = np.abs(cos_a * cos_b + sin_a * sin_b), np.abs(sin_b * cos_a - cos_b * sin_a)
@@ -390,7 +424,7 @@ def _meeting(a: Course, b: Course, i: IntArray, j: IntArray) -> Meeting:
     together &= turned < ONE_DIRECTION
     nearest = int(np.argmin(x * x + y * y))
     first, last = (int(i.min()), int(j.min())), (int(i.max()), int(j.max()))
-    length = round(NPC_LENGTH / STEP)
+    length = round(CAR.length / STEP)
     if together.any():
         begins, ends = np.flatnonzero(together)[[0, -1]]
         if min(int(i[begins]) - first[0], int(j[begins]) - first[1]) > 2:  # they merge

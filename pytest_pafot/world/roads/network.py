@@ -23,9 +23,10 @@ from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.sight import Sight
 from pytest_pafot.model.trace import ALONG, STRETCH, FloatArray, Lane, Outcome
+from pytest_pafot.model.vehicle_type import CAR, VehicleType
 from pytest_pafot.world.driving.seeing import misjudged
 from pytest_pafot.world.kernel.bends import Bends
-from pytest_pafot.world.kernel.bodies import NPC_LENGTH, Body
+from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.kernel.director import Director
 from pytest_pafot.world.kernel.observation import Observation, Sensor
 from pytest_pafot.world.kernel.places import OwnWay, Places, RoadPlaces
@@ -155,13 +156,19 @@ class ImperfectRoadSensor(RoadSensor):
         return misjudged(seen, *self._misjudging, tick, self._hz, self._npcs, self.has_lane)
 
 
+Shaped = Callable[..., tuple[tuple[Column, ...], list[Lane]]]
+"""A function that returns lanes for driving and for a trace, by the limits of an NPC and its length [m]."""
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class NetworkRoad(Road):
     """The lanes along the ego's way through a network.
 
     Attributes:
         lanes: all lanes in the form of a trace: first the lanes of the way from the left, then the network's others.
-        columns: the lanes of the way, from the left.
+        columns: the lanes of the way, from the left, for cars.
+        shaped: returns the lanes for NPCs with given limits and a given length [m].
+        limits: the limits of every NPC, with which ``columns`` were made.
         sections: the way's sections, as pairs of highway-env's nodes.
         route: the lanes of the way in driving order; ``line.piece`` has indices of this tuple.
         line: the line of the way.
@@ -173,6 +180,8 @@ class NetworkRoad(Road):
 
     lanes: tuple[Lane, ...]
     columns: tuple[Column, ...]
+    shaped: Shaped
+    limits: NpcLimits
     sections: frozenset[tuple[str, str]]
     route: tuple[LaneIndex, ...]
     others: tuple[LaneIndex, ...]
@@ -205,7 +214,23 @@ class NetworkRoad(Road):
     @cached_property
     def bends(self) -> Bends:
         """The same road in plain numbers, for the kernel."""
-        line, columns = self.line, self.columns
+        return self._bends(self.columns)
+
+    @cached_property
+    def _of_others(self) -> dict[tuple[NpcLimits, float], Bends]:
+        return {}
+
+    def bends_of(self, vehicle: VehicleType) -> Bends:
+        """Return the road with the speeds and the leans of an NPC that is a given vehicle; of a car, :attr:`bends`."""
+        if vehicle == CAR:
+            return self.bends
+        key = self.limits.of(vehicle), vehicle.length
+        if key not in self._of_others:
+            self._of_others[key] = self._bends(self.shaped(*key)[0])
+        return self._of_others[key]
+
+    def _bends(self, columns: Sequence[Column]) -> Bends:
+        line = self.line
         exists = [flag for each in columns for flag in each.exists]
         part = [number for each in columns for number in each.part]
         across = [place for each in columns for place in each.across]
@@ -224,10 +249,10 @@ class NetworkRoad(Road):
         """Return the cells around an ego whose centres are on lanes; ``rows`` is the distance between rows [m]."""
         return frozenset(cell for cell in Cell if self.exists(ego_lane + cell.column, along + cell.row * rows))
 
-    def position(self, longitudinal: float, lane: int) -> Pose:
+    def position(self, longitudinal: float, lane: int, vehicle: VehicleType = CAR) -> Pose:
         """Return the pose of a vehicle on the centre of a lane."""
         x, y, heading = self.reference(longitudinal)
-        across, direction, lean = self.lane_at(lane, longitudinal)
+        across, direction, lean = self.bends_of(vehicle).lane_at(lane, longitudinal)
         return x - math.sin(heading) * across, y + math.cos(heading) * across, direction + lean
 
     def seen_at(self, x: float, y: float, ego: FloatArray) -> tuple[float, float]:
@@ -305,15 +330,20 @@ class NetworkRoad(Road):
         """Return the cells around the ego's start whose centres are on lanes."""
         return self.cells(self.start, lane, distance)
 
-    def start_speed(self, wanted: float, lane: int, along: float, limits: NpcLimits) -> float:
+    def can_drive(self, vehicle: VehicleType) -> bool:
+        """Return whether a vehicle can follow all bends along the way."""
+        return all(vehicle.can_follow(max(column.sharpest)) for column in self.columns)
+
+    def start_speed(self, wanted: float, lane: int, along: float, vehicle: VehicleType) -> float:
         """Return ``wanted``, or less in and just after a bend.
 
         Just after a bend, an NPC's heading still differs from its course, so the NPC turns, and at a higher speed
         faster.
         """
-        most = BEND_SHARE * limits.lateral_acceleration * NPC_LENGTH / 2
-        fastest = math.sqrt(most / max(math.sin(abs(self.lane_at(lane, along)[2])), 1e-9))
-        return min(wanted, self.speed_at(lane, along), fastest)
+        bends = self.bends_of(vehicle)
+        most = BEND_SHARE * self.limits.of(vehicle).lateral_acceleration * vehicle.length / 2
+        fastest = math.sqrt(most / max(math.sin(abs(bends.lean_at(lane, along))), 1e-9))
+        return min(wanted, bends.speed_at(lane, along), fastest)
 
     def director(
         self, scenario: Scenario, limits: NpcLimits, cells: frozenset[Cell], **common: Any
@@ -352,8 +382,8 @@ class NetworkRoad(Road):
     ) -> Sensor:
         """Make the maker of a planner's observations, in which the road is straight."""
         common = self.lane_count, self.lane_width, self.speed_limit, self.end
-        zones = list(self.zones(scenario))
-        on_road = cast("RoadPlaces", places), record, self.bends, zones, common, *rates
+        zones, leaning = list(self.zones(scenario)), [self.bends, *map(self.bends_of, scenario.all_vehicles)]
+        on_road = cast("RoadPlaces", places), record, self.bends, leaning, zones, common, *rates
         if sight is None:
             return RoadSensor(*on_road, None)
         return ImperfectRoadSensor(*on_road, sight=sight, seed=scenario.seed)

@@ -16,6 +16,7 @@ from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.sight import Sight
 from pytest_pafot.model.trace import FloatArray, Lane
+from pytest_pafot.model.vehicle_type import CAR, VehicleType
 from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.kernel.director import Director
 from pytest_pafot.world.kernel.observation import Sensor
@@ -89,7 +90,7 @@ class Road(ABC):
         return lane * self.lane_width
 
     @abstractmethod
-    def position(self, longitudinal: float, lane: int) -> Pose:
+    def position(self, longitudinal: float, lane: int, vehicle: VehicleType = CAR) -> Pose:
         """Return the pose of a vehicle on the centre of a lane, at a place along the road [m]."""
 
     @abstractmethod
@@ -127,7 +128,11 @@ class Road(ABC):
     def start_cells(self, lane: int, distance: float) -> frozenset[Cell]:
         """Return the cells around the ego's start in a lane that NPCs can start in, with ``distance`` to a row [m]."""
 
-    def start_speed(self, wanted: float, lane: int, along: float, limits: NpcLimits) -> float:
+    def can_drive(self, vehicle: VehicleType) -> bool:
+        """Return whether an NPC around the ego can be a given vehicle."""
+        return True
+
+    def start_speed(self, wanted: float, lane: int, along: float, vehicle: VehicleType) -> float:
         """Return the speed with which an NPC starts that is asked to start with ``wanted`` [m/s]."""
         return wanted
 

@@ -10,8 +10,9 @@ from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.sight import Sight
 from pytest_pafot.model.trace import FloatArray, Lane
+from pytest_pafot.model.vehicle_type import CAR, VehicleType
 from pytest_pafot.world.driving.seeing import ImperfectSensor
-from pytest_pafot.world.kernel.bodies import NPC_LENGTH, Body
+from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.kernel.director import Director
 from pytest_pafot.world.kernel.lanes import Lanes
 from pytest_pafot.world.kernel.observation import Observer, Sensor
@@ -86,7 +87,7 @@ class StraightRoad(Road):
         x0, y0 = self._origin
         return x - x0, y - y0, heading
 
-    def position(self, longitudinal: float, lane: int) -> Pose:
+    def position(self, longitudinal: float, lane: int, vehicle: VehicleType = CAR) -> Pose:
         """Return the pose of a point on the centre of a lane."""
         x0, y0 = self._origin
         return x0 + longitudinal, y0 + self.centre(lane), 0.0
@@ -101,7 +102,7 @@ class StraightRoad(Road):
 
     def has_lane(self, lane: int, along: float) -> bool:
         """Return whether a lane exists, with room for an NPC at both ends of the road."""
-        return 0 <= lane < self.lane_count and NPC_LENGTH < along < self.length - NPC_LENGTH
+        return 0 <= lane < self.lane_count and CAR.length < along < self.length - CAR.length
 
     def ego_start(self, headway: float, clearance: float) -> float:
         """Return the ego's place along the road at the start [m]."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from functools import partial
 from itertools import pairwise
 from typing import Any
 
@@ -12,14 +12,12 @@ import numpy as np
 import numpy.typing as npt
 
 from pytest_pafot.model.trace import FloatArray, Lane
+from pytest_pafot.model.vehicle_type import CAR, TIGHTEST
 from pytest_pafot.support.errors import WorldError
-from pytest_pafot.world.kernel.bodies import NPC_LENGTH
 from pytest_pafot.world.limits import NpcLimits
-from pytest_pafot.world.roads.network import Column, NetworkRoad, allowed_speeds, leans, sharpest_ahead
+from pytest_pafot.world.roads.network import Column, NetworkRoad, Shaped, allowed_speeds, leans, sharpest_ahead
 from pytest_pafot.world.roads.route import STEP, LaneIndex, Line, Piece, is_dead_end, line_of, way, wrapped
 
-TIGHTEST = 1 / 6.5
-"""The curvature of the tightest bend that an NPC can follow [1/m]."""
 SHORTEST_LANE = 10.0
 """The least length of a lane next to the way; the grid ignores shorter lanes [m]."""
 BEYOND_ENDS = 0.5
@@ -34,8 +32,8 @@ EVENED = 2.0
 """The length scale over which sideways steps of a lane are rounded off [m]."""
 LANE_CHANGE = 25.0
 """The length of a lane change at the speeds at which bends matter [m]."""
-STOP_BEFORE_END = NPC_LENGTH / 2 + 1.5
-"""The distance between an NPC's centre and the end of its lane when it stops there [m]."""
+STOP_BEFORE_END = CAR.length / 2 + 1.5
+"""The distance between a car's centre and the end of its lane when it stops there [m]."""
 POINT_STEP = 2.0
 """The distance between the points of a lane in a trace [m]."""
 ROOM_BEHIND = 150.0
@@ -70,18 +68,21 @@ def survey(env: Any, name: str, limits: NpcLimits, ahead: float) -> NetworkRoad:
     if abs(curvature[worst]) > TIGHTEST:
         raise WorldError(
             field=name,
-            expected=f"bends that a vehicle of {NPC_LENGTH:g} m can follow, with a radius of at least "
+            expected=f"bends that a vehicle of {CAR.length:g} m can follow, with a radius of at least "
             f"{1 / TIGHTEST:g} m",
             received=f"a radius of {1 / abs(curvature[worst]):.1f} m at x = {line.x[worst]:.0f} m, "
             f"y = {line.y[worst]:.0f} m",
         )
     start = _place(line, first, np.asarray(pieces[first].lane.position(at, 0)))
-    columns, lanes = _columns(line, strips, limits, is_dead_end=is_dead_end(network, pieces[-1]))
+    shaped = partial(_columns, line, strips, is_dead_end=is_dead_end(network, pieces[-1]))
+    columns, lanes = shaped(limits)
     sections = frozenset(piece.index[:2] for piece in pieces)
     others = {index: lane for index, lane in network.lanes_dict().items() if index[:2] not in sections}
     road = NetworkRoad(
         lanes=(*lanes, *(_other_lane(lane, speed) for lane in others.values())),
         columns=columns,
+        shaped=shaped,
+        limits=limits,
         sections=sections,
         route=tuple(piece.index for piece in pieces),
         others=tuple(others),
@@ -92,7 +93,7 @@ def survey(env: Any, name: str, limits: NpcLimits, ahead: float) -> NetworkRoad:
         ego_lane=sorted(strips).index(0),
         ego_speed=speed,
     )
-    if road.end - road.start < 2 * NPC_LENGTH:
+    if road.end - road.start < 2 * CAR.length:
         raise WorldError(
             field=name,
             expected="a road that goes on ahead of the ego's start",
@@ -237,14 +238,13 @@ def curvature_of(line: Line) -> FloatArray:
     return _curvature(line.heading, np.arange(len(line.x), dtype=np.float64) * STEP)
 
 
-def lone_column(line: Line, pieces: Sequence[Piece], limits: NpcLimits, ego_speed: float, parts: list[int]) -> Column:
-    """Return the only lane along a line of pieces; ``parts`` has the index in ``Trace.lanes`` at each point."""
+def lone_column(line: Line, pieces: Sequence[Piece], ego_speed: float) -> Shaped:
+    """Return a function that makes the only lane along a line of pieces, for an NPC with some limits and length."""
     strip = _Strip(len(line.x))
     strip.exists[:] = True
     for number, piece in enumerate(pieces):
         strip.limit[line.piece == number] = max(piece.lane.speed_limit or 0.0, ego_speed)
-    ((column,), _) = _columns(line, {0: strip}, limits)
-    return replace(column, part=parts)
+    return partial(_columns, line, {0: strip})
 
 
 def _curvature(direction: FloatArray, lengths: FloatArray) -> FloatArray:
@@ -255,7 +255,12 @@ def _curvature(direction: FloatArray, lengths: FloatArray) -> FloatArray:
 
 
 def _columns(
-    line: Line, strips: dict[int, _Strip], limits: NpcLimits, *, is_dead_end: bool = False
+    line: Line,
+    strips: dict[int, _Strip],
+    limits: NpcLimits,
+    vehicle_length: float = CAR.length,
+    *,
+    is_dead_end: bool = False,
 ) -> tuple[tuple[Column, ...], list[Lane]]:
     """Return the lanes of the way for driving, and for the trace: the first part of each lane, then all other parts.
 
@@ -279,11 +284,11 @@ def _columns(
         for order, part in enumerate(_parts(strip.exists)):
             x, y, direction, lengths = _course(line, strip.across, part)
             column["direction"][part] = direction
-            column["lean"][part] = leans(direction, lengths, NPC_LENGTH)
+            column["lean"][part] = leans(direction, lengths, vehicle_length)
             curvature = _curvature(direction, lengths)
             column["sharpest"][part] = sharpest_ahead(curvature, lengths, LANE_CHANGE)
             goes_on = part[-1] == len(line.x) - 1 and not (is_dead_end and number == 0)
-            stops = None if goes_on else float(lengths[-1]) - STOP_BEFORE_END
+            stops = None if goes_on else float(lengths[-1]) - (STOP_BEFORE_END + (vehicle_length - CAR.length) / 2)
             column["speed"][part] = allowed_speeds(curvature, strip.limit[part], stops, lengths, limits)
             lane = _lane(x, y, direction, lengths, float(strip.width[part].mean()), float(strip.limit[part].max()))
             part_of[part] = len(firsts) if order == 0 else len(numbers) + len(others)

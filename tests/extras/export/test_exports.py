@@ -12,6 +12,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
+from pytest_pafot import VehicleType
 from pytest_pafot.extras.export.exporter import centre_line, exporter
 from pytest_pafot.model.trace import HEADING, LANE, SPEED, Lane, X, Y
 from tests.helpers.tables import table
@@ -332,3 +333,13 @@ def test_lane_off_the_road_is_minus_one(exported):
     _, trace = exported
     rows = list(csv.DictReader(exporter("csv")(*exported).popitem()[1].decode().splitlines()))
     assert {int(row["lane"]) for row in rows} == set(trace.states[..., LANE].astype(int).ravel().tolist())
+
+
+@table(("kind", "category"), [("car", "car"), ("van", "van"), ("truck", "truck"), ("motorcycle", "motorbike")])
+def test_openscenario_knows_what_vehicle_an_npc_is(exported, kind, category):
+    pytest.importorskip("scenariogeneration")
+    finding, trace = exported
+    scenario = trace.scenario.with_vehicle(0, VehicleType.of(kind))
+    content = exporter("xosc")(finding, replace(trace, scenario=scenario))[f"{finding.id}.xosc"]
+    found = [each.get("vehicleCategory") for each in ElementTree.fromstring(content).iter("Vehicle")]
+    assert found[:2] == ["car", category]

@@ -77,9 +77,9 @@ def test_interpreted_and_compiled_npcs_do_the_same_manoeuvres(interpreted):
 
 
 def test_the_kernel_knows_highway_envs_vehicles():
-    from pytest_pafot.world.kernel.bodies import NPC_LENGTH, NPC_WIDTH
+    from pytest_pafot.model.vehicle_type import CAR
 
-    assert (Vehicle.LENGTH, Vehicle.WIDTH) == (NPC_LENGTH, NPC_WIDTH)
+    assert (CAR.length, CAR.width) == (Vehicle.LENGTH, Vehicle.WIDTH)
     body = bodies.Body(5.0, 2.0)
     body.place(0.0, 0.0, 0.0, Vehicle.MAX_SPEED + 1)
     body.acceleration = 3.0

@@ -38,7 +38,7 @@ def sensor_on(*npcs, ways, sight=None):
     vehicles, bodies = ([Body(5.0, 2.0) for _ in states] for _ in range(2))
     lines = [road.line, *(road.line if way is None else JUNCTION.ways[way].line for way in ways)]
     starts = [np.hypot(line.x - x, line.y - y).argmin() * STEP for line, (x, y, *_) in zip(lines, states, strict=True)]
-    own = [None, *(None if way is None else JUNCTION.own_ways[way] for way in ways)]
+    own = [None, *(None if way is None else JUNCTION.own_way(JUNCTION.ways[way]) for way in ways)]
     places = RoadPlaces(
         vehicles, bodies, road.bends, starts=starts, ways=own, end=road.end, beside=lambda *_: (-1, None), ticks=3
     )
@@ -52,7 +52,17 @@ def sensor_on(*npcs, ways, sight=None):
         places.see(rows, tick * len(states) * COLUMNS)
     zones = [None if way is None else JUNCTION.ways[way].way.zone for way in ways]
     common = road.lane_count, road.lane_width, road.speed_limit, road.end
-    return RoadSensor(places, rows, road.bends, zones, common, 15, 3, None if sight is None else (sight, 7))
+    return RoadSensor(
+        places,
+        rows,
+        road.bends,
+        [road.bends] * len(states),
+        zones,
+        common,
+        15,
+        3,
+        None if sight is None else (sight, 7),
+    )
 
 
 EGO_ENTERS, ENTERS = FROM_THE_RIGHT.way.zone.ego[0], FROM_THE_RIGHT.way.zone.npc[0]

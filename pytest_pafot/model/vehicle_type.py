@@ -1,0 +1,179 @@
+"""What kind of vehicle an NPC is: its size, and what it can do at most.
+
+Sources of the numbers:
+
+- SUMO, "Vehicle Type Parameter Defaults", https://sumo.dlr.de/docs/Vehicle_Type_Parameter_Defaults.html: sizes of the
+  classes ``delivery`` and ``motorcycle``; ``accel`` and ``emergencyDecel`` of all classes.
+- Directive 96/53/EC, Annex I: the largest length and width of a motor vehicle without a trailer, 12.00 m and 2.55 m.
+- Directive 92/6/EEC: a speed limitation device keeps a heavy goods vehicle to 90 km/h.
+- New Zealand's rule on vehicle dimensions and mass: a static rollover threshold of at least 0.35 g, beyond which a
+  loaded truck tips over.
+- UN Regulation 13: the brakes of a heavy vehicle decelerate it by at least 5 m/s^2.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
+from types import MappingProxyType
+from typing import Any
+
+from pytest_pafot.support.errors import FieldError, plain_number
+from pytest_pafot.support.shown import Pasteable
+
+BOUNDS: Mapping[str, tuple[float, float]] = MappingProxyType(
+    {
+        "length": (1.0, 20.0),
+        "width": (0.5, 3.0),
+        "acceleration": (0.5, math.inf),
+        "braking": (5.0, math.inf),
+        "lateral_acceleration": (1.0, math.inf),
+        "top_speed": (5.0, math.inf),
+    }
+)
+"""Smallest and largest value of each number of a vehicle. NPCs keep their distance as if all of them braked with 5
+m/s^2, which is also the least that UN Regulation 13 requires."""
+
+TIGHTEST = 1 / 6.5
+"""The curvature of the tightest bend that a car can follow [1/m]. The radius grows with the length of a vehicle."""
+
+LONGEST_NAME = 40
+"""The largest number of characters of a vehicle's name."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, repr=False)
+class VehicleType(Pasteable):
+    """A kind of vehicle: its size, and limits that it has in addition to those of the world for all NPCs.
+
+    ``pafot.CAR``, ``pafot.VAN``, ``pafot.TRUCK`` and ``pafot.MOTORCYCLE`` are ready ones. A limit that is not given is
+    that of the world, and so is a limit that is higher than the world's.
+
+    Attributes:
+        name: what people call it, such as ``"truck"``.
+        length, width: size of its box [m], from 1 to 20 and from 0.5 to 3; it is at least as long as it is wide.
+        acceleration: strongest acceleration [m/s^2], at least 0.5.
+        braking: strongest deceleration, as a positive number [m/s^2], at least 5.
+        lateral_acceleration: largest product of speed and turning rate [m/s^2], at least 1.
+        top_speed: highest speed [m/s], at least 5. An NPC that should start faster starts at this speed.
+
+    Raises:
+        FieldError: if a value is out of its bounds, or the name is that of a ready vehicle with other numbers.
+    """
+
+    name: str
+    length: float
+    width: float
+    acceleration: float = math.inf
+    braking: float = math.inf
+    lateral_acceleration: float = math.inf
+    top_speed: float = math.inf
+
+    def __post_init__(self) -> None:
+        is_text = isinstance(self.name, str) and self.name.isprintable() and self.name == self.name.strip()
+        if not is_text or not 1 <= len(self.name) <= LONGEST_NAME:
+            expected = f"a name of 1 to {LONGEST_NAME} printable characters"
+            raise FieldError(field="name", expected=expected, received=f"{self.name!r:.100}")
+        object.__setattr__(self, "name", str(self.name))
+        for name, (low, high) in BOUNDS.items():
+            given = getattr(self, name)
+            number = (
+                math.inf if high == math.inf and isinstance(given, float) and given == high else plain_number(given)
+            )
+            if number is None or not low <= number <= high:
+                most = "" if high == math.inf else f" to {high:g}"
+                expected = f"a number from {low:g}{most or ' on'}"
+                raise FieldError(field=name, expected=expected, received=f"{given!r:.100}")
+            object.__setattr__(self, name, number + 0.0)
+        if self.length < self.width:
+            expected = f"at least the width, {self.width:g}"
+            raise FieldError(field="length", expected=expected, received=f"{self.length:g}")
+        if READY.get(self.name, self) != self:
+            expected, fix = f"a name other than {', '.join(READY)}", f"write pafot.{self.name.upper()}, or another name"
+            raise FieldError(field="name", expected=expected, received=repr(self.name), fix=fix)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle so that a ready vehicle is the same object in every process, which is compared in no time."""
+        return VehicleType.of, (self.plain(),)
+
+    def __repr__(self) -> str:
+        # Not super(), which a dataclass with slots does not have.
+        return self.name.upper() if self.name in READY else Pasteable.__repr__(self)
+
+    def plain(self) -> str | dict[str, Any]:
+        """Return the name of a ready vehicle, or a mapping with all fields that were given."""
+        if self.name in READY:
+            return self.name
+        values = {each.name: getattr(self, each.name) for each in fields(self)}
+        return {name: value for name, value in values.items() if value != math.inf}
+
+    def can_follow(self, curvature: float) -> bool:
+        """Return whether the vehicle can follow a bend of a curvature [1/m]; a car can follow those of all roads."""
+        return self.length <= CAR.length or curvature <= TIGHTEST * CAR.length / self.length
+
+    @property
+    def described(self) -> str:
+        """The name and the size in words: ``truck, 12 x 2.55 m``."""
+        return f"{self.name}, {self.length:g} x {self.width:g} m"
+
+    @classmethod
+    def of(cls, given: Any) -> VehicleType:
+        """Return the vehicle for a ready one's name or a mapping of fields; a ``VehicleType`` is returned unchanged.
+
+        It is the inverse of :meth:`plain`.
+
+        Raises:
+            FieldError: for anything else.
+        """
+        if isinstance(given, VehicleType):
+            return given
+        if isinstance(given, str) and given in READY:
+            return READY[given]
+        if isinstance(given, Mapping) and {"name", "length", "width"} <= set(given) <= {
+            each.name for each in fields(cls)
+        }:
+            return cls(**given)
+        expected = f"one of {', '.join(READY)}, or pafot.VehicleType(name=..., length=..., width=...)"
+        raise FieldError(field="vehicle", expected=expected, received=f"{given!r:.100}")
+
+
+READY: Mapping[str, VehicleType] = MappingProxyType({})
+"""The ready vehicles by their names."""
+
+CAR = VehicleType(name="car", length=5.0, width=2.0)
+"""A car of highway-env's size, with the limits that the world sets for all NPCs."""
+
+VAN = VehicleType(name="van", length=6.5, width=2.16)
+"""A delivery van of SUMO's size. It accelerates and brakes as a car does, as in SUMO."""
+
+TRUCK = VehicleType(
+    name="truck", length=12.0, width=2.55, acceleration=1.3, braking=7.0, lateral_acceleration=3.4, top_speed=25.0
+)
+"""A loaded truck of the largest size without a trailer, with SUMO's acceleration and emergency braking of a truck, a
+lateral acceleration up to the threshold of rolling over, and a speed limitation device."""
+
+MOTORCYCLE = VehicleType(name="motorcycle", length=2.2, width=0.9, acceleration=6.0, braking=10.0)
+"""A motorcycle of SUMO's size, acceleration and braking. Usual worlds have lower limits, and then these hold."""
+
+READY = MappingProxyType({each.name: each for each in (CAR, VAN, TRUCK, MOTORCYCLE)})
+
+
+def without_last_cars(vehicles: Sequence[VehicleType]) -> tuple[VehicleType, ...]:
+    """Return vehicles of NPCs up to the last one that is no car, so that equal scenarios have equal vehicles."""
+    count = len(vehicles)
+    while count and vehicles[count - 1] == CAR:
+        count -= 1
+    return tuple(vehicles[:count])
+
+
+def named_vehicles(given: Any) -> tuple[VehicleType, ...]:
+    """Return the different vehicles of a sequence of vehicles or names, or of a single one, in their order.
+
+    Raises:
+        FieldError: if there is none, or one is unknown.
+    """
+    several = given if isinstance(given, Sequence) and not isinstance(given, str) else [given]
+    found = tuple(dict.fromkeys(VehicleType.of(each) for each in several))
+    if not found:
+        raise FieldError(field="vehicles", expected=f"one or more of {', '.join(READY)}", received=repr(given))
+    return found

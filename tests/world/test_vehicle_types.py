@@ -1,0 +1,193 @@
+"""NPCs of other sizes keep their own limits, and touch where their boxes do, on every road and in every engine."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from highway_env.vehicle.behavior import IDMVehicle
+
+from pytest_pafot import (
+    CAR,
+    MOTORCYCLE,
+    TRUCK,
+    VAN,
+    CrossingInstruction,
+    Drive,
+    LaneInstruction,
+    Manoeuvre,
+    PositionInstruction,
+    Scenario,
+    ScenarioError,
+    Step,
+    VehicleType,
+)  # fmt: skip
+from pytest_pafot.criticality.boxes import overlaps
+from pytest_pafot.criticality.measures import Encounters
+from pytest_pafot.extras.testing.traces import limits
+from pytest_pafot.findings.finding import disagreement
+from pytest_pafot.model.trace import SPEED, Outcome, X
+from pytest_pafot.oracle.run import Run
+from pytest_pafot.report.views import run_view
+from pytest_pafot.searching import sample
+from pytest_pafot.world import Highway, World
+from tests.helpers.road_cases import ROADS, space_of, violations, world_of
+from tests.helpers.stages import mostly_oracle
+from tests.helpers.world_cases import violations as violations_of_straight
+
+KINDS = (
+    CAR, VAN, TRUCK, MOTORCYCLE,
+    VehicleType(name="slow", length=18.0, width=2.55, acceleration=0.6, braking=5.0, lateral_acceleration=1.2,
+                top_speed=9.0),
+    VehicleType(name="tiny", length=1.0, width=0.5),
+)  # fmt: skip
+
+
+def keeping():
+    """Return a planner that keeps its lane and speed."""
+    return lambda seen: Drive(lane=max(seen.ego.lane, 0), acceleration=0.0)
+
+
+def idm():
+    return IDMVehicle
+
+
+def with_kinds(scenario, world, rng):
+    """Return a scenario with random vehicles, as far as they can follow the bends."""
+    ways = scenario.crossings or (None,) * len(scenario.npcs)
+    for npc, way in enumerate(ways):
+        kind = KINDS[int(rng.integers(len(KINDS)))]
+        if world.can_drive(kind) if way is None else kind.can_follow(world.crossings.ways[way.zone].sharpest):
+            scenario = scenario.with_vehicle(npc, kind)
+    return scenario
+
+
+@pytest.mark.parametrize("traffic", ["paper", "hostile", "everyday"])
+def test_own_limits_hold_on_a_straight_road(traffic):
+    world, rng = Highway(duration=20.0), np.random.default_rng(4)
+    for number in range(12):
+        scenario = with_kinds(sample(space_of(world, npcs=number % 5 + 1, traffic=traffic), rng), world, rng)
+        for ego in (keeping, idm):
+            trace = world.rollout(scenario, ego)
+            assert violations_of_straight(trace, world.limits, world.speed_limit) == [], scenario
+            assert trace.sizes[1:].tolist() == [[each.length, each.width] for each in scenario.all_vehicles]
+            assert world.rollout(trace.executed, ego).states.tobytes() == trace.states.tobytes()
+
+
+@pytest.mark.parametrize("env_id", mostly_oracle(ROADS, "merge-v1", "roundabout-v1", "intersection-v0"))
+def test_own_limits_hold_on_every_road(env_id):
+    world, rng = world_of(env_id, duration=10.0), np.random.default_rng(3)
+    space = space_of(world, traffic="hostile")
+    for ego in (idm, idm, idm):
+        scenario = with_kinds(sample(space, rng), world, rng)
+        trace = world.rollout(scenario, ego)
+        assert violations(trace, world) == [], trace.scenario
+        assert world.rollout(trace.executed, ego).states.tobytes() == trace.states.tobytes()
+
+
+def test_own_limits_hold_on_ways_that_cross():
+    world, rng = world_of("intersection-v0"), np.random.default_rng(8)
+    space, crossing = replace(space_of(world, npcs=3, traffic="hostile"), crossings=world.crossings), set()
+    for _ in range(12):
+        scenario = with_kinds(sample(space, rng), world, rng)
+        crossing |= {kind for kind, way in zip(scenario.all_vehicles, scenario.crossings, strict=False) if way}
+        broken = [promise for is_kept, promise, _ in limits(world, world.rollout(scenario, idm)) if not is_kept]
+        assert broken == [], scenario
+    assert {CAR, TRUCK, MOTORCYCLE} < crossing
+
+
+@pytest.mark.parametrize("env_id", ["highway-v0", *mostly_oracle(ROADS, "merge-v1", "intersection-v0")])
+def test_the_plain_environment_agrees(env_id):
+    world, rng = world_of(env_id, duration=6.0), np.random.default_rng(6)
+    space = replace(space_of(world, npcs=3, traffic="hostile"), crossings=world.crossings)
+    for _ in range(2):
+        first = world.rollout(with_kinds(sample(space, rng), world, rng), idm)
+        again = world.rollout_in_gym(first.executed, idm)
+        assert disagreement(Run(first), Run(again)) == ""
+        assert first.states == pytest.approx(again.states, abs=1e-9)
+        assert first.sizes.tolist() == again.sizes.tolist()
+
+
+@pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.name)
+def test_road_director_of_a_straight_line_drives_the_same(kind):
+    """The environment's straight road begins elsewhere than that of a Highway; otherwise the runs are the same."""
+    chains = [[LaneInstruction("left", 20.0), LaneInstruction("right", 8.0)], [PositionInstruction(6, 24.0)] * 2]
+    scenario = Scenario(npcs=chains, gene_seconds=4.0, vehicles=(kind, kind), ego_speed=20.0)
+    straight = Highway(lanes=4, speed_limit=30.0, physics_hz=15, ads_hz=1).rollout(scenario, keeping)
+    other = World("highway-v0", {"lanes_count": 4, "simulation_frequency": 15, "policy_frequency": 1}, planner_hz=1)
+    trace = other.rollout(scenario, keeping)
+    assert np.array_equal(trace.npcs[..., SPEED], straight.npcs[..., SPEED])
+    assert trace.npcs[..., X] - trace.ego[:1, :1] == pytest.approx(straight.npcs[..., X] - straight.ego[:1, :1])
+
+
+@pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.name)
+@pytest.mark.parametrize("cell", [2, 4])
+def test_a_run_ends_exactly_when_the_boxes_touch(kind, cell):
+    def into_it():
+        return lambda seen: (3.0, 0.0) if cell == 2 else (0.0, 0.05)
+
+    still = Scenario(npcs=[[PositionInstruction(cell, 12.0 if cell == 2 else 22.0)] * 3], vehicles=(kind,))
+    trace = Highway().rollout(still, into_it)
+    touching = overlaps(Encounters(trace).pairs)[0]
+    assert trace.outcome is Outcome.COLLISION
+    assert touching.nonzero()[0].tolist() == [trace.ticks]
+    assert trace.collision.side == ("front" if cell == 2 else "right")
+
+
+def test_a_truck_keeps_the_gaps_of_a_car_and_needs_more_room():
+    """Behind the ego and ahead of it, gaps are bumper to bumper; side by side, a truck is in its cell later."""
+    for cell in (2, 6):
+        chain = [PositionInstruction(cell, 15.0)] * 2
+        gaps = []
+        for kind in (CAR, VAN):
+            trace = Highway().rollout(Scenario(npcs=[chain], vehicles=(kind,), ego_speed=15.0), keeping)
+            run = Run(trace)
+            gaps.append(run.npcs[0].gap[0])
+        assert gaps[0] == pytest.approx(gaps[1])
+
+
+def test_a_vehicle_starts_no_faster_than_it_can_drive():
+    trace = Highway().rollout(Scenario(npcs=[[PositionInstruction(2, 26.0)]], ego_speed=26.8, vehicles=("truck",)), idm)
+    assert trace.npcs[0, 0, SPEED] == trace.npcs[:, 0, SPEED].max() == 25.0
+
+
+def test_a_vehicle_that_is_too_long_for_a_bend_is_refused():
+    world = world_of("intersection-v0")
+    turning, straight = CrossingInstruction("o3>o0", 0.0, 8.0), CrossingInstruction("o1>o3", 0.0, 8.0)
+    lane, speed = world.start
+    common = {"ego_lane": lane, "ego_speed": speed, "vehicles": ("truck",)}
+    world.check_fits(Scenario(npcs=[[straight]], **common))
+    with pytest.raises(ScenarioError, match=r"vehicles\[0\]: expected a vehicle that can follow the bends of o3>o0"):
+        world.check_fits(Scenario(npcs=[[turning]], **common))
+
+
+def test_a_manoeuvre_starts_at_its_gap_whatever_the_vehicle_is():
+    asked = Manoeuvre(beside=0, ahead=20.0, speed=20.0, steps=(Step(after=1.0, speed=10.0, acceleration=3.0),))
+    for kind in KINDS[:4]:
+        trace = Highway().rollout(Scenario(npcs=[[asked]], ego_speed=20.0, vehicles=(kind,)), idm)
+        assert Run(trace).npcs[0].gap[0] == pytest.approx(20.0)
+
+
+def test_starts_that_would_touch_are_refused():
+    ahead = [[Manoeuvre(beside=0, ahead=place, speed=20.0)] for place in (10.0, 20.0)]
+    Highway().check_fits(Scenario(npcs=ahead, vehicles=("van",)))
+    with pytest.raises(ScenarioError, match=r"npcs\[1\]: expected a start at least 0.5 m from npcs\[0\]"):
+        Highway().check_fits(Scenario(npcs=ahead, vehicles=("truck",)))
+
+
+def test_explanation_and_picture_say_what_a_vehicle_is():
+    scenario = Scenario(npcs=[[PositionInstruction(2, 10.0)] * 2, [PositionInstruction(1, 22.0)] * 2], vehicles=[TRUCK])
+    trace = Highway().rollout(scenario, keeping)
+    assert "\n  NPC 0 is a truck, 12 x 2.55 m\n" in Run(trace).explain()
+    assert [each.name for each in run_view(trace).vehicles] == ["ego", "NPC 0, truck", "NPC 1"]
+    assert str(scenario).endswith(": truck 2@10 2@10; 1@22 1@22>")
+    assert " is a " not in Run(Highway().rollout(replace(scenario, vehicles=()), keeping)).explain()
+
+
+def test_a_planner_sees_how_large_a_vehicle_is():
+    seen = []
+    scenario = Scenario(npcs=[[PositionInstruction(2, 10.0)]], vehicles=["truck"])
+    for world in (Highway(), World("merge-v0", planner_hz=5)):
+        world.rollout(scenario, lambda: lambda observation: (seen.append(observation), (0.0, 0.0))[1])
+    assert {(each.others[0].length, each.others[0].width) for each in seen} == {(12.0, 2.55)}
