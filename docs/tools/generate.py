@@ -5,10 +5,10 @@ Run it after a change of the code or of the tables: ``python docs/tools/generate
 
 from __future__ import annotations
 
-import math
 import argparse
 import ast
 import inspect
+import math
 import re
 import textwrap
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -43,7 +43,6 @@ from pytest_pafot.findings.neighbours import Breadth
 from pytest_pafot.findings.shrink import Shrunk, SpeedInterval
 from pytest_pafot.model.crossings import Zone
 from pytest_pafot.model.driving_style import PARTS, STYLES, Traffic
-from pytest_pafot.model.vehicle_type import READY, VehicleType
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.scenario import (
     CrossingInstruction,
@@ -54,6 +53,7 @@ from pytest_pafot.model.scenario import (
     Step,
 )
 from pytest_pafot.model.trace import Collision, Outcome
+from pytest_pafot.model.vehicle_type import READY, VehicleType
 from pytest_pafot.oracle.checks import check
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.plugin import fixtures
