@@ -110,7 +110,7 @@ def test_the_plain_environment_agrees(env_id):
 
 
 @pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.name)
-def test_road_director_of_a_straight_line_drives_the_same(kind):
+def test_straight_road_of_an_environment_drives_the_same(kind):
     """The environment's straight road begins elsewhere than that of a Highway; otherwise the runs are the same."""
     chains = [[LaneInstruction("left", 20.0), LaneInstruction("right", 8.0)], [PositionInstruction(6, 24.0)] * 2]
     scenario = Scenario(npcs=chains, gene_seconds=4.0, vehicles=(kind, kind), ego_speed=20.0)
@@ -135,8 +135,7 @@ def test_a_run_ends_exactly_when_the_boxes_touch(kind, cell):
     assert trace.collision.side == ("front" if cell == 2 else "right")
 
 
-def test_a_truck_keeps_the_gaps_of_a_car_and_needs_more_room():
-    """Behind the ego and ahead of it, gaps are bumper to bumper; side by side, a truck is in its cell later."""
+def test_starts_are_measured_from_bumper_to_bumper():
     for cell in (2, 6):
         chain = [PositionInstruction(cell, 15.0)] * 2
         gaps = []
