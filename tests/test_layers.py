@@ -86,7 +86,7 @@ QUESTIONS = {
     "report/animation.py": 2,  # whether lanes have points, whatever the road
     "report/views.py": 1,  # two kinds of pictures, and the page has both
     "searching/evaluation.py": 2,  # how far ahead is along the ego's heading there; and whether NPCs can cross
-    "searching/space.py": 2,  # whether NPCs can cross at all
+    "searching/space.py": 3,  # whether NPCs can cross at all
     "world/built_in.py": 1,  # hands the straight road to whoever draws starts on it
     "world/driving/compiled_vehicle.py": 4,  # highway-env's vehicles have two compiled classes, by their lanes
     "world/engines/policies.py": 1,  # the same

@@ -122,12 +122,9 @@ class Rules:
         """Refuse a vehicle that is too long for the bends of its way."""
         for npc, vehicle in enumerate(scenario.vehicles):
             crossing = scenario.crossings[npc] if scenario.crossings else None
-            if crossing is None or self.crossings is None:
-                where, does_fit = "the road", self.road.can_drive(vehicle)
-            else:
-                where, does_fit = crossing.zone, vehicle.can_follow(self.crossings.ways[crossing.zone].sharpest)
-            if not does_fit:
-                expected = f"a vehicle that can follow the bends of {where}"
+            zone = None if crossing is None else crossing.zone
+            if not self.road.can_drive(vehicle, zone):
+                expected = f"a vehicle that can follow the bends of {zone or 'the road'}"
                 least = vehicle.length / (TIGHTEST * CAR.length)
                 fix = f"it needs a radius of {least:.1f} m; give the NPC a shorter vehicle, or another way"
                 raise ScenarioError(field=f"vehicles[{npc}]", expected=expected, received=vehicle.described, fix=fix)

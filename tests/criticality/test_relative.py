@@ -17,6 +17,7 @@ from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.kernel.loop import EgoDriver
 from pytest_pafot.world.kernel.observation import COLUMNS
 from pytest_pafot.world.kernel.places import RoadPlaces
+from pytest_pafot.world.limits import NpcLimits
 from pytest_pafot.world.roads.network import Column, NetworkRoad
 from pytest_pafot.world.roads.route import STEP, Line
 from tests.helpers.traces import LANE_WIDTH, LENGTH, WIDTH, scenario_of, trace_of, vehicle
@@ -57,6 +58,7 @@ def circle():
         lanes=lanes,
         columns=columns,
         shaped=lambda *_: (columns, list(lanes)),
+        limits=NpcLimits(),
         sections=frozenset(),
         route=(),
         others=(),

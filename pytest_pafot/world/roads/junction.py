@@ -202,6 +202,10 @@ class JunctionRoad(NetworkRoad):
         ways = [None if each is None else self.junction.own_way(each) for each in self.ways(scenario)]
         return ways or super().own_ways(scenario)
 
+    def can_drive(self, vehicle: VehicleType, zone: str | None = None) -> bool:
+        """Return whether a vehicle can follow all bends along the ego's way, or along the way of a zone if given."""
+        return super().can_drive(vehicle) if zone is None else vehicle.can_follow(self.crossings.ways[zone].sharpest)
+
     def director(
         self, scenario: Scenario, limits: NpcLimits, cells: frozenset[Cell], **common: Any
     ) -> Director | JunctionDirector:

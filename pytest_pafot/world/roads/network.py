@@ -330,8 +330,8 @@ class NetworkRoad(Road):
         """Return the cells around the ego's start whose centres are on lanes."""
         return self.cells(self.start, lane, distance)
 
-    def can_drive(self, vehicle: VehicleType) -> bool:
-        """Return whether a vehicle can follow all bends along the way."""
+    def can_drive(self, vehicle: VehicleType, zone: str | None = None) -> bool:
+        """Return whether a vehicle can follow all bends along the ego's way, the only one here."""
         return all(vehicle.can_follow(max(column.sharpest)) for column in self.columns)
 
     def start_speed(self, wanted: float, lane: int, along: float, vehicle: VehicleType) -> float:

@@ -128,8 +128,8 @@ class Road(ABC):
     def start_cells(self, lane: int, distance: float) -> frozenset[Cell]:
         """Return the cells around the ego's start in a lane that NPCs can start in, with ``distance`` to a row [m]."""
 
-    def can_drive(self, vehicle: VehicleType) -> bool:
-        """Return whether an NPC around the ego can be a given vehicle."""
+    def can_drive(self, vehicle: VehicleType, zone: str | None = None) -> bool:
+        """Return whether a vehicle can follow all bends along the ego's way, or along the way of a zone if given."""
         return True
 
     def start_speed(self, wanted: float, lane: int, along: float, vehicle: VehicleType) -> float:

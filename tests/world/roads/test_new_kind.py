@@ -10,7 +10,7 @@ from functools import cached_property
 import numpy as np
 
 import pytest_pafot as pafot
-from pytest_pafot import Highway, LaneInstruction, PositionInstruction, Scenario
+from pytest_pafot import CAR, Highway, LaneInstruction, PositionInstruction, Scenario
 from pytest_pafot.model.trace import HEADING, SPEED
 from pytest_pafot.world.kernel.observation import COLUMNS, Observer, Sensor
 from pytest_pafot.world.kernel.places import Places
@@ -57,7 +57,7 @@ class TurnedRoad(StraightRoad):
         cos, sin = math.cos(ANGLE), math.sin(ANGLE)
         return x * cos + y * sin, y * cos - x * sin, heading - ANGLE
 
-    def position(self, longitudinal, lane):
+    def position(self, longitudinal, lane, vehicle=CAR):
         cos, sin, across = math.cos(ANGLE), math.sin(ANGLE), self.centre(lane)
         return longitudinal * cos - across * sin, longitudinal * sin + across * cos, ANGLE
 
