@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Collection, Iterable, Sequence, Set
 from dataclasses import dataclass, field
+from itertools import filterfalse
 from typing import Any
 
 from pytest_pafot.campaign.bench import Bench
@@ -132,7 +133,7 @@ class Blocks:
             # While all processes drive blocks, this one makes its runs itself, unless they may end it.
             is_safe = not (self._has_died or bench.harness.request.settings.isolate)
             if ahead is not None and not (self._driven and is_safe):
-                bench.runner.announce((each for each in ahead if each not in fatal), more=plan.length is not None)
+                bench.runner.announce(filterfalse(fatal.__contains__, ahead), more=plan.length is not None)
             self._foresee(fatal)
             scenario = plan.scenario()
         if scenario in fatal:
@@ -220,7 +221,7 @@ class Blocks:
             block = self._later.get(number)
             if block is None:
                 block = self._later[number] = plan.beginning(number)
-                processes.announce_later(each for each in plan.within(block) if each not in fatal)
+                processes.announce_later(filterfalse(fatal.__contains__, plan.within(block)))
             # A block goes on to its next generation as soon as all runs of the last one have come.
             while block.generation // plan.length == number:
                 runs = processes.arrived(block.drawn)
@@ -240,4 +241,4 @@ class Blocks:
                     block.take(each)
                 block.learn()
                 if block.generation // plan.length == number:
-                    processes.announce_later(each for each in plan.within(block) if each not in fatal)
+                    processes.announce_later(filterfalse(fatal.__contains__, plan.within(block)))

@@ -6,7 +6,7 @@ import difflib
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
+from functools import cached_property
 from itertools import pairwise, takewhile
 from typing import TYPE_CHECKING, Any, Literal, Protocol
 
@@ -761,4 +761,4 @@ def _gene(trace: Trace, npc: int, genes: range, reached: str, names_side: bool) 
     arrivals = (arrival(trace, npc, each) for each in genes if each < len(chain))
     tick = next((each for each in arrivals if each is not None), None)
     end = "not reached" if tick is None else f"{reached}{tick / trace.physics_hz:.1f} s"
-    return instruction.row(partial(lanes_apart, trace, npc, gene), end, names_side=names_side)
+    return instruction.row(lanes_apart(trace, npc, gene), end, names_side=names_side)

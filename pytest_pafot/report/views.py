@@ -6,7 +6,6 @@ import math
 import shlex
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from functools import partial
 from itertools import pairwise
 from textwrap import dedent
 
@@ -458,7 +457,7 @@ def _instructions(trace: Trace | None, scenario: Scenario) -> tuple[InstructionV
             end = (gene + 1) * wanted.gene_seconds
             if followed.is_alone and trace is not None:  # it lasts for the whole run
                 end = max(end, trace.duration)
-            apart = partial(float, math.nan) if trace is None else partial(lanes_apart, trace, npc, gene)
+            apart = math.nan if trace is None else lanes_apart(trace, npc, gene)
             zone = zones[npc]
             view = InstructionView(
                 npc=npc,

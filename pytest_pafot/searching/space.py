@@ -297,8 +297,12 @@ class SearchSpace:
         return int(rng.integers(math.ceil(low - 1e-6), math.floor(high + 1e-6) + 1)) / SPEED_STEPS_PER_MPS
 
 
-def space_on(world: Any, given: Mapping[str, Any], start: tuple[int, float, int] | None = None) -> SearchSpace:
-    """Return the space of scenarios in a world, with enough genes for the longest run unless their number is given.
+def space_on(
+    speed_limit: float, longest_run: float, given: Mapping[str, Any], start: tuple[int, float, int] | None = None
+) -> SearchSpace:
+    """Return the space of scenarios in a world with a speed limit [m/s] and a longest run [s].
+
+    There are enough genes for the longest run, unless their number is given.
 
     On a bent road the environment gives the ``start``: the ego's lane and speed [m/s], and the world's ticks per
     second. All genes together then last as long as the longest run. There are at least three genes, of about ten
@@ -307,7 +311,6 @@ def space_on(world: Any, given: Mapping[str, Any], start: tuple[int, float, int]
     Raises:
         TypeError, ValueError: if a field in ``given`` is unknown or out of range, or the world cannot be built.
     """
-    speed_limit, longest_run = float(world.speed_limit), float(world.longest_run)
     wanted = dict(given)
     if start is not None:
         lane, speed, physics_hz = start

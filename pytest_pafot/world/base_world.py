@@ -284,7 +284,7 @@ class BaseWorld(ABC):
         """Return the space of scenarios with the given fields that fits the world, see ``space_on``."""
         from pytest_pafot.searching.space import space_on  # noqa: PLC0415  (slow to import, and many worlds need none)
 
-        return space_on(self, given, self.road_start)
+        return space_on(float(self.speed_limit), float(self.longest_run), given, self.road_start)
 
     @property
     def most_on_grid(self) -> int:

@@ -49,7 +49,8 @@ def counted(pair: tuple[str, str], tenth: int, runs: int, first_seed: int, instr
     """Count the endings of the runs of some scenarios."""
     policy, style = pair
     world, ads = pafot.Highway(ads_hz=15), POLICIES[policy]()
-    space = space_on(world, {**drawn_space(world, {"instructions": instructions}), "traffic": Traffic.of(style)})
+    given = {**drawn_space(world, {"instructions": instructions}), "traffic": Traffic.of(style)}
+    space = space_on(world.speed_limit, world.longest_run, given)
     counts: Counter[str] = Counter()
     size = max(runs // TENTHS // (TENTHS if policy == SLOW else 1), 1)
     for number in range(tenth * size, (tenth + 1) * size):

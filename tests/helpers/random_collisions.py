@@ -191,7 +191,7 @@ def motorway(rng: random.Random) -> Highway:
 def crossing_space(world: Any, rng: random.Random) -> SearchSpace:
     """Return a search space with NPCs that cross, with all acts."""
     given = {"npcs": rng.randint(1, 3), "crossings": world.crossings, "most_on_grid": 1, "acts": get_args(Act)}
-    return space_on(world, given, world.road_start)
+    return space_on(world.speed_limit, world.longest_run, given, world.road_start)
 
 
 def motorway_space(world: Highway, rng: random.Random) -> SearchSpace:

@@ -61,7 +61,7 @@ def world_of(env_id, duration=None):
 
 def space_of(world, npcs=2, traffic="paper"):
     """Return the plugin's search space in a world with its own start."""
-    return space_on(world, {"npcs": npcs, "traffic": traffic}, world.road_start)
+    return space_on(world.speed_limit, world.longest_run, {"npcs": npcs, "traffic": traffic}, world.road_start)
 
 
 def wrapped(angle):

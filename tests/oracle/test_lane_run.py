@@ -13,7 +13,7 @@ from tests.helpers.traces import trace_of, vehicle
 
 
 def lane_text(trace, npc, gene):
-    return trace.executed.npcs[npc][gene].words(lambda: lanes_apart(trace, npc, gene))
+    return trace.executed.npcs[npc][gene].words(lanes_apart(trace, npc, gene))
 
 
 def in_lanes(text):

@@ -103,7 +103,8 @@ def test_vehicles_are_drawn_at_their_places():
 
 
 def test_animation_contains_only_end_of_a_long_run():
-    view = view_of(trace_of(vehicle(0.0, 4.0, speed=20.0, ticks=300), scenario=scenario([(2, 20.0)])))
+    two = [vehicle(x, 4.0, speed=20.0, ticks=300) for x in (0.0, 60.0)]
+    view = view_of(trace_of(*two, scenario=scenario([(2, 20.0)])))
     view = replace(view, event=replace(view.event, time=15.0))
     times = [view.times[index] for index in shown_frames(view)]
     assert 9.0 <= times[0] <= 9.2

@@ -116,7 +116,8 @@ def test_instructions_include_requested_and_driven_cells():
 
 
 def test_genes_that_the_run_never_reached_are_marked():
-    trace = replace(braking_ahead(), scenario=CUT_IN, executed=CUT_IN, arrivals=((15,), (3,)))
+    vehicles = [vehicle(x, y, speed=20.0, ticks=52) for x, y in ((0.0, 4.0), (40.0, 4.0), (0.0, 8.0))]
+    trace = trace_of(*vehicles, scenario=CUT_IN, arrivals=((15,), (3,)))
     assert [row.started for row in view_of(trace).instructions] == [True, False, True, False]
 
 

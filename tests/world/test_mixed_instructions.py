@@ -39,7 +39,7 @@ def idm():
 def space_in(world, **given):
     """Return the space of scenarios of both kinds, and of all that cross, in a world."""
     given = {"instructions": "both", "npcs": 3, "crossings": world.crossings, "gene_seconds": 2.0, **given}
-    return space_on(world, given, world.road_start)
+    return space_on(world.speed_limit, world.longest_run, given, world.road_start)
 
 
 def repeated(world, scenario, ego):

@@ -5,7 +5,7 @@ Source: Crespo-Rodriguez, Neelofar, Aleti, "PAFOT", AST 2024, sections 2 and 3.2
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
@@ -111,7 +111,7 @@ class PositionInstruction(TimedInstruction):
         """Return when the NPC drives into the cell."""
         return f"from {round(seconds, 1):g} s in cell {int(self.cell)} ({self.cell.label})"
 
-    def shown(self, requested: Any, apart: Callable[[], float], whence: str) -> Mapping[str, Any]:
+    def shown(self, requested: Any, apart: float, whence: str) -> Mapping[str, Any]:
         """Return the requested cell and the one that was driven."""
         return {"requested": int(requested.cell), "cell": int(self.cell)}
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, get_args
 
@@ -229,7 +229,7 @@ class CrossingInstruction(Instruction):
         """Return the zone and the slot, which hold for the whole run."""
         return f"on {self.goal}"
 
-    def shown(self, requested: Any, apart: Callable[[], float], whence: str) -> Mapping[str, Any]:
+    def shown(self, requested: Any, apart: float, whence: str) -> Mapping[str, Any]:
         """Return the zone and the slot."""
         slot = f"{self.slot:+g} s" if self.slot else "together"
         return {"zone": self.zone, "slot": slot, "words": self.words_from(whence)}

@@ -306,14 +306,14 @@ class Instruction(Pasteable, ABC):
         """The slot that the NPC is to keep until it has passed [s]; None if it is to keep none."""
         return None
 
-    def words(self, apart: Callable[[], float]) -> str:
+    def words(self, apart: float) -> str:
         """Return the instruction as driven in words.
 
-        ``apart`` returns how many lanes to the right of the ego the NPC is when it begins; NaN if it is unknown.
+        ``apart`` says how many lanes to the right of the ego the NPC is when it begins; NaN if it is unknown.
         """
         return self.goal
 
-    def row(self, apart: Callable[[], float], end: str, *, names_side: bool) -> str:
+    def row(self, apart: float, end: str, *, names_side: bool) -> str:
         """Return the words for a table; ``end`` says when the target was reached."""
         return f"{self.words(apart)} {self.speed:.1f} m/s {end}"
 
@@ -325,7 +325,7 @@ class Instruction(Pasteable, ABC):
         """Return when and where it begins, in words, if it does so ``seconds`` after the beginning of the run."""
         return f"from {round(seconds, 1):g} s {self.goal}"
 
-    def shown(self, requested: Any, apart: Callable[[], float], whence: str) -> Mapping[str, Any]:
+    def shown(self, requested: Any, apart: float, whence: str) -> Mapping[str, Any]:
         """Return the fields of the page's view of this instruction, which was driven instead of ``requested``.
 
         ``apart`` is that of :meth:`words`; ``whence`` says where an NPC that crosses comes from.

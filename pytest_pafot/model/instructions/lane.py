@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any, Literal, get_args
@@ -120,9 +120,9 @@ class LaneInstruction(TimedInstruction):
         others = [lane for lane in SHIFTS if lane != self.lane]
         return replace(self, lane=others[int(2 * nudge.draw())])
 
-    def words(self, apart: Callable[[], float]) -> str:
+    def words(self, apart: float) -> str:
         """Return the change of lanes as seen from the ego: ``from the left into the ego's lane``."""
-        before = apart()
+        before = apart
         if math.isnan(before):
             return self.goal
         after = before + self.column
@@ -134,7 +134,7 @@ class LaneInstruction(TimedInstruction):
         place = f"the {number}lane {'left' if after < 0 else 'right'} of the ego" if after else "the ego's lane"
         return f"{'keep' if before == after else 'into'} {place}"
 
-    def row(self, apart: Callable[[], float], end: str, *, names_side: bool) -> str:
+    def row(self, apart: float, end: str, *, names_side: bool) -> str:
         """Return the words, without the side if there is no room for it, and the end of a change of lanes."""
         words = self.words(apart)
         words = words if names_side else re.sub("^from the [a-z]+ | to the [a-z]+$", "", words)
@@ -148,7 +148,7 @@ class LaneInstruction(TimedInstruction):
         """Return when the NPC keeps or changes its lane."""
         return f"from {round(seconds, 1):g} s {'in its lane' if self.lane == 'keep' else self.goal}"
 
-    def shown(self, requested: Any, apart: Callable[[], float], whence: str) -> Mapping[str, Any]:
+    def shown(self, requested: Any, apart: float, whence: str) -> Mapping[str, Any]:
         """Return the lane that was driven, and the requested one if it was a different one."""
         words = self.words(apart) + ("" if self == requested else f" (requested {requested.goal})")
         return {"lane": self.lane, "words": words}
