@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import ChainMap
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -79,7 +80,11 @@ class Cast:
         self.root, self.options = root, options
         self._sought: list[str] = []  # the vehicles whose places are being found
         self._board = root.get("Storyboard")
-        self.entities = {each.name: each for each in map(self._entity, self._objects())}
+        self.entities: dict[str, Entity] = {}
+        for each in map(self._entity, self._objects()):
+            if each.name in self.entities:
+                raise each.place.error("a name that no other vehicle has", f"{each.name!r:.60}", "rename it", "name")
+            self.entities[each.name] = each
 
     def _objects(self) -> Iterator[Element]:
         for each in self.root.get("Entities").children:
@@ -118,7 +123,7 @@ class Cast:
         for path in self.options.vehicles:
             catalog = read_xml(Path(path))
             removed(catalog, frozenset(self.options.without))
-            resolved(catalog, {})
+            resolved(catalog, ChainMap())
             known += catalog.all("Catalog/Vehicle")
         for each in known:
             if each.values.get("name") == wanted:
