@@ -10,10 +10,9 @@ from pathlib import Path
 from typing import NamedTuple
 
 from pytest_pafot.extras.recordings.openscenario_parameters import resolved
+from pytest_pafot.extras.recordings.recording import EGO_NAMES
 from pytest_pafot.extras.recordings.xml_data import Element, read_xml
 
-EGO_NAMES = ("ego", "hero", "egovehicle", "ego_vehicle")
-"""The names, in lower case, by which the ego is found if nobody names it."""
 OF_VEHICLES = ("ParameterDeclarations", "BoundingBox", "Performance", "Axles", "Properties", "TrailerHitch")
 BESIDE_MIDDLE = 0.15
 """The largest distance from the middle of a lane, as a share of the lane, at which a vehicle is placed there."""

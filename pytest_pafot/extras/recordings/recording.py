@@ -19,6 +19,8 @@ LONGEST_GAP = 1.0
 """The longest time for which a vehicle that was not seen is taken to have driven on evenly [s]."""
 STANDING = 0.5
 """The speed below which a direction that was computed from movements is noise [m/s]."""
+EGO_NAMES = ("ego", "hero", "egovehicle", "ego_vehicle")
+"""The names, in lower case, by which the ego is found if nobody names it."""
 LANE_WIDTH = 3.5
 """The width of the lanes of a recording that has none [m]."""
 LONGEST, MOST_NPCS, FARTHEST, MOST_BESIDE = 120.0, 8, 200.0, 8
@@ -170,7 +172,8 @@ class Recording:
         manoeuvre: its place relative to the ego, and steps by time, of speeds and changes of lanes, which follow its
         track whatever the policy does. They all are 5 m long, with the gaps of the recording between bumpers, and in
         the middle of lanes of 4 m. A vehicle that comes later is not in the scenario. One that leaves the recording
-        keeps its lane and speed.
+        keeps its lane and speed. The road has
+        lanes to the left of the recorded ones if a vehicle drives there.
 
         Args:
             ego: the vehicle in whose place the policy drives; the recording's ego by default.

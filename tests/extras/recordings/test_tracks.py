@@ -362,6 +362,12 @@ def test_gap_is_left_open_if_times_differ_so_little_that_millions_of_rows_would_
     assert len(pafot.recorded(path).vehicles[0].times) == 4
 
 
+def test_ego_of_a_table_is_found_by_any_usual_name(tmp_path):
+    path = tmp_path / "tracks.csv"
+    path.write_text("time,vehicle,x,y,heading,speed,length,width\n0,van,9,0,0,20,4,2\n0,Hero,0,0,0,20,4,2\n")
+    assert pafot.recorded(path).ego == "Hero"
+
+
 @table(
     "arguments, message",
     [
