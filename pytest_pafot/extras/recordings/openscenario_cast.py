@@ -6,6 +6,7 @@ import math
 from collections import ChainMap
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import NamedTuple
 
@@ -118,20 +119,26 @@ class Cast:
         for child in reference.children:
             raise refused(child)
         wanted, catalogue = reference.values.get("entryName"), reference.values.get("catalogName")
-        known = [*self.root.all("Catalog/Vehicle")]
-        for path in self.options.vehicles:
-            catalog = read_xml(Path(path))
-            removed(catalog, frozenset(self.options.without))
-            resolved(catalog, ChainMap())
-            known += catalog.all("Catalog/Vehicle")
-        for each in known:
-            if each.values.get("name") == wanted:
+        known = [(each.values.get("name"), one) for each in self._catalogues for one in each.all("Vehicle")]
+        for name, each in known:
+            if (name, each.values.get("name")) == (catalogue, wanted):
                 return each
         raise reference.error(
-            f"a vehicle of one of {len(known)} known entries",
+            f"one of {len(known)} vehicles of known catalogues",
             f"the entry {wanted} of {catalogue}",
             "give the file of that catalogue, such as vehicles=['VehicleCatalog.xosc']; no other file is opened",
         )
+
+    @cached_property
+    def _catalogues(self) -> list[Element]:
+        """The catalogues in this file, and in those that the user has given."""
+        found = [*self.root.all("Catalog")]
+        for path in self.options.vehicles:
+            file = read_xml(Path(path))
+            removed(file, frozenset(self.options.without))
+            resolved(file, ChainMap())
+            found += file.all("Catalog")
+        return found
 
     @property
     def _ego_name(self) -> str | None:

@@ -345,12 +345,14 @@ REFERENCE = '<ScenarioObject name="Car"><CatalogReference catalogName="cars" ent
 
 
 def test_vehicle_of_a_catalogue_is_found_in_the_files_that_are_given(read, tmp_path):
-    (tmp_path / "cars.xosc").write_text(
-        CATALOGUE.format(VEHICLE.format(name="", length=4.0).partition(">")[2].rpartition("<")[0])
-    )
-    scenario = read(car=REFERENCE, options={"vehicles": [tmp_path / "cars.xosc"]})
+    def catalogue(length):
+        return CATALOGUE.format(VEHICLE.format(name="", length=length).partition(">")[2].rpartition("<")[0])
+
+    (tmp_path / "cars.xosc").write_text(catalogue(4.0))
+    (tmp_path / "others.xosc").write_text(catalogue(40.0).replace('<Catalog name="cars"', '<Catalog name="others"'))
+    scenario = read(car=REFERENCE, options={"vehicles": [tmp_path / "others.xosc", tmp_path / "cars.xosc"]})
     assert scenario == read()
-    with pytest.raises(RecordingError, match=r"CatalogReference: expected a vehicle of one of 0 known entries"):
+    with pytest.raises(RecordingError, match=r"CatalogReference: expected one of 0 vehicles of known catalogues"):
         read(car=REFERENCE)
 
 
