@@ -196,7 +196,8 @@ def lanes_of(seen: Mapping[int, FloatArray], width: float, ends: tuple[float, fl
 
     None if what drove in a lane is spread over more than the lane, as in a bend.
     """
-    middles = sorted((float(np.median(places)), places) for places in seen.values() if len(places))
+    middles = [(float(np.median(places)), places) for places in seen.values() if len(places)]
+    middles.sort(key=lambda each: each[0])
     gaps = np.diff([middle for middle, _ in middles])
     wide = float(np.median(gaps)) if len(gaps) else width
     if any(float(np.quantile(abs(places - middle), 0.9)) > wide for middle, places in middles) or wide < width / 2:

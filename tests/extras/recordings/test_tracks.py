@@ -362,6 +362,13 @@ def test_gap_is_left_open_if_times_differ_so_little_that_millions_of_rows_would_
     assert len(pafot.recorded(path).vehicles[0].times) == 4
 
 
+def test_lanes_with_two_numbers_are_left_out(tmp_path):
+    path = tmp_path / "tracks.csv"
+    rows = [f"{time},ego,{20 * time},0,0,20,4,2,{lane}\n" for time, lane in ((0, 1), (1, 1), (2, 2), (3, 2))]
+    path.write_text("time,vehicle,x,y,heading,speed,length,width,lane\n" + "".join(rows))
+    assert pafot.recorded(path).lanes == ()
+
+
 def test_ego_of_a_table_is_found_by_any_usual_name(tmp_path):
     path = tmp_path / "tracks.csv"
     path.write_text("time,vehicle,x,y,heading,speed,length,width\n0,van,9,0,0,20,4,2\n0,Hero,0,0,0,20,4,2\n")
