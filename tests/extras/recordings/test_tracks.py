@@ -135,6 +135,7 @@ def test_highd_needs_the_other_files_of_the_recording(highd):
         ("x", "nan", r"01_tracks.csv:2: x: expected a finite number, received 'nan'"),
         ("y", "1_0", r"expected a finite number, received '1_0'"),
         ("y", "1e300", r"expected a finite number"),
+        ("width", "0", r"01_tracks.csv:2: width, height: expected sizes above 0, received \[0.0, 2.0\]"),
         ("id", "7", r"01_tracks.csv:2: id: expected a vehicle of 01_tracksMeta.csv, received 7"),
     ],
 )
