@@ -15,7 +15,7 @@ from itertools import islice, zip_longest
 from typing import Literal
 
 from pytest_pafot.findings.shrink import Ahead
-from pytest_pafot.model.instructions import SPEED, Nudge
+from pytest_pafot.model.instructions import LARGEST_SPEED_STEP, Nudge
 from pytest_pafot.model.scenario import LONGEST_GENE, Chromosome, Scenario
 
 ALL_SPEEDS, DURATION = 0.1, 0.1
@@ -205,7 +205,7 @@ class _Neighbour:
         seconds = round(WHOLE_TICKS * round(seconds / WHOLE_TICKS), 1)
         if abs(seconds - scenario.gene_seconds) > largest or not 0 < seconds <= LONGEST_GENE or not self.has_duration:
             seconds = scenario.gene_seconds
-        ego_speed = nudge.speed(scenario.ego_speed + nudge.step(SPEED), 0.0)
+        ego_speed = nudge.speed(scenario.ego_speed + nudge.step(LARGEST_SPEED_STEP), 0.0)
         return self._with(scenario.npcs, ego_speed=ego_speed, gene_seconds=seconds)
 
     def faster(self, factor: float) -> Scenario:

@@ -159,7 +159,7 @@ class Rules:
     def _check_crossing(self, place: str, instruction: CrossingInstruction) -> None:
         crossings = self.crossings
         if crossings is None:
-            expected = "Position- or Lane-Instructions on a road on which no way of other traffic meets the ego's way"
+            expected = "NPCs that do not cross, on a road on which no way of other traffic meets the ego's way"
             fix = 'give NPCs PositionInstruction(cell, speed), or use a world with crossings, such as "intersection-v0"'
             raise ScenarioError(field=place, expected=expected, received=instruction.goal, fix=fix)
         if instruction.zone not in crossings.ways:

@@ -15,7 +15,7 @@ from pytest_pafot.findings.neighbours import ALL_SPEEDS, WIDE, Breadth, Limits, 
 from pytest_pafot.findings.neighbours import around as around_at
 from pytest_pafot.model.instructions import CrossingInstruction, LaneInstruction, Manoeuvre, PositionInstruction, Step
 from pytest_pafot.model.instructions.crossing import SLOT
-from pytest_pafot.model.instructions.instruction import SPEED
+from pytest_pafot.model.instructions.instruction import LARGEST_SPEED_STEP
 from pytest_pafot.model.instructions.manoeuvre import DISTANCE
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.strategies import manoeuvres, scenarios
@@ -55,7 +55,7 @@ def test_steps_are_as_large_as_their_share_at_most(scenario, share):
     for each in around(scenario, 10, share):
         for chain, before in zip(each.npcs, scenario.npcs, strict=True):
             for gene, old in zip(chain, before, strict=False):
-                largest = share * max(SPEED, ALL_SPEEDS * old.speed)
+                largest = share * max(LARGEST_SPEED_STEP, ALL_SPEEDS * old.speed)
                 assert abs(gene.speed - old.speed) <= largest + 0.051
 
 
@@ -86,7 +86,9 @@ def test_neighbours_of_a_manoeuvre_differ_in_speeds_and_distances(manoeuvre, sha
         assert Scenario.from_canonical(each.plain()) == each  # with all checks
         ((moved,), _) = each.npcs
         assert (moved.beside, moved.ahead) == (manoeuvre.beside, manoeuvre.ahead)
-        assert abs(moved.speed - manoeuvre.speed) <= share * max(SPEED, ALL_SPEEDS * manoeuvre.speed) + 0.051
+        assert (
+            abs(moved.speed - manoeuvre.speed) <= share * max(LARGEST_SPEED_STEP, ALL_SPEEDS * manoeuvre.speed) + 0.051
+        )
         for step, old in zip(moved.steps, manoeuvre.steps, strict=True):
             for now, before in ((step.gap, old.gap), (step.headway, old.headway)):
                 assert (now is None) == (before is None)
@@ -109,7 +111,7 @@ def test_steps_of_a_standing_manoeuvre_are_faster_and_slower_and_its_stop_stays(
     pulls_away = Manoeuvre(beside=0, ahead=90.0, speed=0.0, steps=(Step(gap=60.0, speed=10.0), Step(speed=0.0)))
     scenario = Scenario(npcs=((pulls_away,),))
     speeds = [step.speed for each in around(scenario) for step in each.npcs[0][0].steps]
-    assert 10.0 - SPEED <= min(speeds[::2]) <= max(speeds[::2]) <= 10.0 + SPEED
+    assert 10.0 - LARGEST_SPEED_STEP <= min(speeds[::2]) <= max(speeds[::2]) <= 10.0 + LARGEST_SPEED_STEP
     assert len({*speeds[::2]}) > 5
     assert {*speeds[1::2]} == {0.0}
 

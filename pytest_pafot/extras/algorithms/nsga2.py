@@ -24,7 +24,6 @@ from pytest_pafot.extending import (
     sample,
     varied,
 )
-from pytest_pafot.model.instructions import Key
 
 WORST = 1e9  # the objectives of an ineligible run; finite, because crowding is a difference
 
@@ -128,14 +127,14 @@ def cells_of(evaluations: Sequence[Evaluation]) -> FloatArray:
     chains = [each.chains_in(shortest) for each in evaluations]
     genes = max(len(chain) for npcs in chains for chain in npcs)
     cells = np.zeros((len(chains), max(map(len, chains)), genes))
-    places: dict[tuple[Key, ...], int] = {}
+    places: dict[tuple[object, ...], int] = {}
     for index, npcs in enumerate(chains):
         for npc, chain in enumerate(npcs):
             cells[index, npc, : len(chain)] = [*_numbers(chain, places)]
     return cells.reshape(len(chains), -1)
 
 
-def _numbers(chain: Chromosome, places: dict[tuple[Key, ...], int]) -> Iterator[int]:
+def _numbers(chain: Chromosome, places: dict[tuple[object, ...], int]) -> Iterator[int]:
     for gene in chain:
         if gene.on_grid:
             yield gene.cell

@@ -45,6 +45,8 @@ def read(path: Path, between: Between) -> Recording:
     for line, (name,), (frame, *box) in table.rows(["id"], [name for name in COLUMNS if name != "id"]):
         if name not in known:
             raise table.error(line, "id", f"a vehicle of {about.path.name}", name[:60], "take both from one recording")
+        if min(box[2:4]) <= 0:
+            raise table.error(line, "width, height", "sizes above 0", f"{box[2:4]}", "correct the row")
         tracks.add(line, name, (frame / rate, *box))
     vehicles: list[RecordedVehicle] = []
     for name, rows in tracks.by_vehicle(7):

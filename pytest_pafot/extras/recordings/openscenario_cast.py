@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import math
+from collections import ChainMap
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import NamedTuple
 
 from pytest_pafot.extras.recordings.openscenario_parameters import resolved
+from pytest_pafot.extras.recordings.recording import EGO_NAMES
 from pytest_pafot.extras.recordings.xml_data import Element, read_xml
 
-EGO_NAMES = ("ego", "hero", "egovehicle", "ego_vehicle")
-"""The names, in lower case, by which the ego is found if nobody names it."""
 OF_VEHICLES = ("ParameterDeclarations", "BoundingBox", "Performance", "Axles", "Properties", "TrailerHitch")
 BESIDE_MIDDLE = 0.15
 """The largest distance from the middle of a lane, as a share of the lane, at which a vehicle is placed there."""
@@ -79,7 +80,11 @@ class Cast:
         self.root, self.options = root, options
         self._sought: list[str] = []  # the vehicles whose places are being found
         self._board = root.get("Storyboard")
-        self.entities = {each.name: each for each in map(self._entity, self._objects())}
+        self.entities: dict[str, Entity] = {}
+        for each in map(self._entity, self._objects()):
+            if each.name in self.entities:
+                raise each.place.error("a name that no other vehicle has", f"{each.name!r:.60}", "rename it", "name")
+            self.entities[each.name] = each
 
     def _objects(self) -> Iterator[Element]:
         for each in self.root.get("Entities").children:
@@ -114,20 +119,26 @@ class Cast:
         for child in reference.children:
             raise refused(child)
         wanted, catalogue = reference.values.get("entryName"), reference.values.get("catalogName")
-        known = [*self.root.all("Catalog/Vehicle")]
-        for path in self.options.vehicles:
-            catalog = read_xml(Path(path))
-            removed(catalog, frozenset(self.options.without))
-            resolved(catalog, {})
-            known += catalog.all("Catalog/Vehicle")
-        for each in known:
-            if each.values.get("name") == wanted:
+        known = [(each.values.get("name"), one) for each in self._catalogues for one in each.all("Vehicle")]
+        for name, each in known:
+            if (name, each.values.get("name")) == (catalogue, wanted):
                 return each
         raise reference.error(
-            f"a vehicle of one of {len(known)} known entries",
+            f"one of {len(known)} vehicles of known catalogues",
             f"the entry {wanted} of {catalogue}",
             "give the file of that catalogue, such as vehicles=['VehicleCatalog.xosc']; no other file is opened",
         )
+
+    @cached_property
+    def _catalogues(self) -> list[Element]:
+        """The catalogues in this file, and in those that the user has given."""
+        found = [*self.root.all("Catalog")]
+        for path in self.options.vehicles:
+            file = read_xml(Path(path))
+            removed(file, frozenset(self.options.without))
+            resolved(file, ChainMap())
+            found += file.all("Catalog")
+        return found
 
     @property
     def _ego_name(self) -> str | None:

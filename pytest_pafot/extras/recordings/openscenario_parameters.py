@@ -6,6 +6,7 @@ import ast
 import math
 import operator
 import re
+from collections import ChainMap
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
 
@@ -25,10 +26,15 @@ FUNCTIONS: Mapping[str, Callable[..., float]] = MappingProxyType({
 })  # fmt: skip
 
 
-def resolved(element: Element, known: Mapping[str, str]) -> None:
+LONGEST = 1000
+"""The longest value with parameters, before and after they are replaced: ``$a$a`` of ``$b$b`` and so on grows fast."""
+
+
+def resolved(element: Element, known: ChainMap[str, str]) -> None:
     """Replace the parameters in all values of an element and of those within it."""
+    known = known.new_child() if element.find("ParameterDeclarations") else known
     for each in element.all("ParameterDeclarations/ParameterDeclaration"):
-        known = {**known, each.values.get("name", "").lstrip("$"): _value(each, "value", known)}
+        known[each.values.get("name", "").lstrip("$")] = _value(each, "value", known)
     for name in element.values:
         if element.tag not in ("ParameterDeclaration", "ParameterAssignment"):
             element.values[name] = _value(element, name, known)
@@ -47,11 +53,14 @@ def _value(element: Element, name: str, known: Mapping[str, str]) -> str:
 
     if not text.startswith("$"):
         return text
+    found = text if len(text) > LONGEST else re.sub(r"\$(\w+)", of, text)
+    if len(found) > LONGEST:
+        raise element.error(f"at most {LONGEST} characters", f"{found!r:.80}", "write the value", name)
     if not text.startswith("${"):
-        return re.sub(r"\$(\w+)", of, text)
-    inner = re.sub(r"\$(\w+)", of, text[2:].rpartition("}")[0])
+        return found
+    inner = found.removeprefix("${").removesuffix("}")
     try:
-        return repr(_computed(ast.parse(inner[:300].strip(), mode="eval").body))
+        return repr(_computed(ast.parse(inner.strip(), mode="eval").body))
     except (SyntaxError, ValueError, TypeError, ArithmeticError, RecursionError, MemoryError):
         raise element.error("arithmetic with numbers", f"{inner!r:.80}", "write the number", name) from None
 

@@ -7,6 +7,7 @@ do; the rest is refused with its name and place, because a scenario without it w
 from __future__ import annotations
 
 import math
+from collections import ChainMap
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
@@ -15,6 +16,7 @@ import numpy as np
 
 from pytest_pafot import Manoeuvre, Scenario, ScenarioError, Step
 from pytest_pafot.extending import FloatArray
+from pytest_pafot.extras.recordings.following import MOST_STEPS
 from pytest_pafot.extras.recordings.openscenario_cast import Cast, Entity, Options, inner_names, refused, removed
 from pytest_pafot.extras.recordings.openscenario_parameters import resolved
 from pytest_pafot.extras.recordings.openscenario_trajectories import followed, vertices
@@ -49,7 +51,7 @@ def read(root: Element, between: Between, options: Options) -> Recording | Scena
     if header.values.get("revMajor") != "1":
         raise header.error("version 1", header.values.get("revMajor", "none"), "convert the file", "revMajor")
     removed(root, frozenset(options.without))
-    resolved(root, {})
+    resolved(root, ChainMap())
     return _Reader(root, options).read(between)
 
 
@@ -310,7 +312,10 @@ class _Reader:
         distance, column = self.cast.relative(name, ego)
         room = (entity.length + self.cast.entities[ego].length) / 2
         gap = max(round(abs(distance) - room, 1), 0.1)
-        if column and abs(distance) < room:
+        if not column and abs(distance) < room:
+            received = f"{distance:.1f} m ahead in its lane"
+            raise entity.place.error("a start clear of the ego", received, "move it ahead or behind")
+        if abs(distance) < room:
             moved = min(abs(distance), room - abs(distance))
             if moved > MOST_OVERLAP:
                 fix = "move it ahead or behind, or level with the ego"
@@ -442,12 +447,17 @@ class _Reader:
                 own = self.cast.start(ego, target)
                 if own.frame[0] != "lane":
                     raise refused(target, ", while the ego's place does not name a lane")
-                column = -target.number("value") - own.column
+                number = target.number("value")
+                if number > -1:  # as with places: where those with positive numbers lead depends on the road
+                    raise target.error("a lane with a negative number", f"{number:g}", "take it out", "value")
+                column = -number - own.column
             elif other != ego and other not in npcs:
                 raise target.error("a vehicle of the file", f"{other!r:.60}", "correct the name", "entityRef")
             else:
                 column = (0 if other == ego else npcs[str(other)].column) - target.number("value")
             shift, taken = round(column) - npc.column, action.get("LaneChangeActionDynamics")
+            if abs(shift) > MOST_STEPS:
+                raise target.error(f"at most {MOST_STEPS} lanes to cross", f"{abs(shift)}", "correct the lane", "value")
             seconds = self._aside(taken, npc) / max(abs(shift), 1)
             lateral = min(max(round(LANE_CHANGED / max(seconds - 0.3, 0.1), 1), 0.1), 5.0)
             offset = -round(action.number("targetLaneOffset", 0.0), 1)
@@ -500,9 +510,7 @@ class _Reader:
             (name, entity.kind, entity.length, entity.width, entity.centre)
             for name, entity in self.cast.entities.items()
         ]
-        vehicles, rate = followed(driven, boxes)
-        if not vehicles:
-            raise self.board.error("vertices at that time", "none", "give another time as between=")
+        vehicles, rate = followed(driven, boxes, self.board)
         notes = ("the data have no lanes", "speeds are those between places")
         return Recording(vehicles=vehicles, rate=rate, ego=ego, source=str(self.root.path), notes=notes)
 

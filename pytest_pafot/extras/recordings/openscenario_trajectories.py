@@ -9,14 +9,14 @@ import numpy as np
 
 from pytest_pafot.extending import FloatArray
 from pytest_pafot.extras.recordings.recording import RecordedVehicle
-from pytest_pafot.extras.recordings.tables import headings, parts, states_of
+from pytest_pafot.extras.recordings.tables import MOST_ROWS, headings, parts, states_of
 from pytest_pafot.extras.recordings.xml_data import Element
 
 
 def followed(
-    driven: Mapping[str, FloatArray], boxes: Iterable[tuple[str, str, float, float, float]]
+    driven: Mapping[str, FloatArray], boxes: Iterable[tuple[str, str, float, float, float]], board: Element
 ) -> tuple[tuple[RecordedVehicle, ...], float]:
-    """Return vehicles that follow trajectories, and their rows per second; none if there are no vertices.
+    """Return vehicles that follow trajectories, and their rows per second.
 
     Speeds are those between places, and so are the headings of vertices that have none. If the times are not even, the
     rows are on straight lines between the vertices, at least ten per second.
@@ -24,13 +24,20 @@ def followed(
     Args:
         driven: time [s], x, y [m], with y to the left, and heading [rad] or NaN of each vertex, by vehicle.
         boxes: name, class, length, width and the distance of the centre ahead of its place [m] of each vehicle.
+        board: the place of errors.
+
+    Raises:
+        RecordingError: if there are no vertices, or too many rows between them.
     """
     steps = np.concatenate([np.diff(rows[:, 0]) for rows in driven.values()])
     if not len(steps):
-        return (), 0.0
+        raise board.error("vertices at that time", "none", "give another time as between=")
     rate = round(1 / float(np.median(steps)), 6)
-    if np.abs(steps * rate - np.round(steps * rate)).max() > 1e-3:
+    if not rate or np.abs(steps * rate - np.round(steps * rate)).max() > 1e-3:
         rate = max(rate, 10.0)
+    if steps.sum() * rate > MOST_ROWS:
+        received, fix = f"{rate:g} a second for {steps.sum():g} s", "read a part of it, such as between=(0, 60)"
+        raise board.error(f"at most {MOST_ROWS} rows", received, fix)
     vehicles: list[RecordedVehicle] = []
     for name, kind, length, width, centre in boxes:
         rows = driven[name]

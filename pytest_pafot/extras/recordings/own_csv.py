@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from pytest_pafot.extending import FloatArray
-from pytest_pafot.extras.recordings.recording import RecordedVehicle, Recording
+from pytest_pafot.extras.recordings.recording import EGO_NAMES, LANE_WIDTH, RecordedVehicle, Recording
 from pytest_pafot.extras.recordings.tables import Between, Table, Tracks, ends_of, lanes_of, parts, states_of
 
 COLUMNS = ("time", "vehicle", "x", "y", "heading", "speed", "length", "width")
@@ -41,7 +41,7 @@ def read(path: Path, between: Between) -> Recording:
             keeps = np.abs(angle) < KEEPS_LANE
             for number in np.unique(rows[rows[:, -1] >= 0, -1]).tolist():
                 lanes.setdefault(int(number), []).append(-left[(rows[:, -1] == number) & keeps])
-    ego = "ego" if any(vehicle.name == "ego" for vehicle in vehicles) else None
-    there = lanes_of({number: np.concatenate(each) for number, each in lanes.items()}, 3.5, ends_of(vehicles))
+    ego = next((vehicle.name for vehicle in vehicles if vehicle.name.lower() in EGO_NAMES), None)
+    there = lanes_of({number: np.concatenate(each) for number, each in lanes.items()}, LANE_WIDTH, ends_of(vehicles))
     notes = ("lanes are estimated from what drove in them",) if there else ("the data have no lanes",)
     return Recording(vehicles=tuple(vehicles), rate=rate, lanes=there, ego=ego, source=str(path), notes=notes)

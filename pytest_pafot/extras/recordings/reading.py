@@ -14,6 +14,8 @@ from pytest_pafot.extras.recordings.openscenario_cast import Options
 from pytest_pafot.extras.recordings.recording import LANE_WIDTH, Recording, RecordingError
 from pytest_pafot.extras.recordings.tables import Between, Table
 from pytest_pafot.extras.recordings.xml_data import read_xml
+from pytest_pafot.support.errors import plain_number
+from pytest_pafot.support.text import shown
 
 
 class TableFormat(NamedTuple):
@@ -31,6 +33,8 @@ TABLES = (
     TableFormat("NGSIM", ngsim.COLUMNS, ngsim.read),
 )
 """All formats of tables. The first one whose columns a file has reads it."""
+WIDEST = 20.0
+"""The largest width of a lane [m]."""
 
 
 def recorded(
@@ -70,11 +74,13 @@ def recorded(
         RequestError: if there is no such vehicle.
     """
     file = Path(path)
-    if not file.is_file():
-        raise RequestError(f"recorded: expected a file, received {str(file)!r:.200}; correct the path")
+    _check(between, vehicles, without, lane_width)
     try:
+        if not file.is_file():
+            raise RequestError(f"recorded: expected a file, received {str(file)!r:.200}; correct the path")
         with file.open("rb") as content:
-            is_xml = content.read(200).lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"<")
+            # Byte order marks come first, and in UTF-16 there is a zero at each letter.
+            is_xml = content.read(200).replace(b"\0", b"").lstrip(b"\xef\xbb\xbf\xff\xfe \t\r\n").startswith(b"<")
         if is_xml:
             root = read_xml(file)
             if root.tag == openscenario_story.ROOT:
@@ -95,9 +101,30 @@ def recorded(
                 expected = "the columns of " + ", or ".join(
                     f"{each.name} ({', '.join(each.columns)})" for each in TABLES
                 )
-                fix = "rename the columns to those of one of them"
+                names = "rename the columns to those of one of them"
+                fix = names if len(table.columns) > 1 else "save it with commas between the cells, in UTF-8"
                 raise RecordingError(file, expected, ", ".join(table.columns)[:200] or "none", fix, line=1)
             found = known[0].read(file, between)
     except OSError as error:
-        raise RequestError(f"recorded: expected a file that can be read, received {file}: {error.strerror}") from None
+        received = f"received {str(error.filename or file)!r:.200}: {error.strerror}"
+        raise RequestError(f"recorded: expected a file that can be read, {received}; correct the path") from None
     return found if ego is None else found.seen_from(ego)
+
+
+def _check(between: object, vehicles: object, without: object, lane_width: object) -> None:
+    """Refuse arguments that would be misread: a text is a sequence of letters, and a width below 0 swaps the sides."""
+    times = [*map(plain_number, between)] if isinstance(between, Sequence) and not isinstance(between, str) else []
+    if between is not None and (len(times) != 2 or times[0] is None or times[1] is None or times[0] > times[1]):
+        raise RequestError(
+            f"recorded: expected a first and a last time [s], such as between=(0, 60), received {shown(between)}"
+        )
+    for name, value in (("vehicles", vehicles), ("without", without)):
+        if isinstance(value, str | os.PathLike):
+            raise RequestError(
+                f"recorded: expected a list, such as {name}=[{str(value)!r:.60}], received {shown(value)}"
+            )
+    width = plain_number(lane_width)
+    if width is None or not 0 < width <= WIDEST:
+        raise RequestError(
+            f"recorded: expected lane_width in metres, above 0 and at most {WIDEST:g}, received {shown(lane_width)}"
+        )

@@ -13,12 +13,14 @@ from pytest_pafot import Manoeuvre, Scenario, Step
 from pytest_pafot.extending import HEADING, SPEED, FloatArray, Lane, RequestError, X, Y
 from pytest_pafot.extras.recordings.following import PACE, first_speed, followed
 from pytest_pafot.support.errors import FieldError, sentence
-from pytest_pafot.support.text import meant
+from pytest_pafot.support.text import meant, visible
 
 LONGEST_GAP = 1.0
 """The longest time for which a vehicle that was not seen is taken to have driven on evenly [s]."""
 STANDING = 0.5
 """The speed below which a direction that was computed from movements is noise [m/s]."""
+EGO_NAMES = ("ego", "hero", "egovehicle", "ego_vehicle")
+"""The names, in lower case, by which the ego is found if nobody names it."""
 LANE_WIDTH = 3.5
 """The width of the lanes of a recording that has none [m]."""
 LONGEST, MOST_NPCS, FARTHEST, MOST_BESIDE = 120.0, 8, 200.0, 8
@@ -115,10 +117,11 @@ class Recording:
         """
         names = [vehicle.name for vehicle in self.vehicles]
         if str(name) not in names:
-            some = ", ".join(names[:10]) + (f" and {len(names) - 10} more" if len(names) > 10 else "")
-            raise RequestError(
-                f"{self.source}: expected one of the vehicles {some}, received {name!r:.60}{meant(str(name), names)}"
+            some = ", ".join(f"{each:.60}" for each in names[:10]) + (
+                f" and {len(names) - 10} more" if len(names) > 10 else ""
             )
+            received = f"received {name!r:.60}{meant(str(name), names)}"
+            raise RequestError(visible(f"{self.source}: expected one of the vehicles {some}, {received}"))
         return self.vehicles[names.index(str(name))]
 
     def resampled(self, rate: float) -> Recording:
@@ -152,14 +155,14 @@ class Recording:
             line = tuple((x, y) for x, y in points.tolist()) if lane.points else ()
             return replace(lane, x=float(start[0]), y=float(start[1]), heading=angle, points=line)
 
-        if heading == 0.0:
-            return replace(self, ego=ego.name)
+        lanes = sorted(map(of_lane, self.lanes), key=lambda lane: (math.cos(lane.heading) < 0, lane.y))
+        if heading == 0.0:  # its numbers stay those of the data
+            return replace(self, lanes=tuple(lanes), ego=ego.name)
         vehicles = []
         for vehicle in self.vehicles:
             angles = (vehicle.states[:, [HEADING]] - heading + math.pi) % math.tau - math.pi
             states = np.hstack([turned(vehicle.states[:, [X, Y]]), angles, vehicle.states[:, [SPEED]]])
             vehicles.append(replace(vehicle, states=states))
-        lanes = sorted(map(of_lane, self.lanes), key=lambda lane: (math.cos(lane.heading) < 0, lane.y))
         return replace(self, vehicles=tuple(vehicles), lanes=tuple(lanes), ego=ego.name)
 
     def scenario(self, ego: object = None, at: float | None = None, seconds: float = 20.0) -> Scenario:
@@ -169,7 +172,8 @@ class Recording:
         manoeuvre: its place relative to the ego, and steps by time, of speeds and changes of lanes, which follow its
         track whatever the policy does. They all are 5 m long, with the gaps of the recording between bumpers, and in
         the middle of lanes of 4 m. A vehicle that comes later is not in the scenario. One that leaves the recording
-        keeps its lane and speed.
+        keeps its lane and speed. The road has
+        lanes to the left of the recorded ones if a vehicle drives there.
 
         Args:
             ego: the vehicle in whose place the policy drives; the recording's ego by default.
@@ -181,7 +185,7 @@ class Recording:
         """
         if ego is None and self.ego is None:
             raise RequestError(f"{self.source}: expected a vehicle in whose place the policy drives; give it as ego=")
-        seen = self if ego is None else self.seen_from(ego)
+        seen = self.seen_from(self.ego if ego is None else ego)
         own = seen.vehicle(seen.ego)
         start = float(own.times[0] if at is None else at)
         if not own.times[0] <= start <= own.times[-1] or not 0.0 < seconds <= LONGEST:
@@ -224,7 +228,7 @@ class Recording:
             manoeuvres.append(replace(manoeuvre, steps=_steps(other, start, seconds, columns)))
             reached = np.cumsum([manoeuvre.beside, *(step.column for step in manoeuvres[-1].steps)])
             least = min(least, int(reached.min()))
-        first_lane = lane if columns.are_known else max(1, -least)
+        first_lane = max(lane if columns.are_known else 1, -least)
         return Scenario(
             npcs=tuple((each,) for each in manoeuvres), ego_lane=first_lane, ego_speed=max(float(here[SPEED]), 0.0)
         )
@@ -267,7 +271,8 @@ def _ahead(distance: float, room: float, is_in_lane: bool) -> float:
 def _steps(vehicle: RecordedVehicle, start: float, seconds: float, columns: _Columns) -> tuple[Step, ...]:
     """Return the steps that follow a vehicle from a time on until it leaves the recording or the road."""
     end = min(seconds, float(vehicle.times[-1]) - start)
-    states = vehicle.at(start + np.arange(math.floor(end * PACE + 1e-6) + 1) / PACE)
+    times = start + np.arange(math.floor(end * PACE + 1e-6) + 1) / PACE
+    states = vehicle.at(np.minimum(times, vehicle.times[-1]))  # a sum may round up beyond the last time
     turned = np.abs(states[:, HEADING]) > STRAIGHT
     states = states[: turned.argmax()] if turned.any() else states
     return followed(states, columns.shares(states[:, Y]))

@@ -6,8 +6,9 @@ import csv
 import math
 from array import array
 from collections.abc import Iterator, Mapping, Sequence
-from itertools import pairwise
+from itertools import count, islice, pairwise
 from pathlib import Path
+from typing import TextIO
 
 import numpy as np
 
@@ -18,6 +19,11 @@ MOST_BYTES = 2**31
 """The largest table [bytes]. The largest recordings of highD have 0.1 GB, the whole of NGSIM's I-80 0.8 GB."""
 MOST_ROWS = 3_000_000
 """The largest number of rows that are kept. A row takes 48 bytes."""
+LONGEST_LINE = 100_000
+"""The longest line [characters]; the longest header of the data sets has 300."""
+MOST_FILLED = 100
+"""The most rows that are filled in for each row of a vehicle: those of a second at 100 rows per second. A table with a
+wrong rate, or times that hardly differ, could have more of them than there is memory."""
 LARGEST = 1e9
 """The largest number that a cell may have; data sets have coordinates on a map in metres, and times in seconds."""
 
@@ -33,9 +39,30 @@ class Table:
         size = path.stat().st_size
         if size > MOST_BYTES:
             raise self.error(None, "", f"at most {MOST_BYTES} bytes", f"{size}", "cut it into several files")
-        with path.open(encoding="utf-8-sig", errors="replace", newline="") as file:
-            names = next(csv.reader([file.readline(10_000)]), [])
+        names: Sequence[str] = next((row for _, row in self._rows()), [])
         self.columns = {name.strip().lower(): index for index, name in enumerate(names)}
+
+    def _rows(self) -> Iterator[tuple[int, list[str]]]:
+        """Yield the cells of each row that is not empty, from the header on, and the line in which it ends."""
+        fix = "save it as plain CSV"
+
+        def lines(file: TextIO) -> Iterator[str]:
+            for number in count(1):
+                line = file.readline(LONGEST_LINE)
+                if len(line) == LONGEST_LINE:
+                    raise self.error(number, "", f"lines below {LONGEST_LINE} characters", "a longer one", fix)
+                if not line:
+                    return
+                yield line
+
+        with self.path.open(encoding="utf-8-sig", errors="replace", newline="") as file:
+            reader = csv.reader(lines(file), strict=True)
+            try:
+                for row in reader:
+                    if row:
+                        yield reader.line_num, row
+            except csv.Error as error:
+                raise self.error(reader.line_num, "", "cells between commas", str(error), fix) from None
 
     def rows(self, texts: Sequence[str], numbers: Sequence[str]) -> Iterator[tuple[int, list[str], list[float]]]:
         """Yield of each row its line, the texts in some columns, and the finite numbers in others.
@@ -50,27 +77,17 @@ class Table:
         words = [self.columns[name.lower()] for name in texts]
         places = [self.columns[name.lower()] for name in numbers]
         longest = max([*words, *places])
-        with self.path.open(encoding="utf-8-sig", errors="replace", newline="") as file:
-            reader = csv.reader(file, strict=True)
-            next(reader)
-            try:
-                for row in reader:
-                    if not row:
-                        continue
-                    if len(row) <= longest:
-                        expected = f"{len(self.columns)} cells"
-                        raise self.error(reader.line_num, "", expected, f"{len(row)}", "the file may be cut off")
-                    values = []
-                    for name, place in zip(numbers, places, strict=True):
-                        number = _number(row[place])
-                        if number is None:
-                            fix = "correct the cell or leave out the row"
-                            raise self.error(reader.line_num, name, "a finite number", f"{row[place]!r:.60}", fix)
-                        values.append(number)
-                    yield reader.line_num, [row[place].strip() for place in words], values
-            except csv.Error as error:
-                fix = "save it as plain CSV"
-                raise self.error(reader.line_num, "", "cells between commas", str(error), fix) from None
+        for line, row in islice(self._rows(), 1, None):
+            if len(row) <= longest:
+                raise self.error(line, "", f"at least {longest + 1} cells", f"{len(row)}", "the file may be cut off")
+            values = []
+            for name, place in zip(numbers, places, strict=True):
+                number = _number(row[place])
+                if number is None:
+                    fix = "correct the cell or leave out the row"
+                    raise self.error(line, name, "a finite number", f"{row[place]!r:.60}", fix)
+                values.append(number)
+            yield line, [row[place].strip() for place in words], values
 
     def only(self, texts: Sequence[str], numbers: Sequence[str]) -> tuple[list[str], list[float]]:
         """Return the first row of a file that describes a whole recording."""
@@ -154,7 +171,7 @@ def parts(
             name=label, kind=kind, length=size[0], width=size[1], times=times[first:end], states=states[first:end]
         )
         missing = steps[first : end - 1].sum() - (end - 1 - first)
-        if missing > 0:
+        if 0 < missing <= MOST_FILLED * len(seen.times):
             counts = np.arange(steps[first : end - 1].sum() + 1)
             at = np.interp(counts, np.cumsum([0, *steps[first : end - 1]]), seen.times)
             seen = RecordedVehicle(name=label, kind=kind, length=size[0], width=size[1], times=at, states=seen.at(at))
@@ -179,7 +196,8 @@ def lanes_of(seen: Mapping[int, FloatArray], width: float, ends: tuple[float, fl
 
     None if what drove in a lane is spread over more than the lane, as in a bend.
     """
-    middles = sorted((float(np.median(places)), places) for places in seen.values() if len(places))
+    middles = [(float(np.median(places)), places) for places in seen.values() if len(places)]
+    middles.sort(key=lambda each: each[0])
     gaps = np.diff([middle for middle, _ in middles])
     wide = float(np.median(gaps)) if len(gaps) else width
     if any(float(np.quantile(abs(places - middle), 0.9)) > wide for middle, places in middles) or wide < width / 2:

@@ -12,21 +12,30 @@ from pytest_pafot.extras.recordings.recording import RecordingError
 
 MOST_BYTES, MOST_ELEMENTS, DEEPEST = 256 * 2**20, 5_000_000, 60
 """The largest file [bytes], the largest number of elements in it, and how deep they may lie in each other."""
+LONGEST_TEXT = 1_000_000
+"""The longest text of an element; joining its pieces would take ever longer."""
 LARGEST = 1e9
 """The largest number that a value may have."""
 
 
 @dataclass(eq=False, slots=True)
 class Element:
-    """An element with its line, the names of the elements around it, and its own text without spaces at its ends."""
+    """An element with its line, the one around it, and its own text without spaces at its ends."""
 
     path: Path
-    place: str
+    outer: Element | None = field(repr=False)
     line: int
     tag: str
     values: dict[str, str]
     children: list[Element] = field(default_factory=list)
     text: str = ""
+
+    @property
+    def place(self) -> str:
+        """The names of the elements around it and its own, for messages."""
+        name = self.values.get("name", "")
+        own = f"{self.tag:.60}[{name:.60}]" if name else f"{self.tag:.60}"
+        return own if self.outer is None or not self.outer.tag else f"{self.outer.place}/{own}"
 
     def error(self, expected: str, received: str, fix: str, value: str = "") -> RecordingError:
         """Return an error about this element or one of its values."""
@@ -108,27 +117,28 @@ def read_xml(path: Path) -> Element:
         raise RecordingError(path, f"at most {MOST_BYTES} bytes", f"{size}", "cut it into several files")
     parser = expat.ParserCreate()
     parser.buffer_text = True
-    around = [Element(path, "", 1, "", {})]
+    around = [Element(path, None, 1, "", {})]
     count = 0
 
     def begin(tag: str, values: dict[str, str]) -> None:
         nonlocal count
         count += 1
-        outer = around[-1]
-        place = f"{outer.place}/{tag}" + (f"[{values['name']}]" if values.get("name") else "")
-        inner = Element(path, place.lstrip("/"), parser.CurrentLineNumber, tag, values)
+        inner = Element(path, around[-1], parser.CurrentLineNumber, tag, values)
         if len(around) > DEEPEST or count > MOST_ELEMENTS:
             expected = f"at most {MOST_ELEMENTS} elements, {DEEPEST} deep"
             raise inner.error(expected, "more", "this is no file of this format")
-        outer.children.append(inner)
+        around[-1].children.append(inner)
         around.append(inner)
 
     def end(tag: str) -> None:
-        around[-1].text = around[-1].text.strip()
-        around.pop()
+        inner = around.pop()
+        inner.text = inner.text.rstrip()
 
     def add(text: str) -> None:
-        around[-1].text += text
+        inner = around[-1]
+        inner.text = (inner.text + text).lstrip()  # the spaces between a million children would be joined, too
+        if len(inner.text) > LONGEST_TEXT:
+            raise inner.error(f"at most {LONGEST_TEXT} characters", "more", "this is no file of this format")
 
     def refuse(name: str, *rest: object) -> None:
         fix = "remove its declaration; no format that is read here has one"
@@ -141,4 +151,8 @@ def read_xml(path: Path) -> Element:
     except expat.ExpatError as error:
         fix = "the file may be cut off"
         raise RecordingError(path, "XML", expat.ErrorString(error.code), fix, line=error.lineno) from None
+    except RecordingError:
+        raise
+    except (LookupError, ValueError) as error:  # of Python, which expat asks for encodings that it does not know
+        raise RecordingError(path, "XML in UTF-8", f"{error}", "convert its encoding", line=1) from None
     return around[0].children[0]

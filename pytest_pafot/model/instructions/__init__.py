@@ -13,8 +13,8 @@ from pytest_pafot.model.instructions.crossing import SLOT_STEPS_PER_SECOND as SL
 from pytest_pafot.model.instructions.crossing import SLOTS as SLOTS
 from pytest_pafot.model.instructions.crossing import Act as Act
 from pytest_pafot.model.instructions.crossing import CrossingInstruction as CrossingInstruction
+from pytest_pafot.model.instructions.instruction import LARGEST_SPEED_STEP as LARGEST_SPEED_STEP
 from pytest_pafot.model.instructions.instruction import MAX_SPEED as MAX_SPEED
-from pytest_pafot.model.instructions.instruction import SPEED as SPEED
 from pytest_pafot.model.instructions.instruction import SPEED_BIN as SPEED_BIN
 from pytest_pafot.model.instructions.instruction import SPEED_STEPS_PER_MPS as SPEED_STEPS_PER_MPS
 from pytest_pafot.model.instructions.instruction import Choices as Choices

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, get_args
 
 from pytest_pafot.model.instructions.instruction import (
-    SPEED,
+    LARGEST_SPEED_STEP,
     SPEED_BIN,
     Instruction,
     Key,
@@ -216,7 +216,7 @@ class CrossingInstruction(Instruction):
 
     def moved(self, nudge: Nudge) -> CrossingInstruction:
         """Return the instruction at a slightly different speed, with a slightly different slot."""
-        moved = self.paced(self.speed + nudge.step(SPEED), None, nudge)
+        moved = self.paced(self.speed + nudge.step(LARGEST_SPEED_STEP), None, nudge)
         slot = round(moved.slot + nudge.step(SLOT), 1)
         return replace(moved, slot=min(max(slot, -LARGEST_SLOT), LARGEST_SLOT))
 

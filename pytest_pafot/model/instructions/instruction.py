@@ -34,7 +34,7 @@ CODES_PER_TARGET = 10_000
 SPEED_BIN = 5.0
 """The width of a bin of target speeds in coverage [m/s]."""
 
-SPEED = 1.5
+LARGEST_SPEED_STEP = 1.5
 """The largest step of a single speed from a scenario to its neighbour [m/s]."""
 
 Key = tuple[str, int] | tuple[str, int, int] | tuple[str, str] | tuple[str, str, str]
@@ -283,7 +283,7 @@ class Instruction(Pasteable, ABC):
 
     def moved(self, nudge: Nudge) -> Instruction:
         """Return an instruction whose numbers are a little different."""
-        return self.paced(self.speed + nudge.step(SPEED), None, nudge)
+        return self.paced(self.speed + nudge.step(LARGEST_SPEED_STEP), None, nudge)
 
     def changed(self, nudge: Nudge) -> Instruction:
         """Return an instruction with a target next to its own, or else one that is only moved."""

@@ -9,8 +9,8 @@ from itertools import count, product
 from typing import TYPE_CHECKING, Any
 
 from pytest_pafot.model.instructions.instruction import (
+    LARGEST_SPEED_STEP,
     MAX_SPEED,
-    SPEED,
     SPEED_STEPS_PER_MPS,
     Choices,
     Instruction,
@@ -327,7 +327,7 @@ class Manoeuvre(Instruction):
 
     def moved(self, nudge: Nudge) -> Manoeuvre:
         """Return the manoeuvre at slightly different speeds, with steps at slightly different distances or times."""
-        moved = self.paced(self.speed + nudge.step(SPEED), None, nudge)
+        moved = self.paced(self.speed + nudge.step(LARGEST_SPEED_STEP), None, nudge)
         return replace(moved, steps=tuple(_nudged(step, nudge) for step in moved.steps))
 
     def beginning(self, seconds: float) -> str:

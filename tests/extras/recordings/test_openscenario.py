@@ -11,6 +11,7 @@ from pytest_pafot import Manoeuvre, Step
 from pytest_pafot.extras.export.exporter import exporter
 from pytest_pafot.extras.recordings.recording import RecordingError
 from pytest_pafot.model.trace import HEADING, SPEED, X, Y
+from pytest_pafot.support.errors import RequestError
 from tests.helpers.tables import table
 from tests.helpers.traces import trace_of, vehicle
 
@@ -344,12 +345,14 @@ REFERENCE = '<ScenarioObject name="Car"><CatalogReference catalogName="cars" ent
 
 
 def test_vehicle_of_a_catalogue_is_found_in_the_files_that_are_given(read, tmp_path):
-    (tmp_path / "cars.xosc").write_text(
-        CATALOGUE.format(VEHICLE.format(name="", length=4.0).partition(">")[2].rpartition("<")[0])
-    )
-    scenario = read(car=REFERENCE, options={"vehicles": [tmp_path / "cars.xosc"]})
+    def catalogue(length):
+        return CATALOGUE.format(VEHICLE.format(name="", length=length).partition(">")[2].rpartition("<")[0])
+
+    (tmp_path / "cars.xosc").write_text(catalogue(4.0))
+    (tmp_path / "others.xosc").write_text(catalogue(40.0).replace('<Catalog name="cars"', '<Catalog name="others"'))
+    scenario = read(car=REFERENCE, options={"vehicles": [tmp_path / "others.xosc", tmp_path / "cars.xosc"]})
     assert scenario == read()
-    with pytest.raises(RecordingError, match=r"CatalogReference: expected a vehicle of one of 0 known entries"):
+    with pytest.raises(RecordingError, match=r"CatalogReference: expected one of 0 vehicles of known catalogues"):
         read(car=REFERENCE)
 
 
@@ -370,6 +373,10 @@ def test_element_that_does_not_matter_can_be_left_out(read):
         ({"car_place": in_lane(2, 100)}, r"a lane with a negative number, received laneId 2 and h=0; place it"),
         ({"car_place": in_lane(-2, 100, 1.0)}, r"start in the middle of a lane, received Car -0.29 lanes"),
         ({"car_place": in_lane(-3, 52)}, r"a start level with the ego, or clear of it, received 2.0 m ahead"),
+        ({"car_place": in_lane(-2, 52)}, r"a start clear of the ego, received 2.0 m ahead in its lane; move it"),
+        ({"more": VEHICLE.format(name="Car", length=4.0)}, r"Object\[Car\]@name: expected a name that no other"),
+        ({"ego_speed": at_speed("${1}2")}, r"AbsoluteTargetSpeed@value: expected arithmetic"),
+        ({"ego_speed": at_speed("$Owner" * 400)}, r"expected at most 1000 characters, received '\$Owner"),
         ({"car_place": in_lane(-2, 900)}, r"from -500 to 500 .*, received ahead 845.5; move it nearer"),
         ({"car_place": start('<RelativeRoadPosition entityRef="Car" ds="1" dt="0"/>')}, r"places that do not refer"),
         ({"car_place": start('<RoadPosition roadId="1" s="9" t="2"/>')}, r"right side of the road, received t=2"),
@@ -402,6 +409,8 @@ def test_what_no_scenario_can_express_is_refused_by_its_place(read, parts, messa
         ("<ControllerAction/>", at_time(1), r"PrivateAction/ControllerAction: .* received ControllerAction"),
         ("<LongitudinalAction><LongitudinalDistanceAction/></LongitudinalAction>", at_time(1),
          r"received LongitudinalDistanceAction; take it out, or say without=\['LongitudinalDistanceAction'\]"),
+        (to_lane('<AbsoluteTargetLane value="1"/>'), at_time(1), r"a lane with a negative number, received 1; take"),
+        (to_lane('<AbsoluteTargetLane value="-1e8"/>'), at_time(1), r"at most 16 lanes to cross, received 99999998"),
         (to_offset(3), at_time(1), r"expected a number from -1.9 to 1.9 .*, received offset -3.0"),
         (to_lane('<AbsoluteTargetLane value="-2"/><A/>'), at_time(1), r"expected one element in it"),
     ],
@@ -423,6 +432,19 @@ def test_times_that_overlap_are_refused(read):
         RecordingError, match=r"expected a time after the step before, which ends at about 7.0 s, received 4"
     ):
         read(event(to_speed(5), at_time(2), "first"), event(to_speed(9), at_time(4)))
+
+
+def test_parameters_of_parameters_cannot_grow_without_end(read):
+    grows = "".join(f'<ParameterDeclaration name="a{n + 1}" value="$a{n}$a{n}"/>' for n in range(64))
+    declared = f'<ParameterDeclarations><ParameterDeclaration name="a0" value="x"/>{grows}</ParameterDeclarations>'
+    with pytest.raises(RecordingError, match=r"\[a10\]@value: expected at most 1000 characters, received 'xxx"):
+        read(more=declared)
+
+
+def test_catalogue_that_is_not_there_is_named(read):
+    reference = '<ScenarioObject name="Car"><CatalogReference catalogName="cars" entryName="car"/></ScenarioObject>'
+    with pytest.raises(RequestError, match=r"can be read, received 'cars.xosc': No such file or directory; correct"):
+        read(car=reference, options={"vehicles": ["cars.xosc"]})
 
 
 @pytest.mark.parametrize("name", ["xosc", "xosc-1.0"])

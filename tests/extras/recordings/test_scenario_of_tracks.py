@@ -57,6 +57,30 @@ def test_vehicles_that_are_not_there_or_come_towards_the_ego_are_not_in_the_scen
     assert [chain[0].ahead for chain in tracks.scenario(1, at=5.0).npcs] == [35.5, 55.5]
 
 
+def test_ego_that_the_file_names_need_not_drive_along_x():
+    def up(vehicle):
+        x, y, heading, speed = vehicle.states.T
+        return replace(vehicle, states=np.stack([-y, x, heading + math.pi / 2, speed], axis=-1))
+
+    others = [driven("2", 40.0, [(0, 20.0)]), driven("3", -30.0, [(0, 30.0)], [(0, 0.0), (5, 0.0), (8, 1.0)])]
+    along_y = replace(recording(*map(up, others), ego=up(EGO), lanes=()), ego="1")
+    assert along_y.scenario() == recording(*others, lanes=()).scenario(1)
+
+
+def test_track_can_be_followed_up_to_its_last_row():
+    thirtieths = np.arange(145) / 30  # the last of them is less than a start plus the time from there
+    ends = replace(driven("2", 40.0, [(0, 20.0)]), times=thirtieths, states=driven("2", 0.0, [(0, 20.0)]).states[:145])
+    ego = replace(EGO, times=thirtieths, states=EGO.states[:145] - [1.0, 0.0, 0.0, 0.0])
+    assert recording(ends, ego=ego).scenario(1, at=thirtieths[132]).npcs
+
+
+def test_road_gets_lanes_on_the_left_for_who_drives_beside_its_leftmost_one():
+    shoulder = driven("2", 40.0, [(0, 25.0)], [(0, -1.0)])
+    ego = driven("1", 0.0, [(0, 25.0)], [(0, 0.0)])
+    scenario = recording(shoulder, ego=ego).scenario(1)
+    assert (scenario.ego_lane, scenario.npcs[0][0].beside) == (1, -1)
+
+
 def test_without_lanes_those_beside_the_ego_are_as_wide_as_usual():
     tracks = recording(
         driven("2", 40.0, [(0, 25.0)], [(0, 0.0)], width_of_lane=3.5),

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 import pytest_pafot as pafot
 from pytest_pafot.extras.export.exporter import exporter
+from pytest_pafot.extras.recordings import xml_data
 from pytest_pafot.extras.recordings.recording import RecordedVehicle, RecordingError
 from pytest_pafot.model.trace import HEADING, SPEED, X, Y
 from pytest_pafot.support.errors import RequestError
@@ -134,6 +135,7 @@ def test_highd_needs_the_other_files_of_the_recording(highd):
         ("x", "nan", r"01_tracks.csv:2: x: expected a finite number, received 'nan'"),
         ("y", "1_0", r"expected a finite number, received '1_0'"),
         ("y", "1e300", r"expected a finite number"),
+        ("width", "0", r"01_tracks.csv:2: width, height: expected sizes above 0, received \[0.0, 2.0\]"),
         ("id", "7", r"01_tracks.csv:2: id: expected a vehicle of 01_tracksMeta.csv, received 7"),
     ],
 )
@@ -150,7 +152,7 @@ def test_wrong_cell_is_refused_with_line_and_column(highd, column, value, messag
 
 def test_row_that_is_cut_off_is_refused(highd):
     highd.write_text(highd.read_text()[:-40])
-    with pytest.raises(RecordingError, match=r"01_tracks.csv:50: expected 8 cells, received"):
+    with pytest.raises(RecordingError, match=r"01_tracks.csv:50: expected at least 8 cells, received"):
         pafot.recorded(highd)
 
 
@@ -317,6 +319,10 @@ def test_run_that_commonroads_library_has_written_is_read_as_driven(tmp_path):
         ("a,b\n1,2\n", r":1: expected the columns of export --to csv \(time, vehicle, .* received a, b; rename"),
         ("<a>" * 70, r"expected at most 5000000 elements, 60 deep, received more"),
         ("", r"received none"),
+        ("time;vehicle\n1;2\n", r"received time;vehicle; save it with commas between the cells, in UTF-8"),
+        ('time,"vehicle\n', r":1: expected cells between commas, received unexpected end of data; save it as plain"),
+        ("\n\n" + "e" * 100_000, r":3: expected lines below 100000 characters, received a longer one"),
+        ('<?xml version="1.0" encoding="utf-7"?><a/>', r":1: expected XML in UTF-8, received multi-byte"),
     ],
 )
 def test_other_files_are_refused(tmp_path, content, message):
@@ -326,8 +332,90 @@ def test_other_files_are_refused(tmp_path, content, message):
         pafot.recorded(path)
 
 
+def test_scenario_in_utf_16_is_read(tmp_path):
+    path = tmp_path / "scenario.xml"
+    text = COMMONROAD.format(version="2020a", obstacle="dynamicObstacle", role="", shape=RECTANGLE)
+    path.write_text(text.replace("UTF-8", "UTF-16"), encoding="utf-16")
+    assert [each.name for each in pafot.recorded(path).vehicles] == ["7"]
+
+
+def test_names_of_elements_are_cut_where_messages_name_places(tmp_path):
+    path = tmp_path / "file"
+    path.write_text(f'<{"a" * 100} name="{"n" * 100}"/>')
+    with pytest.raises(RecordingError, match=r": a{60}\[n{60}\]: expected OpenSCENARIO"):
+        pafot.recorded(path)
+
+
+def test_text_of_an_element_is_limited(tmp_path, monkeypatch):
+    monkeypatch.setattr(xml_data, "LONGEST_TEXT", 10)
+    path = tmp_path / "file"
+    path.write_text(f"<other>{' ' * 20000}{'x' * 11}</other>")
+    with pytest.raises(RecordingError, match=r"other: expected at most 10 characters, received more"):
+        pafot.recorded(path)
+
+
+def test_gap_is_left_open_if_times_differ_so_little_that_millions_of_rows_would_fill_it(tmp_path):
+    path = tmp_path / "tracks.csv"
+    path.write_text(
+        "time,vehicle,x,y,heading,speed,length,width\n"
+        + "".join(f"{time},ego,0,0,0,20,4,2\n" for time in (0, 1e-9, 2e-9, 0.5))
+    )
+    assert len(pafot.recorded(path).vehicles[0].times) == 4
+
+
+def test_lanes_with_two_numbers_are_left_out(tmp_path):
+    path = tmp_path / "tracks.csv"
+    rows = [f"{time},ego,{20 * time},0,0,20,4,2,{lane}\n" for time, lane in ((0, 1), (1, 1), (2, 2), (3, 2))]
+    path.write_text("time,vehicle,x,y,heading,speed,length,width,lane\n" + "".join(rows))
+    assert pafot.recorded(path).lanes == ()
+
+
+def test_ego_of_a_table_is_found_by_any_usual_name(tmp_path):
+    path = tmp_path / "tracks.csv"
+    path.write_text("time,vehicle,x,y,heading,speed,length,width\n0,van,9,0,0,20,4,2\n0,Hero,0,0,0,20,4,2\n")
+    assert pafot.recorded(path).ego == "Hero"
+
+
+@table(
+    "arguments, message",
+    [
+        ({"between": 5}, r"expected a first and a last time \[s\], such as between=\(0, 60\), received 5"),
+        ({"between": (60, 0)}, r"a first and a last time"),
+        ({"between": (0, math.nan)}, r"a first and a last time"),
+        ({"between": ("0", "1")}, r"a first and a last time"),
+        ({"without": "EnvironmentAction"}, r"expected a list, such as without=\['EnvironmentAction'\], received"),
+        ({"vehicles": "cars.xosc"}, r"expected a list, such as vehicles=\['cars.xosc'\]"),
+        ({"lane_width": 0}, r"expected lane_width in metres, above 0 and at most 20, received 0"),
+        ({"lane_width": "3.5"}, r"expected lane_width in metres"),
+    ],
+)
+def test_argument_that_would_be_misread_is_refused(highd, arguments, message):
+    with pytest.raises(RequestError, match=message):
+        pafot.recorded(highd, **arguments)
+
+
 def test_file_that_is_not_there_and_vehicle_that_is_not_in_it_are_refused(highd):
     with pytest.raises(RequestError, match=r"recorded: expected a file, received 'nothing.csv'; correct the path"):
         pafot.recorded("nothing.csv")
+    with pytest.raises(RequestError, match=r"a file that can be read, received 'n+'?.*: File name too long; correct"):
+        pafot.recorded("n" * 300)
     with pytest.raises(RequestError, match=r"expected one of the vehicles 1, 2, received 3"):
         pafot.recorded(highd, ego=3)
+
+
+def test_name_of_a_vehicle_cannot_command_the_terminal(tmp_path):
+    path = tmp_path / "tracks.csv"
+    path.write_text("time,vehicle,x,y,heading,speed,length,width\n0,\x1b[31mred,0,0,0,20,4,2\n")
+    with pytest.raises(RequestError, match=r"vehicles \\x1b\[31mred, received 'ego'"):
+        pafot.recorded(path, ego="ego")
+
+
+def test_lanes_of_a_named_ego_come_from_the_left_in_any_order_of_the_file(tmp_path):
+    path = tmp_path / "scenario.xml"
+    text = COMMONROAD.format(version="2020a", obstacle="dynamicObstacle", role="", shape=RECTANGLE)
+    before, rest = text.split("  <lanelet", 1)
+    lane, after = rest.split("</lanelet>", 1)
+    left = lane.replace("<y>2.0", "<y>6.0").replace("<y>-2.0", "<y>2.0")
+    path.write_text(f"{before}<lanelet{lane}</lanelet><lanelet{left}</lanelet>{after}")
+    assert [each.y for each in pafot.recorded(path).lanes] == [0.0, -4.0]
+    assert [each.y for each in pafot.recorded(path, ego=7).lanes] == [-4.0, 0.0]
