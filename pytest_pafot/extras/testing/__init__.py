@@ -14,11 +14,23 @@ from typing import Any
 
 import numpy as np
 
-from pytest_pafot import Cell, LaneInstruction, Outcome, Planned, PositionInstruction, Run, Scenario, Trace
+from pytest_pafot import (
+    CAR,
+    MOTORCYCLE,
+    TRUCK,
+    VAN,
+    Cell,
+    LaneInstruction,
+    Outcome,
+    Planned,
+    PositionInstruction,
+    Run,
+    Scenario,
+    Trace,
+)
 from pytest_pafot.extending import LANE, SPEED, Policy, WorldData, X, Y, base_world, rollout_of, sample
 from pytest_pafot.extras.testing import traces as rules
 from pytest_pafot.extras.testing.traces import DEEP, ROUNDING, Promises
-from pytest_pafot.model.vehicle_type import READY
 from pytest_pafot.support.errors import plain_number
 
 Ads = Callable[[], Callable[..., Any]]
@@ -144,7 +156,7 @@ def check_world(
     able: dict[str, Any] = {} if (found := base_world(world).crossings) is None else {"crossings": found}
     if base_world(world).has_lane_instructions:
         able["instructions"] = "both"
-    able["vehicles"] = tuple(filter(base_world(world).can_drive, READY.values()))
+    able["vehicles"] = tuple(filter(base_world(world).can_drive, (CAR, VAN, TRUCK, MOTORCYCLE)))
     random, within = np.random.default_rng(seed), base_world(world).space({**able, **space})
     calls = _Calls(ads)
     done = [_run(world, sample(within, random), calls) for _ in range(runs)]
