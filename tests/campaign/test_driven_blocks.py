@@ -25,7 +25,7 @@ pytestmark = [
 ]
 
 SESSION = os.getpid()
-SPACE = {"npcs": 2, "genes": 3, "gene_seconds": 4, "ego_lane": 1, "ego_speed": 22}
+SPACE = {"npcs": 2, "genes": 3, "gene_seconds": 4, "ego_lane": 1, "ego_speed": 22, "vehicles": "car"}
 STOP = 3  # findings, of which the last is in a block of another process
 RUNS = 98  # six blocks and a part of one
 

@@ -74,7 +74,15 @@ def no_collision(run):
 def test_search_names_the_imperfections_a_failure_needs(planner, seed, imperfections, sentence, tmp_path):
     """These seeds find it within five runs."""
     world = pafot.Highway(duration=30.0)
-    common = {"holds": no_collision, "world": world, "blame": "ego", "seed": seed, "runs": 5, "shrink_rollouts": 4}
+    common = {
+        "holds": no_collision,
+        "world": world,
+        "blame": "ego",
+        "seed": seed,
+        "runs": 5,
+        "shrink_rollouts": 4,
+        "vehicles": "car",
+    }
     factory = pafot.Perception(planner, **imperfections)
     found = pafot.explore(factory, **common, neighbours=0, stop_after=1, corpus=str(tmp_path))
     (finding,) = found.findings
