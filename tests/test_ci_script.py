@@ -16,7 +16,7 @@ import pytest
 
 from tests.helpers.actions import SCRIPT, environment, git, inputs_of, run_action, shell
 from tests.helpers.processes import begun
-from tests.helpers.sessions import read_record
+from tests.helpers.sessions import command_in_a_copy, read_record
 
 pytestmark = pytest.mark.processes
 
@@ -183,7 +183,8 @@ def test_jobs_that_divide_the_replays_replay_each_file_once(repository):
     pytest.importorskip("xdist")
     commit(repository, {"test_a.py": FAILS, "test_b.py": FAILS}, "Two tests")
     plugins = "pytest_pafot.plugin,pytest_split.plugin,xdist.plugin"
-    assert shell(f"sh {SCRIPT} search {QUICK}", repository, RUNS="4")[0] == 1
+    search = ["-p", "pafot", "--pafot-runs=4", *QUICK.split()]
+    assert command_in_a_copy("pytest", *search, folder=repository).code == 1
     replayed = []
     for job in ("--splits 2 --group 1", "--splits 2 --group 2 -n 2"):
         code, printed = shell(f"sh {SCRIPT} replay {job}", repository, PYTEST_PLUGINS=plugins)

@@ -183,14 +183,14 @@ def _imported(source: _Source, content: bytes) -> Iterator[_Source]:
 
 def is_users(file: Path) -> bool:
     """Return whether a file is the user's, and not of an installed package, the standard library or this package."""
-    folders = (*map(Path, _library_folders()), Path(__file__).resolve().parents[1])
-    return not any(part in INSTALLED for part in file.parts) and not any(map(file.is_relative_to, folders))
+    return not any(part in INSTALLED for part in file.parts) and not any(map(file.is_relative_to, _library_folders()))
 
 
 @functools.cache
-def _library_folders() -> tuple[str, ...]:
+def _library_folders() -> tuple[Path, ...]:
     paths = sysconfig.get_paths()
-    return tuple(str(Path(paths[name]).resolve()) for name in ("stdlib", "platstdlib"))
+    libraries = (Path(paths[name]).resolve() for name in ("stdlib", "platstdlib"))
+    return (*libraries, Path(__file__).resolve().parents[1])
 
 
 def _key(name: str, file: Path, here: Path) -> str:

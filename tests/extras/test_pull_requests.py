@@ -16,7 +16,7 @@ class TestAPullRequest:
 
     def run(self, folder, summary, **changes):
         values = {"github.event.pull_request.base.sha": git(folder, "rev-parse", "main")}
-        inputs = inputs_of("pull-request", "pull-request", values) | {"runs": "150", "seed": "5", "requirements": ""}
+        inputs = inputs_of("pull-request", "pull-request", values) | {"runs": "16", "seed": "5", "requirements": ""}
         summary.write_text("")
         code, printed = run_action(inputs | changes, folder, GITHUB_STEP_SUMMARY=str(summary))
         has_page = (folder / "pafot.html").exists() or "nothing" not in printed  # to write, or to compare
@@ -49,7 +49,7 @@ class TestAPullRequest:
         assert counts[1] == base[:7]
         assert told.replace(counts[0], "\n") == (
             "### pafot: 1 new\n\n"
-            "1 search, 150 runs; repeat with `--pafot-runs=150 --pafot-seed=5`.\n"
+            "1 search, 16 runs; repeat with `--pafot-runs=16 --pafot-seed=5`.\n"
             f"A run counts as a failure only if `{against}` passes it.\n\n"
             "**New**\n\n"
             f"- `test_safety.py::test_never_at_fault`: {find.headline}; {Breadth(**find.breadth)}\n"
@@ -84,7 +84,7 @@ class TestAPullRequest:
     def test_every_failure_of_a_new_policy_counts(self, repository, summary):
         git(repository, "switch", "-q", "-c", "begins")
         commit(repository, {"planner.py": PLANNER.replace("2.0  #", "0.6  #"), "test_safety.py": TEST}, "A planner")
-        code, printed = self.run(repository, summary, runs="20", options=QUICK)
+        code, printed = self.run(repository, summary, options=QUICK)
         assert "every failure counts" in " ".join(printed.split())
         assert "against rev" not in printed
         assert code == record_of(repository).exit

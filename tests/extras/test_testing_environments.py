@@ -20,9 +20,6 @@ from tests.world.test_gym_environment import (
     register,  # noqa: F401  (a fixture)
 )
 
-FAST = {"observation": {"type": "Kinematics", "normalize": False}}
-"""The configuration of an environment that observes in a third of the time. No policy here looks at it."""
-
 
 @pytest.mark.parametrize(
     ("entry_point", "wrappers"),
@@ -30,7 +27,7 @@ FAST = {"observation": {"type": "Kinematics", "normalize": False}}
 )
 def test_decisions_at_rates_of_an_environments_own_are_accepted(entry_point, wrappers, register):
     register("mine-v0", entry_point=entry_point)
-    check_world(World("mine-v0", duration=8.0, config=FAST, wrappers=wrappers), ads=IDLE, npcs=1, runs=2)
+    check_world(World("mine-v0", duration=8.0, wrappers=wrappers), ads=IDLE, npcs=1, runs=2)
 
 
 @pytest.mark.parametrize("told", [(0, 15, 45), (0, 0, 45, 90), (15, 45, 90), (0, 90, 45)])
@@ -46,7 +43,7 @@ def test_wrong_times_of_decisions_are_refused(told):
 @pytest.mark.parametrize("options", [{}, {"wrappers": [FlattenObservation]}, {"planner_hz": 5}])
 def test_contact_with_an_obstacle_is_accepted(options, register):
     register("mine-v0", entry_point=Roadworks)
-    world = World("mine-v0", duration=12.0, config=FAST, **options)
+    world = World("mine-v0", duration=12.0, **options)
     factory = (lambda: lambda seen: (0.0, 0.0)) if "planner_hz" in options else IDLE
     trace = world.rollout(Scenario(npcs=AT_ONCE, ego_lane=1), factory)
     assert trace.outcome is Outcome.COLLISION

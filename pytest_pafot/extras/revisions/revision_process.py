@@ -87,10 +87,8 @@ class Served:
     def is_whole(self) -> bool:
         """Return whether all files of the user that this process has imported are of the revision."""
         files = [getattr(module, "__file__", None) for module in [*sys.modules.values()]]
-        paths = {Path(os.path.realpath(file)) for file in files if isinstance(file, str)}
-        return all(
-            path.is_relative_to(self.policy.tree) for path in {*paths, *source_files(self.factory)} if is_users(path)
-        )
+        paths = {*real_paths(file for file in files if isinstance(file, str)), *source_files(self.factory)}
+        return all(path.is_relative_to(self.policy.tree) for path in paths if is_users(path))
 
     def _present(self) -> list[str]:
         """Return the files of the user's present checkout that this process has opened, imported, mapped or started."""
@@ -98,7 +96,7 @@ class Served:
         new = {name for name in [*self.opened, *modules, *_in_memory()] if isinstance(name, str)} - self._known
         self._known |= new
         kept_out = [Path(os.path.realpath(each)) for each in (self.policy.tree, PACKAGE, sys.prefix)]
-        for real in (Path(os.path.realpath(path)) for path in map(Path, new) if not _is_no_part(path)):
+        for real in real_paths(name for name in new if not _is_no_part(Path(name))):
             is_present = real.is_relative_to(self.policy.root) and not any(map(real.is_relative_to, kept_out))
             if is_present and not _is_no_part(real) and real.is_file():
                 self._strangers.add(str(real))
@@ -110,6 +108,23 @@ class Served:
         tree = self.policy.tree
         own = sorted(path for path in map(Path, self._known) if path.is_relative_to(tree) and not _is_no_part(path))
         return {path.relative_to(tree).as_posix(): digest_of(path) for path in own if path.is_file()}
+
+
+def real_paths(names: Iterable[str]) -> Iterator[Path]:
+    """Yield the paths of files without links.
+
+    A process has imported a thousand modules from few folders. `os.path.realpath` would look at all folders above each.
+    """
+
+    @functools.cache
+    def real(name: str) -> str:
+        folder, last = os.path.split(name)
+        if not last:
+            return os.path.realpath(name)
+        path = os.path.join(real(folder), last)  # noqa: PTH118  (a path for each of these takes longer)
+        return os.path.realpath(path) if last in (".", "..") or os.path.islink(path) else path  # noqa: PTH114
+
+    yield from (Path(real(name)) for name in names)
 
 
 def _is_no_part(path: Path) -> bool:
@@ -140,12 +155,12 @@ def imported_elsewhere(names: Iterable[str], own: Path, tree: Path, root: Path) 
     A module of the copy ``tree`` is known by its name with its packages. A name without packages is common, so its file
     has to be that of the copy or of the present repository ``root`` as well.
     """
-    for name in sorted(names):
-        file = getattr(sys.modules.get(name), "__file__", None)
-        if not isinstance(file, str) or name.partition(".")[0] in sys.stdlib_module_names:
-            continue
-        real = Path(os.path.realpath(file))
-        is_own = real.is_relative_to(own) and not real.is_relative_to(os.path.realpath(sys.prefix))
+    foreign = [name for name in sorted(names) if name.partition(".")[0] not in sys.stdlib_module_names]
+    found = {name: getattr(sys.modules.get(name), "__file__", None) for name in foreign}
+    files = {name: file for name, file in found.items() if isinstance(file, str)}
+    prefix = os.path.realpath(sys.prefix)
+    for name, real in zip(files, real_paths(files.values()), strict=True):
+        is_own = real.is_relative_to(own) and not real.is_relative_to(prefix)
         if is_own or real.is_relative_to(PACKAGE) or not real.is_file():
             continue
         for place, folder in _importable(tree).get(name, ()):

@@ -16,6 +16,7 @@ from pytest_pafot.corpus.reader import load
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.extras.revisions.revision import PROCESS, _may_count
 from pytest_pafot.extras.revisions.revision_policy import RevisionPolicy
+from pytest_pafot.extras.revisions.revision_process import real_paths
 from tests.helpers.processes import begun
 from tests.helpers.tables import table
 
@@ -121,6 +122,18 @@ OTHER_TEST = {"test_other.py": "def test_other():\n    pass\n"}
 )
 def test_only_documents_and_tests_are_no_part_of_a_policy(tmp_path, name, may_count):
     assert _may_count(tmp_path, name) is may_count
+
+
+def test_real_paths_are_those_of_the_system(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "a" / "b").mkdir(parents=True)
+    (tmp_path / "a" / "file.py").touch()
+    (tmp_path / "folder").symlink_to("a/b")
+    (tmp_path / "link.py").symlink_to("folder/../file.py")
+    (tmp_path / "loop").symlink_to("loop")
+    names = ["link.py", "./a/file.py", "folder/new.py", "folder/../file.py", "folder/.", "loop/x", "/", ""]
+    names += [f"{tmp_path}/{name}" for name in names]
+    assert [*map(str, real_paths(names))] == [os.path.realpath(name) for name in names]
 
 
 @pytest.mark.parametrize(
