@@ -278,20 +278,31 @@ def test_a_failure_of_a_later_block_whose_file_cannot_be_removed_stays(searched,
     assert len(found["failures"]) == STOP
 
 
-def test_a_search_whose_time_is_over_counts_the_failures_of_later_blocks(searched, saved_early, monkeypatch):
+@pytest.fixture
+def is_over_when_saved_early(saved_early, monkeypatch):
+    """Let the time of a search be over as soon as a failure of a later block is saved, for which it waits."""
     reached = TimedWatch.reached
-    monkeypatch.setattr(TimedWatch, "reached", lambda self, plan: "time" if saved_early else reached(self, plan))
+
+    def is_over(self, plan):
+        if not saved_early:
+            time.sleep(0.05)  # other processes may be slow on a busy machine
+        return "time" if saved_early else reached(self, plan)
+
+    monkeypatch.setattr(TimedWatch, "reached", is_over)
+
+
+@pytest.mark.usefixtures("is_over_when_saved_early")
+def test_a_search_whose_time_is_over_counts_the_failures_of_later_blocks(searched, saved_early):
     found, _ = searched("early", drives=True, workers=2)
     assert {each.name for each in saved_early} <= {*found["files"]}
     assert {f"{id_}.pafot.yaml" for id_ in found["failures"].values()} == {*found["files"]}
     assert found["counts"][1] >= len(found["files"])
 
 
+@pytest.mark.usefixtures("is_over_when_saved_early")
 def test_a_search_that_saves_nothing_counts_the_failures_of_later_blocks_when_its_time_is_over(
     searched, saved_early, monkeypatch
 ):
-    reached = TimedWatch.reached
-    monkeypatch.setattr(TimedWatch, "reached", lambda self, plan: "time" if saved_early else reached(self, plan))
     searched("early", drives=True, workers=2)
     (early,) = saved_early
     saved_early.clear()
@@ -299,10 +310,9 @@ def test_a_search_that_saves_nothing_counts_the_failures_of_later_blocks_when_it
     assert early.name.partition(".")[0] in found["failures"].values()
 
 
-def test_a_failure_of_a_later_block_that_is_not_repeated_is_flaky(searched, saved_early, monkeypatch):
+@pytest.mark.usefixtures("is_over_when_saved_early")
+def test_a_failure_of_a_later_block_that_is_not_repeated_is_flaky(searched, saved_early):
     """The verdict before its turn is on the run of the other process. At this seed, its scenario is driven as drawn."""
-    reached = TimedWatch.reached
-    monkeypatch.setattr(TimedWatch, "reached", lambda self, plan: "time" if saved_early else reached(self, plan))
 
     def elsewhere(observation):
         return (0.0 if os.getpid() == SESSION else -1.0), 0.0
