@@ -32,7 +32,7 @@ cdef class Director(BaseDirector):
     cdef public bint skips
     cdef readonly object _scenario
     cdef object _cells
-    cdef readonly list _on_grid, _in_lanes, _asked
+    cdef readonly list _on_grid, _in_lanes, _asked, _free, _directed
     cdef object _limits
     cdef double _top_speed, _release
     cdef int _hz
