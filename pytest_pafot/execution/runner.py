@@ -376,6 +376,8 @@ class DecisionCache:
 
 def _key(scenario: Scenario, chains: Chains, genes: int, seed: int | None) -> _Key:
     shared = tuple([chain[:genes] for chain in chains])
+    if any(chain[0].drives_itself for chain in scenario.npcs):  # a driver of an NPC may draw
+        seed = scenario.seed
     return scenario.ego_lane, scenario.ego_speed, scenario.gene_seconds, scenario.traffic, seed, shared
 
 
@@ -902,7 +904,10 @@ def driving(world: Any, ads: Callable[..., Any]) -> Iterator[Callable[[Scenario]
             answer = None if pool is None else pool.fetch(scenario)
             if isinstance(answer, ProcessLostError):
                 raise answer
-            return base.run_of(rollout_of(base)(scenario, ads))
+            there = base
+            if base.has_free_npcs and any(chain[0].drives_itself for chain in scenario.npcs):
+                there = base.with_drivers({"policy": ads})  # also for drivers that take over from the ego
+            return there.run_of(rollout_of(there)(scenario, ads))
 
         yield drive
 

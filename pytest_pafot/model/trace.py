@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from functools import cached_property
-from typing import Any, Literal
+from typing import Any, Literal, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -532,6 +532,14 @@ class Trace(Shown):
     obstacles: tuple[tuple[float, float, float, float, float], ...] = ()
     drew: bool = False
     npc_error: tuple[int, AdsError] | None = None
+
+    @property
+    def npc_error_text(self) -> str:
+        """The name and the error of the driver of a free NPC that failed, in one line; empty if none did."""
+        if self.npc_error is None:
+            return ""
+        npc, error = self.npc_error
+        return f"the driver {cast('Any', self.scenario.npcs[npc][0]).driver} of NPC {npc}: {error.text}"
 
     def steps_begun(self, npc: int) -> tuple[int, ...]:
         """Return the ticks at which the steps of an NPC's manoeuvre began; empty without a manoeuvre."""

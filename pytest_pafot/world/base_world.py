@@ -203,6 +203,15 @@ class BaseWorld(ABC):
         """True if NPCs can have manoeuvres."""
         return False
 
+    @property
+    def has_free_npcs(self) -> bool:
+        """True if NPCs can have drivers of their own, see :class:`pytest_pafot.Free`."""
+        return False
+
+    def with_drivers(self, drivers: Mapping[str, Any]) -> BaseWorld:
+        """Return the world with the factories of drivers of free NPCs, by name."""
+        raise NotImplementedError
+
     # How runs can be made, in addition to ``rollout``.
 
     @property

@@ -144,6 +144,11 @@ class BuiltInWorld(BaseWorld):
         return True
 
     @property
+    def has_free_npcs(self) -> bool:
+        """True if the road is one that drivers of NPCs can see."""
+        return self.road.has_free_npcs
+
+    @property
     def has_lock_step(self) -> bool:
         """True if several runs can proceed in lock step, one decision at a time."""
         return True
@@ -217,10 +222,14 @@ class BuiltInWorld(BaseWorld):
             ScenarioError: for a name that no driver can have.
         """
         named = {checked_driver(name): factory for name, factory in drivers.items()}
+        if "policy" in named and not self._can_drive_npcs(named["policy"]):
+            del named["policy"]
         if own := next((name for name in ("idm", "mobil") if name in named), None):
             raise ScenarioError(
                 field="drivers", expected="other names than idm and mobil", received=own, fix="choose another name"
             )
+        for factory in named.values():
+            Policy(factory).check_drives_in(self)
         world = copy.copy(self)  # with its road and environment, which take long to make
         object.__setattr__(world, "npc_drivers", {**self.npc_drivers, **named})
         return world

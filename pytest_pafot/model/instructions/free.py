@@ -35,10 +35,9 @@ NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]{0,39}")
 """The pattern of a driver's name, which stands in files and tables."""
 
 STARTS: tuple[Key, ...] = tuple(
-    ("free", along, across) for along in ("ahead", "level", "behind") for across in ("left", "in lane", "right")
-    if (along, across) != ("level", "in lane")
-)  # fmt: skip
-"""The keys of the starts in coverage, around the ego."""
+    ("free", along, across) for along in ("ahead", "behind") for across in ("left", "in lane", "right")
+)
+"""The keys of the starts that a search samples, in coverage, around the ego."""
 
 # What a search samples.
 
@@ -82,9 +81,20 @@ class Free(WithStart):
         object.__setattr__(self, "driver", checked_driver(self.driver))
 
     @property
+    def place(self) -> str:
+        """The start and the driver in words."""
+        return f"{self.start}, driven by {self.driver}"
+
+    @property
     def goal(self) -> str:
         """The start and the driver in words."""
-        return f"{self.place}; {self.driver} drives"
+        return self.place
+
+    def mixed(self, other: Instruction, rng: Generator) -> tuple[Instruction, Instruction] | None:
+        """Return two children with each other's drivers. Starts stay, so that no two NPCs touch there."""
+        if not isinstance(other, Free):
+            return None
+        return replace(self, driver=other.driver), replace(other, driver=self.driver)
 
     def is_drawn_in(self, space: Space) -> bool:
         """Return whether a search in a space has NPCs with this driver."""

@@ -446,11 +446,16 @@ class WithStart(Instruction):
             raise ScenarioError(field="ahead", expected=expected, received="0", fix=fix)
 
     @property
-    def place(self) -> str:
+    def start(self) -> str:
         """The start in words: ``30 m ahead, 1 lane right``."""
         along = f"{abs(self.ahead):g} m {'ahead' if self.ahead > 0 else 'behind'}" if self.ahead else "level"
         lanes = f"{abs(self.beside)} lane{'s' * (abs(self.beside) > 1)} {'left' if self.beside < 0 else 'right'}"
         return f"{along}, {lanes if self.beside else 'in lane'}"
+
+    @property
+    def place(self) -> str:
+        """The start in words."""
+        return self.start
 
     @property
     def short(self) -> str:
