@@ -150,7 +150,7 @@ def manoeuvres(
     """
     if not 0 <= max_steps <= MOST_STEPS:
         raise ValueError(f"manoeuvres: expected 0 to {MOST_STEPS} steps, received {max_steps!r}")
-    start = _starts("manoeuvres", beside, max_distance, _speeds(min_speed, max_speed))
+    start = _placed("manoeuvres", beside, max_distance, _speeds(min_speed, max_speed))
     chains = st.lists(steps(min_speed=min_speed, max_speed=max_speed), max_size=max_steps).map(tuple)
     return st.builds(Manoeuvre, **start, steps=chains)
 
@@ -177,11 +177,11 @@ def free_npcs(
     names = [checked_driver(name) for name in drivers]
     if not names:
         raise ValueError("free_npcs: expected at least one driver, received none")
-    start = _starts("free_npcs", beside, max_distance, _speeds(min_speed, max_speed))
+    start = _placed("free_npcs", beside, max_distance, _speeds(min_speed, max_speed))
     return st.builds(Free, **start, driver=st.sampled_from(names))
 
 
-def _starts(
+def _placed(
     name: str, beside: Iterable[int], max_distance: float, speeds: SearchStrategy[float]
 ) -> dict[str, SearchStrategy[Any]]:
     """Return the strategies for the fields of a start."""

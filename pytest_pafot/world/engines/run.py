@@ -23,7 +23,7 @@ from pytest_pafot.model.trace import (
     Trace,
     road_of_run,
 )
-from pytest_pafot.world.engines.free import movers_of
+from pytest_pafot.world.engines.npc_drivers import movers_of
 from pytest_pafot.world.guard.failure import UNFIT, error_of
 from pytest_pafot.world.guard.hang_guard import HangGuard
 from pytest_pafot.world.kernel.bodies import Body, Box, depth, overlap, side_hit

@@ -15,7 +15,7 @@ from pytest_pafot.model.trace import SPEED, X, Y
 from pytest_pafot.support.errors import AdsFactoryError
 from pytest_pafot.world.driving.idm_model import CONSTANTS
 from pytest_pafot.world.driving.perception import Perception
-from pytest_pafot.world.engines.free import IDM
+from pytest_pafot.world.engines.npc_drivers import IDM
 from tests.helpers.c_library import c_library
 
 WORLD = Highway(duration=12.0)
