@@ -352,10 +352,9 @@ def build_space(request: Request, world: Any) -> SearchSpace:
         if space.instructions == "manoeuvres":
             space = _with_room(space, world, "npcs" in request.space)
         if request.drivers:
-            road, start = world.straight_road, world.given
+            road, row = world.straight_road, (world.given.headway, world.given.clearance)
             lanes = 0 if road is None else road.lane_count
-            rows = {"headway": start.headway, "clearance": start.clearance}
-            space = replace(space, drivers=tuple(request.drivers), lanes=lanes, **rows)
+            space = replace(space, drivers=tuple(request.drivers), lanes=lanes, row=row)
         given = ", ".join(f"{name}={value!r}" for name, value in request.space.items())
         sample(space, np.random.default_rng(0))  # so that a wrong argument is one clear error before the search begins
     except WorldError as error:

@@ -94,8 +94,7 @@ class SearchSpace:
         lanes: number of lanes of a straight road, for manoeuvres; 0 if it is unknown, and NPCs keep their lanes.
         room: the largest gap between the ego and the start of an NPC with a manoeuvre, behind and ahead [m].
         drivers: the names of the drivers of free NPCs; half of the NPCs are then free. If empty, none is.
-        headway, clearance: what decides the gap between the ego and NPCs that start ahead of it or behind it [s, m],
-            for the starts of free NPCs.
+        row: the world's headway [s] and clearance [m], from which NPCs with cells start, for the starts of free ones.
         first: scenarios that a search drives before those that it samples.
     """
 
@@ -119,8 +118,7 @@ class SearchSpace:
     lanes: int = 0
     room: tuple[float, float] = (math.inf, math.inf)
     drivers: tuple[str, ...] = ()
-    headway: float = 0.0
-    clearance: float = 0.0
+    row: tuple[float, float] = (0.0, 0.0)
     first: tuple[Scenario, ...] = ()
 
     def __post_init__(self) -> None:
@@ -164,8 +162,7 @@ class SearchSpace:
             "lanes": 0,
             "room": (math.inf, math.inf),
             "drivers": (),
-            "headway": 0.0,
-            "clearance": 0.0,
+            "row": (0.0, 0.0),
             "first": (),
         }
         return {name: value for name, value in data.items() if name not in usual or value != usual[name]}
@@ -184,7 +181,7 @@ class SearchSpace:
     def choices(self) -> Choices:
         """What an instruction may have in this space."""
         start = self.ego_lane, self.ego_speed, self.lanes, self.room
-        return Choices(self.low_step, self.top_step, *start, self.drivers, self.headway, self.clearance)
+        return Choices(self.low_step, self.top_step, *start, self.drivers, self.row)
 
     @property
     def described(self) -> str:

@@ -174,7 +174,8 @@ def random_free(choices: Choices, others: Sequence[Sequence[Instruction]], rng: 
     road that no other NPC has, so that no two of them touch, whatever their lanes are: the first on each side between
     the ego and that row if there is room, the others beyond it.
     """
-    row = max(choices.headway * choices.ego_speed, choices.clearance)
+    headway, clearance = choices.row
+    row = max(headway * choices.ego_speed, clearance)
     free = list[tuple[int, float, float]]()  # side, the least gap and the part of it that is sampled
     taken = [chain[0].ahead for chain in others if isinstance(chain[0], WithStart)]
     between = row - NEAR - CAR - MARGIN

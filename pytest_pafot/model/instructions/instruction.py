@@ -61,7 +61,7 @@ class Choices(NamedTuple):
         lanes: the number of lanes of a straight road; 0 if it is unknown.
         room: the largest gap between the ego and the start of an NPC, behind and ahead [m].
         drivers: the names of the drivers of free NPCs.
-        headway, clearance: what decides the gap between the ego and the NPCs that start ahead or behind [s, m].
+        row: the headway [s] and the least gap [m] with which NPCs with cells start ahead of the ego or behind it.
     """
 
     low: int
@@ -71,8 +71,7 @@ class Choices(NamedTuple):
     lanes: int
     room: tuple[float, float]
     drivers: tuple[str, ...] = ()
-    headway: float = 0.0
-    clearance: float = 0.0
+    row: tuple[float, float] = (0.0, 0.0)
 
     def any_speed(self, rng: Generator) -> float:
         """Sample a target speed, uniform over the steps of 0.1 m/s [m/s]."""
