@@ -904,9 +904,7 @@ def driving(world: Any, ads: Callable[..., Any]) -> Iterator[Callable[[Scenario]
             answer = None if pool is None else pool.fetch(scenario)
             if isinstance(answer, ProcessLostError):
                 raise answer
-            there = base
-            if base.has_free_npcs and any(chain[0].drives_itself for chain in scenario.npcs):
-                there = base.with_drivers({"policy": ads})  # also for drivers that take over from the ego
+            there = base.driven_in((scenario,), ads)
             return there.run_of(rollout_of(there)(scenario, ads))
 
         yield drive

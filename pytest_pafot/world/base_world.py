@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from bisect import bisect_left
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
@@ -211,6 +211,13 @@ class BaseWorld(ABC):
     def with_drivers(self, drivers: Mapping[str, Any]) -> BaseWorld:
         """Return the world with the factories of drivers of free NPCs, by name."""
         raise NotImplementedError
+
+    def driven_in(self, scenarios: Iterable[Scenario], factory: AdsFactory) -> BaseWorld:
+        """Return the world that knows the policy of a run, so that also runs of other egos have it drive free NPCs.
+
+        It is the same world if no NPC is free.
+        """
+        return self
 
     # How runs can be made, in addition to ``rollout``.
 

@@ -234,7 +234,7 @@ class BuiltInWorld(BaseWorld):
         object.__setattr__(world, "npc_drivers", {**self.npc_drivers, **named})
         return world
 
-    def _driven_in(self, scenarios: Iterable[Scenario], factory: AdsFactory) -> Self:
+    def driven_in(self, scenarios: Iterable[Scenario], factory: AdsFactory) -> Self:
         """Return this world with the policy of a run as driver of free NPCs that ask for it, unless it has one."""
         if "policy" in self.npc_drivers or not self._can_drive_npcs(factory) or not any(map(drives_itself, scenarios)):
             return self
@@ -265,7 +265,7 @@ class BuiltInWorld(BaseWorld):
         policy.check_drives_in(self)
         if not self.has_lock_step:
             return [self.rollout(scenario, ads_factory) for scenario in scenarios]
-        begin = self._driven_in(scenarios, ads_factory)._begin
+        begin = self.driven_in(scenarios, ads_factory)._begin
         return rollouts(scenarios, policy, begin, self.rollout, self.hang_limit)
 
     def rollout_reference(self, scenario: Scenario, name: str) -> Trace:

@@ -211,7 +211,7 @@ class World(BuiltInWorld):
             # In some environments policies need the environment's own steps, and vehicle classes do not.
             ads = policy.make()
             policy = Policy(ads.given if ads.drives_itself else wraps(ads_factory, updated=())(lambda: ads.given))
-        rules = self._driven_in((scenario,), policy.factory).rules
+        rules = self.driven_in((scenario,), policy.factory).rules
         drives_itself = self.planner_hz is not None or policy.drives_itself
         if not drives_itself:
             self.environment.check_keeps_no_ego()
@@ -237,7 +237,7 @@ class World(BuiltInWorld):
         """
         from pytest_pafot.world.engines.gym_replay import replay_environment  # noqa: PLC0415  (imports highway-env)
 
-        is_planner, rules = self.planner_hz is not None, self._driven_in((scenario,), ads_factory).rules
+        is_planner, rules = self.planner_hz is not None, self.driven_in((scenario,), ads_factory).rules
         return replay_environment(self.environment, rules, scenario, Policy(ads_factory), is_planner=is_planner)
 
     def _can_drive_npcs(self, factory: AdsFactory) -> bool:

@@ -110,7 +110,7 @@ class Highway(BuiltInWorld):
                 "ads: expected a factory without a parameter `env`, because pafot.Highway has no environment; "
                 'use world=pafot.World("highway-v0") for planners that simulate inside one'
             )
-        ads, rules = policy.make(), self._driven_in((scenario,), ads_factory).rules
+        ads, rules = policy.make(), self.driven_in((scenario,), ads_factory).rules
         if ads.drives_itself:
             if decisions:
                 raise WorldError(
@@ -139,7 +139,7 @@ class Highway(BuiltInWorld):
         """
         from pytest_pafot.world.engines.gym_replay import replay_highway  # noqa: PLC0415  (imports highway-env)
 
-        rules = self._driven_in((scenario,), ads_factory).rules
+        rules = self.driven_in((scenario,), ads_factory).rules
         return replay_highway(rules, scenario, Policy(ads_factory))
 
     def _begin(self, scenario: Scenario, guard: HangGuard, sight: Sight | None) -> SteppedRun:
