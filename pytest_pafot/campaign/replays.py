@@ -249,8 +249,8 @@ class Replays:
                 world: BaseWorld = codec.named(finding.world, self.harness.world)
             else:
                 world = base_world(codec.of_file(finding.world, finding.scenario, self.harness.world))
-                if any(chain[0].drives_itself for chain in finding.scenario.npcs):
-                    world = with_drivers(world, {"policy": self.harness.policy.factory, **self.harness.drivers})
+                world = with_drivers(world, self.harness.drivers)
+                world = world.driven_in((finding.scenario,), self.harness.policy.factory)
             with _naming(saved.path):
                 world.check_fits(finding.scenario)
         except (WorldError, TypeError, ValueError) as error:

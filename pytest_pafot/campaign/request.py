@@ -236,18 +236,17 @@ def _checked_drivers(given: Any, place: str) -> dict[str, str | Callable[..., An
 
 
 def drivers_of(request: Request, policy: Callable[..., Any], fixture: Callable[[str], Any]) -> dict[str, Any]:
-    """Return the factories of the drivers of free NPCs by name, and under ``policy`` the policy under test.
+    """Return the factories of the drivers of free NPCs by name, if named with the policy under test as ``policy``.
 
-    It is empty if the mark names no driver. ``fixture`` returns the value of a fixture.
+    ``fixture`` returns the value of a fixture.
     """
-    if not request.drivers:
-        return {}
     own = {name: each for name, each in request.drivers.items() if name not in BUILT_IN_DRIVERS}
     given = request.settings.against
     if isinstance(given, str) and given.startswith(REVISION) and set(request.drivers) - {"idm", "mobil"}:
         problem = f"only idm and mobil with against={given!r}, whose process has none of these policies, received"
         raise request.error("drivers=...", f"expected {problem} {', '.join(request.drivers)}")
-    return {"policy": policy, **{name: fixture(each) if isinstance(each, str) else each for name, each in own.items()}}
+    named = {"policy": policy} if "policy" in request.drivers else {}
+    return named | {name: fixture(each) if isinstance(each, str) else each for name, each in own.items()}
 
 
 def check_names(arguments: Mapping[str, Any], *, place: str = "@pafot.search") -> None:

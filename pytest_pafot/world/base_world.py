@@ -215,7 +215,7 @@ class BaseWorld(ABC):
     def driven_in(self, scenarios: Iterable[Scenario], factory: AdsFactory) -> BaseWorld:
         """Return the world that knows the policy of a run, so that also runs of other egos have it drive free NPCs.
 
-        It is the same world if no NPC is free.
+        It is the same world if no NPC asks for it.
         """
         return self
 

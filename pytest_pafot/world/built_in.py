@@ -236,7 +236,8 @@ class BuiltInWorld(BaseWorld):
 
     def driven_in(self, scenarios: Iterable[Scenario], factory: AdsFactory) -> Self:
         """Return this world with the policy of a run as driver of free NPCs that ask for it, unless it has one."""
-        if "policy" in self.npc_drivers or not self._can_drive_npcs(factory) or not any(map(drives_itself, scenarios)):
+        chains = (chain for scenario in scenarios if drives_itself(scenario) for chain in scenario.npcs)
+        if "policy" in self.npc_drivers or all(getattr(chain[0], "driver", "") != "policy" for chain in chains):
             return self
         return self.with_drivers({"policy": factory})
 

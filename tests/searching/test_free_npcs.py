@@ -195,3 +195,23 @@ def test_driver_that_fails_is_reported_and_is_no_failure():
     assert (
         "ended when the driver of a free NPC failed, most often the driver own of NPC 0: ValueError: no way" in warning
     )
+
+
+class Pure:
+    """An ego whose decisions are cached, among drivers that draw: with another seed they drive otherwise."""
+
+    pure = True
+
+    def __call__(self, observation):
+        return following(observation)
+
+
+def test_cached_decisions_are_those_of_a_run_with_all_drivers():
+    drivers = {"drawing": Drawing, "policy": "policy"}
+    cached, anew = (
+        pafot.explore(ads, holds=no_collision, drivers=drivers, runs=120, seed=3, blame="ego", neighbours=0, npcs=2)
+        for ads in (Pure, lambda: following)
+    )
+    assert cached.summary.outcomes == anew.summary.outcomes
+    assert [each.scenario for each in cached.findings] == [each.scenario for each in anew.findings]
+    assert not any("pure" in each for each in cached.summary.warnings + cached.summary.notes)
