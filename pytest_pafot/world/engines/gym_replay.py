@@ -331,6 +331,12 @@ class _Loop:
 
     def run(self) -> Trace:
         """Decide and step until the run ends, and return its trace."""
+        try:
+            return self._driven()
+        finally:
+            self._run.close()
+
+    def _driven(self) -> Trace:
         driver, loop, hz = self._driver, self._run.loop, self._run.rules.ads_hz
         with self._guard:
             if isinstance(driver, StockPolicy):

@@ -88,11 +88,14 @@ class VehiclesOfRun:
         for npc, mover in self._movers.items():
             self.loop.give(npc, mover.driver(self.places, self.rows, guard))
 
+    def close(self) -> None:
+        """End what moves NPCs in the place of the director, after the run."""
+        for mover in self._movers.values():
+            mover.close()
+
     def trace(self, driver: EgoDriver, error: AdsError | None = None) -> Trace:
         """Return the trace up to the current tick, given the ego's driver and the ADS's error that ended the run."""
         loop, places, count = self.loop, self.places, len(self.sizes)
-        for mover in self._movers.values():
-            mover.close()
         shape = (loop.tick + 1, count, COLUMNS)
         rows = np.frombuffer(self.rows, count=shape[0] * count * COLUMNS)
         # Read-only, and without a copy if the run has filled the whole buffer.
@@ -239,8 +242,12 @@ class SteppedRun:
             error = loop.run(self.driver, min(loop.tick + self.driver.every, self._ticks))
         if error is not None or loop.is_over or loop.tick == self._ticks:
             self.trace = self.vehicles.trace(self.driver, error)
+            self.vehicles.close()
 
     def finish(self) -> Trace:
         """Drive to the end of the run, with decisions of the driver itself, and return the trace."""
-        with self._guard:
-            return self.vehicles.trace(self.driver, self.vehicles.loop.run(self.driver, self._ticks))
+        try:
+            with self._guard:
+                return self.vehicles.trace(self.driver, self.vehicles.loop.run(self.driver, self._ticks))
+        finally:
+            self.vehicles.close()
