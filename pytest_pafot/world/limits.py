@@ -33,7 +33,7 @@ the computation of an NPC's controls is not reliable."""
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NpcLimits:
-    """Hard limits of every NPC; they hold at every tick of every trace.
+    """Hard limits of every NPC that is not free; they hold at every tick of every trace.
 
     Attributes:
         acceleration: strongest acceleration [m/s^2].

@@ -2,7 +2,8 @@
 
 A kind is a frozen dataclass derived from :class:`Instruction`, in a file of its own. It has a field ``speed``, and
 overrides what differs from the defaults here. :data:`~pytest_pafot.model.instructions.KINDS` lists it, and
-``world/kernel/director.py:DRIVES`` names how it drives.
+``world/kernel/director.py:DRIVES`` names how it drives; what moves a kind that drives itself is in
+``world/engines/npc_drivers.py:MOVERS``.
 """
 
 from __future__ import annotations
