@@ -8,10 +8,23 @@ import numpy as np
 import pytest
 from highway_env.road.road import Road, RoadNetwork
 from highway_env.vehicle.behavior import IDMVehicle
+from hypothesis import given, reject
+from hypothesis import strategies as st
 
-from pytest_pafot import Drive, Free, Highway, LaneInstruction, Outcome, PositionInstruction, Scenario, World
+from pytest_pafot import (
+    Drive,
+    Free,
+    Highway,
+    LaneInstruction,
+    Outcome,
+    PositionInstruction,
+    Run,
+    Scenario,
+    World,
+    strategies,
+)
 from pytest_pafot.model.instructions import ScenarioError
-from pytest_pafot.model.trace import SPEED, X, Y
+from pytest_pafot.model.trace import ACCELERATION, LANE, SPEED, X, Y
 from pytest_pafot.support.errors import AdsFactoryError
 from pytest_pafot.world.driving.idm_model import CONSTANTS
 from pytest_pafot.world.driving.perception import Perception
@@ -316,3 +329,51 @@ def test_policy_of_an_environment_meets_free_npcs():
 def test_bent_roads_are_refused_by_name():
     with pytest.raises(ScenarioError, match="expected no free NPC on this road"):
         World("merge-v0").rollout(Scenario(npcs=(free(),), ego_lane=1, ego_speed=30.0), lambda: lambda seen: 1)
+
+
+# On other worlds, and whatever the scenario is.
+
+
+@pytest.mark.parametrize("planner_hz", [5, None])
+def test_planners_drive_in_an_environment_with_a_straight_road(planner_hz):
+    world = World("highway-v0", duration=6.0, planner_hz=planner_hz).with_drivers({"last": lambda: following})
+    scenario = Scenario(npcs=(free("last", ahead=-30.0, speed=24.0), free("mobil", speed=12.0)), ego_lane=1)
+    ads = (lambda: following) if planner_hz else (lambda: lambda seen: 1)
+    trace = world.rollout(scenario, ads)
+    assert trace.npc_error is None
+    assert states(trace) == states(world.rollout_in_gym(scenario, ads))
+
+
+def test_run_of_a_failed_driver_is_explained():
+    trace = run(free("own", beside=1), world=WORLD.with_drivers({"own": lambda: raising}))
+    expected = "invalid after 0.0 s: the driver own of NPC 0: ValueError: no way ahead"
+    assert Run(trace).explain().splitlines()[0] == expected
+
+
+scenarios = st.builds(
+    lambda frees, seed: Scenario(npcs=tuple((each,) for each in frees), seed=seed, ego_lane=1, ego_speed=18.0),
+    st.lists(
+        strategies.free_npcs(drivers=["idm", "mobil", "policy"], max_distance=80.0, min_speed=1.0),
+        min_size=1,
+        max_size=4,
+    ),
+    st.integers(0, 9),
+)
+
+
+@given(scenarios)
+def test_free_npcs_keep_their_limits_in_any_scenario(scenario):
+    world = Highway(duration=8.0).with_drivers({"policy": lambda: following})
+    try:
+        world.check_fits(scenario)
+    except ScenarioError:
+        reject()
+    trace = world.rollout(scenario, lambda: following)
+    npcs = trace.states[:, 1:]
+    assert npcs[..., SPEED].min() >= -1e-9
+    assert npcs[..., SPEED].max() <= world.speed_limit + 1e-6
+    assert np.abs(npcs[..., ACCELERATION]).max() <= 6.0 + 1e-9
+    assert (npcs[..., LANE] >= 0).all()
+    assert states(trace) == states(world.rollout(scenario, lambda: following))
+    kept = [each[0].driver != "mobil" for each in scenario.npcs]
+    assert (npcs[:, kept, Y] == npcs[0, kept, Y]).all()
