@@ -535,11 +535,11 @@ class Trace(Shown):
 
     @property
     def npc_error_text(self) -> str:
-        """The name and the error of the driver of a free NPC that failed, in one line; empty if none did."""
+        """A line on the driver of a free NPC that failed, with its error; empty if none did."""
         if self.npc_error is None:
             return ""
         npc, error = self.npc_error
-        return f"the driver {cast('Any', self.scenario.npcs[npc][0]).driver} of NPC {npc}: {error.text}"
+        return f"the driver {cast('Any', self.scenario.npcs[npc][0]).driver} failed: {error.text}"
 
     def steps_begun(self, npc: int) -> tuple[int, ...]:
         """Return the ticks at which the steps of an NPC's manoeuvre began; empty without a manoeuvre."""

@@ -134,7 +134,7 @@ def pafot_simulate(pafot_world: WorldLike) -> Simulate:
         is_generated = hypothesis is not None and hypothesis.currently_in_test_context()  # one of many, which it tries
         if run.outcome is Outcome.INVALID and not is_generated:
             why = "two NPCs or an NPC and a fixed object touched"
-            why = f"an error ended {run.trace.npc_error_text}" if run.trace.npc_error else why
+            why = run.trace.npc_error_text or why
             warnings.warn(
                 f"pafot_simulate: the run is invalid, because {why}; it ended there and says nothing about the ego. "
                 f"Correct the {'driver' if run.trace.npc_error else 'scenario'}",

@@ -219,7 +219,7 @@ class Health:
             crash = where if failed == self.invalid else f"{crash} or, {failed} of them, {where},"
             remedy = "correct that driver, or leave it out of drivers="
             (most, _), *_ = self.npc_errors.most_common(1)
-            found.append(f"{plural(failed, 'simulated scenario')} ended {where}, most often {most:.300}; {remedy}")
+            found.append(f"{plural(failed, 'simulated scenario')} tested nothing; most often {most:.300}; {remedy}")
         if self.vacuous:
             found.append(
                 f"none of {self.simulated} simulated scenarios gave a valid run ({self.invalid} ended {crash}, "

@@ -192,9 +192,7 @@ def test_driver_that_fails_is_reported_and_is_no_failure():
     found = explored(holds=anything, drivers={"own": lambda: raising}, npcs=1)
     assert found.findings == ()
     (warning, *_) = found.summary.warnings
-    assert (
-        "ended when the driver of a free NPC failed, most often the driver own of NPC 0: ValueError: no way" in warning
-    )
+    assert "tested nothing; most often the driver own failed: ValueError: no way; correct that driver" in warning
 
 
 class Pure:

@@ -346,7 +346,7 @@ def test_planners_drive_in_an_environment_with_a_straight_road(planner_hz):
 
 def test_run_of_a_failed_driver_is_explained():
     trace = run(free("own", beside=1), world=WORLD.with_drivers({"own": lambda: raising}))
-    expected = "invalid after 0.0 s: the driver own of NPC 0: ValueError: no way ahead"
+    expected = "invalid after 0.0 s: the driver own failed: ValueError: no way ahead (NPC 0)"
     assert Run(trace).explain().splitlines()[0] == expected
 
 
