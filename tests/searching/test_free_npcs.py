@@ -58,6 +58,15 @@ def test_what_is_sampled_and_varied_can_start(space, seed, mutations):
         assert {free.driver for free in free_of(each)} <= set(space.drivers)
 
 
+@pytest.mark.parametrize("seed", range(6))
+def test_long_lines_of_mutations_can_start(seed):
+    rng, space = np.random.default_rng(seed), space_of(npcs=5, ego_speed=22.0, ego_lane=1)
+    scenario = sample(space, rng)
+    for _ in range(300):
+        scenario = mutate(scenario, space, rng)
+        WORLD.check_fits(scenario)
+
+
 def test_about_half_of_the_npcs_are_free():
     rng, space = np.random.default_rng(0), space_of(npcs=4)
     free = [len(free_of(sample(space, rng))) for _ in range(200)]

@@ -49,7 +49,7 @@ FASTER, BRAKING = 8.0, 2.0
 """The largest difference to the ego's first speed [m/s], and the braking with which it may be lost before contact
 [m/s^2], so that there is no danger at the start."""
 JUMP, OTHER_DRIVER, OTHER_LANE = 0.1, 0.3, 0.5
-"""The share by which a mutation moves the start, and the shares of mutations with another driver, and up to which they
+"""The share by which a mutation moves the start towards the ego, and the shares of mutations with another driver, and up to which they
 have another lane; half of the others move the start, half change the speed."""
 
 
@@ -108,8 +108,8 @@ class Free(WithStart):
         if choices.lanes and self.ahead and kind < OTHER_LANE:
             lane = int(rng.integers(choices.lanes)) - choices.ego_lane
             return replace(self, beside=min(max(lane, -MOST_BESIDE), MOST_BESIDE))
-        if self.ahead and kind < (1 + OTHER_LANE) / 2:
-            # Nearer to the ego, never to another start.
+        if abs(self.ahead) < _row(choices) and kind < (1 + OTHER_LANE) / 2:
+            # Nobody else starts between it and the ego.
             return replace(self, ahead=_toward(self.ahead, JUMP * rng.random()))
         return replace(self, speed=_speed(choices, abs(self.ahead), rng))
 
@@ -174,8 +174,7 @@ def random_free(choices: Choices, others: Sequence[Sequence[Instruction]], rng: 
     road that no other NPC has, so that no two of them touch, whatever their lanes are: the first on each side between
     the ego and that row if there is room, the others beyond it.
     """
-    headway, clearance = choices.row
-    row = max(headway * choices.ego_speed, clearance)
+    row = _row(choices)
     free = list[tuple[int, float, float]]()  # side, the least gap and the part of it that is sampled
     taken = [chain[0].ahead for chain in others if isinstance(chain[0], WithStart)]
     between = row - NEAR - CAR - MARGIN
@@ -203,6 +202,12 @@ def random_free(choices: Choices, others: Sequence[Sequence[Instruction]], rng: 
         speed=_speed(choices, ahead, rng),
         driver=choices.drivers[int(rng.integers(len(choices.drivers)))],
     )
+
+
+def _row(choices: Choices) -> float:
+    """Return the gap between the ego and the NPCs with cells that start ahead of it or behind it [m]."""
+    headway, clearance = choices.row
+    return max(headway * choices.ego_speed, clearance)
 
 
 def _speed(choices: Choices, gap: float, rng: Generator) -> float:
