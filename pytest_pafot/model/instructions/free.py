@@ -49,8 +49,8 @@ FASTER, BRAKING = 8.0, 2.0
 """The largest difference to the ego's first speed [m/s], and the braking with which it may be lost before contact
 [m/s^2], so that there is no danger at the start."""
 JUMP, OTHER_DRIVER, OTHER_LANE = 0.1, 0.3, 0.5
-"""The share by which a mutation moves the start towards the ego, and the shares of mutations with another driver, and up to which they
-have another lane; half of the others move the start, half change the speed."""
+"""The share by which a mutation moves the start towards the ego, at most; the share of the mutations with another
+driver, and up to which they have another lane. Half of the others move the start, and half change the speed."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)
