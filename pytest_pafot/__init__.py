@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from pytest_pafot.model.driving_style import Traffic as Traffic
     from pytest_pafot.model.grid import Cell as Cell
     from pytest_pafot.model.instructions import CrossingInstruction as CrossingInstruction
+    from pytest_pafot.model.instructions import Free as Free
     from pytest_pafot.model.instructions import LaneInstruction as LaneInstruction
     from pytest_pafot.model.instructions import Manoeuvre as Manoeuvre
     from pytest_pafot.model.instructions import PositionInstruction as PositionInstruction
@@ -73,6 +74,7 @@ _HOMES = {
     "CrossingVehicle": "model.crossings",
     "Drive": "world",
     "Exploration": "campaign.explore",
+    "Free": "model.instructions",
     "Highway": "world",
     "LaneInstruction": "model.instructions",
     "MOTORCYCLE": "model.vehicle_type",

@@ -19,6 +19,7 @@ from typing import Any
 from pytest_pafot.model.driving_style import Traffic
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.instructions import (
+    BUILT_IN_DRIVERS,
     LARGEST_SLOT,
     MOST_STEPS,
     SHIFTS,
@@ -26,10 +27,12 @@ from pytest_pafot.model.instructions import (
     SPEED_STEPS_PER_MPS,
     Act,
     CrossingInstruction,
+    Free,
     LaneInstruction,
     Manoeuvre,
     PositionInstruction,
     Step,
+    checked_driver,
 )
 from pytest_pafot.model.scenario import EGO_SPEED, GENE_SECONDS, PAPER_SPEED_LIMIT, Chromosome, Scenario
 from pytest_pafot.model.vehicle_type import CAR, VehicleType, named_vehicles
@@ -47,6 +50,7 @@ def _register() -> None:
     strategies.register_type_strategy(LaneInstruction, lambda _: lane_instructions())
     strategies.register_type_strategy(Step, lambda _: steps())
     strategies.register_type_strategy(Manoeuvre, lambda _: manoeuvres())
+    strategies.register_type_strategy(Free, lambda _: free_npcs())
     strategies.register_type_strategy(Scenario, lambda _: scenarios())
 
 
@@ -55,6 +59,7 @@ from hypothesis.strategies import SearchStrategy  # noqa: E402
 
 __all__ = [
     "chromosomes",
+    "free_npcs",
     "lane_instructions",
     "manoeuvres",
     "position_instructions",
@@ -144,13 +149,49 @@ def manoeuvres(
     Raises:
         ValueError: if no manoeuvre is within the bounds.
     """
-    lanes, most, speeds = tuple(beside), round(10 * max_distance), _speeds(min_speed, max_speed)
-    if not lanes or most < 10 or not 0 <= max_steps <= MOST_STEPS:
-        expected = f"some lanes, a distance of 1 m or more and 0 to {MOST_STEPS} steps"
-        raise ValueError(f"manoeuvres: expected {expected}, received {lanes!r}, {max_distance!r} and {max_steps!r}")
-    distances = (_tenths(10, most) | _tenths(-most, -10)).filter(bool)
+    if not 0 <= max_steps <= MOST_STEPS:
+        raise ValueError(f"manoeuvres: expected 0 to {MOST_STEPS} steps, received {max_steps!r}")
+    start = _placed("manoeuvres", beside, max_distance, _speeds(min_speed, max_speed))
     chains = st.lists(steps(min_speed=min_speed, max_speed=max_speed), max_size=max_steps).map(tuple)
-    return st.builds(Manoeuvre, beside=st.sampled_from(lanes), ahead=distances, speed=speeds, steps=chains)
+    return st.builds(Manoeuvre, **start, steps=chains)
+
+
+def free_npcs(
+    *,
+    drivers: Iterable[str] = BUILT_IN_DRIVERS,
+    beside: Iterable[int] = (0, 1, -1),
+    max_distance: float = 100.0,
+    min_speed: float = 0.0,
+    max_speed: float = PAPER_SPEED_LIMIT,
+) -> SearchStrategy[Free]:
+    """Return a strategy for free NPCs. Whether their lanes exist depends on the ego's lane and the world.
+
+    Args:
+        drivers: the names of the drivers to choose from.
+        beside: the first lanes to choose from, as numbers of lanes to the right of the ego's.
+        max_distance: the largest distance at the start [m].
+        min_speed, max_speed: bounds of the speed at the start [m/s], rounded to multiples of 0.1.
+
+    Raises:
+        ValueError: if no free NPC is within the bounds.
+    """
+    names = [checked_driver(name) for name in drivers]
+    if not names:
+        raise ValueError("free_npcs: expected at least one driver, received none")
+    start = _placed("free_npcs", beside, max_distance, _speeds(min_speed, max_speed))
+    return st.builds(Free, **start, driver=st.sampled_from(names))
+
+
+def _placed(
+    name: str, beside: Iterable[int], max_distance: float, speeds: SearchStrategy[float]
+) -> dict[str, SearchStrategy[Any]]:
+    """Return the strategies for the fields of a start."""
+    lanes, most = tuple(beside), round(10 * max_distance)
+    if not lanes or most < 10:
+        expected = "some lanes and a distance of 1 m or more"
+        raise ValueError(f"{name}: expected {expected}, received {lanes!r} and {max_distance!r}")
+    distances = (_tenths(10, most) | _tenths(-most, -10)).filter(bool)
+    return {"beside": st.sampled_from(lanes), "ahead": distances, "speed": speeds}
 
 
 def _tenths(low: int, high: int) -> SearchStrategy[float]:

@@ -35,6 +35,7 @@ EVERY = st.one_of(
     strategies.lane_instructions(max_speed=99.9),
     strategies.steps(),
     strategies.manoeuvres(),
+    strategies.free_npcs(drivers=["policy", "last-version"]),
     strategies.chromosomes(instructions="both"),
     strategies.scenarios(max_npcs=4, gene_seconds=0.1 + 0.2, ego_speed=1 / 3),
     strategies.scenarios(traffic="paper", instructions="lanes"),
@@ -56,6 +57,7 @@ def test_repr_of_a_value_makes_an_equal_value(value):
     [
         (strategies.lane_instructions(), "LaneInstruction('keep', 0.0)"),
         (strategies.manoeuvres(), "Manoeuvre(beside=0, ahead=1.0, speed=0.0)"),
+        (strategies.free_npcs(), "Free(beside=0, ahead=1.0, speed=0.0, driver='idm')"),
         (strategies.chromosomes(), "(PositionInstruction(Cell.FRONT_LEFT, 0.0),)"),
         (
             strategies.scenarios(),

@@ -45,7 +45,14 @@ from pytest_pafot.findings.shrink import Shrunk, SpeedInterval
 from pytest_pafot.model.crossings import Zone
 from pytest_pafot.model.driving_style import PARTS, STYLES, Traffic
 from pytest_pafot.model.grid import Cell
-from pytest_pafot.model.instructions import CrossingInstruction, LaneInstruction, Manoeuvre, PositionInstruction, Step
+from pytest_pafot.model.instructions import (
+    CrossingInstruction,
+    Free,
+    LaneInstruction,
+    Manoeuvre,
+    PositionInstruction,
+    Step,
+)
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Collision, Outcome
 from pytest_pafot.model.vehicle_type import READY, VehicleType
@@ -94,6 +101,8 @@ MARKER_TEXTS: Mapping[str, str] = {
     "the first two with equal probability).",
     "vehicles": "[What vehicles](scenarios.md#vehicles) NPCs can be: names, or `pafot.VehicleType(...)`. If cars are "
     'among them, one NPC in six is another one of them. `"car"`: all are cars.',
+    "drivers": '[Who drives free NPCs](../explanation/default-search.md#free-npcs): `"idm"`, `"mobil"`, `"policy"`, '
+    'a list of these, or a mapping such as `{"last": LastVersion, "idm": "idm"}` with values as of `ads`.',
     "requirement": "[The requirement](../guide/requirements.md) that the test checks, as an id or a list of ids.",
     "title": "What the requirement asks for; by default the first line of the docstring.",
     "owner": "Who answers for the test.",
@@ -110,6 +119,7 @@ MARKER_DEFAULTS: Mapping[str, str] = {
     "traffic": '`"hostile"`, or `"paper"`',
     "instructions": '`"both"`, or `"cells"`',
     "vehicles": "all that fit the road; cars for the other algorithms and manoeuvres",
+    "drivers": "none, so no NPC is free",
     "ego_lane": "sampled",
     "ego_speed": "sampled",
     "requirement": "none",
@@ -133,8 +143,8 @@ FILE_TEXTS: Mapping[str, str] = {
     "scenario.vehicles": "What [vehicle](scenarios.md#vehicles) each NPC is: the name of a ready one, or a mapping "
     "`{name, length, width, ...}`. All NPCs after the last one are cars; without it, all are.",
     "scenario.npcs": "One list of [instructions](scenarios.md) per NPC: Position-Instructions `{cell, speed}`, "
-    "Lane-Instructions `{lane, speed}`, one Crossing-Instruction `{zone, slot, speed, act}`, or one manoeuvre "
-    "`{beside, ahead, speed, steps}`. Speeds are in m/s.",
+    "Lane-Instructions `{lane, speed}`, one Crossing-Instruction `{zone, slot, speed, act}`, one manoeuvre "
+    "`{beside, ahead, speed, steps}`, or for a free NPC `{beside, ahead, speed, driver}`. Speeds are in m/s.",
     "expect.assertion": "The failing assertion without its message, with `N` for each number; for a failed check, the "
     "name of the check; for any other exception, its statement or the first line of its message, likewise.",
     "expect.reference_drivers": "[The outcome](../explanation/findings.md#who-could-have-prevented-it) of each "
@@ -233,6 +243,7 @@ def sections() -> dict[str, str]:
         "export": _command_table(add_export_arguments),
         "rate": _command_table(add_rate_arguments),
         "manoeuvre": _fields_table(Manoeuvre),
+        "free": _fields_table(Free),
         "step": _fields_table(Step),
         "map-command": _command_table(add_map_arguments),
         "sweep": _fields_table(Sweep)

@@ -20,10 +20,17 @@ from typing import Any, ClassVar, NoReturn
 
 from pytest_pafot.campaign import run_table
 from pytest_pafot.campaign.events import Judged, Listener, SearchEvent, SearchSummary
-from pytest_pafot.campaign.harness import Harness, reference_of
+from pytest_pafot.campaign.harness import Harness, reference_of, with_drivers
 from pytest_pafot.campaign.options import BY_NAME, LOCAL, OPTIONS, PROFILES, Settings
 from pytest_pafot.campaign.replays import Replayed, Replays
-from pytest_pafot.campaign.request import Request, SearchArguments, build_world, check_names, checked_request
+from pytest_pafot.campaign.request import (
+    Request,
+    SearchArguments,
+    build_world,
+    check_names,
+    checked_request,
+    drivers_of,
+)
 from pytest_pafot.campaign.run_table import RunTable
 from pytest_pafot.campaign.search_session import Events, SearchSession, prepared
 from pytest_pafot.campaign.state import check_states
@@ -365,7 +372,8 @@ def replays_of(
     settings, (module, _, test) = request.settings, node_id.partition("::")
 
     def fixture(name: str) -> NoReturn:
-        raise request.error("against", f"expected a factory, or its name as module:factory, received {name!r}")
+        where = "drivers" if name in request.drivers.values() else "against"
+        raise request.error(where, f"expected a factory, or its name as module:factory, received {name!r}")
 
     # Without a corpus, findings are not saved, but the search and its replays need the place where they would be.
     corpus = Path.cwd() / settings.corpus if settings.corpus else scratch / "corpus"
@@ -376,10 +384,11 @@ def replays_of(
         raise request.error("corpus", refusal(link))
     if settings.resume is not None:
         check_states(settings.resume, Path.cwd())
-    policy = Policy(request.ads)
+    policy, world = Policy(request.ads), build_world(request, Highway())
+    drivers = drivers_of(request, policy.factory, fixture)
     harness = Harness(
         request=request,
-        world=build_world(request, Highway()),
+        world=with_drivers(world, drivers),
         policy=policy,
         test=holds,
         test_file=source_file(holds),
@@ -391,6 +400,7 @@ def replays_of(
         versions=installed_versions(),
         against=reference_of(settings.against, fixture, policy),
         executor=executor,
+        drivers=drivers,
         needs_only_run=needs_only_run,
         states=None if settings.resume is None else Path.cwd() / settings.resume,
     )

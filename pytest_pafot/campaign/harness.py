@@ -8,7 +8,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Executor
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -154,6 +154,7 @@ class Harness:
     executor: Executor | None = None  # the user's executor for the runs of a search, if any
     # True if the test function takes only the run, so that a process that was forked from this one can call it, too
     needs_only_run: bool = False
+    drivers: Mapping[str, Callable[..., Any]] = field(default_factory=dict)  # of free NPCs, with the policy under test
     states: Path | None = None  # the folder of states for searches that are resumed in other sessions, if any
 
     def job(self, world: BaseWorld | None = None, owner: str = "") -> Job:
@@ -169,6 +170,8 @@ class Harness:
         with refusals():  # only making the environment of a pafot.World shows whether it can be used
             data = codec.described(world)
             self.policy.preload()
+            for driver in self.drivers.values():
+                Policy(driver).preload()
         owner = owner or self.node_id
         memory = self.request.settings.memory
         return Job(
@@ -299,6 +302,16 @@ class Harness:
     def left_behind(self, owner: str = "") -> list[Leftover]:
         """Return the crash records of processes that died in runs of this test, or of another ``owner``."""
         return left_by(owner or self.node_id, self.records)
+
+
+def with_drivers(world: BaseWorld, drivers: Mapping[str, Callable[..., Any]]) -> BaseWorld:
+    """Return a world with the drivers of free NPCs, if there are any and it can have them.
+
+    Raises:
+        RequestError: if one of them cannot drive there.
+    """
+    with refusals("a driver of free NPCs"):
+        return world.with_drivers(drivers) if drivers and world.has_free_npcs else world
 
 
 @contextmanager

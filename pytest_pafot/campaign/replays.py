@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pytest_pafot.campaign.harness import Harness, begins_alike, is_same_run, limits_of, refusals
+from pytest_pafot.campaign.harness import Harness, begins_alike, is_same_run, limits_of, refusals, with_drivers
 from pytest_pafot.campaign.request import AgainstError, build_space
 from pytest_pafot.campaign.setup_fault import FirstGeneration, SetupFaultError
 from pytest_pafot.campaign.verdict import Verdict, headline
@@ -249,6 +249,8 @@ class Replays:
                 world: BaseWorld = codec.named(finding.world, self.harness.world)
             else:
                 world = base_world(codec.of_file(finding.world, finding.scenario, self.harness.world))
+                world = with_drivers(world, self.harness.drivers)
+                world = world.driven_in((finding.scenario,), self.harness.policy.factory)
             with _naming(saved.path):
                 world.check_fits(finding.scenario)
         except (WorldError, TypeError, ValueError) as error:

@@ -13,7 +13,7 @@ import numpy as np
 
 from pytest_pafot.campaign.options import BY_NAME, Settings
 from pytest_pafot.model.driving_style import PAPERS, Traffic
-from pytest_pafot.model.instructions import Manoeuvre, ScenarioError
+from pytest_pafot.model.instructions import BUILT_IN_DRIVERS, Manoeuvre, ScenarioError, checked_driver
 from pytest_pafot.model.instructions.manoeuvre import MOST_ROOM, SPACING, places
 from pytest_pafot.model.scenario import EGO_LANE, EGO_SPEED, Scenario
 from pytest_pafot.model.trace import Trace
@@ -23,7 +23,7 @@ from pytest_pafot.searching.ask_tell import Algorithm
 from pytest_pafot.searching.fitness import Weights
 from pytest_pafot.searching.space import MOST_ON_GRID, SearchSpace, sample
 from pytest_pafot.support.errors import RequestError, flag, plain_number
-from pytest_pafot.support.references import factory_named
+from pytest_pafot.support.references import REVISION, factory_named
 from pytest_pafot.support.text import shown
 from pytest_pafot.world import Highway, World, WorldError
 from pytest_pafot.world.base_world import REQUIRED, BaseWorld
@@ -86,6 +86,7 @@ class SearchArguments(TypedDict, total=False):
     acts: Sequence[str]
     instructions: str
     vehicles: str | VehicleType | Sequence[str | VehicleType]
+    drivers: str | Sequence[str] | Mapping[str, Any]
     ads: Any
     arg: str
     fitness: str | Weights | Callable[[Trace], float]
@@ -140,6 +141,8 @@ class Request:
     world: Any = None  # the world of the mark, or None for the fixture's
     road: Mapping[str, Any] = field(default_factory=dict)  # arguments of the mark for a Highway
     space: Mapping[str, Any] = field(default_factory=dict)  # arguments of the mark for a SearchSpace
+    # The drivers of free NPCs by name: a factory, the name of a fixture, or for those of the plugin their own name.
+    drivers: Mapping[str, str | Callable[..., Any]] = field(default_factory=dict)
     place: str = "@pafot.search"  # where the arguments are, for messages
 
     def option(self, name: str, value: object = None) -> str:
@@ -173,6 +176,7 @@ def checked_request(arguments: Mapping[str, Any], settings: Settings, *, place: 
         fitness=algorithm.fitness if arguments.get("fitness") is None else arguments["fitness"],
         road={name: arguments[name] for name in ROAD_ARGUMENTS if arguments.get(name) is not None},
         space={name: arguments[name] for name in SPACE_ARGUMENTS if arguments.get(name) is not None},
+        drivers=_checked_drivers(arguments.get("drivers"), place),
         place=place,
         **own,
     )
@@ -204,6 +208,57 @@ def checked_request(arguments: Mapping[str, Any], settings: Settings, *, place: 
             f"Trace that returns a float, received {goal!r}",
         )
     return request
+
+
+def _checked_drivers(given: Any, place: str) -> dict[str, str | Callable[..., Any]]:
+    """Return the drivers of free NPCs by name, in the order of the mark."""
+    if given is None:
+        return {}
+    wrong = f"{place}(drivers=...): expected"
+    if not isinstance(given, Mapping):
+        names = (given,) if isinstance(given, str) else given
+        if not isinstance(names, Sequence) or not set(names) <= set(BUILT_IN_DRIVERS):
+            known = ", ".join(map(repr, BUILT_IN_DRIVERS))
+            raise RequestError(
+                f'{wrong} some of {known}, or a mapping such as {{"last": MyPlanner}}, received {given!r}'
+            )
+        given = {name: name for name in names}
+    drivers = dict[str, str | Callable[..., Any]]()
+    for name, value in given.items():
+        try:
+            checked_driver(name)
+        except ScenarioError as error:
+            raise RequestError(f"{place}(drivers=...): {error}") from None
+        if name in BUILT_IN_DRIVERS and value != name:
+            problem = f"{name!r} to have no factory, because it is a driver of the plugin, received {value!r:.100}"
+            raise RequestError(f"{wrong} {problem}; choose another name, or write {name!r}: {name!r}")
+        if isinstance(value, str) and value.startswith(REVISION):
+            problem = "a policy that this process can make, received a revision, which drives in a process of its own"
+            fix = "give the factory of a copy of it, such as the installed last release"
+            raise RequestError(f"{wrong} {problem}: {value!r}; {fix}")
+        if isinstance(value, str) and ":" in value:
+            try:
+                value = factory_named(value)  # noqa: PLW2901
+            except ValueError as error:
+                raise RequestError(f"{place}(drivers=...): {error}") from error
+        if problem := _problem_of_ads(value):
+            raise RequestError(f"{place}(drivers={{{name!r}: ...}}): {problem}")
+        drivers[name] = value
+    return drivers
+
+
+def drivers_of(request: Request, policy: Callable[..., Any], fixture: Callable[[str], Any]) -> dict[str, Any]:
+    """Return the factories of the drivers of free NPCs by name, if named with the policy under test as ``policy``.
+
+    ``fixture`` returns the value of a fixture.
+    """
+    own = {name: each for name, each in request.drivers.items() if name not in BUILT_IN_DRIVERS}
+    given = request.settings.against
+    if isinstance(given, str) and given.startswith(REVISION) and set(request.drivers) - {"idm", "mobil"}:
+        problem = f"only idm and mobil with against={given!r}, whose process has none of these policies, received"
+        raise request.error("drivers=...", f"expected {problem} {', '.join(request.drivers)}")
+    named = {"policy": policy} if "policy" in request.drivers else {}
+    return named | {name: fixture(each) if isinstance(each, str) else each for name, each in own.items()}
 
 
 def check_names(arguments: Mapping[str, Any], *, place: str = "@pafot.search") -> None:
@@ -306,6 +361,8 @@ def build_space(request: Request, world: Any) -> SearchSpace:
                 f"expected vehicles that NPCs can be in {world!r:.100}, received {odd.described}; a long one cannot "
                 "follow tight bends, and a world of your own has to declare has_vehicles = True in its class",
             )
+        if request.drivers:
+            _check_has_free_npcs(request, world)
         # The paper's algorithms keep the paper's space; the others fill in what the mark leaves open.
         drawn = {} if request.algorithm.is_papers else drawn_space(world, {"instructions": kinds[-1], **request.space})
         if request.algorithm.draws_vehicles and request.space.get("instructions") != "manoeuvres":
@@ -314,6 +371,10 @@ def build_space(request: Request, world: Any) -> SearchSpace:
         space: SearchSpace = world.space({**drawn, **request.space})
         if space.instructions == "manoeuvres":
             space = _with_room(space, world, "npcs" in request.space)
+        if request.drivers:
+            road, row = world.straight_road, (world.given.headway, world.given.clearance)
+            lanes = 0 if road is None else road.lane_count
+            space = replace(space, drivers=tuple(request.drivers), lanes=lanes, row=row)
         given = ", ".join(f"{name}={value!r}" for name, value in request.space.items())
         sample(space, np.random.default_rng(0))  # so that a wrong argument is one clear error before the search begins
     except WorldError as error:
@@ -321,6 +382,29 @@ def build_space(request: Request, world: Any) -> SearchSpace:
     except (TypeError, ValueError) as error:
         raise request.error(given, error) from None
     return space
+
+
+def _check_has_free_npcs(request: Request, world: BaseWorld) -> None:
+    """Refuse drivers of free NPCs where a search can have none."""
+    if not world.has_free_npcs:
+        raise request.error(
+            "drivers=...",
+            f"expected a straight road such as pafot.Highway, received {world!r:.100}; leave drivers out, because "
+            "drivers of NPCs know no other roads",
+        )
+    kinds = request.algorithm.instructions
+    if request.algorithm.is_papers or "both" not in kinds or request.space.get("instructions") == "manoeuvres":
+        raise request.error(
+            "drivers=...",
+            "expected a search whose NPCs have Position- or Lane-Instructions, in the default algorithm, received "
+            f"{request.algorithm.name}; leave drivers or these arguments out",
+        )
+    if "policy" in request.drivers and world.action_space is not None and "policy" not in world.given.npc_drivers:
+        raise request.error(
+            "drivers=...",
+            "expected no 'policy' in a world whose policy has the environment's observations and actions, which only "
+            "the ego has; name idm, mobil or a planner in SI units, or give pafot.World planner_hz=",
+        )
 
 
 def _with_room(space: SearchSpace, world: BaseWorld, is_number_given: bool) -> SearchSpace:

@@ -516,7 +516,7 @@ class SearchSession:
                 seed=self.store.seed,
                 for_batches=for_batches,
                 decides_for_many=state.decides_for_many,
-                seeds_matter=(self.harness.policy.sight or Sight()).is_drawn,
+                seeds_matter=(self.harness.policy.sight or Sight()).is_drawn or bool(self.harness.drivers),
                 resumed=resumed,
             )
             if resumed is None:

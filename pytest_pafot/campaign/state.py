@@ -482,7 +482,8 @@ def _code(harness: Harness) -> dict[str, str]:
     )
     against = None if harness.against is None else harness.against.policy.factory
     given = (of_file, harness.test, harness.policy.factory, against, request.algorithm.made_by, own)
-    return source_digests(*given, *codec.code_of(harness.world), here=harness.root)
+    drivers = (each for name, each in harness.drivers.items() if name != "policy")
+    return source_digests(*given, *drivers, *codec.code_of(harness.world), here=harness.root)
 
 
 def _named(value: object) -> str:

@@ -328,10 +328,9 @@ def _value(field: Field, kind: Any, own: Mapping[str, Read]) -> Any:
 
 
 def _kind_of(field: Field) -> type[Instruction]:
-    """Return the kind of instruction that a mapping holds: of those with one of its keys, the one with most marks."""
+    """Return the kind of instruction that a mapping holds: the one of whose marks most are among its keys."""
     keys = field.any_mapping()
-    marked = [kind for kind in KINDS if not kind.marks.isdisjoint(keys)]
-    return max(marked, key=lambda kind: len(kind.marks), default=KINDS[0])
+    return max(KINDS, key=lambda kind: len(kind.marks.intersection(keys)))
 
 
 def _scenario(field: Field) -> Scenario:

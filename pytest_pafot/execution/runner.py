@@ -376,6 +376,8 @@ class DecisionCache:
 
 def _key(scenario: Scenario, chains: Chains, genes: int, seed: int | None) -> _Key:
     shared = tuple([chain[:genes] for chain in chains])
+    if any(chain[0].drives_itself for chain in scenario.npcs):  # a driver of an NPC may draw
+        seed = scenario.seed
     return (
         scenario.ego_lane,
         scenario.ego_speed,
@@ -910,7 +912,8 @@ def driving(world: Any, ads: Callable[..., Any]) -> Iterator[Callable[[Scenario]
             answer = None if pool is None else pool.fetch(scenario)
             if isinstance(answer, ProcessLostError):
                 raise answer
-            return base.run_of(rollout_of(base)(scenario, ads))
+            there = base.driven_in((scenario,), ads)
+            return there.run_of(rollout_of(there)(scenario, ads))
 
         yield drive
 

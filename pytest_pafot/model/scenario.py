@@ -1,9 +1,9 @@
 """Chromosomes and scenarios, which a search evolves and a corpus file stores.
 
 Position-Instructions place an NPC around the ego, Lane-Instructions make it change lanes wherever the ego is, a
-Crossing-Instruction sends it across or into the ego's way, and a Manoeuvre does what is asked for at a distance from
-the ego. All genes of a chain are of one kind, and the NPCs of a scenario may have different kinds. Each kind is in a
-file of ``model/instructions/``.
+Crossing-Instruction sends it across or into the ego's way, a Manoeuvre does what is asked for at a distance from the
+ego, and a Free NPC has a driver of its own. All genes of a chain are of one kind, and the NPCs of a scenario may have
+different kinds. Each kind is in a file of ``model/instructions/``.
 
 Source: Crespo-Rodriguez, Neelofar, Aleti, "PAFOT", AST 2024, sections 2 and 3.2.
 """
@@ -68,11 +68,11 @@ class Scenario(_Hashed):
         npcs: chains of one to eight NPCs, one non-empty chain per NPC; lengths may differ. An NPC with a shorter
             chain than the longest keeps its lane and speed after its last gene (paper, section 2). In a run that goes
             on after the longest chain, an NPC with that chain goes on with its last gene. Each NPC has
-            Position-Instructions, Lane-Instructions, one Crossing-Instruction or one Manoeuvre.
+            Position-Instructions, Lane-Instructions, one Crossing-Instruction or one Manoeuvre, or is Free.
         seed: seed of all random choices in the run, 0 to 2**63 - 1.
         ego_lane: the ego's first lane, counted from 0 at the left.
-        ego_speed: first speed of the ego, and of all NPCs that neither cross nor have a Manoeuvre, unless a bend makes
-            them slower [m/s].
+        ego_speed: first speed of the ego, and of all NPCs whose instruction does not say where they start, unless a
+            bend makes them slower [m/s].
         gene_seconds: duration of one gene [s].
         traffic: driving style of the NPCs; the paper's by default.
         vehicles: what vehicle each NPC is, in the order of the NPCs: a ``VehicleType``, or the name of a ready one. All

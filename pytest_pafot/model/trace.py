@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from functools import cached_property
-from typing import Any, Literal
+from typing import Any, Literal, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -46,7 +46,8 @@ class Outcome(StrEnum):
     COLLISION = "collision"
     """The ego's box touched an NPC's or a fixed object; the run ended there."""
     INVALID = "invalid"
-    """Two NPCs touched, or an NPC touched a fixed object; the run says nothing about the ego and ended there."""
+    """Two NPCs touched, an NPC touched a fixed object, or the driver of a free NPC failed; the run says nothing about
+    the ego and ended there."""
     ADS_ERROR = "ads_error"
     """The ADS raised an exception or returned no valid action; the run ended there."""
     HANG = "hang"
@@ -470,6 +471,8 @@ class Trace(Shown):
         outcome: how the run ended.
         collision: the collision; None unless the outcome is ``collision``.
         error: the error of the ADS; None unless the outcome is ``ads_error`` or ``hang``.
+        npc_error: the index of the free NPC whose driver failed, and its error, if that ended the run, which is then
+            ``invalid``; else None.
         states: float64, read-only, shape [ticks + 1, vehicles, 7] with columns x [m], y [m], heading [rad],
             speed [m/s], acceleration [m/s^2], steering [rad], lane (index into ``lanes``, -1 off the road).
             y grows to the right of the driving direction, as in highway-env. Row ``t`` holds the state at tick
@@ -528,6 +531,15 @@ class Trace(Shown):
     begun: tuple[tuple[int, ...], ...] = ()
     obstacles: tuple[tuple[float, float, float, float, float], ...] = ()
     drew: bool = False
+    npc_error: tuple[int, AdsError] | None = None
+
+    @property
+    def npc_error_text(self) -> str:
+        """A line on the driver of a free NPC that failed, with its error; empty if none did."""
+        if self.npc_error is None:
+            return ""
+        npc, error = self.npc_error
+        return f"the driver {cast('Any', self.scenario.npcs[npc][0]).driver} failed: {error.text}"
 
     def steps_begun(self, npc: int) -> tuple[int, ...]:
         """Return the ticks at which the steps of an NPC's manoeuvre began; empty without a manoeuvre."""

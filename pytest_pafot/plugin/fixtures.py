@@ -133,9 +133,11 @@ def pafot_simulate(pafot_world: WorldLike) -> Simulate:
         hypothesis = sys.modules.get("hypothesis")
         is_generated = hypothesis is not None and hypothesis.currently_in_test_context()  # one of many, which it tries
         if run.outcome is Outcome.INVALID and not is_generated:
+            why = "two NPCs or an NPC and a fixed object touched"
+            why = run.trace.npc_error_text or why
             warnings.warn(
-                "pafot_simulate: the run is invalid, because two NPCs or an NPC and a fixed object touched; it ended "
-                "there and says nothing about the ego. Correct the scenario",
+                f"pafot_simulate: the run is invalid, because {why}; it ended there and says nothing about the ego. "
+                f"Correct the {'driver' if run.trace.npc_error else 'scenario'}",
                 pytest.PytestWarning,
                 stacklevel=2,
             )

@@ -97,7 +97,12 @@ def _check_name(target: object) -> None:
 
 def _decorated(target: Any, positional: tuple[object, ...], arguments: Mapping[str, object]) -> Any:
     _check_name(target)
-    given = (arguments.get("ads", DEFAULT_ADS), arguments.get("against"))
+    given = [arguments.get("ads", DEFAULT_ADS), arguments.get("against")]
+    drivers = arguments.get("drivers")
+    if isinstance(drivers, Mapping):
+        from pytest_pafot.model.instructions import BUILT_IN_DRIVERS  # noqa: PLC0415  (few test files need it)
+
+        given += [each for name, each in drivers.items() if name not in BUILT_IN_DRIVERS]
     fixtures = [WORLD_FIXTURE, EXECUTOR_FIXTURE, *(each for each in given if isinstance(each, str) and ":" not in each)]
     # usefixtures, not getfixturevalue at run time: a parametrised fixture must be known at collection.
     target = pytest.mark.usefixtures(*fixtures)(target)

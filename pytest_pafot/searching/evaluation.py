@@ -72,6 +72,7 @@ class Evaluation:
         demand: what the run required the ego to do, see :func:`demand_of`.
         crossing: index of the crossing NPC that was nearest to the ego, see :func:`nearest_crossing`.
         at_object: whether the run is invalid because an NPC touched a fixed object, see :func:`ended_at_object`.
+        npc_error: the name and the error of the driver of a free NPC that failed, so that the run is invalid.
         note: any data that ``evaluate`` adds, to get it back with the evaluation, also if the evaluation is reused.
     """
 
@@ -96,6 +97,7 @@ class Evaluation:
     demand: Demand = (0, 0, False)
     crossing: int | None = None
     at_object: bool = False
+    npc_error: str = ""
     note: Any = field(default=None, compare=False, repr=False)
     _measured: float | None = field(init=False, repr=False)  # compared for fitness; NaN is not equal to itself
 
@@ -145,6 +147,7 @@ class Evaluation:
             demand=demand_of(trace),
             crossing=nearest_crossing(trace),
             at_object=ended_at_object(trace),
+            npc_error=trace.npc_error_text,
         )
 
     @property
@@ -235,7 +238,7 @@ def nearest_crossing(trace: Trace) -> int | None:
 
 def ended_at_object(trace: Trace) -> bool:
     """Return whether a run is invalid because an NPC touched a fixed object: no two NPCs touch at its end."""
-    if trace.outcome is not Outcome.INVALID or not trace.obstacles:
+    if trace.outcome is not Outcome.INVALID or not trace.obstacles or trace.npc_error is not None:
         return False
     last = Encounters(trace).boxes.part(slice(1, None), slice(-1, None))
     npcs = [last.part(slice(npc, npc + 1), slice(None)) for npc in range(len(last.x))]

@@ -121,8 +121,9 @@ class Health:
 
     evaluated: int = 0  # scenarios that the algorithm requested
     simulated: int = 0  # those of them that were run; the others were known
-    invalid: int = 0  # runs in which two NPCs, or one and a fixed object, touched
+    invalid: int = 0  # runs in which two NPCs, or one and a fixed object, touched, or the driver of an NPC failed
     at_object: int = 0  # those of them in which no two NPCs touched
+    npc_errors: Counter[str] = field(default_factory=Counter)  # invalid runs in which the driver of an NPC failed
     discarded: int = 0  # runs that the user's function declined, or whose process ended
     genes_started: int = 0  # over all NPCs, like the next; without runs that an ADS error cut short
     genes_reached: int = 0
@@ -156,6 +157,7 @@ class Health:
             simulated=len(runs),
             invalid=invalid,
             at_object=sum([each.at_object for each in runs]),
+            npc_errors=Counter([each.npc_error for each in runs if each.npc_error]),
             discarded=len(runs) - len(valid) - invalid,
             genes_started=sum([each.genes_started for each in whole]),
             genes_reached=sum([each.genes_reached for each in whole]),
@@ -212,6 +214,12 @@ class Health:
             where = "where an NPC touched a fixed object"
             crash = where if self.at_object == self.invalid else f"{crash} or, {self.at_object} of them, {where},"
             remedy = "NPCs do not avoid objects: use shorter runs (duration= of the world), fewer NPCs or fewer objects"
+        if failed := sum(self.npc_errors.values()):
+            where = "when the driver of a free NPC failed"
+            crash = where if failed == self.invalid else f"{crash} or, {failed} of them, {where},"
+            remedy = "correct that driver, or leave it out of drivers="
+            (most, _), *_ = self.npc_errors.most_common(1)
+            found.append(f"{plural(failed, 'simulated scenario')} tested nothing; most often {most:.300}; {remedy}")
         if self.vacuous:
             found.append(
                 f"none of {self.simulated} simulated scenarios gave a valid run ({self.invalid} ended {crash}, "

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
+from typing import Any, cast
 
 from numpy.random import Generator
 
@@ -127,7 +128,7 @@ def _mutated(scenario: Scenario, space: SearchSpace, rng: Generator) -> Scenario
     crossing = space.crossing_traffic
     if crossing is not None and rng.random() * len(scenario.npcs) >= len(numbers) + len(asked):
         return _crossing_otherwise(scenario, crossing, rng)
-    if asked:
+    if asked and (not numbers or rng.random() * len(scenario.npcs) < len(asked)):
         npc = asked[int(rng.integers(len(asked)))]
         here = space.choices._replace(ego_lane=scenario.ego_lane, ego_speed=scenario.ego_speed)
         new_one = scenario.npcs[npc][0].varied(here, rng)
@@ -164,12 +165,33 @@ def _started_anew(scenario: Scenario, space: SearchSpace, rng: Generator) -> Sce
     lanes = [lane for lane in space.ego_lanes if lane != scenario.ego_lane]
     roomy = [lane for lane in lanes if space.most_on(lane) >= len(npcs)]
     if space.has_speeds and (not roomy or rng.random() < SPEEDS):
-        return replace(scenario, ego_speed=space.drawn_speed(rng))
+        speed = space.drawn_speed(rng)
+        return replace(scenario, ego_speed=speed, npcs=_beside_rows(npcs, scenario, speed, space, rng))
     among = roomy or lanes
     lane = among[int(rng.integers(len(among)))]
     kept = npcs[: space.most_on(lane)]
     there = tuple(tuple(gene.for_lane(scenario.ego_lane, lane) for gene in chain) for chain in kept)
     return replace(scenario, ego_lane=lane, npcs=there, vehicles=scenario.vehicles[: len(there)])
+
+
+def _beside_rows(
+    npcs: tuple[Chromosome, ...], scenario: Scenario, speed: float, space: SearchSpace, rng: Generator
+) -> tuple[Chromosome, ...]:
+    """Return the NPCs for a different first speed of the ego [m/s], with which cells are nearer or farther.
+
+    Each free NPC starts at a new place, where no other NPC starts.
+    """
+    if not any(chain[0].drives_itself for chain in npcs):
+        return npcs
+    choices = space.choices._replace(ego_lane=scenario.ego_lane, ego_speed=speed)
+    placed = [chain for chain in npcs if not chain[0].drives_itself]
+    moved = list[Chromosome]()
+    for chain in npcs:
+        if chain[0].drives_itself:
+            place = chain[0].beside_others(choices, [*placed, *moved], rng)
+            moved.append((replace(cast("Any", chain[0]), ahead=place.ahead),))
+    again = iter(moved)
+    return tuple(next(again) if chain[0].drives_itself else chain for chain in npcs)
 
 
 def _of_another_size(scenario: Scenario, space: SearchSpace, rng: Generator) -> Scenario:

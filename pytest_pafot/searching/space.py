@@ -22,6 +22,7 @@ from pytest_pafot.model.instructions import (
     Instruction,
     PositionInstruction,
     known,
+    random_free,
     random_lanes,
     random_manoeuvre,
 )
@@ -43,6 +44,8 @@ from pytest_pafot.searching.patterns import chain_of_patterns
 from pytest_pafot.support.errors import POSITIVE, checked_number, checked_whole
 from pytest_pafot.support.text import plural
 
+FREE = 0.5
+"""Share of free NPCs if there are any: the others provoke what neither the ego nor a free NPC does by itself."""
 LEAST_GENES = 3
 """Smallest number of genes of an NPC on a bent road, even in short runs: to approach, to cut in, and to brake."""
 CROSSING = 0.75
@@ -97,6 +100,8 @@ class SearchSpace:
         lanes: number of lanes of a straight road, for manoeuvres; 0 if it is unknown, and NPCs keep their lanes.
         vehicles: what vehicles NPCs can be. If cars are among them, one NPC in six is another one of them.
         room: the largest gap between the ego and the start of an NPC with a manoeuvre, behind and ahead [m].
+        drivers: the names of the drivers of free NPCs; half of the NPCs are then free. If empty, none is.
+        row: the world's headway [s] and clearance [m], from which NPCs with cells start, for the starts of free ones.
         first: scenarios that a search drives before those that it samples.
     """
 
@@ -120,6 +125,8 @@ class SearchSpace:
     lanes: int = 0
     room: tuple[float, float] = (math.inf, math.inf)
     vehicles: tuple[VehicleType, ...] = CARS
+    drivers: tuple[str, ...] = ()
+    row: tuple[float, float] = (0.0, 0.0)
     first: tuple[Scenario, ...] = ()
 
     def __post_init__(self) -> None:
@@ -173,6 +180,8 @@ class SearchSpace:
             "lanes": 0,
             "room": (math.inf, math.inf),
             "vehicles": [CAR.plain()],
+            "drivers": (),
+            "row": (0.0, 0.0),
             "first": (),
         }
         return {name: value for name, value in data.items() if name not in usual or value != usual[name]}
@@ -214,7 +223,9 @@ class SearchSpace:
     @property
     def choices(self) -> Choices:
         """What an instruction may have in this space."""
-        return Choices(self.low_step, self.top_step, self.ego_lane, self.ego_speed, self.lanes, self.room)
+        start = self.ego_lane, self.ego_speed, self.lanes, self.room
+        longest = max(vehicle.length for vehicle in self.vehicles)
+        return Choices(self.low_step, self.top_step, *start, self.drivers, self.row, longest)
 
     @property
     def described(self) -> str:
@@ -230,10 +241,12 @@ class SearchSpace:
         ways = f", most of them on {count} ways that meet the ego's" if count else ""
         kinds = {"cells": "", "lanes": " with Lane-Instructions", "both": " with Position- or Lane-Instructions"}
         kinds["manoeuvres"] = " with manoeuvres"
+        free = f", half of them free ({', '.join(self.drivers)})" if self.drivers else ""
         names = [vehicle.name for vehicle in self.other_vehicles]
         others = " or ".join(filter(None, [", ".join(names[:-1]), *names[-1:]]))
         others = f"; {'one NPC in six' if CAR in self.vehicles else 'each NPC'} is a {others}" if others else ""
-        return f"{npcs}{kinds[self.instructions]}{traffic}{ways}; the ego starts at {speed} m/s in {lane}{others}"
+        start = f"the ego starts at {speed} m/s in {lane}"
+        return f"{npcs}{kinds[self.instructions]}{free}{traffic}{ways}; {start}{others}"
 
     @property
     def zones(self) -> tuple[str, ...]:
@@ -338,6 +351,8 @@ def sample(space: SearchSpace, rng: Generator) -> Scenario:
     patterns instead of walks, repaired in the same way. Lane-Instructions keep the lane or change it to either side
     with equal probability. Speeds are uniform over the steps of 0.1 m/s up to the limit.
 
+    If there are drivers, half of the NPCs are free, wherever no other NPC starts.
+
     If ways cross the ego's, most NPCs have a Crossing-Instruction instead; conflicting instructions are sampled again.
 
     In a space with other vehicles than cars, what each NPC is is sampled last.
@@ -351,6 +366,8 @@ def sample(space: SearchSpace, rng: Generator) -> Scenario:
 
 def _sample_cars(space: SearchSpace, rng: Generator) -> Scenario:
     space = space.drawn(rng)
+    if space.drivers:
+        return _sample_free(space, rng)
     crossing = space.crossing_traffic
     if crossing is not None:
         return _sample_crossing(space, crossing, rng)
@@ -365,6 +382,16 @@ def _sample_cars(space: SearchSpace, rng: Generator) -> Scenario:
         *_on_grid(space, space.npcs - in_lanes, rng),
         *random_lanes(space.choices, in_lanes, space.genes, rng),
     ]
+    return repaired(chains, fresh_seed(rng), space)
+
+
+def _sample_free(space: SearchSpace, rng: Generator) -> Scenario:
+    free = int(rng.binomial(space.npcs, FREE))
+    chains: list[Chromosome] = []
+    if free < space.npcs:
+        chains += _sample_cars(replace(space, drivers=(), npcs=space.npcs - free), rng).npcs
+    for _ in range(free):
+        chains.append((random_free(space.choices, chains, rng),))
     return repaired(chains, fresh_seed(rng), space)
 
 

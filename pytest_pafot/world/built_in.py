@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import copy
 from abc import abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Self
 
 from pytest_pafot.model.crossings import Crossings
+from pytest_pafot.model.instructions import ScenarioError, checked_driver
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.sight import Sight
 from pytest_pafot.model.trace import Trace
@@ -19,7 +20,7 @@ from pytest_pafot.world.driving.ads import AdsFactory
 from pytest_pafot.world.driving.policy import Policy
 from pytest_pafot.world.engines.egos import planner_run
 from pytest_pafot.world.engines.lock_step import rollouts
-from pytest_pafot.world.engines.run import SteppedRun
+from pytest_pafot.world.engines.run import SteppedRun, drives_itself
 from pytest_pafot.world.guard.hang_guard import HangGuard
 from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.kernel.observation import Observation
@@ -87,6 +88,7 @@ class BuiltInWorld(BaseWorld):
     limits: NpcLimits
     hang_limit: float
     lasts: float | None
+    npc_drivers: Mapping[str, AdsFactory]
 
     @property
     def observation_space(self) -> Any:
@@ -97,6 +99,8 @@ class BuiltInWorld(BaseWorld):
     def rules(self) -> Rules:
         """The settings that all runs have in common."""
         rules, lasts = self._rules, self.lasts
+        if self.npc_drivers:
+            rules = replace(rules, drivers=self.npc_drivers)
         if lasts is None:
             return rules
         return replace(rules, lasts=min(lasts, (rules.road.length - rules.ego_start) / TOP_SPEED))
@@ -143,6 +147,11 @@ class BuiltInWorld(BaseWorld):
     def can_drive(self, vehicle: VehicleType) -> bool:
         """Return whether an NPC that does not cross can be a given vehicle: it follows all bends of the road."""
         return self.rules.road.can_drive(vehicle)
+
+    @property
+    def has_free_npcs(self) -> bool:
+        """True if the road is one that drivers of NPCs can see."""
+        return self.road.has_free_npcs
 
     @property
     def has_lock_step(self) -> bool:
@@ -207,6 +216,40 @@ class BuiltInWorld(BaseWorld):
         object.__setattr__(longer, "lasts", number_within("lasting", seconds, *LASTS))
         return longer
 
+    def with_drivers(self, drivers: Mapping[str, AdsFactory]) -> Self:
+        """Return this world with drivers for free NPCs, in addition to those that it has.
+
+        Args:
+            drivers: their factories by name, for planners in SI units and vehicle classes; under ``policy`` the policy
+                under test, which a run has of its own, but not one in which a reference driver takes the ego's place.
+
+        Raises:
+            ScenarioError: for a name that no driver can have.
+        """
+        named = {checked_driver(name): factory for name, factory in drivers.items()}
+        if "policy" in named and not self._can_drive_npcs(named["policy"]):
+            del named["policy"]
+        if own := next((name for name in ("idm", "mobil") if name in named), None):
+            raise ScenarioError(
+                field="drivers", expected="other names than idm and mobil", received=own, fix="choose another name"
+            )
+        for factory in named.values():
+            Policy(factory).check_drives_in(self)
+        world = copy.copy(self)  # with its road and environment, which take long to make
+        object.__setattr__(world, "npc_drivers", {**self.npc_drivers, **named})
+        return world
+
+    def driven_in(self, scenarios: Iterable[Scenario], factory: AdsFactory) -> Self:
+        """Return this world with the policy of a run as driver of free NPCs that ask for it, unless it has one."""
+        chains = (chain for scenario in scenarios if drives_itself(scenario) for chain in scenario.npcs)
+        if "policy" in self.npc_drivers or all(getattr(chain[0], "driver", "") != "policy" for chain in chains):
+            return self
+        return self.with_drivers({"policy": factory})
+
+    def _can_drive_npcs(self, factory: AdsFactory) -> bool:
+        """Return whether a policy could drive an NPC, too: it acts in SI units, or is a vehicle class."""
+        return True
+
     def rollout_batch(self, scenarios: Sequence[Scenario], ads_factory: AdsFactory) -> list[Trace]:
         """Simulate scenarios in lock step if this world supports it and the ADS has ``batch``, else one by one.
 
@@ -228,7 +271,8 @@ class BuiltInWorld(BaseWorld):
         policy.check_drives_in(self)
         if not self.has_lock_step:
             return [self.rollout(scenario, ads_factory) for scenario in scenarios]
-        return rollouts(scenarios, policy, self._begin, self.rollout, self.hang_limit)
+        begin = self.driven_in(scenarios, ads_factory)._begin
+        return rollouts(scenarios, policy, begin, self.rollout, self.hang_limit)
 
     def rollout_reference(self, scenario: Scenario, name: str) -> Trace:
         """Simulate a scenario with a reference driver in the ego's place.
@@ -272,7 +316,7 @@ class BuiltInWorld(BaseWorld):
         self, driver: Callable[[Observation], Any], scenario: Scenario, body: RecordedBody | None = None
     ) -> Trace:
         self.rules.check_fits(scenario)
-        every_tick = replace(self.rules, ads_hz=self.rules.physics_hz)
+        every_tick = replace(self.rules, ads_hz=self.rules.physics_hz, drivers_hz=self.rules.ads_hz)
         return self._planned(every_tick, scenario, driver, body=body)
 
     def _planned(

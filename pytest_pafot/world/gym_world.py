@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property, wraps
 from typing import TYPE_CHECKING, Any
@@ -62,7 +62,7 @@ class World(BuiltInWorld):
         planner_hz: decisions per second of an ADS that is a callable from :class:`pytest_pafot.Observation` to
             ``(acceleration [m/s^2], steering [rad])`` or a :class:`pytest_pafot.Drive`; a divisor of the environment's
             ``simulation_frequency``. None if the ADS uses the environment's own observation and action.
-        lasts: as in :class:`pytest_pafot.Highway`.
+        lasts, npc_drivers: as in :class:`pytest_pafot.Highway`.
 
     Raises:
         WorldError: if an argument cannot be used. The environment itself is made and checked at the first use, or by
@@ -79,6 +79,7 @@ class World(BuiltInWorld):
     wrappers: Sequence[Callable[[Any], Any]] | None = None
     planner_hz: int | None = None
     lasts: float | None = field(default=None, compare=False)
+    npc_drivers: Mapping[str, AdsFactory] = field(default_factory=dict, compare=False, repr=False)
 
     def __post_init__(self) -> None:
         if not isinstance(self.env_id, str) or not self.env_id or ":" in self.env_id:
@@ -210,6 +211,7 @@ class World(BuiltInWorld):
             # In some environments policies need the environment's own steps, and vehicle classes do not.
             ads = policy.make()
             policy = Policy(ads.given if ads.drives_itself else wraps(ads_factory, updated=())(lambda: ads.given))
+        rules = self.driven_in((scenario,), policy.factory).rules
         drives_itself = self.planner_hz is not None or policy.drives_itself
         if not drives_itself:
             self.environment.check_keeps_no_ego()
@@ -221,10 +223,10 @@ class World(BuiltInWorld):
                 policy = Policy(ads.given)
             else:
                 with closing(ads.given, self.hang_limit):
-                    return self._planned(self.rules, scenario, ads.given)
+                    return self._planned(rules, scenario, ads.given)
         from pytest_pafot.world.engines import policies  # noqa: PLC0415  (imports highway-env)
 
-        return policies.rollout(self.environment, self.rules, scenario, policy)
+        return policies.rollout(self.environment, rules, scenario, policy)
 
     def rollout_in_gym(self, scenario: Scenario, ads_factory: AdsFactory) -> Trace:
         """Simulate a scenario as :meth:`rollout` does, but entirely with ``env.step`` of the registered environment.
@@ -235,8 +237,12 @@ class World(BuiltInWorld):
         """
         from pytest_pafot.world.engines.gym_replay import replay_environment  # noqa: PLC0415  (imports highway-env)
 
-        is_planner = self.planner_hz is not None
-        return replay_environment(self.environment, self.rules, scenario, Policy(ads_factory), is_planner=is_planner)
+        is_planner, rules = self.planner_hz is not None, self.driven_in((scenario,), ads_factory).rules
+        return replay_environment(self.environment, rules, scenario, Policy(ads_factory), is_planner=is_planner)
+
+    def _can_drive_npcs(self, factory: AdsFactory) -> bool:
+        """Return whether a policy could drive an NPC, too, which has no observation or action of the environment."""
+        return self.planner_hz is not None or Policy(factory).drives_itself
 
     def _begin(self, scenario: Scenario, guard: HangGuard, sight: Sight | None) -> SteppedRun:
         if self.planner_hz is not None:
@@ -291,10 +297,10 @@ class World(BuiltInWorld):
         Raises:
             WorldError: if the environment cannot be used.
         """
-        data = {"kind": "gym", **asdict(replace(self, wrappers=None))}
+        data = {"kind": "gym", **asdict(replace(self, wrappers=None, npc_drivers={}))}
         data["config"] = self.environment.whole_config
         data["duration"] = self._wanted if self.road.is_straight else min(self._wanted, self._longest)
-        del data["wrappers"], data["lasts"]
+        del data["wrappers"], data["lasts"], data["npc_drivers"]
         if self.planner_hz is None:
             del data["planner_hz"]
         return data if self.wrappers is None else {**data, "wrappers": self.environment.wrapper_names}

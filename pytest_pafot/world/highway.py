@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -50,6 +50,8 @@ class Highway(BuiltInWorld):
         hang_limit: wall-clock time after which a decision of the ADS is interrupted [s].
         lasts: the duration of each run [s], whatever its scenario and ``duration`` say, as :meth:`lasting` sets it;
             None if they decide. It is not part of a saved world.
+        npc_drivers: the factories of the drivers of free NPCs by name, as :meth:`with_drivers` sets them. They are not
+            part of a saved world.
 
     Raises:
         WorldError: if a value cannot be used; the message states the possible values.
@@ -65,6 +67,7 @@ class Highway(BuiltInWorld):
     limits: NpcLimits = field(default_factory=NpcLimits)
     hang_limit: float = HANG_LIMIT
     lasts: float | None = field(default=None, compare=False)
+    npc_drivers: Mapping[str, AdsFactory] = field(default_factory=dict, compare=False, repr=False)
 
     def __post_init__(self) -> None:
         for name, bounds in (("lanes", LANE_COUNTS), ("physics_hz", PHYSICS_HZ), ("ads_hz", ADS_HZ)):
@@ -107,16 +110,16 @@ class Highway(BuiltInWorld):
                 "ads: expected a factory without a parameter `env`, because pafot.Highway has no environment; "
                 'use world=pafot.World("highway-v0") for planners that simulate inside one'
             )
-        ads = policy.make()
+        ads, rules = policy.make(), self.driven_in((scenario,), ads_factory).rules
         if ads.drives_itself:
             if decisions:
                 raise WorldError(
                     f"decisions: expected none for {ads.given!r}, a vehicle class, which drives itself and returns no "
                     f"actions, received {len(decisions)}; leave them out"
                 )
-            return vehicle_run(self.rules, scenario, self.road, lambda: self.network, ads.given).finish()
+            return vehicle_run(rules, scenario, self.road, lambda: self.network, ads.given).finish()
         with closing(ads.given, self.hang_limit):
-            return self._planned(self.rules, scenario, ads.given, decisions)
+            return self._planned(rules, scenario, ads.given, decisions)
 
     @property
     def is_resumable(self) -> bool:
@@ -136,15 +139,16 @@ class Highway(BuiltInWorld):
         """
         from pytest_pafot.world.engines.gym_replay import replay_highway  # noqa: PLC0415  (imports highway-env)
 
-        return replay_highway(self.rules, scenario, Policy(ads_factory))
+        rules = self.driven_in((scenario,), ads_factory).rules
+        return replay_highway(rules, scenario, Policy(ads_factory))
 
     def _begin(self, scenario: Scenario, guard: HangGuard, sight: Sight | None) -> SteppedRun:
         return planner_run(self.rules, scenario, lambda: self.network, None, guard, sight=sight)
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data for a corpus file; :func:`pytest_pafot.world.from_dict` reads it."""
-        values = asdict(self)
-        del values["lasts"]  # a file decides how long it runs
+        values = asdict(replace(self, npc_drivers={}))
+        del values["lasts"], values["npc_drivers"]  # a file decides how long it runs, and a test who drives
         return {"kind": "highway", **values}
 
     @cached_property

@@ -37,7 +37,9 @@ OF_VEHICLES = ("acceleration", "braking", "lateral_acceleration")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NpcLimits:
-    """Hard limits of every NPC; they hold at every tick of every trace. A vehicle may have lower ones of its own.
+    """Hard limits of every NPC that is not free; they hold at every tick of every trace.
+
+    A vehicle may have lower ones of its own.
 
     Attributes:
         acceleration: strongest acceleration [m/s^2].

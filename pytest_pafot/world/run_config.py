@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import NoReturn
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, NoReturn
 
 from pytest_pafot.model.crossings import Crossings
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.instructions import (
+    BUILT_IN_DRIVERS,
     LARGEST_SLOT,
     SLOT_STEPS_PER_SECOND,
     CrossingInstruction,
     Instruction,
-    Manoeuvre,
     ScenarioError,
 )
 from pytest_pafot.model.scenario import Scenario
@@ -43,6 +43,8 @@ class Rules:
         limits: the limits of every NPC.
         hang_limit: wall-clock time after which a decision of the ADS is interrupted [s].
         obstacles: the fixed objects on the road: x [m], y [m], heading [rad], length and width [m].
+        drivers: the factories of the drivers of free NPCs, by name; ``policy`` is the policy under test.
+        drivers_hz: their decisions per second; None for ``ads_hz``, which reference drivers change.
     """
 
     road: Road
@@ -55,6 +57,8 @@ class Rules:
     hang_limit: float
     lasts: float | None = None
     obstacles: tuple[tuple[float, float, float, float, float], ...] = ()
+    drivers: Mapping[str, Any] = field(default_factory=dict)
+    drivers_hz: int | None = None
 
     @property
     def crossings(self) -> Crossings | None:
@@ -183,8 +187,10 @@ class Rules:
 
     def _check_manoeuvres(self, scenario: Scenario) -> None:
         """Refuse manoeuvres that start in lanes that do not exist, and starts at which vehicles would touch."""
-        asked = [(npc, chain[0]) for npc, chain in enumerate(scenario.npcs) if isinstance(chain[0], Manoeuvre)]
+        asked = [(npc, chain[0]) for npc, chain in enumerate(scenario.npcs) if chain[0].has_start]
         for npc, manoeuvre in asked:
+            if manoeuvre.drives_itself:
+                self._check_free(f"npcs[{npc}][0].driver", manoeuvre)
             for number, step in enumerate(manoeuvre.steps):
                 if step.speed is not None and step.speed > self.road.speed_limit + 1e-9:
                     self._refuse_speed(f"npcs[{npc}][0].steps[{number}]", step.speed)
@@ -207,12 +213,25 @@ class Rules:
                     who = "the ego" if other < 0 else f"npcs[{other}]"
                     expected = f"a start at least {LEAST_START_GAP:g} m from {who}"
                     received = f"{abs(along - own) - room:.1f} m in the same lane"
-                    fix = "give the manoeuvre another place or lane"
+                    fix = "give it another place or lane"
                     raise ScenarioError(field=f"npcs[{npc}]", expected=expected, received=received, fix=fix)
             taken.append((npc, own, its_lane))
 
+    def _check_free(self, place: str, free: Any) -> None:
+        """Refuse a free NPC on a road on which none can drive, and one whose driver nobody has named."""
+        if not self.road.has_free_npcs:
+            expected = "no free NPC on this road, because drivers know only straight roads that start at the origin"
+            fix = "use pafot.Highway, or give the NPC a Manoeuvre"
+            raise ScenarioError(field=place, expected=expected, received=repr(free.driver), fix=fix)
+        if free.driver not in (*BUILT_IN_DRIVERS, *self.drivers):
+            expected = f"one of {', '.join(dict.fromkeys((*BUILT_IN_DRIVERS, *self.drivers)))}"
+            fix = (
+                f"name it, as in drivers={{{free.driver!r}: MyPlanner}}, or world.with_drivers({free.driver}=MyPlanner)"
+            )
+            raise ScenarioError(field=place, expected=expected, received=repr(free.driver), fix=fix)
+
     def along_at(
-        self, manoeuvre: Manoeuvre, scenario: Scenario, ego_length: float = CAR.length, vehicle: VehicleType = CAR
+        self, manoeuvre: Instruction, scenario: Scenario, ego_length: float = CAR.length, vehicle: VehicleType = CAR
     ) -> float:
         """Return the place along the road at which an NPC with a manoeuvre starts [m]."""
         if manoeuvre.ahead == 0:
@@ -261,7 +280,7 @@ def start_places(
     """
     start, apart, beside = rules.ego_start, rules.start_distance(scenario, ego_length), []
     for cell, (_, first, vehicle) in zip(cells, _not_crossing(scenario), strict=True):
-        if isinstance(first, Manoeuvre):
+        if first.has_start:
             along = rules.along_at(first, scenario, ego_length, vehicle)
             beside.append((along, scenario.ego_lane + first.beside))
             continue
@@ -281,7 +300,7 @@ def start_speeds(rules: Rules, scenario: Scenario, places: Sequence[tuple[float,
     firsts = _not_crossing(scenario)
     return [
         rules.road.start_speed(
-            min(first.speed if isinstance(first, Manoeuvre) else scenario.ego_speed, kind.top_speed), lane, along, kind
+            min(first.speed if first.has_start else scenario.ego_speed, kind.top_speed), lane, along, kind
         )
         for (_, first, kind), (along, lane) in zip(firsts, places, strict=True)
     ]

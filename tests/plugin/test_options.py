@@ -197,7 +197,18 @@ def test_wrong_value_elsewhere_fails_only_marked_items(project):
 
 
 def test_search_arguments_match_the_table_of_options():
-    own = {"world", "ads", "arg", "fitness", "blame", "decision_limit", *ROAD_ARGUMENTS, *SPACE_ARGUMENTS, *TRACING}
+    own = {
+        "world",
+        "ads",
+        "drivers",
+        "arg",
+        "fitness",
+        "blame",
+        "decision_limit",
+        *ROAD_ARGUMENTS,
+        *SPACE_ARGUMENTS,
+        *TRACING,
+    }
     options = {option.name for option in OPTIONS if option.everywhere and option.is_argument}
     assert set(SearchArguments.__annotations__) == own | options
 

@@ -6,6 +6,7 @@ import argparse
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from pytest_pafot import load
 from pytest_pafot.extending import ads_factory
@@ -28,6 +29,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="the policy that drives the ego: a module of example_ads, module:factory, or module:factory:argument",
     )
     parser.add_argument(
+        "--driver",
+        action="append",
+        default=[],
+        metavar="NAME=ADS",
+        help="a driver of free NPCs that the file names, as in drivers= of its test; again for each",
+    )
+    parser.add_argument(
         "--out", type=Path, default=Path(), metavar="DIR", help="the folder for the files (default: the current one)"
     )
 
@@ -39,7 +47,12 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
         expected = f"the policy that drives the ego in the test {saved.finding.test}, such as --ads module:factory"
         received = "none; a file contains the NPCs' instructions, not where the vehicles drove"
         raise ExportError(field="--ads", expected=expected, received=received)
-    driven = saved.replay(ads_factory(arguments.ads))
+    named = [each.partition("=") for each in arguments.driver]
+    drivers = {name: ads_factory(reference, "--driver") for name, _, reference in named}
+    world: Any = saved.world if drivers else None
+    if hasattr(world, "with_drivers"):  # a world of the user's own need not have it
+        world = world.with_drivers(drivers)
+    driven = saved.replay(ads_factory(arguments.ads), world=world)
     files = export(saved.finding, driven.trace)
     with postponed():  # one of several files is worth nothing alone, such as a scenario without its road
         for name, content in files.items():

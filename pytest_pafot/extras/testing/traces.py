@@ -283,7 +283,7 @@ def contacts(trace: Trace) -> Promises:
     gaps = [-deep[-1] - np.abs(rows[:, a, SPEED] - rows[:, b, SPEED]).max() * trace.dt
             for (a, b), deep in zip(pairs, most, strict=True)]  # fmt: skip
     count = trace.states.shape[1] - 1  # The pairs with the ego come first.
-    if trace.outcome is Outcome.INVALID:
+    if trace.outcome is Outcome.INVALID and trace.npc_error is None:
         gap, at_object = min(gaps[count:], default=np.inf), any(_at_object(trace, npc + 1) for npc in range(count))
         promise = "boxes of two NPCs, or of one and an obstacle, touch at the end of a run with the outcome invalid"
         yield gap <= DEEP or at_object, promise, f"{gap:.1f} m"

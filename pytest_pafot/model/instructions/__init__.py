@@ -13,6 +13,10 @@ from pytest_pafot.model.instructions.crossing import SLOT_STEPS_PER_SECOND as SL
 from pytest_pafot.model.instructions.crossing import SLOTS as SLOTS
 from pytest_pafot.model.instructions.crossing import Act as Act
 from pytest_pafot.model.instructions.crossing import CrossingInstruction as CrossingInstruction
+from pytest_pafot.model.instructions.free import BUILT_IN_DRIVERS as BUILT_IN_DRIVERS
+from pytest_pafot.model.instructions.free import Free as Free
+from pytest_pafot.model.instructions.free import checked_driver as checked_driver
+from pytest_pafot.model.instructions.free import random_free as random_free
 from pytest_pafot.model.instructions.instruction import LARGEST_SPEED_STEP as LARGEST_SPEED_STEP
 from pytest_pafot.model.instructions.instruction import MAX_SPEED as MAX_SPEED
 from pytest_pafot.model.instructions.instruction import SPEED_BIN as SPEED_BIN
@@ -33,7 +37,7 @@ from pytest_pafot.model.instructions.manoeuvre import Manoeuvre as Manoeuvre
 from pytest_pafot.model.instructions.manoeuvre import Step as Step
 from pytest_pafot.model.instructions.manoeuvre import random_manoeuvre as random_manoeuvre
 
-KINDS: list[type[Instruction]] = [PositionInstruction, LaneInstruction, CrossingInstruction, Manoeuvre]
+KINDS: list[type[Instruction]] = [PositionInstruction, LaneInstruction, CrossingInstruction, Manoeuvre, Free]
 """All kinds. A plain form is read by the last of them that has it."""
 
 

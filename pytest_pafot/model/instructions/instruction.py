@@ -2,7 +2,8 @@
 
 A kind is a frozen dataclass derived from :class:`Instruction`, in a file of its own. It has a field ``speed``, and
 overrides what differs from the defaults here. :data:`~pytest_pafot.model.instructions.KINDS` lists it, and
-``world/kernel/director.py:DRIVES`` names how it drives.
+``world/kernel/director.py:DRIVES`` names how it drives; what moves a kind that drives itself is in
+``world/engines/npc_drivers.py:MOVERS``.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from functools import lru_cache
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Protocol, Self, cast
 
 from pytest_pafot.model.grid import Cell
+from pytest_pafot.model.vehicle_type import CAR
 from pytest_pafot.support.errors import FieldError, plain_whole
 from pytest_pafot.support.shown import Pasteable
 
@@ -27,6 +29,12 @@ SPEED_STEPS_PER_MPS = 10
 
 MAX_SPEED = 1000.0
 """The largest speed that a scenario can give to a vehicle [m/s]; each world has a much lower limit."""
+
+FARTHEST = 500.0
+"""The largest distance of a start from the ego, and of the triggers of a manoeuvre [m]."""
+
+MOST_BESIDE = 8
+"""The largest number of lanes between the ego and a start."""
 
 CODES_PER_TARGET = 10_000
 """The distance between the codes of two targets, which is more than any speed."""
@@ -54,6 +62,9 @@ class Choices(NamedTuple):
         ego_lane, ego_speed: the ego's first lane, and the first speed of all vehicles [m/s].
         lanes: the number of lanes of a straight road; 0 if it is unknown.
         room: the largest gap between the ego and the start of an NPC, behind and ahead [m].
+        drivers: the names of the drivers of free NPCs.
+        row: the headway [s] and the least gap [m] with which NPCs with cells start ahead of the ego or behind it.
+        longest: the length of the longest vehicle that an NPC can be [m].
     """
 
     low: int
@@ -62,6 +73,9 @@ class Choices(NamedTuple):
     ego_speed: float
     lanes: int
     room: tuple[float, float]
+    drivers: tuple[str, ...] = ()
+    row: tuple[float, float] = (0.0, 0.0)
+    longest: float = CAR.length
 
     def any_speed(self, rng: Generator) -> float:
         """Sample a target speed, uniform over the steps of 0.1 m/s [m/s]."""
@@ -78,6 +92,10 @@ class Space(Protocol):
     @property
     def crossings(self) -> Any:
         """The ways that meet the ego's; None if there is none."""
+
+    @property
+    def drivers(self) -> tuple[str, ...]:
+        """The names of the drivers of free NPCs."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,6 +142,10 @@ class Instruction(Pasteable, ABC):
     """True if the NPC starts in a cell that no other NPC takes, so that its start depends on the other NPCs."""
     crosses: ClassVar[bool] = False
     """True if it has a ``zone`` in which the NPC's way meets the ego's."""
+    has_start: ClassVar[bool] = False
+    """True if it says where its NPC starts: ``beside``, ``ahead`` and ``speed``."""
+    drives_itself: ClassVar[bool] = False
+    """True if a driver of its own moves the NPC, which is then no part of what this instruction says."""
     keeps_start: ClassVar[bool] = False
     """True if an NPC of a different scenario may not take its place, because the two starts need not fit together."""
     least_speed: ClassVar[float] = 0.0
@@ -134,6 +156,10 @@ class Instruction(Pasteable, ABC):
     speed: float
     cell: Cell
     """The target cell, only if the kind is :attr:`on_grid`."""
+    beside: int
+    """The lane at the start, as a number of lanes to the right of the ego's, only if the kind :attr:`has_start`."""
+    ahead: float
+    """The distance at the start [m], only if the kind :attr:`has_start`."""
 
     # Text and files.
 
@@ -401,6 +427,52 @@ def checked_speed(value: object, least_steps: int = 0) -> float:
         fix = f"the nearest valid speed is {max(steps, least_steps) / SPEED_STEPS_PER_MPS:g}"
         raise ScenarioError(field="speed", expected=expected, received=repr(value), fix=fix)
     return steps / SPEED_STEPS_PER_MPS
+
+
+class WithStart(Instruction):
+    """An instruction that says where its NPC starts, relative to the ego: ``beside``, ``ahead`` and ``speed``."""
+
+    __slots__ = ()
+
+    has_start = keeps_start = True
+
+    def _check_start(self) -> None:
+        beside = plain_whole(self.beside)
+        if beside is None or abs(beside) > MOST_BESIDE:
+            expected = f"a whole number of lanes from {-MOST_BESIDE} to {MOST_BESIDE}, positive to the right"
+            raise ScenarioError(field="beside", expected=expected, received=repr(self.beside))
+        object.__setattr__(self, "beside", beside)
+        object.__setattr__(self, "ahead", tenths_within("ahead", self.ahead, -FARTHEST, FARTHEST))
+        object.__setattr__(self, "speed", checked_speed(self.speed))
+        if self.ahead == 0 and self.beside == 0:
+            expected, fix = "a distance other than 0 in the ego's lane", "0 is level with the ego"
+            raise ScenarioError(field="ahead", expected=expected, received="0", fix=fix)
+
+    @property
+    def start(self) -> str:
+        """The start in words: ``30 m ahead, 1 lane right``."""
+        along = f"{abs(self.ahead):g} m {'ahead' if self.ahead > 0 else 'behind'}" if self.ahead else "level"
+        lanes = f"{abs(self.beside)} lane{'s' * (abs(self.beside) > 1)} {'left' if self.beside < 0 else 'right'}"
+        return f"{along}, {lanes if self.beside else 'in lane'}"
+
+    @property
+    def place(self) -> str:
+        """The start in words."""
+        return self.start
+
+    @property
+    def short(self) -> str:
+        """The instruction in the text of a scenario."""
+        return f"{self.speed:g} m/s {self.goal}"
+
+    def for_lane(self, before: int, now: int) -> Self:
+        """Return the instruction with a start in the same lane; on a road of ten lanes and more, it may be nearer."""
+        beside = min(max(self.beside + before - now, -MOST_BESIDE), MOST_BESIDE)
+        return cast("Self", replace(cast("Any", self), beside=beside))
+
+    def beginning(self, seconds: float) -> str:
+        """Return where the NPC starts."""
+        return f"starts {self.place}"
 
 
 def tenths_within(name: str, value: object, least: float, most: float) -> float:

@@ -9,30 +9,25 @@ from itertools import count, product
 from typing import TYPE_CHECKING, Any
 
 from pytest_pafot.model.instructions.instruction import (
+    FARTHEST,
     LARGEST_SPEED_STEP,
     MAX_SPEED,
+    MOST_BESIDE,
     SPEED_STEPS_PER_MPS,
     Choices,
     Instruction,
     Nudge,
     ScenarioError,
     Space,
-    checked_speed,
+    WithStart,
     roughness,
     tenths_within,
 )
 from pytest_pafot.model.instructions.lane import SHIFTS, Shift
-from pytest_pafot.support.errors import plain_whole
 from pytest_pafot.support.shown import Pasteable
 
 if TYPE_CHECKING:
     from numpy.random import Generator
-
-FARTHEST = 500.0
-"""The largest distance of a manoeuvre's start, and of its triggers [m]."""
-
-MOST_BESIDE = 8
-"""The largest number of lanes between the ego and the start of a manoeuvre."""
 
 LONGEST_HEADWAY = 20.0
 """The largest headway that begins a step [s]."""
@@ -171,7 +166,7 @@ DEFAULT_STEP = Step()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)
-class Manoeuvre(Instruction):
+class Manoeuvre(WithStart):
     """The only gene of an NPC that does what is asked for: a start relative to the ego, and steps.
 
     In the traffic of the paper's style, the NPC does it whatever is in its way, except vehicles that cross its way; in
@@ -193,19 +188,9 @@ class Manoeuvre(Instruction):
 
     name = "manoeuvre"
     marks = frozenset({"beside", "ahead", "steps"})
-    keeps_start = True
 
     def __post_init__(self) -> None:
-        beside = plain_whole(self.beside)
-        if beside is None or abs(beside) > MOST_BESIDE:
-            expected = f"a whole number of lanes from {-MOST_BESIDE} to {MOST_BESIDE}, positive to the right"
-            raise ScenarioError(field="beside", expected=expected, received=repr(self.beside))
-        object.__setattr__(self, "beside", beside)
-        object.__setattr__(self, "ahead", tenths_within("ahead", self.ahead, -FARTHEST, FARTHEST))
-        object.__setattr__(self, "speed", checked_speed(self.speed))
-        if self.ahead == 0 and self.beside == 0:
-            expected, fix = "a distance other than 0 in the ego's lane", "0 is level with the ego"
-            raise ScenarioError(field="ahead", expected=expected, received="0", fix=fix)
+        self._check_start()
         steps = tuple(self.steps) if isinstance(self.steps, (list, tuple)) else (self.steps,)
         if not all(isinstance(step, Step) for step in steps) or len(steps) > MOST_STEPS:
             expected = f"at most {MOST_STEPS} of pafot.Step(...)"
@@ -213,21 +198,9 @@ class Manoeuvre(Instruction):
         object.__setattr__(self, "steps", steps)
 
     @property
-    def place(self) -> str:
-        """The start in words: ``30 m ahead, 1 lane right``."""
-        along = f"{abs(self.ahead):g} m {'ahead' if self.ahead > 0 else 'behind'}" if self.ahead else "level"
-        lanes = f"{abs(self.beside)} lane{'s' * (abs(self.beside) > 1)} {'left' if self.beside < 0 else 'right'}"
-        return f"{along}, {lanes if self.beside else 'in lane'}"
-
-    @property
     def goal(self) -> str:
         """The start and the steps in words."""
         return "; ".join([self.place, *(step.words for step in self.steps)])
-
-    @property
-    def short(self) -> str:
-        """The instruction in the text of a scenario."""
-        return f"{self.speed:g} m/s {self.goal}"
 
     def plain(self) -> list[Any]:
         """Return the name, the speed, the start, and what of each step is not usual."""
@@ -269,10 +242,6 @@ class Manoeuvre(Instruction):
     def beside_others(self, choices: Choices, others: Sequence[Sequence[Instruction]], rng: Generator) -> Manoeuvre:
         """Return another manoeuvre, whose start is free."""
         return random_manoeuvre(choices, others, rng)
-
-    def for_lane(self, before: int, now: int) -> Manoeuvre:
-        """Return the manoeuvre with a start in the same lane; on a road of ten lanes and more, it may be nearer."""
-        return replace(self, beside=min(max(self.beside + before - now, -MOST_BESIDE), MOST_BESIDE))
 
     @property
     def size(self) -> int:
@@ -329,10 +298,6 @@ class Manoeuvre(Instruction):
         """Return the manoeuvre at slightly different speeds, with steps at slightly different distances or times."""
         moved = self.paced(self.speed + nudge.step(LARGEST_SPEED_STEP), None, nudge)
         return replace(moved, steps=tuple(_nudged(step, nudge) for step in moved.steps))
-
-    def beginning(self, seconds: float) -> str:
-        """Return where the NPC starts."""
-        return f"starts {self.place}"
 
 
 def _nudged(step: Step, nudge: Nudge) -> Step:

@@ -41,6 +41,7 @@ from pytest_pafot.world.gym_environment import (
     wrapper_names,
 )
 from pytest_pafot.world.kernel.bodies import Body
+from pytest_pafot.world.kernel.idm import GoalVehicle
 from pytest_pafot.world.kernel.loop import EgoDriver, PlannerDriver
 from pytest_pafot.world.run_config import Rules
 from pytest_pafot.world.stock import AbstractEnv, RegulatedRoad, RoadNetwork, Vehicle
@@ -305,6 +306,7 @@ class _Loop:
     ) -> None:
         self._env, self._driver, self._guard, self._run, self._objects = env, driver, guard, vehicles, objects
         self._bodies = vehicles.vehicles
+        vehicles.give_drivers(guard)
         self._vehicles = [env.vehicle]
         for body in self._bodies[1:]:
             npc = StockVehicle(env.road, [body.x, body.y], body.heading, body.speed)
@@ -331,6 +333,12 @@ class _Loop:
 
     def run(self) -> Trace:
         """Decide and step until the run ends, and return its trace."""
+        try:
+            return self._driven()
+        finally:
+            self._run.close()
+
+    def _driven(self) -> Trace:
         driver, loop, hz = self._driver, self._run.loop, self._run.rules.ads_hz
         with self._guard:
             if isinstance(driver, StockPolicy):
@@ -489,6 +497,9 @@ class _Loop:
                 return
             for vehicle, body in zip(self._vehicles, self._bodies, strict=True):
                 follow(body, vehicle)
+                if isinstance(body, GoalVehicle):  # a free NPC, which has a timer, and looks for its lane
+                    body.lead(body.x, body.y, body.heading, body.speed)
+                    body.step(dt)
         except UNFIT as error:
             failed = error_of(error, loop.tick, self._guard)
             self._error = self._error if self._is_over else failed

@@ -23,12 +23,21 @@ from pytest_pafot.model.trace import (
     Trace,
     road_of_run,
 )
+from pytest_pafot.world.engines.npc_drivers import movers_of
 from pytest_pafot.world.guard.failure import UNFIT, error_of
 from pytest_pafot.world.guard.hang_guard import HangGuard
 from pytest_pafot.world.kernel.bodies import Body, Box, depth, overlap, side_hit
 from pytest_pafot.world.kernel.loop import EgoDriver, GivenDriver, Loop
 from pytest_pafot.world.kernel.observation import COLUMNS
 from pytest_pafot.world.run_config import Rules, starts_of
+
+
+def drives_itself(scenario: Scenario) -> bool:
+    """Return whether something other than the director moves an NPC."""
+    for chain in scenario.npcs:  # noqa: SIM110  (any() takes twice the time, in each run)
+        if chain[0].drives_itself:
+            return True
+    return False
 
 
 class VehiclesOfRun:
@@ -55,10 +64,13 @@ class VehiclesOfRun:
         self.director = director = rules.director(scenario, ego.length)
         alongs, starts = starts_of(rules, scenario, director, ego.length)
         road, ticks = rules.road, rules.ticks(scenario)
-        is_apart = not road.starts_at_origin
+        self._movers = movers_of(rules, scenario, starts) if drives_itself(scenario) else {}
+        is_apart = bool(self._movers) or not road.starts_at_origin
         npcs: list[Body] = [Body(npc.length, npc.width) for npc in director.npcs] if is_apart else list(director.npcs)
         for npc, start in zip(npcs, starts, strict=True):
             npc.place(*start)
+        for number, mover in self._movers.items():
+            npcs[number] = mover.body
         self.vehicles = [ego, *npcs]
         bodies = [Body(ego.length, ego.width), *director.npcs] if is_apart else self.vehicles
         self.places = road.places(self.vehicles, bodies, scenario, starts=alongs, ticks=ticks, network=network)
@@ -70,6 +82,16 @@ class VehiclesOfRun:
         # Not zeroed, which would take a fortieth of a run: the loop writes each row before anything reads it.
         self.rows: Any = np.empty((ticks + 1) * len(self.sizes) * COLUMNS).data
         self.loop = Loop(director, self.places, self.rows, 1 / rules.physics_hz)
+
+    def give_drivers(self, guard: HangGuard) -> None:
+        """Give NPCs the drivers that move them, before the run begins; ``guard`` is that of the ego's decisions."""
+        for npc, mover in self._movers.items():
+            self.loop.give(npc, mover.driver(self.places, self.rows, guard))
+
+    def close(self) -> None:
+        """End what moves NPCs in the place of the director, after the run."""
+        for mover in self._movers.values():
+            mover.close()
 
     def trace(self, driver: EgoDriver, error: AdsError | None = None) -> Trace:
         """Return the trace up to the current tick, given the ego's driver and the ADS's error that ended the run."""
@@ -90,6 +112,8 @@ class VehiclesOfRun:
         outcome = Outcome.SAFE if off_road_tick is None else Outcome.OFF_ROAD
         if error is not None:
             outcome = Outcome.HANG if error.interrupted else Outcome.ADS_ERROR
+        elif loop.npc_error is not None:
+            outcome = Outcome.INVALID
         elif loop.is_over:
             touched = Outcome.COLLISION if loop.ego_touched else Outcome.INVALID
             outcome = touched if loop.ego_touched or loop.npcs_touched else places.left or outcome
@@ -99,6 +123,7 @@ class VehiclesOfRun:
             outcome=outcome,
             collision=self._collision(states, track) if outcome is Outcome.COLLISION else None,
             error=error,
+            npc_error=None if error else loop.npc_error,
             states=states,
             sizes=np.array(self.sizes),
             lanes=self.rules.road.lanes,
@@ -191,6 +216,7 @@ class SteppedRun:
         self.vehicles = vehicles
         self.driver: Any = driver
         self._guard = guard
+        vehicles.give_drivers(guard)
         self._ticks = vehicles.rules.ticks(vehicles.scenario)
 
     def observe(self) -> Any:
@@ -216,8 +242,12 @@ class SteppedRun:
             error = loop.run(self.driver, min(loop.tick + self.driver.every, self._ticks))
         if error is not None or loop.is_over or loop.tick == self._ticks:
             self.trace = self.vehicles.trace(self.driver, error)
+            self.vehicles.close()
 
     def finish(self) -> Trace:
         """Drive to the end of the run, with decisions of the driver itself, and return the trace."""
-        with self._guard:
-            return self.vehicles.trace(self.driver, self.vehicles.loop.run(self.driver, self._ticks))
+        try:
+            with self._guard:
+                return self.vehicles.trace(self.driver, self.vehicles.loop.run(self.driver, self._ticks))
+        finally:
+            self.vehicles.close()

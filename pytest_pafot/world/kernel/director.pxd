@@ -38,7 +38,7 @@ cdef class Director(BaseDirector):
     cdef bint _is_mixed
     cdef readonly object _scenario
     cdef object _cells
-    cdef readonly list _on_grid, _in_lanes, _asked
+    cdef readonly list _on_grid, _in_lanes, _asked, _free, _directed
     cdef double _release
     cdef int _hz
     cdef readonly double _clearance, _row

@@ -13,7 +13,14 @@ from typing import Any
 
 from pytest_pafot.model.driving_style import AMPLE
 from pytest_pafot.model.grid import Cell, longitudinal_target, repair_gene, toss
-from pytest_pafot.model.instructions import LANE_STARTS, Instruction, LaneInstruction, Manoeuvre, PositionInstruction
+from pytest_pafot.model.instructions import (
+    LANE_STARTS,
+    Free,
+    Instruction,
+    LaneInstruction,
+    Manoeuvre,
+    PositionInstruction,
+)
 from pytest_pafot.model.scenario import Chromosome, Scenario, with_targets
 from pytest_pafot.model.vehicle_type import CAR
 from pytest_pafot.world.kernel.bodies import Body
@@ -66,15 +73,17 @@ DONE_LATERAL, DONE_SPEED = 0.2, 0.2
 """The distance to its place across the road [m], and to its speed [m/s], at which an NPC has done a step."""
 
 
-ON_GRID, IN_LANES, BY_STEPS = 0, 1, 2
+ON_GRID, IN_LANES, BY_STEPS, BY_ITSELF = 0, 1, 2, 3
 DRIVES: dict[type[Instruction], int] = {
     PositionInstruction: ON_GRID,
     LaneInstruction: IN_LANES,
     Manoeuvre: BY_STEPS,
+    Free: BY_ITSELF,
 }
 """How an NPC with each kind of instruction drives. On the grid, an instruction has ``cell`` and ``speed``. In lanes, it
 has ``lane``, ``column`` and ``speed``. By steps, it has ``steps``, and a start: ``beside``, ``ahead`` and ``speed``.
-NPCs that cross have a director of their own."""
+By itself, it has a start, and something else moves it (:meth:`~pytest_pafot.world.kernel.loop.Loop.give`). NPCs that
+cross have a director of their own."""
 
 
 class Npc(Body):
@@ -146,10 +155,10 @@ class Npc(Body):
         self.has_missed = False
 
 
-def start_cell(manoeuvre: Any) -> Cell:
-    """Return the cell in whose direction an NPC with a manoeuvre starts."""
-    row = (manoeuvre.ahead > 0) - (manoeuvre.ahead < 0)
-    column = (manoeuvre.beside > 0) - (manoeuvre.beside < 0)
+def start_cell(start: Any) -> Cell:
+    """Return the cell in whose direction an NPC starts whose instruction says where."""
+    row = (start.ahead > 0) - (start.ahead < 0)
+    column = (start.beside > 0) - (start.beside < 0)
     return next(cell for cell in Cell if (cell.row, cell.column) == (row, column))
 
 
@@ -214,6 +223,8 @@ class Director(BaseDirector):
         self._on_grid = [npc for npc, drive in zip(self.npcs, drives, strict=True) if drive == ON_GRID]
         self._in_lanes = [npc for npc, drive in zip(self.npcs, drives, strict=True) if drive == IN_LANES]
         self._asked = [npc for npc, drive in zip(self.npcs, drives, strict=True) if drive == BY_STEPS]
+        self._free = [npc for npc, drive in zip(self.npcs, drives, strict=True) if drive == BY_ITSELF]
+        self._directed = [npc for npc, drive in zip(self.npcs, drives, strict=True) if drive != BY_ITSELF]
         self._release = RELEASE_SHARE * limits.jerk
         self._hz = physics_hz
         self.skips = False
@@ -289,7 +300,7 @@ class Director(BaseDirector):
         existing = self._first_existing()
         held = self._repaired(None, [npc.chain[0].cell for npc in self._on_grid], existing, self._on_grid, 0)
         on_grid = iter(held)
-        asked = {npc.index: start_cell(npc.chain[0]) for npc in self._asked}
+        asked = {npc.index: start_cell(npc.chain[0]) for npc in (*self._asked, *self._free)}
         taken = {*held, *asked.values()}
         free = iter([cell for cell in LANE_STARTS if cell in existing and cell not in taken])
         return tuple(
@@ -311,7 +322,9 @@ class Director(BaseDirector):
                         npc.kept_speed = npc.speed
             self._gene += 1
         self._left -= 1
-        for npc in self.npcs:
+        for npc in self._free:
+            npc.heading_for = npc.lane
+        for npc in self._directed:
             self._control(npc, ego)
         if self._attentive:
             self._remember(ego)
@@ -353,6 +366,9 @@ class Director(BaseDirector):
                 npc.pilot = npc.driver
                 npc.ramp = npc.limits.braking
                 self._await(npc)
+            for npc in self._free:
+                npc.executed.append(npc.chain[0].target)
+                npc.arrivals.append(0)  # as of a manoeuvre without steps: nothing is asked of it but its start
         for npc, cell in zip(active, cells, strict=True):
             npc.executed.append(cell)
             npc.arrivals.append(None)

@@ -85,6 +85,11 @@ class Road(ABC):
         """True if world coordinates and road coordinates are the same."""
         return False
 
+    @property
+    def has_free_npcs(self) -> bool:
+        """True if NPCs can have drivers of their own, which see the road from another place than the ego's."""
+        return False
+
     def centre(self, lane: int) -> float:
         """Return the nominal position of a lane's centre across the road [m]."""
         return lane * self.lane_width

@@ -1,0 +1,216 @@
+"""Free NPCs, which a driver of their own drives, such as a model of traffic or the policy under test."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from itertools import count
+from typing import TYPE_CHECKING
+
+from pytest_pafot.model.instructions.instruction import (
+    LARGEST_SPEED_STEP,
+    MOST_BESIDE,
+    SPEED_STEPS_PER_MPS,
+    Choices,
+    Instruction,
+    Key,
+    Nudge,
+    ScenarioError,
+    Space,
+    WithStart,
+    roughness,
+)
+from pytest_pafot.model.instructions.manoeuvre import Manoeuvre
+from pytest_pafot.model.vehicle_type import CAR
+
+if TYPE_CHECKING:
+    from numpy.random import Generator
+
+BUILT_IN_DRIVERS = ("idm", "mobil", "policy")
+"""The drivers that need no code of the user's, the simplest first."""
+
+NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]{0,39}")
+"""The pattern of a driver's name, which stands in files and tables."""
+
+STARTS: tuple[Key, ...] = tuple(
+    ("free", along, across) for along in ("ahead", "behind") for across in ("left", "in lane", "right")
+)
+"""The keys of the starts that a search samples, in coverage, around the ego."""
+
+# What a search samples.
+
+MARGIN = 5.0
+"""The room that stays between two starts [m]."""
+NEAR, LARGEST_SPREAD = 8.0, 15.0
+"""The smallest gap to the ego, and the part of it that is sampled [m]."""
+FASTER, BRAKING = 8.0, 2.0
+"""The largest difference to the ego's first speed [m/s], and the braking with which it may be lost before contact
+[m/s^2], so that there is no danger at the start."""
+JUMP, OTHER_DRIVER, OTHER_LANE = 0.1, 0.3, 0.5
+"""The share by which a mutation moves the start towards the ego, at most; the share of the mutations with another
+driver, and up to which they have another lane. Half of the others move the start, and half change the speed."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, repr=False)
+class Free(WithStart):
+    """The only gene of an NPC that a driver of its own drives: a start relative to the ego, and the driver's name.
+
+    The NPC is its driver's ego: the driver decides as often as the ego's, and sees the road from the NPC's place.
+
+    Attributes:
+        beside, ahead, speed: the start, as that of a :class:`Manoeuvre`; the speed is also the desired speed of ``idm``
+            and ``mobil`` [m, m/s].
+        driver: ``idm``, highway-env's ``IDMVehicle`` in its lane; ``mobil``, the same with lane changes; ``policy``,
+            the policy under test; or a name in ``drivers=`` of the search.
+    """
+
+    beside: int
+    ahead: float
+    speed: float
+    driver: str
+
+    name = "free"
+    marks = frozenset({"beside", "ahead", "driver"})
+    drives_itself = True
+    groups = (("free starts", STARTS),)
+
+    def __post_init__(self) -> None:
+        self._check_start()
+        object.__setattr__(self, "driver", checked_driver(self.driver))
+
+    @property
+    def place(self) -> str:
+        """The start and the driver in words."""
+        return f"{self.start}, driven by {self.driver}"
+
+    @property
+    def goal(self) -> str:
+        """The start and the driver in words."""
+        return self.place
+
+    def mixed(self, other: Instruction, rng: Generator) -> tuple[Instruction, Instruction] | None:
+        """Return two children with each other's drivers. Starts stay, so that no two NPCs touch there."""
+        if not isinstance(other, Free):
+            return None
+        return replace(self, driver=other.driver), replace(other, driver=self.driver)
+
+    def is_drawn_in(self, space: Space) -> bool:
+        """Return whether a search in a space has NPCs with this driver."""
+        return self.driver in space.drivers
+
+    def varied(self, choices: Choices, rng: Generator) -> Free:
+        """Return an NPC with another driver, lane, distance or speed at the start."""
+        kind, others = rng.random(), [each for each in choices.drivers if each != self.driver]
+        if others and kind < OTHER_DRIVER:
+            return replace(self, driver=others[int(rng.integers(len(others)))])
+        if choices.lanes and self.ahead and kind < OTHER_LANE:
+            lane = int(rng.integers(choices.lanes)) - choices.ego_lane
+            return replace(self, beside=min(max(lane, -MOST_BESIDE), MOST_BESIDE))
+        if abs(self.ahead) < _row(choices) and kind < (1 + OTHER_LANE) / 2:
+            # Nobody else starts between it and the ego.
+            return replace(self, ahead=_toward(self.ahead, JUMP * rng.random()))
+        return replace(self, speed=_speed(choices, abs(self.ahead), rng))
+
+    def beside_others(self, choices: Choices, others: Sequence[Sequence[Instruction]], rng: Generator) -> Free:
+        """Return another free NPC, whose start is free."""
+        return random_free(choices, others, rng)
+
+    def counted(self, chain: Sequence[Free]) -> list[tuple[Key, ...]]:
+        """Return the keys of the speed and the start."""
+        along = "level" if not self.ahead else "ahead" if self.ahead > 0 else "behind"
+        across = "in lane" if not self.beside else "right" if self.beside > 0 else "left"
+        return [(*keys, ("free", along, across)) for keys in Instruction.counted(self, chain)]
+
+    @property
+    def roughness(self) -> int:
+        """How far its distance is from multiples of 5 and of 1, and how much a reader must know of its driver."""
+        known = BUILT_IN_DRIVERS.index(self.driver) if self.driver in BUILT_IN_DRIVERS else len(BUILT_IN_DRIVERS)
+        return 1 + known + roughness(round(abs(self.ahead) * SPEED_STEPS_PER_MPS))
+
+    @property
+    def weight(self) -> int:
+        """Nothing, because no free NPC is simpler than another one for its speed."""
+        return 0
+
+    def plainer(self) -> Iterator[Instruction]:
+        """Keep lane and speed instead, have a simpler driver, and round the distance of the start."""
+        yield Manoeuvre(beside=self.beside, ahead=self.ahead, speed=self.speed)
+        for driver in BUILT_IN_DRIVERS:
+            yield replace(self, driver=driver)
+        for unit in (5, 1):
+            with suppress(ScenarioError):  # in the ego's lane, none starts level with it
+                yield replace(self, ahead=float(round(self.ahead / unit) * unit))
+
+    def moved(self, nudge: Nudge) -> Free:
+        """Return the NPC with a slightly different speed and distance at the start."""
+        speed = nudge.speed(self.speed + nudge.step(LARGEST_SPEED_STEP), 0.0)
+        return replace(self, speed=speed, ahead=_toward(self.ahead, abs(nudge.step(JUMP))))
+
+
+def _toward(ahead: float, share: float) -> float:
+    """Return a start that is nearer to the ego by a share, but not nearer than the smallest gap that is sampled."""
+    return round(math.copysign(max(abs(ahead) * (1 - share), min(abs(ahead), NEAR)), ahead), 1)
+
+
+def checked_driver(name: object) -> str:
+    """Return the name of a driver.
+
+    Raises:
+        ScenarioError: if it is no such name.
+    """
+    if not isinstance(name, str) or not NAME.fullmatch(name):
+        expected = f"{', '.join(BUILT_IN_DRIVERS)}, or a name in drivers= of the search"
+        fix = "a name has up to 40 letters, digits, _ and -, and begins with a letter"
+        raise ScenarioError(field="driver", expected=expected, received=f"{name!r:.100}", fix=fix)
+    return str(name)
+
+
+def random_free(choices: Choices, others: Sequence[Sequence[Instruction]], rng: Generator) -> Free:
+    """Sample a free NPC beside ``others``.
+
+    NPCs with cells start level with the ego, or in a row ahead of it or behind it. Free ones start in stretches of the
+    road that no other NPC has, so that no two of them touch, whatever their lanes are: the first on each side between
+    the ego and that row if there is room, the others beyond it.
+    """
+    row, reach = _row(choices), choices.longest + MARGIN
+    free = list[tuple[int, float, float]]()  # side, the least gap and the part of it that is sampled
+    taken = [chain[0].ahead for chain in others if isinstance(chain[0], WithStart)]
+    between = row - NEAR - reach
+    for place in count():
+        for side in (1, -1):
+            least, spread = (row + reach + (LARGEST_SPREAD + reach) * (place - 1), LARGEST_SPREAD)
+            if place == 0:
+                least, spread = NEAR, min(between, LARGEST_SPREAD)
+            if spread < 0 or least + spread > choices.room[side > 0]:
+                continue
+            if not any(least - reach < side * each < least + spread + reach for each in taken):
+                free.append((side, least, spread))
+        if len(free) > 1 or place > len(others) + 1:
+            break
+    if not free:
+        expected, fix = "room for another free NPC", "ask for fewer NPCs"
+        raise ScenarioError(field="npcs", expected=expected, received=f"{len(others) + 1} NPCs", fix=fix)
+    side, least, spread = free[int(rng.integers(len(free)))]
+    ahead = round(least + spread * rng.random(), 1)
+    lane = int(rng.integers(choices.lanes)) if choices.lanes else choices.ego_lane
+    return Free(
+        beside=min(max(lane - choices.ego_lane, -MOST_BESIDE), MOST_BESIDE),
+        ahead=side * ahead,
+        speed=_speed(choices, ahead, rng),
+        driver=choices.drivers[int(rng.integers(len(choices.drivers)))],
+    )
+
+
+def _row(choices: Choices) -> float:
+    """Return the gap between the ego and the NPCs with cells that start ahead of it or behind it [m]."""
+    headway, clearance = choices.row
+    return max(headway * choices.ego_speed, clearance)
+
+
+def _speed(choices: Choices, gap: float, rng: Generator) -> float:
+    most = min(FASTER, math.sqrt(2 * BRAKING * max(gap - CAR.length / 2, 0.0)))
+    speed = round(SPEED_STEPS_PER_MPS * (choices.ego_speed + most * (2 * rng.random() - 1)))
+    return min(max(speed, choices.low), choices.top) / SPEED_STEPS_PER_MPS

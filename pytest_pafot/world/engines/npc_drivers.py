@@ -1,0 +1,242 @@
+"""NPCs that the director does not move: free ones, each of which is the ego of its driver."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from types import MappingProxyType
+from typing import Any, Protocol, cast
+
+import numpy as np
+
+from pytest_pafot.model.instructions import Free, Instruction, ScenarioError
+from pytest_pafot.model.scenario import MAX_SEED, Scenario
+from pytest_pafot.model.vehicle_type import CAR
+from pytest_pafot.support.errors import AdsFactoryError
+from pytest_pafot.world.driving.idm_model import idm_model
+from pytest_pafot.world.driving.policy import Ads, Policy
+from pytest_pafot.world.driving.seeing import is_pure
+from pytest_pafot.world.guard.chance import OwnDraws
+from pytest_pafot.world.guard.failure import closing
+from pytest_pafot.world.guard.hang_guard import HangGuard
+from pytest_pafot.world.kernel.action import without_reversing
+from pytest_pafot.world.kernel.bodies import Body
+from pytest_pafot.world.kernel.idm import GoalVehicle
+from pytest_pafot.world.kernel.loop import EgoDriver, ModelDriver, PlannerDriver
+from pytest_pafot.world.kernel.observation import COLUMNS, Observation, Sensor
+from pytest_pafot.world.kernel.places import Places
+from pytest_pafot.world.roads.straight import StraightRoad
+from pytest_pafot.world.run_config import Rules
+
+IDM: Mapping[str, float] = MappingProxyType(
+    {
+        "LENGTH": CAR.length,
+        "WIDTH": CAR.width,
+        "ACC_MAX": 6.0,
+        "COMFORT_ACC_MAX": 3.0,
+        "COMFORT_ACC_MIN": -5.0,
+        "DISTANCE_WANTED": 10.0,
+        "TIME_WANTED": 1.5,
+        "DELTA": 4.0,
+        "POLITENESS": 0.0,
+        "LANE_CHANGE_MIN_ACC_GAIN": 0.2,
+        "LANE_CHANGE_MAX_BRAKING_IMPOSED": 2.0,
+        "LANE_CHANGE_DELAY": 1.0,
+        "KP_HEADING": 1 / 0.2,
+        "KP_LATERAL": 1 / 0.6,
+        "MAX_STEERING_ANGLE": math.pi / 3,
+        "KP_A": 1 / 0.6,
+    }
+)
+"""The constants of highway-env's ``IDMVehicle``, which would take a second to import. A test compares them."""
+
+SEED_STEP = 0x9E3779B97F4A7C15
+"""The distance between the seeds of two drivers, which has no pattern in binary: 2**64 divided by the golden ratio."""
+
+
+class OwnSeat(Sensor):
+    """The maker of a planner's observations from the place of an NPC: the NPC is first, then the ego and all others.
+
+    Args:
+        road: the road.
+        vehicles: all vehicles, the ego first.
+        record: the record of the run.
+        npc: the index of the NPC.
+        scenario: the scenario, with the seed of the NPC's driver.
+        rates: ticks per second, and ticks between decisions.
+        sight: the sight of the planner; None for perfect sight.
+    """
+
+    def __init__(
+        self,
+        road: StraightRoad,
+        vehicles: Sequence[Body],
+        record: Any,
+        npc: int,
+        scenario: Scenario,
+        rates: tuple[int, int],
+        sight: Any,
+    ) -> None:
+        super().__init__()
+        count = len(vehicles)
+        self._order = [npc + 1, *(number for number in range(count) if number != npc + 1)]
+        self._rows = np.frombuffer(record).reshape(-1, count, COLUMNS)
+        self._own = np.empty_like(self._rows)
+        self._copied = 0
+        own = [vehicles[number] for number in self._order]
+        self._sensor = road.sensor(Places(own, own, road.grid), self._own.reshape(-1), scenario, rates, sight)
+
+    def observation(self, tick: int) -> Observation:
+        """Return the observation at the current tick."""
+        self._own[self._copied : tick + 1] = self._rows[self._copied : tick + 1, self._order]
+        self._copied = tick + 1
+        return self._sensor.observation(tick)
+
+
+class TrafficDriver(ModelDriver):
+    """The driver of a free NPC by IDM and MOBIL, which does not reverse as highway-env's does behind a vehicle."""
+
+    def __init__(self, npc: GoalVehicle, others: list[Any], dt: float) -> None:
+        super().__init__(npc, others)
+        self._dt = dt
+
+    def actuate(self) -> None:
+        """Apply the vehicle's own model, but brake to a standstill at most."""
+        super().actuate()
+        self.ego.acceleration = without_reversing(self.ego.acceleration, self.ego.speed, self._dt)
+
+
+class OwnMover(Protocol):
+    """What moves one NPC in the place of the director, for one run.
+
+    Attributes:
+        body: the NPC at its start, in world coordinates.
+    """
+
+    body: Body
+
+    def driver(self, places: Places, record: Any, guard: HangGuard) -> EgoDriver:
+        """Return the driver of the NPC, which is its ego; ``guard`` is that of the decisions of the run."""
+
+    def close(self) -> None:
+        """End what the driver has begun, after the run."""
+
+
+class FreeNpc:
+    """A free NPC of one run.
+
+    Args:
+        rules, scenario: the world's rules, and a scenario that fits them.
+        npc: its index.
+        start: its x [m], y [m], heading [rad] and speed [m/s].
+    """
+
+    def __init__(self, rules: Rules, scenario: Scenario, npc: int, start: tuple[float, float, float, float]) -> None:
+        self._rules = rules
+        self._scenario = scenario
+        self._npc = npc
+        self._name: str = cast("Free", scenario.npcs[npc][0]).driver
+        self._seed = (scenario.seed + (npc + 1) * SEED_STEP) % (MAX_SEED + 1)
+        self._draws = OwnDraws(self._seed)
+        self._ads: Ads | None = None
+        self.body = self._body(start)
+
+    def _body(self, start: tuple[float, float, float, float]) -> Body:
+        rules, constants, changes_lanes = self._rules, IDM, self._name == "mobil"
+        kind = self._scenario.vehicle_of(self._npc)
+        if self._name not in ("idm", "mobil"):
+            self._ads = self._made()
+            if not self._ads.drives_itself:
+                body = Body(kind.length, kind.width)
+                body.place(*start)
+                return body
+            model = idm_model(self._ads.given)
+            if model is None:
+                raise self._refused(
+                    "a planner in SI units, or highway-env's IDMVehicle with other constants",
+                    f"{self._name!r}: {self._ads.given!r:.100}, a vehicle class with code of its own",
+                    "its code would need highway-env's own road, which has no place for a second ego",
+                )
+            constants, changes_lanes = model.constants, model.changes_lanes
+        # The model measures gaps from centre to centre, so a vehicle that is longer than a car keeps more.
+        wanted = constants["DISTANCE_WANTED"] + max(kind.length - CAR.length, 0.0)
+        constants = {**constants, "LENGTH": kind.length, "WIDTH": kind.width, "DISTANCE_WANTED": wanted}
+        vehicle = GoalVehicle(constants, cast("StraightRoad", rules.road).grid, rules.road.speed_limit)
+        vehicle.start(*start, changes_lanes)
+        return vehicle
+
+    def _made(self) -> Ads:
+        """Return a new ADS."""
+        given = self._rules.drivers.get(self._name)
+        if given is None:
+            raise self._refused(
+                "a run that knows the policy under test, which acts in SI units or is a vehicle class",
+                repr(self._name),
+                "write driver='idm' or 'mobil', give pafot.World planner_hz=, or name the policy by "
+                "world.with_drivers({'policy': MyPlanner})",
+            )
+        policy = Policy(given)
+        if policy.simulates or policy.elsewhere is not None:
+            needs = "the environment itself (env)" if policy.simulates else "a process of its own"
+            raise self._refused(
+                "a driver that decides from its observations",
+                f"{self._name!r}, which needs {needs}",
+                "write driver='idm' or 'mobil'",
+            )
+        try:
+            with self._draws:
+                return policy.make()
+        except AdsFactoryError as error:
+            raise AdsFactoryError(f"drivers[{self._name!r}]: {str(error).removeprefix('ads: ')}") from error
+
+    def _refused(self, expected: str, received: str, fix: str) -> ScenarioError:
+        return ScenarioError(field=f"npcs[{self._npc}][0].driver", expected=expected, received=received, fix=fix)
+
+    def driver(self, places: Places, record: Any, guard: HangGuard) -> EgoDriver:
+        """Return the driver of the NPC; its decisions are under the same guard as the ego's."""
+        rules, road, ads = self._rules, cast("StraightRoad", self._rules.road), self._ads
+        if isinstance(self.body, GoalVehicle):
+            # Of the ego it sees place and speed: what the ego wants to drive is known to nobody.
+            return TrafficDriver(self.body, [places.bodies[0], *places.vehicles[1:]], 1 / rules.physics_hz)
+        assert ads is not None  # noqa: S101  (all other bodies are GoalVehicles)
+        rates = rules.physics_hz, rules.physics_hz // (rules.drivers_hz or rules.ads_hz)
+        own = replace(self._scenario, seed=self._seed)
+        sensor = OwnSeat(road, places.vehicles, record, self._npc, own, rates, ads.sight)
+        common: dict[str, Any] = {"lanes": road.lane_count, "lane_width": road.lane_width}
+        common |= {"every": rates[1], "dt": 1 / rules.physics_hz}
+        decides = ads.decides if is_pure(ads.given) else _drawing(ads.decides, self._draws)
+        return PlannerDriver(decides, guard, (), self.body, places.bodies[self._npc + 1], sensor, **common)
+
+    def close(self) -> None:
+        """Close the ADS."""
+        if self._ads is not None:
+            with closing(self._ads.given, self._rules.hang_limit):
+                pass
+
+
+MOVERS: dict[type[Instruction], Callable[[Rules, Scenario, int, tuple[float, float, float, float]], OwnMover]] = {
+    Free: FreeNpc,
+}
+"""What moves the NPC of each kind of instruction that ``drives_itself``, made for each run."""
+
+
+def movers_of(
+    rules: Rules, scenario: Scenario, starts: Sequence[tuple[float, float, float, float]]
+) -> dict[int, OwnMover]:
+    """Return what moves each NPC that the director does not move, by its index."""
+    return {
+        npc: MOVERS[type(chain[0])](rules, scenario, npc, starts[npc])
+        for npc, chain in enumerate(scenario.npcs)
+        if chain[0].drives_itself
+    }
+
+
+def _drawing(decides: Callable[[Any], Any], draws: OwnDraws) -> Callable[[Any], Any]:
+    """Return an ADS that draws from generators of its own."""
+
+    def decide(observation: Any) -> Any:
+        with draws:
+            return decides(observation)
+
+    return decide

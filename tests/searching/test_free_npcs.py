@@ -1,0 +1,239 @@
+"""Searches with free NPCs: starts at which no two vehicles touch, and only the drivers of the mark."""
+
+from functools import partial
+from itertools import islice
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import pytest_pafot as pafot
+from pytest_pafot import Free, Highway, Manoeuvre, Scenario, World
+from pytest_pafot.campaign.explore import request_of
+from pytest_pafot.campaign.request import build_space
+from pytest_pafot.findings.neighbours import Limits, neighbours
+from pytest_pafot.searching.operators import crossover, mutate
+from pytest_pafot.searching.space import sample
+from pytest_pafot.support.errors import RequestError
+from pytest_pafot.world.guard.own_worlds import base_world
+from tests.helpers.shrinking import shrink
+from tests.helpers.tables import table
+
+
+def steady(observation):
+    return 0.0, 0.0
+
+
+def following(observation):
+    ego = observation.ego
+    gaps = [each.x - ego.x for each in observation.others if abs(each.y - ego.y) < 2 and each.x > ego.x]
+    return (-6.0 if min(gaps, default=100.0) < 5 + 0.8 * ego.speed else 0.5 * (ego.speed < 24)), 0.0
+
+
+DRIVERS = {"idm": "idm", "last": lambda: steady}
+WORLD = base_world(Highway().with_drivers({"last": DRIVERS["last"]}))
+
+
+def space_of(world=WORLD, drivers=DRIVERS, **more):
+    return build_space(request_of({"ads": lambda: steady, "drivers": drivers, **more}), world)
+
+
+SPACES = [
+    space_of(),
+    space_of(npcs=5, ego_speed=12.0),
+    space_of(npcs=3, instructions="cells", drivers="idm"),
+    space_of(npcs=4, ego_speed=26.0, vehicles=pafot.VehicleType(name="bus", length=18.0, width=2.55)),
+]
+
+
+def free_of(scenario):
+    return [chain[0] for chain in scenario.npcs if isinstance(chain[0], Free)]
+
+
+@given(st.sampled_from(SPACES), st.integers(0, 2**32), st.integers(0, 25))
+def test_what_is_sampled_and_varied_can_start(space, seed, mutations):
+    """That is checked by the rules of the world: no two vehicles touch there."""
+    rng = np.random.default_rng(seed)
+    scenario, other = sample(space, rng), sample(space, rng)
+    for _ in range(mutations):
+        scenario = mutate(scenario, space, rng)
+    for each in (scenario, other, *crossover(scenario, other, rng)):
+        WORLD.check_fits(each)
+        assert {free.driver for free in free_of(each)} <= set(space.drivers)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_long_lines_of_mutations_can_start(seed):
+    rng, space = np.random.default_rng(seed), space_of(npcs=5, ego_speed=22.0, ego_lane=1)
+    scenario = sample(space, rng)
+    for _ in range(300):
+        scenario = mutate(scenario, space, rng)
+        WORLD.check_fits(scenario)
+
+
+def test_free_npcs_and_the_others_are_different_vehicles():
+    rng, space = np.random.default_rng(0), space_of(npcs=4)
+    scenarios = [sample(space, rng) for _ in range(200)]
+    found = [
+        (type(chain[0]) is Free, each.vehicle_of(npc)) for each in scenarios for npc, chain in enumerate(each.npcs)
+    ]
+    assert set(found) == {(is_free, vehicle) for is_free in (True, False) for vehicle in space.vehicles}
+    assert set(space.vehicles) == {pafot.CAR, pafot.VAN, pafot.TRUCK, pafot.MOTORCYCLE}
+
+
+def test_about_half_of_the_npcs_are_free():
+    rng, space = np.random.default_rng(0), space_of(npcs=4)
+    free = [len(free_of(sample(space, rng))) for _ in range(200)]
+    assert {0, 4} < set(free)
+    assert 1.8 < np.mean(free) < 2.2
+    assert (
+        "4 NPCs with Position- or Lane-Instructions, half of them free (idm, last) in hostile traffic"
+        in space.described
+    )
+
+
+def test_mutations_change_driver_lane_distance_and_speed_of_free_npcs_and_the_others():
+    rng, space = np.random.default_rng(0), space_of(npcs=4)
+    scenario = next(each for each in iter(lambda: sample(space, rng), None) if len(free_of(each)) == 2)
+    changed = set()
+    for _ in range(300):
+        child = mutate(scenario, space, rng)
+        for before, after in zip(scenario.npcs, child.npcs, strict=False):
+            if isinstance(before[0], Free) and isinstance(after[0], Free):
+                names = ("driver", "beside", "ahead", "speed")
+                changed |= {name for name in names if getattr(before[0], name) != getattr(after[0], name)}
+            elif before != after:
+                changed.add("directed")
+    assert changed == {"driver", "beside", "ahead", "speed", "directed"}
+
+
+def test_without_drivers_the_space_is_as_before():
+    usual = build_space(request_of({"ads": lambda: steady}), WORLD)
+    assert "drivers" not in usual.plain
+    assert not any(free_of(sample(usual, np.random.default_rng(seed))) for seed in range(20))
+
+
+def test_neighbours_move_speed_and_start():
+    scenario = Scenario(npcs=((Free(beside=0, ahead=30.0, speed=20.0, driver="idm"),),))
+    limits = Limits(fits=lambda scenario: True, top_speed=26.8, longest_run=60.0)
+    moved = {each.npcs[0][0] for each in islice(neighbours(scenario, 1.0, limits), 20)}
+    assert {each.driver for each in moved} == {"idm"}
+    assert len({each.ahead for each in moved}) > 3
+    assert all(27.0 <= each.ahead <= 30.0 for each in moved)
+
+
+@table(
+    ("is_needed", "simplest"),
+    [
+        (lambda each: True, Manoeuvre(beside=1, ahead=30.0, speed=21.3)),
+        (lambda each: isinstance(each, Free), Free(beside=1, ahead=30.0, speed=20.0, driver="idm")),
+        (
+            lambda each: each.name == "free" and each.driver != "idm",
+            Free(beside=1, ahead=30.0, speed=20.0, driver="mobil"),
+        ),
+    ],
+)
+def test_shrinking_prefers_what_a_reader_knows(is_needed, simplest):
+    """A manoeuvre that keeps lane and speed, then the simplest driver that fails."""
+
+    def fails(scenario):
+        each = scenario.npcs[0][0]
+        is_there = each.has_start and (each.beside, each.ahead > 0) == (1, True)
+        return scenario if is_there and is_needed(each) else None
+
+    given = Scenario(npcs=((Free(beside=1, ahead=31.4, speed=21.3, driver="last"),),))
+    found, _ = shrink(given, fails, rollouts=1000, top_speed=26.8)
+    assert type(found.npcs[0][0]) is type(simplest)
+    assert getattr(found.npcs[0][0], "driver", "") == getattr(simplest, "driver", "")
+    assert found.npcs[0][0].ahead == simplest.ahead
+
+
+# The argument of the mark.
+
+
+@table(
+    ("drivers", "message"),
+    [
+        (["fast"], r"expected some of 'idm', 'mobil', 'policy', or a mapping"),
+        (3, "expected some of 'idm'"),
+        ({"a b": lambda: steady}, "a name has up to 40 letters"),
+        ({"idm": lambda: steady}, "expected 'idm' to have no factory"),
+        ({"last": "rev:main"}, "received a revision, which drives in a process of its own"),
+        ({"last": 3}, "expected the name of a fixture or a factory"),
+        ({"last": "nowhere:Planner"}, "nowhere"),
+    ],
+)
+def test_wrong_drivers_are_refused(drivers, message):
+    with pytest.raises(RequestError, match=message):
+        request_of({"ads": lambda: steady, "drivers": drivers})
+
+
+@table(
+    ("world", "more", "message"),
+    [
+        (World("merge-v0"), {}, "expected a straight road such as pafot.Highway"),
+        (WORLD, {"algorithm": "pafot"}, "expected a search whose NPCs have Position- or Lane-Instructions"),
+        (WORLD, {"instructions": "manoeuvres"}, "expected a search whose NPCs have"),
+        (World("highway-v0"), {"drivers": "policy"}, "expected no 'policy' in a world whose policy has the"),
+    ],
+)
+def test_search_that_can_have_no_free_npcs_is_refused(world, more, message):
+    with pytest.raises(RequestError, match=message):
+        space_of(base_world(world), **more)
+
+
+explored = partial(pafot.explore, lambda: following, runs=100, seed=5, blame="ego", neighbours=5, shrink_rollouts=40)
+
+
+def no_collision(run):
+    assert not run.collision
+
+
+def anything(run):
+    assert run.duration >= 0
+
+
+def test_search_is_the_same_with_other_processes_and_its_findings_run_again():
+    drivers = {"policy": "policy", "mobil": "mobil", "drawing": Drawing}
+    one, two = (explored(holds=no_collision, drivers=drivers, workers=workers) for workers in (1, 2))
+    assert one.summary.outcomes == two.summary.outcomes
+    assert [each.scenario for each in one.findings] == [each.scenario for each in two.findings]
+    assert one.summary.coverage.split("; requested")[0].endswith("6/6 free starts, 6/6 speed bins")
+
+
+class Drawing:
+    """A driver that draws from a global generator."""
+
+    def __call__(self, observation):
+        return np.random.normal(), 0.0
+
+
+def test_driver_that_fails_is_reported_and_is_no_failure():
+    def raising(observation):
+        raise ValueError("no way")
+
+    found = explored(holds=anything, drivers={"own": lambda: raising}, npcs=1)
+    assert found.findings == ()
+    (warning, *_) = found.summary.warnings
+    assert "tested nothing; most often the driver own failed: ValueError: no way; correct that driver" in warning
+
+
+class Pure:
+    """An ego whose decisions are cached, among drivers that draw: with another seed they drive otherwise."""
+
+    pure = True
+
+    def __call__(self, observation):
+        return following(observation)
+
+
+def test_cached_decisions_are_those_of_a_run_with_all_drivers():
+    drivers = {"drawing": Drawing, "policy": "policy"}
+    cached, anew = (
+        pafot.explore(ads, holds=no_collision, drivers=drivers, runs=120, seed=3, blame="ego", neighbours=0, npcs=2)
+        for ads in (Pure, lambda: following)
+    )
+    assert cached.summary.outcomes == anew.summary.outcomes
+    assert [each.scenario for each in cached.findings] == [each.scenario for each in anew.findings]
+    assert not any("pure" in each for each in cached.summary.warnings + cached.summary.notes)
