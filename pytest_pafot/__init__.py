@@ -31,8 +31,10 @@ if TYPE_CHECKING:
     from pytest_pafot.model.instructions import LaneInstruction as LaneInstruction
     from pytest_pafot.model.instructions import Manoeuvre as Manoeuvre
     from pytest_pafot.model.instructions import PositionInstruction as PositionInstruction
+    from pytest_pafot.model.instructions import Recorded as Recorded
     from pytest_pafot.model.instructions import ScenarioError as ScenarioError
     from pytest_pafot.model.instructions import Step as Step
+    from pytest_pafot.model.instructions import Track as Track
     from pytest_pafot.model.scenario import Chromosome as Chromosome
     from pytest_pafot.model.scenario import Scenario as Scenario
     from pytest_pafot.model.trace import Collision as Collision
@@ -77,6 +79,7 @@ _HOMES = {
     "Perception": "world",
     "Planned": "world",
     "PositionInstruction": "model.instructions",
+    "Recorded": "model.instructions",
     "Run": "oracle.run",
     "SavedScenario": "campaign.saved_scenario",
     "Scenario": "model.scenario",
@@ -84,6 +87,7 @@ _HOMES = {
     "Signal": "criticality.signals",
     "Step": "model.instructions",
     "Trace": "model.trace",
+    "Track": "model.instructions",
     "Traffic": "model.driving_style",
     "Weights": "searching.fitness",
     "World": "world",

@@ -26,6 +26,7 @@ from pytest_pafot.model.instructions import (
     Instruction,
     PositionInstruction,
     ScenarioError,
+    Track,
     instruction_of,
 )
 from pytest_pafot.model.instructions.instruction import checked_number, encoded
@@ -67,13 +68,15 @@ class Scenario(_Hashed):
         npcs: chains of one to eight NPCs, one non-empty chain per NPC; lengths may differ. An NPC with a shorter
             chain than the longest keeps its lane and speed after its last gene (paper, section 2). In a run that goes
             on after the longest chain, an NPC with that chain goes on with its last gene. Each NPC has
-            Position-Instructions, Lane-Instructions, one Crossing-Instruction or one Manoeuvre.
+            Position-Instructions, Lane-Instructions, one Crossing-Instruction, one Manoeuvre or one Recorded.
         seed: seed of all random choices in the run, 0 to 2**63 - 1.
         ego_lane: the ego's first lane, counted from 0 at the left.
-        ego_speed: first speed of the ego, and of all NPCs that neither cross nor have a Manoeuvre, unless a bend makes
-            them slower [m/s].
+        ego_speed: first speed of the ego, and of all NPCs that neither cross nor have a Manoeuvre or a track, unless a
+            bend makes them slower [m/s].
         gene_seconds: duration of one gene [s].
         traffic: driving style of the NPCs; the paper's by default.
+        ego_track: the track of the vehicle in whose place the policy drives, if NPCs drive as recorded: as long as the
+            ego is near it, they follow their tracks. Without it, they follow them only as long as nobody is near.
 
     Raises:
         ScenarioError: if a rule is broken. For example, a cell is no ring neighbour of the previous cell, or two NPCs
@@ -86,6 +89,7 @@ class Scenario(_Hashed):
     ego_speed: float = EGO_SPEED
     gene_seconds: float = GENE_SECONDS
     traffic: Traffic = PAPERS
+    ego_track: Track | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "npcs", _checked_chains(self.npcs))
@@ -101,6 +105,8 @@ class Scenario(_Hashed):
         if not isinstance(self.traffic, Traffic):
             fix = 'write pafot.Traffic(style="everyday")'
             raise ScenarioError(field="traffic", expected="a Traffic", received=repr(self.traffic), fix=fix)
+        if not isinstance(self.ego_track, Track | None):
+            raise ScenarioError(field="ego_track", expected="a Track", received=f"{self.ego_track!r:.60}")
         if not are_valid([[gene.cell for gene in chain] for chain in self.positions]):
             _check_adjacency(self.npcs)
             _check_distinct(self.npcs)
@@ -115,6 +121,7 @@ class Scenario(_Hashed):
         ego_speed: float = EGO_SPEED,
         gene_seconds: float = GENE_SECONDS,
         traffic: Traffic = PAPERS,
+        ego_track: Track | None = None,
     ) -> Scenario:
         """Make a scenario from chains whose cells may be invalid; cells are repaired, speeds stay.
 
@@ -128,6 +135,7 @@ class Scenario(_Hashed):
             ego_speed=ego_speed,
             gene_seconds=gene_seconds,
             traffic=traffic,
+            ego_track=ego_track,
         )
 
     @classmethod
@@ -183,8 +191,9 @@ class Scenario(_Hashed):
 
     @property
     def _beside_chains(self) -> list[Any]:
-        traffic = [] if self.traffic == PAPERS else [self.traffic.plain()]
-        return [self.seed, self.ego_lane, self.ego_speed, self.gene_seconds, *traffic]
+        track = [] if self.ego_track is None else [self.ego_track.text]
+        traffic = [] if self.traffic == PAPERS and not track else [self.traffic.plain()]
+        return [self.seed, self.ego_lane, self.ego_speed, self.gene_seconds, *traffic, *track]
 
     @property
     def chains_text(self) -> str:
@@ -199,7 +208,8 @@ class Scenario(_Hashed):
         Raises:
             ScenarioError, TypeError, ValueError: if ``fields`` is anything else.
         """
-        npcs, seed, ego_lane, ego_speed, gene_seconds, *traffic = fields
+        npcs, seed, ego_lane, ego_speed, gene_seconds, *others = fields
+        traffic, track = others[:1], others[1:]
         chains = tuple(tuple(map(instruction_of, chain)) for chain in npcs)
         return cls(
             npcs=chains,
@@ -208,6 +218,7 @@ class Scenario(_Hashed):
             ego_speed=ego_speed,
             gene_seconds=gene_seconds,
             traffic=Traffic.of(*traffic) if traffic else PAPERS,
+            ego_track=Track(*track) if track else None,
         )
 
     def rechained(self, npcs: Sequence[Sequence[Instruction]], gene_seconds: float | None = None) -> Scenario:
@@ -222,6 +233,7 @@ class Scenario(_Hashed):
             ego_speed=self.ego_speed,
             gene_seconds=self.gene_seconds,
             traffic=self.traffic,
+            ego_track=self.ego_track,
         )
 
     def truncated(self, genes: int) -> Scenario:

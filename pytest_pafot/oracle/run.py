@@ -19,7 +19,7 @@ from pytest_pafot.attribution.responsibility import Attribution, position_rule
 from pytest_pafot.attribution.sentences import due_by, responsible_sentence
 from pytest_pafot.attribution.takeovers import Avoidance, TakeOver
 from pytest_pafot.criticality import Passage, passages
-from pytest_pafot.criticality.asked import Asked, asked
+from pytest_pafot.criticality.asked import Asked, asked, departures
 from pytest_pafot.criticality.signals import (
     BY_NAME,
     EgoLaneChange,
@@ -682,6 +682,7 @@ def _manoeuvre_lines(trace: Trace, measured: Sequence[Asked]) -> list[str]:
         if not chain[0].place:
             continue
         lines.append(f"  NPC {npc}: {chain[0].place}, {chain[0].speed:.1f} m/s")
+        lines += [f"    {each.words}" for each in departures(trace) if each.npc == npc]
         begun = trace.steps_begun(npc)
         for number, step in enumerate(chain[0].steps):
             when = f"{begun[number] / trace.physics_hz:6.1f} s" if number < len(begun) else "   never"

@@ -21,6 +21,7 @@ from pytest_pafot.model.instructions import (
     Choices,
     Instruction,
     PositionInstruction,
+    Track,
     known,
     random_lanes,
     random_manoeuvre,
@@ -91,6 +92,7 @@ class SearchSpace:
         lanes: number of lanes of a straight road, for manoeuvres; 0 if it is unknown, and NPCs keep their lanes.
         room: the largest gap between the ego and the start of an NPC with a manoeuvre, behind and ahead [m].
         first: scenarios that a search drives before those that it samples.
+        ego_track: the track of the recorded ego in all scenarios of a search around a recording.
     """
 
     npcs: int = 2
@@ -113,6 +115,7 @@ class SearchSpace:
     lanes: int = 0
     room: tuple[float, float] = (math.inf, math.inf)
     first: tuple[Scenario, ...] = ()
+    ego_track: Track | None = None
 
     def __post_init__(self) -> None:
         npcs = checked_whole(self.npcs, "npcs", "1 to 8 NPCs, one per cell at most", least=1, most=8)
@@ -155,6 +158,7 @@ class SearchSpace:
             "lanes": 0,
             "room": (math.inf, math.inf),
             "first": (),
+            "ego_track": None,
         }
         return {name: value for name, value in data.items() if name not in usual or value != usual[name]}
 
@@ -368,6 +372,7 @@ def repaired(chains: Sequence[Sequence[Instruction]], seed: int, start: Scenario
         ego_speed=start.ego_speed,
         gene_seconds=start.gene_seconds,
         traffic=start.traffic,
+        ego_track=start.ego_track,
     )
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import NoReturn
+from typing import Any, NoReturn
 
 from pytest_pafot.model.crossings import Crossings
 from pytest_pafot.model.grid import Cell
@@ -14,7 +14,6 @@ from pytest_pafot.model.instructions import (
     SLOT_STEPS_PER_SECOND,
     CrossingInstruction,
     Instruction,
-    Manoeuvre,
     ScenarioError,
 )
 from pytest_pafot.model.scenario import Scenario
@@ -100,7 +99,7 @@ class Rules:
             raise ScenarioError(field="scenario", expected="a Scenario", received=repr(scenario))
         self._check_lane(scenario.ego_lane)
         cells, crossings = self.start_cells(scenario), scenario.crossings
-        on_grid = crossings.count(None) if crossings else len(scenario.npcs)
+        on_grid = sum(not (chain[0].crosses or chain[0].keeps_start) for chain in scenario.npcs)
         if on_grid > len(cells):
             kind = " that do not cross" if crossings else ""
             expected = f"at most {len(cells)} NPCs{kind}, one per cell that exists around lane {scenario.ego_lane}"
@@ -172,8 +171,14 @@ class Rules:
 
     def _check_manoeuvres(self, scenario: Scenario) -> None:
         """Refuse manoeuvres that start in lanes that do not exist, and starts at which vehicles would touch."""
-        asked = [(npc, chain[0]) for npc, chain in enumerate(scenario.npcs) if isinstance(chain[0], Manoeuvre)]
+        asked: list[tuple[int, Any]] = [
+            (npc, chain[0]) for npc, chain in enumerate(scenario.npcs) if chain[0].keeps_start
+        ]
         for npc, manoeuvre in asked:
+            if manoeuvre.follows_track and not self.road.starts_at_origin:
+                expected, fix = "a straight road for NPCs that drive as recorded", "use pafot.Highway"
+                received = f"a road of {self.road.lane_count} lanes in a road network"
+                raise ScenarioError(field=f"npcs[{npc}][0]", expected=expected, received=received, fix=fix)
             for number, step in enumerate(manoeuvre.steps):
                 if step.speed is not None and step.speed > self.road.speed_limit + 1e-9:
                     self._refuse_speed(f"npcs[{npc}][0].steps[{number}]", step.speed)
@@ -197,13 +202,15 @@ class Rules:
                     raise ScenarioError(field=f"npcs[{npc}]", expected=expected, received=received, fix=fix)
             taken.append((npc, own, its_lane))
 
-    def along_at(self, manoeuvre: Manoeuvre, scenario: Scenario, ego_length: float = NPC_LENGTH) -> float:
-        """Return the place along the road at which an NPC with a manoeuvre starts [m]."""
+    def along_at(self, manoeuvre: Any, scenario: Scenario, ego_length: float = NPC_LENGTH) -> float:
+        """Return the place along the road at which an NPC starts whose instruction says where [m]."""
+        if manoeuvre.follows_track:
+            return self.ego_start + float(manoeuvre.ahead)
         if manoeuvre.ahead == 0:
             return self.ego_start
         stretch = self.road.stretch(scenario.ego_lane, self.ego_start)
         room = math.copysign((ego_length + NPC_LENGTH) / 2, manoeuvre.ahead)
-        return self.ego_start + (manoeuvre.ahead + room) / stretch
+        return self.ego_start + (float(manoeuvre.ahead) + room) / stretch
 
     def _check_speeds(self, scenario: Scenario) -> None:
         limit = self.road.speed_limit
@@ -239,13 +246,14 @@ def start_places(
     """Return the place along the road [m] and the lane of the ego and of each NPC that does not cross, at tick 0.
 
     NPCs of cells 4 and 8 start next to the ego, those of other cells in their cell's lane, ahead or behind by the
-    headway. So there is no danger at the start, and all danger results from driving. NPCs with manoeuvres start where
-    these say.
+    headway. So there is no danger at the start, and all danger results from driving. NPCs with manoeuvres or tracks
+    start where these say.
     """
     far = rules.start_distance(scenario, ego_length)
     beside = [(rules.ego_start + cell.row * far, scenario.ego_lane + cell.column) for cell in cells]
-    for number, (_, first) in enumerate(_not_crossing(scenario)):
-        if isinstance(first, Manoeuvre):
+    firsts: list[tuple[int, Any]] = _not_crossing(scenario)
+    for number, (_, first) in enumerate(firsts):
+        if first.keeps_start:
             along = rules.along_at(first, scenario, ego_length)
             beside[number] = along, scenario.ego_lane + first.beside
     return [(rules.ego_start, scenario.ego_lane), *beside]
@@ -257,7 +265,7 @@ def start_speeds(rules: Rules, scenario: Scenario, places: Sequence[tuple[float,
     It is the ego's speed or that of its manoeuvre, or less where the road requires it.
     """
     firsts = _not_crossing(scenario)
-    wanted = [first.speed if isinstance(first, Manoeuvre) else scenario.ego_speed for _, first in firsts]
+    wanted = [first.speed if first.keeps_start else scenario.ego_speed for _, first in firsts]
     return [
         rules.road.start_speed(speed, lane, along, rules.limits)
         for speed, (along, lane) in zip(wanted, places, strict=True)

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pytest_pafot import Manoeuvre, Scenario, Step
+from pytest_pafot import Manoeuvre, Recorded, Scenario, Step, Track
 from pytest_pafot.extending import HEADING, SPEED, FloatArray, Lane, RequestError, X, Y
 from pytest_pafot.extras.recordings.following import PACE, first_speed, followed
 from pytest_pafot.support.errors import FieldError, sentence
@@ -86,8 +86,8 @@ class RecordedVehicle:
 class Recording:
     """Tracks of vehicles, in the coordinates of a trace: y and headings grow to the right.
 
-    :func:`pytest_pafot.recorded` reads one. Nothing drives along its tracks yet: :meth:`scenario` makes manoeuvres of
-    them, and the arrays can be plotted and measured.
+    :func:`pytest_pafot.recorded` reads one. :meth:`scenario` makes a scenario whose NPCs drive along its tracks, and
+    the arrays can be plotted and measured.
 
     Attributes:
         vehicles: all vehicles, in the order of the data. Each has rows only for the time in which it was seen.
@@ -162,19 +162,23 @@ class Recording:
         lanes = sorted(map(of_lane, self.lanes), key=lambda lane: (math.cos(lane.heading) < 0, lane.y))
         return replace(self, vehicles=tuple(vehicles), lanes=tuple(lanes), ego=ego.name)
 
-    def scenario(self, ego: object = None, at: float | None = None, seconds: float = 20.0) -> Scenario:
+    def scenario(
+        self, ego: object = None, at: float | None = None, seconds: float = 20.0, *, as_manoeuvres: bool = False
+    ) -> Scenario:
         """Return a scenario that starts as the recording is at a time, and whose NPCs then drive as recorded.
 
-        The NPCs are the eight vehicles nearest to the ego that drive in its direction at that time. Each has a
-        manoeuvre: its place relative to the ego, and steps by time, of speeds and changes of lanes, which follow its
-        track whatever the policy does. They all are 5 m long, with the gaps of the recording between bumpers, and in
-        the middle of lanes of 4 m. A vehicle that comes later is not in the scenario. One that leaves the recording
-        keeps its lane and speed.
+        The NPCs are the eight vehicles nearest to the ego that drive in its direction at that time. Each follows its
+        track (:class:`pytest_pafot.Recorded`) as long as the policy drives as the recorded ego did. Their boxes are 5 m
+        long, around the centres of the recording, and lanes of the recording become lanes of 4 m. A vehicle that comes
+        later is not in the scenario. One that leaves the recording goes on attentively in its lane.
 
         Args:
             ego: the vehicle in whose place the policy drives; the recording's ego by default.
             at: the time of the start on the clock of the data [s]; when the ego is first seen by default.
             seconds: how long the NPCs follow their tracks [s].
+            as_manoeuvres: give them manoeuvres instead: places relative to the ego, and steps by time, of speeds and
+                changes of lanes. These keep the gaps of the recording between bumpers, can be driven on every road, and
+                stay near the tracks whatever the policy does.
 
         Raises:
             RequestError: if nothing drives near the ego at that time, or the road is not straight.
@@ -184,10 +188,11 @@ class Recording:
         seen = self if ego is None else self.seen_from(ego)
         own = seen.vehicle(seen.ego)
         start = float(own.times[0] if at is None else at)
-        if not own.times[0] <= start <= own.times[-1] or not 0.0 < seconds <= LONGEST:
+        longest = LONGEST if as_manoeuvres else Track.longest
+        if not own.times[0] <= start <= own.times[-1] or not 0.0 < seconds <= longest:
             raise RequestError(
                 f"{self.source}: expected a time at which {own.name} was seen, from {own.times[0]:g} to "
-                f"{own.times[-1]:g} s, and at most {LONGEST:g} s, received at={start:g} and seconds={seconds:g}"
+                f"{own.times[-1]:g} s, and at most {longest:g} s, received at={start:g} and seconds={seconds:g}"
             )
         here = own.at(start)[0]
         bent = np.abs(own.at(own.times[(own.times >= start) & (own.times <= start + seconds)])[:, HEADING])
@@ -212,6 +217,8 @@ class Recording:
                 f"{start:g} s, received none; start at another time"
             )
         nearest = [other for *_, other in sorted(npcs)[:MOST_NPCS]]
+        if not as_manoeuvres:
+            return self._as_recorded(own, nearest, start, seconds, columns)
         manoeuvres = []
         for other in nearest:
             first = other.at(start)[0]
@@ -227,6 +234,32 @@ class Recording:
         first_lane = lane if columns.are_known else max(1, -least)
         return Scenario(
             npcs=tuple((each,) for each in manoeuvres), ego_lane=first_lane, ego_speed=max(float(here[SPEED]), 0.0)
+        )
+
+    def _as_recorded(
+        self, own: RecordedVehicle, others: Sequence[RecordedVehicle], start: float, seconds: float, columns: _Columns
+    ) -> Scenario:
+        x, y, _, speed = own.at(start)[0].tolist()
+        lane = columns.of(y)
+
+        def track(vehicle: RecordedVehicle) -> Track | None:
+            states = _driven(vehicle, start, seconds, Track.rate)
+            across = Track.lane_width * (columns.shares(states[:, Y]) - lane) if columns.are_known else states[:, Y] - y
+            places = np.stack([states[:, X] - x, across, states[:, HEADING], states[:, SPEED]], axis=-1)
+            return Track.of(places) if len(places) > 1 else None
+
+        tracks = [found for found in map(track, others) if found is not None]
+        if not tracks:
+            raise RequestError(
+                f"{self.source}: expected vehicles that are seen for some time from {start:g} s on, received none; "
+                "start at another time"
+            )
+        leftmost = min(float(each.states[:, 1].min()) for each in tracks)
+        return Scenario(
+            npcs=tuple((Recorded(track=each),) for each in tracks),
+            ego_lane=lane if columns.are_known else max(1, round(-leftmost / Track.lane_width)),
+            ego_speed=max(speed, 0.0),
+            ego_track=track(own),
         )
 
     def __repr__(self) -> str:
@@ -266,8 +299,14 @@ def _ahead(distance: float, room: float, is_in_lane: bool) -> float:
 
 def _steps(vehicle: RecordedVehicle, start: float, seconds: float, columns: _Columns) -> tuple[Step, ...]:
     """Return the steps that follow a vehicle from a time on until it leaves the recording or the road."""
-    end = min(seconds, float(vehicle.times[-1]) - start)
-    states = vehicle.at(start + np.arange(math.floor(end * PACE + 1e-6) + 1) / PACE)
-    turned = np.abs(states[:, HEADING]) > STRAIGHT
-    states = states[: turned.argmax()] if turned.any() else states
+    states = _driven(vehicle, start, seconds, PACE)
     return followed(states, columns.shares(states[:, Y]))
+
+
+def _driven(vehicle: RecordedVehicle, start: float, seconds: float, rate: float) -> FloatArray:
+    """Return the states of a vehicle at a rate from a time on, until it leaves the recording or the road."""
+    end = min(seconds, float(vehicle.times[-1]) - start)
+    times = start + np.arange(math.floor(end * rate + 1e-6) + 1) / rate
+    states = vehicle.at(np.minimum(times, vehicle.times[-1]))
+    turned = np.abs(states[:, HEADING]) > STRAIGHT
+    return states[: turned.argmax()] if turned.any() else states

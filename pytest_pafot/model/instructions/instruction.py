@@ -125,7 +125,12 @@ class Instruction(Pasteable, ABC):
     crosses: ClassVar[bool] = False
     """True if it has a ``zone`` in which the NPC's way meets the ego's."""
     keeps_start: ClassVar[bool] = False
-    """True if an NPC of a different scenario may not take its place, because the two starts need not fit together."""
+    """True if it says where the NPC starts: how many lanes ``beside`` the ego, and how far ``ahead``. An NPC of a
+    different scenario may not take its place, because the two starts need not fit together."""
+    follows_track: ClassVar[bool] = False
+    """True if the NPC is where ``at`` says until it leaves its track; ``ahead`` is from centre to centre then."""
+    holds_speed: ClassVar[bool] = True
+    """True if an NPC that is alone drives its ``speed`` until the first of its steps."""
     least_speed: ClassVar[float] = 0.0
     """The lowest target speed [m/s]."""
     groups: ClassVar[Sequence[tuple[str, Sequence[Key]]]] = ()

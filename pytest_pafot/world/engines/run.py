@@ -114,6 +114,7 @@ class VehiclesOfRun:
             on_way=on_way,
             driven=self.director.driven,
             begun=self.director.begun,
+            handed_over=self.director.handed_over,
             obstacles=self.rules.obstacles,
         )
 

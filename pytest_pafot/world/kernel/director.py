@@ -13,7 +13,14 @@ from typing import Any
 
 from pytest_pafot.model.driving_style import AMPLE
 from pytest_pafot.model.grid import Cell, longitudinal_target, repair_gene, toss
-from pytest_pafot.model.instructions import LANE_STARTS, Instruction, LaneInstruction, Manoeuvre, PositionInstruction
+from pytest_pafot.model.instructions import (
+    LANE_STARTS,
+    Instruction,
+    LaneInstruction,
+    Manoeuvre,
+    PositionInstruction,
+    Recorded,
+)
 from pytest_pafot.model.scenario import Chromosome, Scenario, with_targets
 from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.kernel.driver import (
@@ -65,14 +72,16 @@ DONE_LATERAL, DONE_SPEED = 0.2, 0.2
 """The distance to its place across the road [m], and to its speed [m/s], at which an NPC has done a step."""
 
 
-ON_GRID, IN_LANES, BY_STEPS = 0, 1, 2
+ON_GRID, IN_LANES, BY_STEPS, BY_TRACK = 0, 1, 2, 3
 DRIVES: dict[type[Instruction], int] = {
     PositionInstruction: ON_GRID,
     LaneInstruction: IN_LANES,
     Manoeuvre: BY_STEPS,
+    Recorded: BY_TRACK,
 }
 """How an NPC with each kind of instruction drives. On the grid, an instruction has ``cell`` and ``speed``. In lanes, it
-has ``lane``, ``column`` and ``speed``. By steps, it has ``steps``, and a start: ``beside``, ``ahead`` and ``speed``.
+has ``lane``, ``column`` and ``speed``. By steps, it has ``steps``, and a start: ``beside``, ``ahead`` and ``speed``. By
+track, it has these, too, and is where its ``at`` says until it is handed over (``recorded.py``).
 NPCs that cross have a director of their own."""
 
 
@@ -134,6 +143,37 @@ class Npc(Body):
         self.has_missed = False
 
 
+class TrackedNpc(Npc):
+    """An NPC that moves along a track instead of by controls, until it is released.
+
+    Attributes:
+        states: x [m], y [m], heading [rad] and speed [m/s] at each tick of its track, in road coordinates; empty before
+            the run has begun.
+        tick: the tick at which it is.
+        left: the tick at which it was released; -1 before.
+        is_own: whether the track is as recorded.
+    """
+
+    def __init__(self, index: int, chain: Chromosome, length: float, width: float) -> None:
+        super().__init__(index, chain, length, width)
+        self.states: Any = array("d")
+        self.tick = 0
+        self.left = -1
+        self.is_own: bool = chain[0].is_as_recorded  # type: ignore[attr-defined]
+
+    def step(self, dt: float) -> None:
+        """Move to the next state of the track; after its release, as any vehicle does."""
+        if self.left >= 0:
+            Body.step(self, dt)  # C methods have no super()
+            return
+        states, speed = self.states, self.speed
+        self.tick += 1
+        row = 4 * self.tick
+        self.x, self.y, self.heading, self.speed = states[row], states[row + 1], states[row + 2], states[row + 3]
+        self.acceleration = (self.speed - speed) / dt
+        self.steering = 0.0
+
+
 def start_cell(manoeuvre: Any) -> Cell:
     """Return the cell in whose direction an NPC with a manoeuvre starts."""
     row = (manoeuvre.ahead > 0) - (manoeuvre.ahead < 0)
@@ -152,6 +192,11 @@ class BaseDirector:
 
     def __init__(self, npcs: list[Any]) -> None:
         self.npcs = npcs
+
+    @property
+    def handed_over(self) -> tuple[int | None, ...]:
+        """The tick at which each NPC left its recording; None if it has not. Empty if nobody drives as recorded."""
+        return ()
 
     def started(self, starts: list[Start]) -> list[Start]:
         """Return the starts of all NPCs, given those of the NPCs that start around the ego."""
@@ -194,12 +239,14 @@ class Director(BaseDirector):
         physics_hz: int,
     ) -> None:
         top_speed = limits.overspeed * speed_limit
-        super().__init__([Npc(index, chain, length, width) for index, chain in enumerate(scenario.npcs)])
+        drives = [DRIVES[type(chain[0])] for chain in scenario.npcs]
+        kinds = [TrackedNpc if drive == BY_TRACK else Npc for drive in drives]
+        chains = zip(kinds, scenario.npcs, strict=True)
+        super().__init__([kind(index, chain, length, width) for index, (kind, chain) in enumerate(chains)])
         self._scenario = scenario
-        drives = [DRIVES[type(npc.chain[0])] for npc in self.npcs]
         self._on_grid = [npc for npc, drive in zip(self.npcs, drives, strict=True) if drive == ON_GRID]
         self._in_lanes = [npc for npc, drive in zip(self.npcs, drives, strict=True) if drive == IN_LANES]
-        self._asked = [npc for npc, drive in zip(self.npcs, drives, strict=True) if drive == BY_STEPS]
+        self._asked = [npc for npc, drive in zip(self.npcs, drives, strict=True) if drive >= BY_STEPS]
         self._limits = limits
         self._release = RELEASE_SHARE * limits.jerk
         self._top_speed = top_speed
@@ -217,7 +264,7 @@ class Director(BaseDirector):
         self._far = length + stopping_room(top_speed)
         traffic = scenario.traffic
         self._driver = NpcDriver(limits, top_speed, length, 1 / physics_hz, traffic.lateral_speed)
-        self._attentive = traffic.is_attentive
+        self._attentive = traffic.is_attentive or BY_TRACK in drives  # who is handed over can react
         self._least_share = traffic.least_speed_share
         self._speed_limit = speed_limit
         self._least_gap = traffic.least_gap

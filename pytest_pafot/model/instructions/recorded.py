@@ -1,0 +1,280 @@
+"""Recorded tracks, and the instruction with which an NPC drives as recorded."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, fields, replace
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from pytest_pafot.model.instructions.instruction import (
+    MAX_SPEED,
+    Instruction,
+    ScenarioError,
+    Space,
+    checked_number,
+    tenths_within,
+)
+from pytest_pafot.model.instructions.manoeuvre import MOST_STEPS, Step
+from pytest_pafot.support.shown import Pasteable
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    FloatArray = NDArray[np.float64]
+
+FARTHEST, HEADING = 5000.0, 1.0
+"""The largest distance from the ego's start [m], and the largest angle to the road [rad]."""
+
+LATEST, SLOWEST, FASTEST, SHIFTED = 5.0, 0.8, 1.2, 30.0
+"""How far a search may change a track: by how much time [s], by which factors of the speed, and by how far ahead [m]. A
+factor of 1.2 makes accelerations 1.44 times as large, which a car can do that has not braked hard before."""
+
+
+class _Parsed(Pasteable):
+    """The place for the numbers of a track, which are read from its text when they are first needed."""
+
+    __slots__ = ("_states",)
+
+    _states: FloatArray
+
+
+@dataclass(frozen=True, slots=True, repr=False)
+class Track(_Parsed):
+    """Where a vehicle was, ten times a second.
+
+    Attributes:
+        text: a line for each tenth of a second: x [m], y [m], heading [rad] and speed [m/s], relative to the ego's lane
+            at its start, x along the road and y and heading positive to the right. Numbers have two digits after the
+            point at most, headings four.
+    """
+
+    text: str
+
+    rate: ClassVar[int] = 10
+    """The lines per second. Between two, a vehicle is on a straight line, which is less than 2 cm from what a car can
+    do there: an acceleration of 10 m/s^2 makes it 10 / 8 * 0.1^2 m."""
+    longest: ClassVar[float] = 40.0
+    """The longest time [s]: a file may have eight tracks and that of the ego, twice, within its limit of size."""
+    lane_width: ClassVar[float] = 4.0
+    """The width of the lanes to which its places belong [m]."""
+
+    def __post_init__(self) -> None:
+        lines = self.text.strip().split("\n") if isinstance(self.text, str) else []
+        if not 2 <= len(lines) <= self.longest * self.rate + 1:
+            expected, received = (
+                f"a text of 2 to {self.longest * self.rate + 1:g} lines",
+                f"{self.text!r:.60}, {len(lines)}",
+            )
+            fix = f"a track has {self.rate} lines for each second, and at most {self.longest:g} s"
+            raise ScenarioError(field="track", expected=expected, received=received, fix=fix)
+        rows = [_row(number, line) for number, line in enumerate(lines, 1)]
+        object.__setattr__(self, "text", _text(rows))
+
+    @classmethod
+    def of(cls, states: Iterable[Sequence[float]]) -> Track:
+        """Return the track with states ten times a second; shape [rows, 4], rounded as the text is."""
+        return cls(_text([[float(each) for each in row] for row in states]))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle as the text."""
+        return Track, (self.text,)
+
+    @property
+    def states(self) -> FloatArray:
+        """The text as numbers, read-only, shape [lines, 4]."""
+        try:
+            return self._states
+        except AttributeError:
+            import numpy as np  # noqa: PLC0415  (strategies of scenarios need no arrays)
+
+            states = np.array([line.split() for line in self.text.split("\n")], dtype=np.float64)
+            states.flags.writeable = False
+            object.__setattr__(self, "_states", states)
+            return states
+
+    @property
+    def seconds(self) -> float:
+        """The time from the first line to the last one [s]."""
+        return (len(self.states) - 1) / self.rate
+
+    def at(self, times: FloatArray | Sequence[float]) -> FloatArray:
+        """Return the states at some times [s], on straight lines between those of the track and before and after it."""
+        import numpy as np  # noqa: PLC0415  (as above)
+
+        states = self.states
+        places = np.asarray(times, dtype=np.float64) * self.rate
+        before = np.clip(np.floor(places), 0, len(states) - 2).astype(int)
+        share = (places - before)[:, None]
+        found: FloatArray = states[before] + share * (states[before + 1] - states[before])
+        is_outside = (places < 0) | (places > len(states) - 1)
+        if is_outside.any():  # there, the vehicle keeps its speed and heading
+            ends = states[np.where(places < 0, 0, len(states) - 1)]
+            driven = (places - np.clip(places, 0, len(states) - 1)) / self.rate * ends[:, 3]
+            ends[:, 0] += driven * np.cos(ends[:, 2])
+            ends[:, 1] += driven * np.sin(ends[:, 2])
+            found[is_outside] = ends[is_outside]
+        return found
+
+
+def _row(number: int, line: str) -> tuple[float, ...]:
+    parts = line.split()
+    try:
+        values = [float(part) for part in parts]
+    except ValueError:
+        values = []
+    bounds = (FARTHEST, FARTHEST, HEADING, MAX_SPEED)
+    if len(values) != 4 or not all(abs(each) <= most for each, most in zip(values, bounds, strict=True)):
+        expected = f"x, y, heading and speed, within {', '.join(f'{most:g}' for most in bounds)}"
+        raise ScenarioError(field="track", expected=expected, received=f"{line!r:.60} in line {number}")
+    return tuple(values)
+
+
+def _text(rows: Sequence[Sequence[float]]) -> str:
+    return "\n".join(" ".join(map(_number, row, (2, 2, 4, 2))) for row in rows)
+
+
+def _number(value: float, digits: int) -> str:
+    text = f"{value:.{digits}f}".rstrip("0").rstrip(".")
+    return "0" if text == "-0" else text
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, repr=False)
+class Recorded(Instruction):
+    """The only gene of an NPC that drives as recorded, whatever is in its way, as long as the ego does so, too.
+
+    It is handed over to attentive driving in its lane when its track ends, and when an ego that drives otherwise than
+    the recorded one comes near it; from then on it does not follow the track. The first of its steps takes it from its
+    track, too. On a straight road only.
+
+    Attributes:
+        track: where it drives, from the beginning of the run on.
+        later: how much later it does what the track says [s], -5 to 5. Before, it drives as in the first line.
+        pace: how many times as fast it drives along its track, 0.8 to 1.2.
+        shift: how much farther ahead it is than the track [m], -30 to 30.
+        steps: what it does instead of following the track, from when the first of them begins.
+    """
+
+    track: Track
+    later: float = 0.0
+    pace: float = 1.0
+    shift: float = 0.0
+    steps: tuple[Step, ...] = ()
+
+    name = "recorded"
+    marks = frozenset({"track", "later", "pace", "shift"})
+    keeps_start = True
+    follows_track = True
+    holds_speed = False
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.track, Track):
+            fix = "write pafot.Track.of(states)"
+            raise ScenarioError(field="track", expected="a Track", received=f"{self.track!r:.60}", fix=fix)
+        pace = checked_number("pace", self.pace)
+        if not SLOWEST <= pace <= FASTEST or abs(pace - round(pace, 2)) > 1e-7:
+            expected = f"a factor from {SLOWEST:g} to {FASTEST:g} in steps of 0.01"
+            raise ScenarioError(field="pace", expected=expected, received=repr(self.pace))
+        steps = tuple(self.steps) if isinstance(self.steps, (list, tuple)) else (self.steps,)
+        if not all(isinstance(step, Step) for step in steps) or len(steps) > MOST_STEPS:
+            expected = f"at most {MOST_STEPS} of pafot.Step(...)"
+            raise ScenarioError(field="steps", expected=expected, received=repr(self.steps))
+        object.__setattr__(self, "pace", round(pace, 2))
+        object.__setattr__(self, "later", tenths_within("later", self.later, -LATEST, LATEST))
+        object.__setattr__(self, "shift", tenths_within("shift", self.shift, -SHIFTED, SHIFTED))
+        object.__setattr__(self, "steps", steps)
+
+    def at(self, times: FloatArray) -> FloatArray:
+        """Return the states of the NPC at some times of the run [s], relative to the ego's start; shape [times, 4]."""
+        states = self.track.at(self.pace * (times - self.later))
+        states[:, 0] += self.shift
+        states[:, 3] *= self.pace
+        return states
+
+    @property
+    def _first(self) -> list[float]:
+        first: list[float] = self.track.at([-self.pace * self.later])[0].tolist()
+        return [first[0] + self.shift, *first[1:3], first[3] * self.pace]
+
+    @property
+    def end(self) -> float:
+        """The time of the run at which the track ends [s]."""
+        return self.track.seconds / self.pace + self.later
+
+    @property
+    def is_as_recorded(self) -> bool:
+        """True if it drives at the place and time of its track."""
+        return (self.later, self.pace, self.shift) == (0.0, 1.0, 0.0)
+
+    @property
+    def speed(self) -> float:  # type: ignore[override]
+        """The speed at the start [m/s]."""
+        return round(max(self._first[3], 0.0), 1)
+
+    def with_speed(self, speed: float) -> Recorded:
+        """Return the instruction with a pace that makes its first speed nearest to another one [m/s]."""
+        first = float(self.track.states[0, 3])
+        return self if speed == self.speed or first <= 0 else replace(self, pace=_pace(speed / first))
+
+    @property
+    def ahead(self) -> float:
+        """The distance at the start from the ego's centre to the NPC's along the road [m]."""
+        return self._first[0]
+
+    @property
+    def beside(self) -> int:
+        """The number of lanes to the right of the ego's at the start."""
+        return round(self._first[1] / Track.lane_width)
+
+    @property
+    def goal(self) -> str:
+        """The start, what differs from the recording, and the steps in words."""
+        return "; ".join([self.place, *(step.words for step in self.steps)])
+
+    @property
+    def place(self) -> str:
+        """The start, and what differs from the recording, in words: ``as recorded, from 30 m ahead; 0.5 s later``."""
+        ahead = round(self.ahead)
+        lanes = f", {abs(self.beside)} lane{'s' * (abs(self.beside) > 1)} {'left' if self.beside < 0 else 'right'}"
+        start = f"as recorded, from {abs(ahead)} m {'behind' if ahead < 0 else 'ahead'}{lanes if self.beside else ''}"
+        return "; but ".join(filter(None, (start, ", ".join(self._changes))))
+
+    @property
+    def _changes(self) -> Iterator[str]:
+        if self.later:
+            yield f"{abs(self.later):g} s {'later' if self.later > 0 else 'earlier'}"
+        if self.pace != 1:
+            yield f"{abs(round(100 * self.pace) - 100)} % {'faster' if self.pace > 1 else 'slower'}"
+        if self.shift:
+            yield f"{abs(self.shift):g} m {'farther ahead' if self.shift > 0 else 'farther back'}"
+
+    @property
+    def short(self) -> str:
+        """The instruction in the text of a scenario."""
+        return self.goal
+
+    def plain(self) -> list[Any]:
+        """Return the name, the track, what differs from it, and what of each step is not usual."""
+        steps = [step.told for step in self.steps]
+        return [self.name, self.track.text, self.later, self.pace, self.shift, steps]
+
+    @classmethod
+    def read(cls, plain: Sequence[Any]) -> Recorded:
+        """Return the instruction with the values of :meth:`plain`."""
+        _, text, later, pace, shift, steps = plain
+        return cls(track=Track(text), later=later, pace=pace, shift=shift, steps=tuple(Step(**each) for each in steps))
+
+    def in_file(self) -> dict[str, Any]:
+        """Return what differs from the recording, of steps what is not usual, and the track as a text."""
+        given = {each.name: getattr(self, each.name) for each in fields(self) if each.name not in ("track", "steps")}
+        told = {name: value for name, value in given.items() if value != float(name == "pace")}
+        steps = {"steps": [step.told for step in self.steps]} if self.steps else {}
+        return told | steps | {"track": self.track.text}
+
+    def is_drawn_in(self, space: Space) -> bool:
+        """Return whether a search in a space is one around a recording."""
+        return space.instructions == "recorded"
+
+
+def _pace(factor: float) -> float:
+    return round(min(max(factor, SLOWEST), FASTEST), 2)

@@ -1,0 +1,78 @@
+"""Scenarios with recorded NPCs are saved as readable blocks, and read as strictly as others."""
+
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pytest_pafot.corpus.reader import parsed
+from pytest_pafot.corpus.writer import text_of
+from pytest_pafot.model.instructions import Recorded, Step, Track
+from pytest_pafot.model.scenario import Scenario
+from pytest_pafot.strategies import manoeuvres, tracks
+from pytest_pafot.support.errors import CorpusError
+from tests.findings.builders import plain_finding
+from tests.helpers.tables import table
+
+PATH = Path("front-2-1f3a9c.pafot.yaml")
+TRACK = Track("30 4 0 20\n32 4 0.01 18.25")
+CHANGED = Recorded(track=TRACK, later=-0.5, pace=1.05, steps=(Step(after=1.5, lane="left"),))
+TEXT = text_of(plain_finding(scenario=Scenario(npcs=[[Recorded(track=TRACK)], [CHANGED]], ego_track=TRACK)))
+
+
+def test_track_is_a_block():
+    assert (
+        TEXT[TEXT.index("  ego_track:") : TEXT.index("expect:")]
+        == """\
+  ego_track: |-
+    30 4 0 20
+    32 4 0.01 18.25
+  npcs:
+    - - track: |-
+          30 4 0 20
+          32 4 0.01 18.25
+    - - later: -0.5
+        pace: 1.05
+        steps: [{after: 1.5, lane: left}]
+        track: |-
+          30 4 0 20
+          32 4 0.01 18.25
+"""
+    )
+
+
+@given(st.from_type(Recorded), manoeuvres(), st.none() | tracks())
+def test_what_is_written_is_read(one, other, ego_track):
+    found = Scenario(npcs=((one,), (other,)), ego_track=ego_track)
+    finding = plain_finding(scenario=found, original=Scenario(npcs=((one,),)))
+    assert parsed(PATH, text_of(finding).encode()) == finding
+
+
+def test_longest_tracks_fit_a_file_twice():
+    rows = [[1000 + 3.33 * row, 4.01, 0.0123, 33.33] for row in range(401)]
+    most = Scenario(npcs=[[Recorded(track=Track.of(rows))]] * 8, ego_track=Track.of(rows))
+    assert len(text_of(plain_finding(scenario=most, original=most))) < 256 * 1024
+
+
+@table(
+    ("old", "new", "field", "expected"),
+    [
+        ("pace: 1.05", "pace: 1.5", "scenario.npcs[1][0].pace", "a factor from 0.8 to 1.2"),
+        ("later: -0.5", "later: -0.55", "scenario.npcs[1][0].later", "a number from -5 to 5"),
+        ("        pace: 1.05", "        speed: 20.0", "scenario.npcs[1][0].speed", "one of track, later, pace, shift"),
+        ("  ego_track: |-\n    30 4 0 20", "  ego_track: |-\n    30 4 0", "scenario.ego_track", "x, y, heading and"),
+        (
+            "    - - track: |-\n          30",
+            "    - - track: |-\n          x",
+            "scenario.npcs[0][0].track",
+            "x, y, head",
+        ),
+    ],
+)
+def test_each_broken_rule_is_reported_at_its_field(old, new, field, expected):
+    assert TEXT.count(old) == 1
+    with pytest.raises(CorpusError) as caught:
+        parsed(PATH, TEXT.replace(old, new).encode())
+    assert caught.value.field == field
+    assert caught.value.expected.startswith(expected)
