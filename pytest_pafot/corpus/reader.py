@@ -102,6 +102,7 @@ SIGNED = frozenset(
         "beside",
         "gap",
         "headway",
+        "recorded_gap",
         "offset",
         "later",
         "shift",

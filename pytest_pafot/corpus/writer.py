@@ -172,6 +172,8 @@ def _expect_lines(expect: Expect) -> Iterator[str]:
     values = asdict(expect)  # in the order of the dataclass
     if expect.check is not None:
         values["check"] = {name: value for name, value in values["check"].items() if value not in (None, "")}
+    if expect.departure is not None:
+        values["departure"] = {name: value for name, value in values["departure"].items() if value is not None}
     for last in ("situation", "traceback"):  # the longest ones
         values[last] = values.pop(last)
     entries = {name: value for name, value in values.items() if value not in (None, "", {}) or name == "failure"}

@@ -105,10 +105,15 @@ class Departure:
     recorded_gap: float | None = None
 
     @property
+    def gaps(self) -> str:
+        """The gaps in words: ``with a gap of 9 m instead of 14 m``."""
+        was = "" if self.recorded_gap is None else f" instead of {abs(self.recorded_gap):.0f} m"
+        return f"with a gap of {abs(self.gap):.0f} m{was}"
+
+    @property
     def words(self) -> str:
         """The departure in words: ``leaves the recording after 1.2 s, with a gap of 9 m instead of 14 m``."""
-        was = "" if self.recorded_gap is None else f" instead of {abs(self.recorded_gap):.0f} m"
-        return f"leaves the recording after {self.time:.1f} s, with a gap of {abs(self.gap):.0f} m{was}"
+        return f"leaves the recording after {self.time:.1f} s, {self.gaps}"
 
 
 def departures(trace: Trace) -> tuple[Departure, ...]:
