@@ -44,7 +44,14 @@ from pytest_pafot.findings.shrink import Shrunk, SpeedInterval
 from pytest_pafot.model.crossings import Zone
 from pytest_pafot.model.driving_style import PARTS, STYLES, Traffic
 from pytest_pafot.model.grid import Cell
-from pytest_pafot.model.instructions import CrossingInstruction, LaneInstruction, Manoeuvre, PositionInstruction, Step
+from pytest_pafot.model.instructions import (
+    CrossingInstruction,
+    LaneInstruction,
+    Manoeuvre,
+    PositionInstruction,
+    Recorded,
+    Step,
+)
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Collision, Outcome
 from pytest_pafot.oracle.checks import check
@@ -126,8 +133,11 @@ FILE_TEXTS: Mapping[str, str] = {
     "scenario.traffic": "[The style](../explanation/traffic.md) in which the NPCs drive, or a mapping with changed "
     "parts, `{style: everyday, least_gap: 4.0}`. If it is not given, they drive as in the paper.",
     "scenario.npcs": "One list of [instructions](scenarios.md) per NPC: Position-Instructions `{cell, speed}`, "
-    "Lane-Instructions `{lane, speed}`, one Crossing-Instruction `{zone, slot, speed, act}`, or one manoeuvre "
-    "`{beside, ahead, speed, steps}`. Speeds are in m/s.",
+    "Lane-Instructions `{lane, speed}`, one Crossing-Instruction `{zone, slot, speed, act}`, one manoeuvre "
+    "`{beside, ahead, speed, steps}`, or one [recorded track](scenarios.md#recorded-tracks) `{track, later, pace, "
+    "shift, steps}`. Speeds are in m/s. A track is a block with a line for each tenth of a second: x [m], y [m], "
+    "heading [rad] and speed [m/s].",
+    "scenario.ego_track": "The track of the recorded ego, if NPCs drive as recorded.",
     "expect.assertion": "The failing assertion without its message, with `N` for each number; for a failed check, the "
     "name of the check; for any other exception, its statement or the first line of its message, likewise.",
     "expect.reference_drivers": "[The outcome](../explanation/findings.md#who-could-have-prevented-it) of each "
@@ -225,6 +235,7 @@ def sections() -> dict[str, str]:
         "rate": _command_table(add_rate_arguments),
         "manoeuvre": _fields_table(Manoeuvre),
         "step": _fields_table(Step),
+        "recorded-track": _fields_table(Recorded),
         "map-command": _command_table(add_map_arguments),
         "sweep": _fields_table(Sweep)
         + "\nProperties: `preventable`, `unavoidable`, `avoided`, `errors`, `not_as_asked` (numbers of "
