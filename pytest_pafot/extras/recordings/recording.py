@@ -6,10 +6,11 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from pytest_pafot import Manoeuvre, Recorded, Scenario, Step, Track
+from pytest_pafot import Manoeuvre, Recorded, Scenario, Step, Track, catalogue
 from pytest_pafot.extending import HEADING, SPEED, FloatArray, Lane, RequestError, X, Y
 from pytest_pafot.extras.recordings.following import PACE, first_speed, followed
 from pytest_pafot.support.errors import FieldError, sentence
@@ -235,6 +236,17 @@ class Recording:
         return Scenario(
             npcs=tuple((each,) for each in manoeuvres), ego_lane=first_lane, ego_speed=max(float(here[SPEED]), 0.0)
         )
+
+    @property
+    def entries(self) -> Sequence[Any]:
+        """The scenarios of the recording as entries of the catalogue: of its ego, or else of each vehicle."""
+        from pytest_pafot.extras.recordings.entries import entries_of  # noqa: PLC0415  (only tests need the catalogue)
+
+        return entries_of(self)
+
+    def __call__(self, test: Any) -> Any:
+        """Make an item of a test for each scenario of the recording, as ``@pafot.catalogue(recording)`` does."""
+        return catalogue(self)(test)
 
     def _as_recorded(
         self, own: RecordedVehicle, others: Sequence[RecordedVehicle], start: float, seconds: float, columns: _Columns
