@@ -97,6 +97,8 @@ MARKER_TEXTS: Mapping[str, str] = {
     "instructions": "[The kind of instructions](../explanation/default-search.md#why-both-kinds) of NPCs that do not "
     'cross: `"cells"` (Position-Instructions), `"lanes"` (Lane-Instructions), `"manoeuvres"`, or `"both"` (one of '
     "the first two with equal probability).",
+    "around": "[The recording](../guide/recordings.md#search-around-a-recording) of which all scenarios are changes, "
+    "or a scenario of it.",
     "requirement": "[The requirement](../guide/requirements.md) that the test checks, as an id or a list of ids.",
     "title": "What the requirement asks for; by default the first line of the docstring.",
     "owner": "Who answers for the test.",
@@ -112,6 +114,7 @@ MARKER_DEFAULTS: Mapping[str, str] = {
     "gene_seconds": "sampled",
     "traffic": '`"hostile"`, or `"paper"`',
     "instructions": '`"both"`, or `"cells"`',
+    "around": "none",
     "ego_lane": "sampled",
     "ego_speed": "sampled",
     "requirement": "none",

@@ -222,7 +222,8 @@ class _Neighbour:
     @property
     def has_duration(self) -> bool:
         """True if the duration of a gene changes anything."""
-        return not math.isinf(self.scenario.seconds) or any(len(chain) > 1 for chain in self.scenario.npcs)
+        timed = self.scenario.ego_track is None and not math.isinf(self.scenario.seconds)
+        return timed or any(len(chain) > 1 for chain in self.scenario.npcs)
 
     def _with(self, chains: Sequence[Chromosome], **fields: float) -> Scenario:
         kept = {name: getattr(self.scenario, name) for name in STAYING}

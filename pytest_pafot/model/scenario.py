@@ -76,7 +76,8 @@ class Scenario(_Hashed):
         gene_seconds: duration of one gene [s].
         traffic: driving style of the NPCs; the paper's by default.
         ego_track: the track of the vehicle in whose place the policy drives, if NPCs drive as recorded: as long as the
-            ego is near it, they follow their tracks. Without it, they follow them only as long as nobody is near.
+            ego is near it, they follow their tracks, and the run ends with it. Without it, they follow them only as
+            long as nobody is near. It is None if no NPC has a track.
 
     Raises:
         ScenarioError: if a rule is broken. For example, a cell is no ring neighbour of the previous cell, or two NPCs
@@ -107,6 +108,8 @@ class Scenario(_Hashed):
             raise ScenarioError(field="traffic", expected="a Traffic", received=repr(self.traffic), fix=fix)
         if not isinstance(self.ego_track, Track | None):
             raise ScenarioError(field="ego_track", expected="a Track", received=f"{self.ego_track!r:.60}")
+        if self.ego_track is not None and not any(chain[0].follows_track for chain in self.npcs):
+            object.__setattr__(self, "ego_track", None)  # nobody's driving depends on it
         if not are_valid([[gene.cell for gene in chain] for chain in self.positions]):
             _check_adjacency(self.npcs)
             _check_distinct(self.npcs)
@@ -172,7 +175,12 @@ class Scenario(_Hashed):
 
     @property
     def seconds(self) -> float:
-        """The duration of the longest chain [s]; infinite if an NPC has a gene without a duration."""
+        """The duration of the longest chain [s]; infinite if an NPC has a gene without a duration.
+
+        With the track of a recorded ego, it is that of the track.
+        """
+        if self.ego_track is not None:
+            return self.ego_track.seconds
         has_duration = not any(chain[0].is_alone for chain in self.npcs)
         return self.genes * self.gene_seconds if has_duration else math.inf
 

@@ -20,7 +20,9 @@ from pytest_pafot.searching.evaluation import Evaluation
 from pytest_pafot.searching.patterns import followed_by_pattern
 from pytest_pafot.searching.space import (
     SearchSpace,
+    changed,
     fresh_seed,
+    one_more,
     repaired,
     sample,
 )
@@ -91,6 +93,8 @@ def _cleared(scenario: Scenario, crossing: CrossingTraffic, rng: Generator) -> S
 
 
 def _mutated(scenario: Scenario, space: SearchSpace, rng: Generator) -> Scenario:
+    if space.around is not None:
+        return one_more(scenario, space, rng) if rng.random() < SIZES else changed(scenario, space, rng)
     starts = STARTS if len(space.ego_lanes) > 1 or space.has_speeds else 0.0
     sizes = SIZES if space.most_npcs or len(space.gene_durations) > 1 else 0.0
     draw = rng.random() if starts or sizes or space.patterns else 1.0

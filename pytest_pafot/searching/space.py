@@ -46,6 +46,11 @@ LEAST_GENES = 3
 """Smallest number of genes of an NPC on a bent road, even in short runs: to approach, to cut in, and to brake."""
 CROSSING = 0.75
 """Share of the NPCs that cross the ego's way, turn across it or join it, if the world has ways that do so."""
+MOST_CHANGES, ADDED, TRIES = 3, 0.2, 20
+"""Around a recording, the most changes of a sampled scenario, the share of them that add an NPC, and how often a change
+is drawn until no two starts touch."""
+LENGTH, LEAST_GAP = 5.0, 0.5
+"""The length of vehicles, and the least gap between two starts in a lane [m]."""
 MOST_ON_GRID = 2
 """Largest number of NPCs next to those that cross: one ahead of the ego and one behind it in one lane."""
 
@@ -92,7 +97,7 @@ class SearchSpace:
         lanes: number of lanes of a straight road, for manoeuvres; 0 if it is unknown, and NPCs keep their lanes.
         room: the largest gap between the ego and the start of an NPC with a manoeuvre, behind and ahead [m].
         first: scenarios that a search drives before those that it samples.
-        ego_track: the track of the recorded ego in all scenarios of a search around a recording.
+        around: the scenario of recorded NPCs that all scenarios of a search are changes of; None for none.
     """
 
     npcs: int = 2
@@ -115,7 +120,7 @@ class SearchSpace:
     lanes: int = 0
     room: tuple[float, float] = (math.inf, math.inf)
     first: tuple[Scenario, ...] = ()
-    ego_track: Track | None = None
+    around: Scenario | None = None
 
     def __post_init__(self) -> None:
         npcs = checked_whole(self.npcs, "npcs", "1 to 8 NPCs, one per cell at most", least=1, most=8)
@@ -146,9 +151,11 @@ class SearchSpace:
     @property
     def plain(self) -> dict[str, Any]:
         """The fields as plain data: without ``crossings``; some others only if they are not usual."""
-        data = asdict(replace(self, crossings=None, first=()))
+        data = asdict(replace(self, crossings=None, first=(), around=None))
         if self.first:
             data["begin_with"] = [scenario.id for scenario in self.first]
+        if self.around is not None:
+            data["around"] = self.around.id
         usual = {
             "crossings": None,
             "acts": crossing_traffic.ACTS,
@@ -158,7 +165,7 @@ class SearchSpace:
             "lanes": 0,
             "room": (math.inf, math.inf),
             "first": (),
-            "ego_track": None,
+            "around": None,
         }
         return {name: value for name, value in data.items() if name not in usual or value != usual[name]}
 
@@ -171,6 +178,11 @@ class SearchSpace:
     def low_step(self) -> int:
         """The lowest target speed in steps of 0.1 m/s, at most :attr:`top_step`."""
         return min(round(self.traffic.least_speed(self.speed_limit) * SPEED_STEPS_PER_MPS), self.top_step)
+
+    @property
+    def ego_track(self) -> Track | None:
+        """The track of the recorded ego in all scenarios."""
+        return None if self.around is None else self.around.ego_track
 
     @property
     def choices(self) -> Choices:
@@ -191,7 +203,8 @@ class SearchSpace:
         ways = f", most of them on {count} ways that meet the ego's" if count else ""
         kinds = {"cells": "", "lanes": " with Lane-Instructions", "both": " with Position- or Lane-Instructions"}
         kinds["manoeuvres"] = " with manoeuvres"
-        return f"{npcs}{kinds[self.instructions]}{traffic}{ways}; the ego starts at {speed} m/s in {lane}"
+        kind = kinds[self.instructions] if self.around is None else f" around the recording {self.around.id}"
+        return f"{npcs}{kind}{traffic}{ways}; the ego starts at {speed} m/s in {lane}"
 
     @property
     def zones(self) -> tuple[str, ...]:
@@ -294,7 +307,13 @@ def sample(space: SearchSpace, rng: Generator) -> Scenario:
     with equal probability. Speeds are uniform over the steps of 0.1 m/s up to the limit.
 
     If ways cross the ego's, most NPCs have a Crossing-Instruction instead; conflicting instructions are sampled again.
+    Around a recording, one to three changes are made of it.
     """
+    if space.around is not None:
+        found = space.around
+        for _ in range(int(rng.integers(1, MOST_CHANGES + 1))):
+            found = one_more(found, space, rng) if rng.random() < ADDED else changed(found, space, rng)
+        return replace(found, seed=fresh_seed(rng))
     space = space.drawn(rng)
     crossing = space.crossing_traffic
     if crossing is not None:
@@ -338,6 +357,50 @@ def chains_of(cells: Sequence[Sequence[int]], speeds: Sequence[Sequence[int]]) -
         [known(PositionInstruction, cell, speed / SPEED_STEPS_PER_MPS) for cell, speed in zip(*chain, strict=True)]
         for chain in zip(cells, speeds, strict=True)
     ]
+
+
+def changed(scenario: Scenario, space: SearchSpace, rng: Generator) -> Scenario:
+    """Return a scenario around a recording with a change of one NPC, if one is found with which no two starts touch."""
+    choices = space.choices._replace(ego_lane=scenario.ego_lane, ego_speed=scenario.ego_speed)
+    for _ in range(TRIES):
+        npc = int(rng.integers(len(scenario.npcs)))
+        new = scenario.npcs[npc][0].varied(choices, rng)
+        npcs = (*scenario.npcs[:npc], (new,), *scenario.npcs[npc + 1 :])
+        if are_apart(npcs, space.room):
+            return replace(scenario, npcs=npcs)
+    return scenario
+
+
+def one_more(scenario: Scenario, space: SearchSpace, rng: Generator) -> Scenario:
+    """Return a scenario around a recording with one more NPC, which has a manoeuvre, or without one that was added.
+
+    If there is no room for its start, it is the scenario itself.
+    """
+    added = [npc for npc, (first, *_) in enumerate(scenario.npcs) if not first.follows_track]
+    if added and rng.integers(2):
+        gone = added[int(rng.integers(len(added)))]
+        return replace(scenario, npcs=scenario.npcs[:gone] + scenario.npcs[gone + 1 :])
+    for _ in range(TRIES if len(scenario.npcs) < space.most_on(scenario.ego_lane) else 0):
+        npcs = (*scenario.npcs, (random_manoeuvre(space.choices, scenario.npcs, rng),))
+        if are_apart(npcs, space.room):
+            return replace(scenario, npcs=npcs)
+    return scenario
+
+
+def are_apart(npcs: Sequence[Sequence[Any]], room: tuple[float, float]) -> bool:
+    """Return whether the starts of NPCs with tracks and manoeuvres are on the road and do not touch, nor the ego's."""
+    behind, ahead = room
+    taken = [(0.0, 0)]
+    for first, *_ in npcs:
+        along = first.ahead
+        if along and not first.follows_track:  # from bumper to bumper
+            along += math.copysign(LENGTH, along)
+        if not -behind <= along <= ahead or any(
+            lane == first.beside and abs(along - other) < LENGTH + LEAST_GAP for other, lane in taken
+        ):
+            return False
+        taken.append((along, first.beside))
+    return True
 
 
 def sample_manoeuvres(space: SearchSpace, rng: Generator) -> Scenario:

@@ -112,6 +112,12 @@ def test_vehicle_whose_track_ends_keeps_its_lane_and_speed():
     assert trace.states[-1, 1, [Y, SPEED]] == pytest.approx([8.0, 22.0], abs=0.05)
 
 
+def test_run_ends_with_the_track_of_the_recorded_ego():
+    told = scenario(LEADER, ego=track(0.0, 0, 25.0, seconds=5.0))
+    assert (told.seconds, drive(told).duration) == (5.0, 5.0)
+    assert drive(scenario(LEADER, ego=None)).duration == 12.0
+
+
 def test_step_takes_a_vehicle_from_its_track():
     told = Recorded(track=track(40.0, 1, 25.0), steps=(Step(after=2.0, lane="left"), Step(after=1.0, speed=20.0)))
     trace = drive(scenario(told))
@@ -141,6 +147,14 @@ def test_starts_that_touch_and_other_roads_are_refused():
         WORLD.check_fits(scenario(track(20.0, 2, 25.0)))
     with pytest.raises(ScenarioError, match=r"npcs\[0\]\[0\]: expected a straight road .*; use pafot.Highway"):
         World("merge-v0", planner_hz=5).check_fits(scenario(BEHIND))
+
+
+def test_highway_env_itself_gives_the_same_run():
+    told = scenario(LEADER, BEHIND, CUTS_IN)
+    trace = drive(told, [(2.0, -3.0), (4.0, 0.0)])
+    again = WORLD.rollout_in_gym(told, lambda: lambda seen: ((-3.0 if 2.0 <= seen.time + 1e-6 < 4.0 else 0.0), 0.0))
+    assert again.handed_over == trace.handed_over != (None,) * 3
+    assert again.states[:, :, :4] == pytest.approx(trace.states[:, :, :4], abs=1e-6)
 
 
 def test_terminal_and_page_say_where_the_recording_was_left():

@@ -79,6 +79,10 @@ class Space(Protocol):
     def crossings(self) -> Any:
         """The ways that meet the ego's; None if there is none."""
 
+    @property
+    def around(self) -> Any:
+        """The scenario of recorded NPCs that all scenarios are changes of; None if there is none."""
+
 
 @dataclass(frozen=True, slots=True)
 class Nudge:

@@ -8,17 +8,27 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from pytest_pafot.model.instructions.instruction import (
     MAX_SPEED,
+    SPEED_STEPS_PER_MPS,
+    Choices,
     Instruction,
+    Nudge,
     ScenarioError,
     Space,
     checked_number,
     tenths_within,
 )
-from pytest_pafot.model.instructions.manoeuvre import MOST_STEPS, Step
+from pytest_pafot.model.instructions.manoeuvre import (
+    DEFAULT_STEP,
+    MOST_STEPS,
+    PLAIN_OF_STEPS,
+    Step,
+    random_step,
+)
 from pytest_pafot.support.shown import Pasteable
 
 if TYPE_CHECKING:
     import numpy as np
+    from numpy.random import Generator
     from numpy.typing import NDArray
 
     FloatArray = NDArray[np.float64]
@@ -27,8 +37,12 @@ FARTHEST, HEADING = 5000.0, 1.0
 """The largest distance from the ego's start [m], and the largest angle to the road [rad]."""
 
 LATEST, SLOWEST, FASTEST, SHIFTED = 5.0, 0.8, 1.2, 30.0
-"""How far a search may change a track: by how much time [s], by which factors of the speed, and by how far ahead [m]. A
+"""How far a track may be changed: by how much time [s], by which factors of the speed, and by how far ahead [m]. A
 factor of 1.2 makes accelerations 1.44 times as large, which a car can do that has not braked hard before."""
+VARIED_TIME, VARIED_PLACE = 2.0, 15.0
+"""How far a search changes it [s, m]; any change of the speed is allowed up to the limit of the road."""
+NUDGED_TIME, NUDGED_PLACE = 0.3, 2.0
+"""The largest steps from a scenario to its neighbour [s, m]."""
 
 
 class _Parsed(Pasteable):
@@ -273,7 +287,64 @@ class Recorded(Instruction):
 
     def is_drawn_in(self, space: Space) -> bool:
         """Return whether a search in a space is one around a recording."""
-        return space.instructions == "recorded"
+        return space.around is not None
+
+    def varied(self, choices: Choices, rng: Generator) -> Recorded:
+        """Return the instruction with another time, pace, place or step, or as it was recorded."""
+        kind = rng.random()
+        if kind < 0.25:
+            return replace(self, later=round(VARIED_TIME * (2 * rng.random() - 1), 1))
+        if kind < 0.5:
+            fastest = choices.top / SPEED_STEPS_PER_MPS / max(float(self.track.states[:, 3].max()), 0.1)
+            return replace(self, pace=_pace(min(SLOWEST + (FASTEST - SLOWEST) * rng.random(), max(fastest, 1.0))))
+        if kind < 0.7:
+            return replace(self, shift=round(VARIED_PLACE * (2 * rng.random() - 1), 1))
+        if kind < 0.95:
+            step = random_step(choices, rng)
+            if step.gap is None:  # at any time of the track, not only at its beginning
+                step = replace(step, after=round(self.track.seconds * rng.random(), 1))
+            return replace(self, steps=(step,))
+        return Recorded(track=self.track)
+
+    @property
+    def size(self) -> int:
+        """The track and each step."""
+        return 1 + len(self.steps)
+
+    @property
+    def roughness(self) -> int:
+        """Three for each difference from the recording, and one for what is not usual in a step.
+
+        Three are more than a change of the pace could gain by rounding the first speed.
+        """
+        differs = (self.later != 0, self.pace != 1, self.shift != 0)
+        return 3 * sum(differs) + sum(len(step.told) for step in self.steps)
+
+    @property
+    def weight(self) -> int:
+        """How far the NPC is from its recording, in tenths of seconds and metres and hundredths of the speed."""
+        return round(10 * (abs(self.later) + abs(self.shift)) + 100 * abs(self.pace - 1))
+
+    def plainer(self) -> Iterator[Recorded]:
+        """Go back to the recording: as a whole, in one respect, without a step, and half of the way."""
+        yield Recorded(track=self.track)
+        for share in (0.0, 0.5):
+            yield replace(self, later=round(share * self.later, 1))
+            yield replace(self, shift=round(share * self.shift, 1))
+            yield replace(self, pace=round(1 + share * (self.pace - 1), 2))
+        for number, step in enumerate(self.steps):
+            changes: list[dict[str, Any]] = [{name: getattr(DEFAULT_STEP, name)} for name in PLAIN_OF_STEPS]
+            for each in ((), *((replace(step, **change),) for change in changes)):
+                yield replace(self, steps=(*self.steps[:number], *each, *self.steps[number + 1 :]))
+
+    def moved(self, nudge: Nudge) -> Recorded:
+        """Return the instruction at a slightly different time and place."""
+        later, shift = self.later + nudge.step(NUDGED_TIME), self.shift + nudge.step(NUDGED_PLACE)
+        return replace(
+            self,
+            later=round(min(max(later, -LATEST), LATEST), 1),
+            shift=round(min(max(shift, -SHIFTED), SHIFTED), 1),
+        )
 
 
 def _pace(factor: float) -> float:

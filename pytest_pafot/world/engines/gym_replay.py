@@ -41,6 +41,7 @@ from pytest_pafot.world.gym_environment import (
     wrapper_names,
 )
 from pytest_pafot.world.kernel.bodies import Body
+from pytest_pafot.world.kernel.director import TrackedNpc
 from pytest_pafot.world.kernel.loop import EgoDriver, PlannerDriver
 from pytest_pafot.world.run_config import Rules
 from pytest_pafot.world.stock import AbstractEnv, RegulatedRoad, RoadNetwork, Vehicle
@@ -486,7 +487,12 @@ class _Loop:
             if self._is_over:
                 return
             for vehicle, body in zip(self._vehicles, self._bodies, strict=True):
-                follow(body, vehicle)
+                if isinstance(body, TrackedNpc) and body.left < 0:  # its track moves it, whatever highway-env did
+                    body.step(dt)
+                    vehicle.position = np.array([body.x, body.y])
+                    vehicle.heading, vehicle.speed = body.heading, body.speed
+                else:
+                    follow(body, vehicle)
         except UNFIT as error:
             failed = error_of(error, loop.tick, self._guard)
             self._error = self._error if self._is_over else failed

@@ -60,3 +60,45 @@ def test_wrong_argument_fails_the_items(tracks):
     items, text = run(tracks, '@pafot.catalogue(pafot.recorded("tracks.csv", ego=1), gap=3.0)')
     assert items == {"tracks/1": "FAILED"}
     assert "expected ads, world or one of seconds, received 'gap'" in text
+
+
+SEARCH = """
+import pytest
+
+@pytest.fixture
+def ads():
+    return lambda: lambda seen: (0.0, 0.0)
+
+@pafot.search({arguments})
+def test_it(run):
+    assert not run.collision
+"""
+AROUND = 'around=pafot.recorded("tracks.csv", ego=1), runs=64'
+
+
+def searched(project, arguments):
+    project.write(SEARCH.format(arguments=arguments))
+    return " ".join(" ".join(project.run("--pafot-corpus=corpus").outlines).split())
+
+
+def test_search_begins_with_the_recording_and_goes_around_it(tracks):
+    text = searched(tracks, f"{AROUND}, speed_limit=36.3")
+    assert "NPCs around the recording" in text
+    assert "new finding" in text
+    (file, *_) = (tracks.pytester.path / "corpus").rglob("*.pafot.yaml")
+    assert "  ego_track: |-\n" in file.read_text()
+    replayed = "\n".join(tracks.run(str(file), "--pafot-corpus=corpus").outlines)
+    assert "1 failed" in replayed
+
+
+def test_search_around_what_is_no_recording_is_refused(tracks):
+    assert "around=...): expected no arguments of scenarios beside it, received npcs" in searched(
+        tracks, f"{AROUND}, npcs=2"
+    )
+    assert "expected an algorithm that varies manoeuvres, received av-fuzzer" in searched(
+        tracks, f"{AROUND}, algorithm='av-fuzzer'"
+    )
+    assert "expected pafot.recorded(...), or a scenario that its scenario() returns, received 3" in searched(
+        tracks, "around=3"
+    )
+    assert "ego_speed: expected at most 16.50 m/s" in searched(tracks, f"{AROUND}, speed_limit=15.0")
