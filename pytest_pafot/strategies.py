@@ -167,16 +167,18 @@ def tracks(*, max_seconds: float = 5.0, max_speed: float = PAPER_SPEED_LIMIT) ->
         max_speed: the highest speed [m/s].
     """
 
-    def track(rows: int, along: float, across: float, aside: float, ends: tuple[float, float]) -> Track:
+    def track(rate: int, rows: int, along: float, across: float, aside: float, ends: tuple[float, float]) -> Track:
         begin, end = ends
         speeds = [begin + (end - begin) * row / (rows - 1) for row in range(rows)]
-        places = accumulate([along, *(speed / Track.rate for speed in speeds[:-1])])
+        places = accumulate([along, *(speed / rate for speed in speeds[:-1])])
         lines = [f"{x} {across + aside * row / rows} 0 {speeds[row]}" for row, x in enumerate(places)]
-        return Track("\n".join(lines))
+        return Track("\n".join([f"rate {rate}", *lines]))
 
     speeds = _tenths(0, round(10 * max_speed))
-    rows = st.integers(2, round(max_seconds * Track.rate) + 1)
-    return st.builds(track, rows, _tenths(-1000, 1000), _tenths(-80, 80), _tenths(-10, 10), st.tuples(speeds, speeds))
+    rows, rates = st.integers(2, round(max_seconds * 10) + 1), st.integers(10, 15)
+    return st.builds(
+        track, rates, rows, _tenths(-1000, 1000), _tenths(-80, 80), _tenths(-10, 10), st.tuples(speeds, speeds)
+    )
 
 
 def recorded() -> SearchStrategy[Recorded]:

@@ -138,8 +138,8 @@ FILE_TEXTS: Mapping[str, str] = {
     "scenario.npcs": "One list of [instructions](scenarios.md) per NPC: Position-Instructions `{cell, speed}`, "
     "Lane-Instructions `{lane, speed}`, one Crossing-Instruction `{zone, slot, speed, act}`, one manoeuvre "
     "`{beside, ahead, speed, steps}`, or one [recorded track](scenarios.md#recorded-tracks) `{track, later, pace, "
-    "shift, steps}`. Speeds are in m/s. A track is a block with a line for each tenth of a second: x [m], y [m], "
-    "heading [rad] and speed [m/s].",
+    "shift, steps}`. Speeds are in m/s. A track is a block with a line for each tenth of a second, or after the line "
+    "`rate 15` for each fifteenth: x [m], y [m], heading [rad] and speed [m/s].",
     "scenario.ego_track": "The track of the recorded ego, if NPCs drive as recorded.",
     "expect.assertion": "The failing assertion without its message, with `N` for each number; for a failed check, the "
     "name of the check; for any other exception, its statement or the first line of its message, likewise.",

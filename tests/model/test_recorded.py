@@ -22,6 +22,15 @@ def test_text_is_canonical():
     assert repr(BRAKING) == "Track('30 4 0 20\\n32 4 0 18\\n33.7 4 0.01 16.5')"
 
 
+def test_first_line_says_another_rate():
+    track = Track("rate 15\n" + BRAKING.text)
+    assert (track.rate, track.seconds, BRAKING.rate) == (15, pytest.approx(2 / 15), 10)
+    assert track == Track.of(BRAKING.states, 15) != BRAKING
+    assert track.at(np.array([1 / 15]))[0].tolist() == pytest.approx([32.0, 4.0, 0.0, 18.0])
+    with pytest.raises(ScenarioError, match="received 'rate 16' in line 1"):
+        Track("rate 16\n" + BRAKING.text)
+
+
 @given(tracks())
 def test_track_is_what_its_text_says(track):
     again = pickle.loads(pickle.dumps(Track(track.text)))
@@ -32,7 +41,7 @@ def test_track_is_what_its_text_says(track):
 @table(
     "text, message",
     [
-        ("", r"track: expected a text of 2 to 401 lines, received '', 1; a track has 10 lines for each second, and at"),
+        ("", r"track: expected a text of 2 to 401 lines, received '', 1; a track has 10 lines for each second"),
         ("30 4 0 20", r"of 2 to 401 lines, received '30 4 0 20', 1"),
         ("30 4 0 20\n" * 402, r"of 2 to 401 lines, received .* 402"),
         (None, r"of 2 to 401 lines, received None"),

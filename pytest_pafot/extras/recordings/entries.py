@@ -14,7 +14,7 @@ LEAST_SEEN = 5.0
 """The shortest time for which a vehicle must be seen to be the ego of a test, unless it is named [s]."""
 LANES = (3, 6)
 """The smallest and the largest number of lanes of a highway."""
-SECONDS = Parameter(20.0, 1.0, Track.longest, "s", "how long the others follow their tracks")
+SECONDS = Parameter(20.0, 1.0, (Track.most - 1) / 10, "s", "how long the others follow their tracks")
 
 
 class RecordedEntry(Entry):

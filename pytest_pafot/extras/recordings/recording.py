@@ -24,6 +24,8 @@ LANE_WIDTH = 3.5
 """The width of the lanes of a recording that has none [m]."""
 LONGEST, MOST_NPCS, FARTHEST, MOST_BESIDE = 120.0, 8, 200.0, 8
 """The longest scenario [s], the most NPCs that it can have, and how far from the ego one can start [m, lanes]."""
+RATE, FASTEST_RATE = 10, 15
+"""The rate of tracks, and the highest one that a track can keep [1/s]."""
 STRAIGHT = 0.4
 """The largest heading of a vehicle that drives along the road [rad]."""
 
@@ -189,7 +191,7 @@ class Recording:
         seen = self if ego is None else self.seen_from(ego)
         own = seen.vehicle(seen.ego)
         start = float(own.times[0] if at is None else at)
-        longest = LONGEST if as_manoeuvres else Track.longest
+        longest = LONGEST if as_manoeuvres else (Track.most - 1) / RATE
         if not own.times[0] <= start <= own.times[-1] or not 0.0 < seconds <= longest:
             raise RequestError(
                 f"{self.source}: expected a time at which {own.name} was seen, from {own.times[0]:g} to "
@@ -252,13 +254,15 @@ class Recording:
         self, own: RecordedVehicle, others: Sequence[RecordedVehicle], start: float, seconds: float, columns: _Columns
     ) -> Scenario:
         x, y, _, speed = own.at(start)[0].tolist()
-        lane = columns.of(y)
+        lane, rate = columns.of(y), round(self.rate)
+        if abs(rate - self.rate) > 0.01 or not RATE <= rate <= FASTEST_RATE or seconds * rate > Track.most - 1:
+            rate = RATE
 
         def track(vehicle: RecordedVehicle) -> Track | None:
-            states = _driven(vehicle, start, seconds, Track.rate)
+            states = _driven(vehicle, start, seconds, rate)
             across = Track.lane_width * (columns.shares(states[:, Y]) - lane) if columns.are_known else states[:, Y] - y
             places = np.stack([states[:, X] - x, across, states[:, HEADING], states[:, SPEED]], axis=-1)
-            return Track.of(places) if len(places) > 1 else None
+            return Track.of(places, rate) if len(places) > 1 else None
 
         tracks = [found for found in map(track, others) if found is not None]
         if not tracks:

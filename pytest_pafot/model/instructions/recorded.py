@@ -33,6 +33,12 @@ if TYPE_CHECKING:
 
     FloatArray = NDArray[np.float64]
 
+USUAL = 10
+"""The places of a track per second, unless it says otherwise. Between two of them a vehicle is on a straight line,
+which is less than 2 cm from what a car can do there: an acceleration of 10 m/s^2 makes it 10 / 8 * 0.1^2 m. What no car
+can do needs the rate of the recording, such as the jerks with which highway-env's vehicles begin to change lanes."""
+RATES = {f"rate {rate}": rate for rate in range(USUAL, 16)}
+"""The first lines with which a track says otherwise."""
 FARTHEST, HEADING = 5000.0, 1.0
 """The largest distance from the ego's start [m], and the largest angle to the road [rad]."""
 
@@ -46,49 +52,47 @@ NUDGED_TIME, NUDGED_PLACE = 0.3, 2.0
 
 
 class _Parsed(Pasteable):
-    """The place for the numbers of a track, which are read from its text when they are first needed."""
+    """The place for what follows from the text of a track; the numbers are read when they are first needed."""
 
-    __slots__ = ("_states",)
+    __slots__ = ("_states", "rate")
 
     _states: FloatArray
+    rate: int
 
 
 @dataclass(frozen=True, slots=True, repr=False)
 class Track(_Parsed):
-    """Where a vehicle was, ten times a second.
+    """Where a vehicle was, ten times a second or as often as its first line says.
 
     Attributes:
-        text: a line for each tenth of a second: x [m], y [m], heading [rad] and speed [m/s], relative to the ego's lane
-            at its start, x along the road and y and heading positive to the right. Numbers have two digits after the
-            point at most, headings four.
+        text: a line for each tenth of a second, or after a line such as ``rate 15`` for each fifteenth: x [m], y [m],
+            heading [rad] and speed [m/s], relative to the ego's lane at its start, x along the road and y and heading
+            positive to the right. Numbers have two digits after the point at most, headings four.
+        rate: the lines per second, 10 to 15.
     """
 
     text: str
 
-    rate: ClassVar[int] = 10
-    """The lines per second. Between two, a vehicle is on a straight line, which is less than 2 cm from what a car can
-    do there: an acceleration of 10 m/s^2 makes it 10 / 8 * 0.1^2 m."""
-    longest: ClassVar[float] = 40.0
-    """The longest time [s]: a file may have eight tracks and that of the ego, twice, within its limit of size."""
+    most: ClassVar[int] = 401
+    """The most lines of places: a file may have eight tracks and that of the ego, twice, within its limit of size."""
     lane_width: ClassVar[float] = 4.0
     """The width of the lanes to which its places belong [m]."""
 
     def __post_init__(self) -> None:
         lines = self.text.strip().split("\n") if isinstance(self.text, str) else []
-        if not 2 <= len(lines) <= self.longest * self.rate + 1:
-            expected, received = (
-                f"a text of 2 to {self.longest * self.rate + 1:g} lines",
-                f"{self.text!r:.60}, {len(lines)}",
-            )
-            fix = f"a track has {self.rate} lines for each second, and at most {self.longest:g} s"
+        rate = RATES.get(lines[0].strip()) if lines else None
+        lines = lines if rate is None else lines[1:]
+        if not 2 <= len(lines) <= self.most:
+            expected, received = f"a text of 2 to {self.most} lines", f"{self.text!r:.60}, {len(lines)}"
+            fix = f"a track has {rate or USUAL} lines for each second"
             raise ScenarioError(field="track", expected=expected, received=received, fix=fix)
-        rows = [_row(number, line) for number, line in enumerate(lines, 1)]
-        object.__setattr__(self, "text", _text(rows))
+        object.__setattr__(self, "rate", rate or USUAL)
+        object.__setattr__(self, "text", _text([_row(number, line) for number, line in enumerate(lines, 1)], self.rate))
 
     @classmethod
-    def of(cls, states: Iterable[Sequence[float]]) -> Track:
-        """Return the track with states ten times a second; shape [rows, 4], rounded as the text is."""
-        return cls(_text([[float(each) for each in row] for row in states]))
+    def of(cls, states: Iterable[Sequence[float]], rate: int = 10) -> Track:
+        """Return the track with ``rate`` states per second, 10 to 15; shape [rows, 4], rounded as the text is."""
+        return cls(_text([[float(each) for each in row] for row in states], rate))
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle as the text."""
@@ -102,7 +106,8 @@ class Track(_Parsed):
         except AttributeError:
             import numpy as np  # noqa: PLC0415  (strategies of scenarios need no arrays)
 
-            states = np.array([line.split() for line in self.text.split("\n")], dtype=np.float64)
+            lines = self.text.split("\n")[self.rate != USUAL :]
+            states = np.array([line.split() for line in lines], dtype=np.float64)
             states.flags.writeable = False
             object.__setattr__(self, "_states", states)
             return states
@@ -144,8 +149,9 @@ def _row(number: int, line: str) -> tuple[float, ...]:
     return tuple(values)
 
 
-def _text(rows: Sequence[Sequence[float]]) -> str:
-    return "\n".join(" ".join(map(_number, row, (2, 2, 4, 2))) for row in rows)
+def _text(rows: Sequence[Sequence[float]], rate: int) -> str:
+    head = [] if rate == USUAL else [f"rate {rate}"]
+    return "\n".join([*head, *(" ".join(map(_number, row, (2, 2, 4, 2))) for row in rows)])
 
 
 def _number(value: float, digits: int) -> str:

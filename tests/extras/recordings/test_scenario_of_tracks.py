@@ -10,6 +10,7 @@ import pytest_pafot as pafot
 from pytest_pafot.extras.recordings.recording import RecordedVehicle, Recording
 from pytest_pafot.model.trace import Lane, X, Y
 from pytest_pafot.support.errors import RequestError
+from tests.benchmarks.recordings import distances_as_recorded, recorded_traffic
 from tests.helpers.tables import table
 
 TIMES = np.arange(0.0, 25.01, 0.1)
@@ -164,3 +165,10 @@ def test_recording_that_is_longer_than_a_track_is_refused():
     with pytest.raises(RequestError, match="at most 40 s, received at=0 and seconds=50"):
         recording(driven("2", 40.0, [(0, 25.0)])).scenario(1, seconds=50.0)
     assert recording(driven("2", 40.0, [(0, 25.0)])).scenario(1, seconds=50.0, as_manoeuvres=True)
+
+
+def test_traffic_of_highway_env_is_driven_to_a_tenth_of_a_metre(tmp_path):
+    """The benchmark does the same with more recordings."""
+    found = distances_as_recorded(recorded_traffic(0, tmp_path / "tracks.csv"))
+    assert len(found) == 8
+    assert max(found) < 0.1
