@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from pytest_pafot import Highway, LaneInstruction, Recorded, Run, Scenario, ScenarioError, Step, Track, World
+from pytest_pafot import Highway, LaneInstruction, Manoeuvre, Recorded, Run, Scenario, ScenarioError, Step, Track, World
 from pytest_pafot.model.trace import ACCELERATION, SPEED, Outcome, X, Y
 from tests.helpers.run_cases import differences
 from tests.report.builders import view_of
@@ -168,3 +168,11 @@ def test_terminal_and_page_say_where_the_recording_was_left():
     )
     assert [view.words for view in view_of(run.trace).instructions][:1] == [f"{place}; {left}"]
     assert run.as_asked
+
+
+def test_others_are_attentive_beside_recorded_vehicles():
+    """In the paper's traffic alone, this one would run into the rear of an ego that brakes."""
+    behind = Manoeuvre(beside=0, ahead=-30.0, speed=25.0)
+    braking = [(1.0, -3.0), (5.0, 0.0)]
+    assert drive(scenario(behind, track(60.0, 1, 25.0)), braking).outcome is Outcome.SAFE
+    assert drive(scenario(behind), braking).outcome is Outcome.COLLISION
